@@ -29,6 +29,7 @@ from mammometry.measure.change import Change, TrunkFit, TrunkSkin, Visit, compar
 from mammometry.measure.settings import CompareSettings, MeasureSettings
 from mammometry.measure.trunk.thorax import frame_from_sides, seen_skin
 from mammometry.measure.volume.boundary_jitter import displacements_mm, redraw
+from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.volume.uncertainty import Evidence
 from mammometry.measure.volume.volumes import measure_volumes
 from mammometry.measure.wall.chest_wall import fit
@@ -66,6 +67,8 @@ class Row:
     error_cc: float
     half_cc: float
     """Half width of the 95 % interval."""
+    volumes_half_cc: tuple[float, float]
+    """Half widths of both volumes' intervals, cc."""
     beyond: bool
     """Verdict."""
     wall_mm: float
@@ -169,10 +172,15 @@ def rows(count: int, first: int = 1, settings: MeasureSettings = MeasureSettings
                     true_cc=0.0 if breast.name != changed and abs(true_cc) < 1.0 else true_cc,
                     error_cc=breast.volume.difference_cc - true_cc,
                     half_cc=(high - low) / 2,
+                    volumes_half_cc=(_half_cc(breast.before), _half_cc(breast.after)),
                     beyond=bool(breast.volume.beyond_error),
                     wall_mm=_wall_mm(before, after, breast.name, true_cc, settings),
                 )
                 yield row, found
+
+
+def _half_cc(measured: VolumeMeasurement) -> float:
+    return math.nan if measured.interval_cc is None else measured.interval_cc[1] - measured.volume_cc
 
 
 def _wall_mm(before: TrueVisit, after: TrueVisit, side: str, true_cc: float, settings: MeasureSettings) -> float:
@@ -222,6 +230,7 @@ def summary(found: list[Row]) -> Iterator[str]:
     columns = (
         *("dates", "breasts", "SD of the error cc", "half width cc", "held", "unchanged called changed"),
         *("changed and found: by more than the half width; all", "wall, 95 % mm"),
+        *("RMS error / half width", "half width over the mean of both volumes'", "less than either volume's"),
     )
     yield f"| {' | '.join(columns)} |\n{'| --- ' * len(columns)}|"
     for pairing in POSES:
@@ -238,7 +247,10 @@ def summary(found: list[Row]) -> Iterator[str]:
             f"{sum(row.beyond for row in still)} of {len(still)} | "
             f"{sum(row.beyond for row in beyond)} of {len(beyond)}; "
             f"{sum(row.beyond for row in moved)} of {len(moved)} | "
-            f"{np.quantile([row.wall_mm for row in group], 0.95):.2f} |"
+            f"{np.quantile([row.wall_mm for row in group], 0.95):.2f} | "
+            f"{np.sqrt(np.mean([(row.error_cc / row.half_cc) ** 2 for row in group])):.2f} | "
+            f"{np.median([row.half_cc / np.mean(row.volumes_half_cc) for row in group]):.2f} | "
+            f"{sum(row.half_cc < min(row.volumes_half_cc) for row in group)} of {len(group)} |"
         )
 
 

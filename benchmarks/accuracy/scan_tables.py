@@ -43,12 +43,42 @@ def tables(rows: Sequence[Row]) -> Iterator[str]:
         ("volume − truth %", "held", "half-width % median", "volume − clean % median", "95 %", "sides"),
         lambda own: _volumes(own, clean),
     )
+    yield from differences(rows)
     yield from _table(
         first, ("outline − truth mm", "95 %", "outline − clean mm", "95 %"), lambda own: _outlines(own, clean)
     )
     yield from _landmarks(first)
     yield from _reasons(first)
     yield from _repeatability(rows)
+
+
+def differences(rows: Sequence[Row]) -> Iterator[str]:
+    """Yield left less right beside the volumes: errors, and half-widths of their intervals."""
+    yield from _table(
+        [row for row in rows if row["repetition"] == 0 and row.get("difference")],
+        ("left − right − truth cc", "held", "RMS error / half-width", "of the volumes", "half-width cc median",
+         "over the mean of both volumes' median", "less than either volume's"),
+        _differences,
+    )  # fmt: skip
+
+
+def _differences(rows: Sequence[Row]) -> Sequence[str]:
+    error, half, sides, of_volumes = [], [], [], []
+    for row in rows:
+        apart, both, true = row["difference"], [row["sides"][side] for side in SIDES], row["truth"]["volumes_cc"]
+        sides.append([own["interval_cc"][1] - own["volume_cc"] for own in both])
+        half.append(apart["interval_cc"][1] - apart["cc"])
+        error.append(apart["cc"] - row["truth"]["difference_cc"])
+        of_volumes += [
+            (own["volume_cc"] - true[side]) / half_cc
+            for side, own, half_cc in zip(SIDES, both, sides[-1], strict=True)
+            if side in true
+        ]
+    relative = np.array(error) / np.array(half)
+    share, less = np.array(half) / np.mean(sides, axis=1), np.array(half) < np.min(sides, axis=1)
+    held = f"{(np.abs(relative) <= 1).sum()} of {len(relative)}"
+    rms = [f"{np.sqrt(np.mean(np.square(own))):.2f}" if len(own) else "–" for own in (relative, of_volumes)]
+    return _spread(error), held, *rms, _median(half), f"{np.median(share):.2f}", f"{less.sum()} of {len(less)}"
 
 
 def _table(rows: Sequence[Row], heads: Sequence[str], cells: _Cells) -> Iterator[str]:

@@ -8,8 +8,9 @@ Each woman is measured from her clean front and from scans that a virtual teleph
 road, without any drawing. Develop on numbers below 9000, report on those from 9000 on. Every scan's row is kept in the
 folder, and what is there is not measured again. `--one-posture` has each woman in one posture: over 36 women every
 operation comes in every posture. Without reports a scan takes half the time. The shared bodies come from another
-generator: their volumes stand above its smallest cup, not above a flat chest, so that only outlines and repetition are
-judged by them.
+generator: their volumes stand above its smallest cup, not above a flat chest, so that only outlines, repetition and the
+difference of both sides, from which what stands below that cup falls out, are judged by them. `--differences` prints
+left less right alone.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import multiprocessing
 import tempfile
 import time
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from functools import partial
@@ -28,7 +29,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.accuracy.scan_tables import CLEAN, SIDES, Row, tables
+from benchmarks.accuracy.scan_tables import CLEAN, SIDES, Row, differences, tables
 from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.base.errors import MammometryError
 from mammometry.base.machine.cores import available_cores
@@ -37,6 +38,7 @@ from mammometry.io.meshes.own import write_ply
 from mammometry.io.write import write_text
 from mammometry.job.stages import measure
 from mammometry.measure.settings import POSTURES
+from mammometry.measure.volume.difference import difference
 from mammometry.simulate.disturbances.registry import disturbed
 from mammometry.simulate.recipe import parse_situation
 from mammometry.simulate.scan import QUALITIES, clean_front, scan
@@ -113,6 +115,10 @@ def measured(path: Path, units: str = "mm", *, report: bool = True) -> Row:
                     "interval_cc": measurement.interval_cc,
                     "outline": np.round(curves[side], 2).tolist(),
                 }
+            both = {measurement.name: measurement for measurement in measurements}
+            if {"left", "right"} <= both.keys():
+                apart = difference(both["left"], both["right"], "sides")
+                row["difference"] = {"cc": apart.difference_cc, "interval_cc": apart.difference_interval_cc}
             row["no_breast"] = {side.name: side.why for side in job.plan.value(measure.absent) or ()}
             marks = job.plan.value(measure.landmarks) or ()
             row["landmarks"] = {mark.name: np.asarray(mark.points_world)[0].tolist() for mark in marks}
@@ -140,6 +146,7 @@ def _rows_of_woman(body: Body) -> Iterator[tuple[str, int, Row]]:
         return
     truth = {
         "volumes_cc": solid.volumes_cc,
+        "difference_cc": _left_less_right(solid.volumes_cc),
         "outlines": {side: np.round(solid.mesh.vertices[b.boundary], 2).tolist() for side, b in solid.breasts.items()},
         "landmarks": {name: np.round(points, 2).tolist() for name, points in solid.landmarks.items()},
     }
@@ -154,11 +161,16 @@ def _rows_of_woman(body: Body) -> Iterator[tuple[str, int, Row]]:
             }  # fmt: skip
 
 
+def _left_less_right(volumes_cc: Mapping[str, float]) -> float | None:
+    return volumes_cc["left"] - volumes_cc["right"] if {"left", "right"} <= volumes_cc.keys() else None
+
+
 def _shared_rows(body: Body) -> Iterator[tuple[str, int, Row]]:
     """Yield rows of a shared body, clean and as a telephone fuses it."""
     assert body.file is not None
     table = json.loads(body.file.read_text(encoding="utf-8"))
-    truth = {"volumes_cc": {}, "outlines": table["outline_10_percent"], "landmarks": {}}
+    apart_cc = _left_less_right(table["above_smallest_cup_cc"])
+    truth = {"volumes_cc": {}, "difference_cc": apart_cc, "outlines": table["outline_10_percent"], "landmarks": {}}
     for quality, repetition in body.scans:
         kind, units = ("clean", "mm") if quality == CLEAN else ("scan", "m")
         path = body.file.with_name(f"{body.name}_{kind}.ply")
@@ -229,6 +241,7 @@ def main() -> None:
     parser.add_argument("--bodies", type=Path, default=None, help="folder of the shared bodies")
     parser.add_argument("--no-reports", dest="reports", action="store_false", help="sides, volumes and landmarks alone")
     parser.add_argument("--workers", type=int, default=available_cores())
+    parser.add_argument("--differences", action="store_true", help="print left less right alone")
     parser.add_argument("--failures", action="store_true", help="print every refusal")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -236,7 +249,7 @@ def main() -> None:
         for done in as_completed([pool.submit(write_rows, body, arguments.out) for body in _bodies(arguments)]):
             print("\n".join(done.result()), flush=True)
     rows = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(arguments.out.glob("*.json"))]
-    print("\n".join(tables(rows)))
+    print("\n".join(differences(rows) if arguments.differences else tables(rows)))
     if arguments.failures:
         for row in rows:
             for why in (row["refused"], *(f"{side}: {text}" for side, text in row["no_breast"].items())):

@@ -18,6 +18,7 @@ from mammometry.job.products import Stage
 from mammometry.job.stages import calibrate, match, measure, surface
 
 if TYPE_CHECKING:
+    from mammometry.measure.volume.difference import VolumeDifference
     from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
 
 
@@ -72,8 +73,19 @@ class Results:
         """Name → 95 % interval, cc. None where none is known."""
         return {name: measured.interval_cc for name, measured in self.measurements.items()}
 
+    @property
+    def difference(self) -> VolumeDifference | None:
+        """Volume of the left breast less that of the right one, with its own interval. None without both."""
+        from mammometry.measure.volume.difference import difference
+
+        if not {"left", "right"} <= self.measurements.keys():
+            return None
+        return difference(self.measurements["left"], self.measurements["right"], "sides")
+
     def as_table(self) -> dict[str, Any]:
         """All of it as plain data for JSON, as ``--json`` prints it."""
+        apart = self.difference
+        interval_cc = None if apart is None else apart.difference_interval_cc
         return {
             "volumes_cc": {name: round(value, 3) for name, value in self.volumes_cc.items()},
             "intervals_cc": {
@@ -96,6 +108,8 @@ class Results:
                 }
                 for name, measured in self.measurements.items()
             },
+            "difference_cc": None if apart is None else round(apart.difference_cc, 3),
+            "difference_interval_cc": None if interval_cc is None else [round(bound, 3) for bound in interval_cc],
             "no_breast": dict(self.no_breast),
             "notes": list(self.notes),
             "lacking_cc": {name: round(deficit.volume_cc, 3) for name, deficit in self.lacking.items()},

@@ -242,7 +242,7 @@ def report(
 def volume_lines(results: Results) -> list[Any]:
     """Volumes in words, and where the report is."""
     from mammometry.io.meshes.scans import SIDES_DOUBTFUL
-    from mammometry.report.words.volumes import MEANINGS, definition_words, measured_words
+    from mammometry.report.words.volumes import MEANINGS, definition_words, measured_words, verdict_words
 
     lines: list[Any] = []
     for name, measured in results.measurements.items():
@@ -250,6 +250,9 @@ def volume_lines(results: Results) -> list[Any]:
         lines.append(f"{name}: {volume}, wall: {measured.wall_kind}")
         for defined in measured.definitions:
             lines.append(f"    {MEANINGS[defined.meaning]}: {definition_words(defined)}")
+    if (apart := results.difference) is not None:
+        words = measured_words(apart.difference_cc, apart.difference_interval_cc, sign=True)
+        lines.append(f"left less right: {words}: {verdict_words(apart.beyond_error)}")
     for name, why in results.no_breast.items():
         lines.append(f"{name}: no breast measured. {why}.")
     for name, deficit in results.lacking.items():

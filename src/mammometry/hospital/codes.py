@@ -82,6 +82,7 @@ METHODS = MappingProxyType(
         "straight": "Straight distance between two landmarks",
         "along-skin": "Distance along the skin between two landmarks",
         "height": "Difference in height",
+        "difference": "Left volume less right volume; shared errors cancel",
     }
 )
 """Code of a method in our system → what it is."""

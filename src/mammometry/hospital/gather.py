@@ -18,6 +18,7 @@ from mammometry.hospital.exported import Absent, CoveredModel, CoveredModels, Ex
 from mammometry.io.photographs.images import EXTENSIONS
 from mammometry.job.stages import measure, surface
 from mammometry.measure.volume.attribution import Attribution
+from mammometry.measure.volume.difference import difference
 from mammometry.report.content import Clinical, Signed
 from mammometry.report.words.anthropometry import quantities_of
 
@@ -217,7 +218,7 @@ def quantities(measured: Sequence[VolumeMeasurement], plan: Plan) -> tuple[Quant
     """All measured numbers, under the names that every export uses."""
     sizes = plan.value(measure.dimensions)
     beside = () if sizes is None else quantities_of(sizes)
-    return (*_volumes(measured, sizes), *(Quantity(**quantity) for quantity in beside))
+    return (*_volumes(measured, sizes), *_difference(measured), *(Quantity(**quantity) for quantity in beside))
 
 
 def _volumes(measured: Sequence[VolumeMeasurement], sizes: Dimensions | None) -> Iterator[Quantity]:
@@ -246,6 +247,16 @@ def _volumes(measured: Sequence[VolumeMeasurement], sizes: Dimensions | None) ->
             ("base_area", "Base area", measurement.base_area_cm2),
         ):
             yield Quantity(code=code, title=title, side=side, value=value, unit="cm2", method="mesh-area", **about)
+
+
+def _difference(measured: Sequence[VolumeMeasurement]) -> Iterator[Quantity]:
+    sides = {measurement.name: measurement for measurement in measured}
+    if {"left", "right"} <= sides.keys():
+        apart = difference(sides["left"], sides["right"], "sides")
+        yield Quantity(
+            code="volume_left_less_right", title="Volume, left less right", side="", value=apart.difference_cc,
+            unit="cm3", interval_95=apart.difference_interval_cc, note=apart.note, method="difference",
+        )  # fmt: skip
 
 
 def _absent(side: NoBreast) -> Absent:

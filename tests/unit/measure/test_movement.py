@@ -9,7 +9,7 @@ from test_uncertainty import RIM, SHEET, wall
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary
-from mammometry.measure.volume.uncertainty import Evidence, Movement, interval, movement_of, movement_std_cc
+from mammometry.measure.volume.uncertainty import Evidence, Movement, interval, movement_cc, movement_of
 from mammometry.surface.motion.motion_test import Displaced, Stillness
 from mammometry.surface.motion.rigid_motion import MotionParameters, motion_parameters
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
@@ -61,7 +61,8 @@ def _found(covariance: np.ndarray, *, rest_mm: float = 0.0, moved: bool = True) 
 
 def _std_cc(mode: np.ndarray, rest_mm: float = 0.0) -> float:
     movement = Movement(found=_found(np.outer(mode, mode), rest_mm=rest_mm), rig=RIG)
-    return movement_std_cc(movement, SHEET, RIM, _surface())
+    shared_cc, own_cc = movement_cc(movement, SHEET, RIM, _surface())
+    return float(np.hypot(np.linalg.norm(shared_cc), own_cc))
 
 
 def _mode(**values_of_pairs: tuple[int, float]) -> np.ndarray:

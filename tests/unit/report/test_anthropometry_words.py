@@ -79,7 +79,8 @@ def test_symmetry_in_words() -> None:
     found = Symmetry(
         plane_point_world=np.zeros(3), plane_normal_world=np.array([1.0, 0, 0]), plane_sigma_mm=0.4,
         trunk_scatter_mm=1.38, left_from_mirrored=Transform.identity(), shift_mm=np.array([6.5, -4.5, 0.0]),
-        turn_deg=11.6, difference_cc=-8.6, ratio=0.97, rms_mirrored_mm=3.87, rms_mm=2.46,
+        turn_deg=11.6, difference_cc=-8.6, difference_interval_cc=(-60.0, 43.0),
+        ratio=0.97, rms_mirrored_mm=3.87, rms_mm=2.46,
         left_mm=np.zeros(1), right_mm=np.zeros(1),
     )  # fmt: skip
     said = " | ".join(fact.value for fact in symmetry_facts(found))

@@ -155,7 +155,8 @@ def test_both_sides_are_drawn_with_the_viewers_colours(rig) -> None:
     sides = Symmetry(
         plane_point_world=np.zeros(3), plane_normal_world=np.array([1.0, 0.0, 0.0]), plane_sigma_mm=1.0,
         trunk_scatter_mm=1.0, left_from_mirrored=Transform.identity(), shift_mm=np.array([0.0, 3.0, 4.0]), turn_deg=0.0,
-        difference_cc=0.0, ratio=1.0, rms_mirrored_mm=2.0, rms_mm=1.0, left_mm=out_mm, right_mm=-out_mm,
+        difference_cc=0.0, difference_interval_cc=None,
+        ratio=1.0, rms_mirrored_mm=2.0, rms_mm=1.0, left_mm=out_mm, right_mm=-out_mm,
     )  # fmt: skip
     pictures = stage_results.draw(replace(synthetic.measured(rig, [left, right], synthetic.ball()), symmetry=sides))
     assert {"overview", "symmetry"} <= set(pictures)

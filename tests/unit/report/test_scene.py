@@ -101,6 +101,7 @@ def test_the_difference_in_shape_is_drawn_on_both_breasts_at_one_scale() -> None
         shift_mm=np.array([0.0, 3.0, 0.0]),
         turn_deg=0.0,
         difference_cc=0.0,
+        difference_interval_cc=(-60.0, 60.0),
         ratio=1.0,
         rms_mirrored_mm=2.0,
         rms_mm=1.0,

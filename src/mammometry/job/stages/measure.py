@@ -168,7 +168,7 @@ def evidence(
     )
 
 
-@product("measure", version=23, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
+@product("measure", version=24, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
 def measurements(
     repaired: RepairedSurface, boundaries: tuple[Boundary, ...], body: Body | None, evidence: Evidence, *, job: Context
 ) -> tuple[VolumeMeasurement, ...]:
@@ -251,7 +251,7 @@ def landmarks(
     return find_landmarks(textured.mesh, textured.colours, measurements, picked, body, settings, boundaries=boundaries)
 
 
-@product("measure", version=4, when=_has_volume, threads=1)
+@product("measure", version=5, when=_has_volume, threads=1)
 def symmetry(
     corrected_cameras: CameraSet,
     mesh: FinishedSurface,

@@ -12,6 +12,7 @@ from mammometry.geometry import Array, Bool, Float64, Transform, TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.trunk.body import within_boundary
 from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror, register
+from mammometry.measure.volume.difference import difference
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
@@ -40,6 +41,9 @@ class Symmetry:
     """Angle of that motion, degrees."""
     difference_cc: float
     """Volume left minus right, cc."""
+    difference_interval_cc: tuple[float, float] | None
+    """Its 95 % interval, in which what both sides share cancels (`volume.difference`), cc. None if a volume has none.
+    """
     ratio: float
     """Volume of the smaller breast over that of the larger."""
     rms_mirrored_mm: float
@@ -89,6 +93,7 @@ def symmetry(
     before, after = signed_mm(skins["left"], mirrored_right), signed_mm(skins["left"], laid)
     other = signed_mm(mirrored_right, back)
     middle = mirrored_right.vertices.mean(axis=0)
+    apart = difference(left, right, "sides")
     volumes = left.volume_cc, right.volume_cc
     return Symmetry(
         plane_point_world=point,
@@ -98,7 +103,8 @@ def symmetry(
         left_from_mirrored=motion,
         shift_mm=frame @ (motion.apply(middle) - middle),
         turn_deg=float(np.rad2deg(np.linalg.norm(motion.rotation_vector_rad))),
-        difference_cc=volumes[0] - volumes[1],
+        difference_cc=apart.difference_cc,
+        difference_interval_cc=apart.difference_interval_cc,
         ratio=min(volumes) / max(volumes),
         rms_mirrored_mm=rms_mm(skins["left"], before),
         rms_mm=rms_mm(skins["left"], after),

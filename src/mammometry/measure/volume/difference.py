@@ -1,13 +1,17 @@
 """Difference of two volumes, with its own interval.
 
-Left with right, or before with after. That interval is far smaller than the volumes' own. Both volumes are closed by
-walls of one kind, whose errors are largely alike on both sides of a trunk, and both depend on one target's scale.
-Errors that they share cancel in the difference. The others stay.
+Left with right, or before with after. Both volumes are made from one capture or of one breast, and share errors: one
+target's scale, one scanner's or matching's bias, one trunk, the form of one chest, motions of one body. Errors that
+both share act by the difference of their signed effects, so that they cancel as far as the effects are alike. The
+others add up (root of the sum of squares). Whether the difference is then better known than either volume depends on
+how much of the errors is shared. That of a border that a person drew is not (docs/decisions/0046).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import zip_longest
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -20,11 +24,12 @@ from mammometry.measure.volume.uncertainty import (
     WALL,
     WALL_FIT_U95_MM,
     WALL_SAME_POSE_U95_MM,
-    WALL_SIDES_U95_MM,
 )
 
 Pairing: TypeAlias = Literal["sides", "same pose", "across poses"]
 """What is compared: both sides of one capture, or one breast in two captures, standing alike or differently."""
+_UNSHARED_MM: Mapping[Pairing, float] = {"same pose": WALL_SAME_POSE_U95_MM / 2**0.5, "across poses": WALL_FIT_U95_MM}
+"""Half-width of what one breast's wall at one date does not share with that at another, mm."""
 
 
 @value
@@ -69,10 +74,11 @@ def difference(
 ) -> VolumeDifference:
     """Compare two volumes.
 
-    Linear theory, with V₁ − V₂ = D. A common relative error u of the scale contributes u·|D|, and so does an axis that
-    is assumed for both, which have one trunk. Walls of one kind over base areas A contribute w·√(A₁² + A₂²), where w is
-    the part of each wall's height that the other does not share (for one breast twice, √½ of a change's). Every other
-    source counts in full on either side. ln(V₁/V₂) likewise, with each volume's share divided by the volume.
+    Linear theory. Of both sides of one capture, every source's common errors have signed effects c₁ and c₂ on the
+    volumes (`VolumeMeasurement.common_cc`), and what is each volume's own is r₁ and r₂, so that the source contributes
+    √(|c₁ − c₂|² + r₁² + r₂²). Of one breast in two captures, scale and an assumed axis are common so, and walls of one
+    kind over base areas A contribute w·√(A₁² + A₂²), where w is what one date's wall does not share with the other's.
+    Everything else counts in full on either side. ln(V₁/V₂) likewise, with every effect divided by its volume.
 
     Args:
         first: minuend, a `VolumeMeasurement`.
@@ -90,33 +96,33 @@ def difference(
             note="There is no interval, because one of the volumes has none.",
         )  # fmt: skip
     alike = first.wall_kind == second.wall_kind
-    volumes = np.array([first.volume_cc, second.volume_cc])
-    own = [dict(measurement.interval_terms_cc) for measurement in (first, second)]
     terms: dict[str, float] = {}
     relative: dict[str, float] = {}
-    for name in {**own[0], **own[1]}:
-        contributions = np.array([part.get(name, 0.0) for part in own])
-        # An axis that is assumed for both is off alike, since both have one trunk.
-        if (name == SCALE and common_scale) or (name == AXIS and alike and contributions.min() > 0):
-            terms[name], relative[name] = float((contributions / volumes).max() * abs(gap)), 0.0
-        elif name == WALL and alike:
-            areas = np.array([first.base_area_cm2, second.base_area_cm2]) / 10
-            unshared = {
-                "sides": WALL_SIDES_U95_MM,
-                "same pose": WALL_SAME_POSE_U95_MM / np.sqrt(2),
-                "across poses": WALL_FIT_U95_MM,
-            }[pairing]
+    for name in {**first.interval_terms_cc, **second.interval_terms_cc}:
+        common = _is_common(name, pairing, alike=alike, common_scale=common_scale)
+        effects = [_effect(measured, name, common=common) for measured in (first, second)]
+        if name == WALL and alike and pairing != "sides":
+            areas_cm2 = (first.base_area_cm2, second.base_area_cm2)
             # Walls that are known better by themselves (measured ones) are no worse together.
-            terms[name] = float(min(unshared * np.hypot(*areas), np.hypot(*contributions)))
-            relative[name] = float(min(unshared * np.hypot(*(areas / volumes)), np.hypot(*(contributions / volumes))))
-        else:
-            terms[name], relative[name] = float(np.hypot(*contributions)), float(np.hypot(*(contributions / volumes)))
+            effects = [
+                _Effect(common_cc=(), own_cc=min(_UNSHARED_MM[pairing] * area_cm2 / 10, effect.own_cc))
+                for area_cm2, effect in zip(areas_cm2, effects, strict=True)
+            ]
+        terms[name] = _half_width(effects, (1.0, 1.0))
+        relative[name] = _half_width(effects, (first.volume_cc, second.volume_cc))
     half = float(np.sqrt(sum(term**2 for term in terms.values())))
     log_half = float(np.sqrt(sum(term**2 for term in relative.values())))
-    common = f"The chest walls are of two kinds ({first.wall_kind}, {second.wall_kind}), so their errors do not cancel."
-    if alike:
-        shared = "the chest wall's error and of the scale's error" if common_scale else "the chest wall's error"
-        common = f"The part of {shared} that both volumes share cancels out."
+    shared = [name for name in terms if _is_common(name, pairing, alike=alike, common_scale=common_scale)]
+    shared = [name for name in shared if first.common_cc.get(name) and second.common_cc.get(name)]
+    if alike and pairing != "sides" and WALL in terms:
+        shared.append(WALL)
+    note = f"The interval of the difference covers {', '.join(terms)}."
+    if shared:
+        note += f" What both volumes share of {', '.join(shared)} cancels out."
+    if not alike:
+        note += (
+            f" The chest walls are of two kinds ({first.wall_kind}, {second.wall_kind}), so their errors do not cancel."
+        )
     return VolumeDifference(
         first=called[0],
         second=called[1],
@@ -126,5 +132,40 @@ def difference(
         ratio=ratio,
         ratio_interval=(float(ratio * np.exp(-log_half)), float(ratio * np.exp(log_half))),
         terms_cc=terms,
-        note=f"The interval of the difference covers {', '.join(terms)}. {common}",
+        note=note,
     )
+
+
+def _is_common(name: str, pairing: Pairing, *, alike: bool, common_scale: bool) -> bool:
+    """Whether a source of error is one and the same for both volumes, so far as it is common at all."""
+    if name == SCALE:
+        return common_scale
+    if name in (AXIS, WALL) and not alike:
+        return False
+    return pairing == "sides" or name == AXIS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Effect:
+    """How one source of error acts on one volume, cc at 95 %."""
+
+    common_cc: tuple[float, ...]
+    """Signed, by each error that the other volume has too."""
+    own_cc: float
+    """By what is this volume's own."""
+
+
+def _effect(measured: VolumeMeasurement, name: str, *, common: bool) -> _Effect:
+    term_cc = measured.interval_terms_cc.get(name, 0.0)
+    common_cc = measured.common_cc.get(name, ()) if common else ()
+    own_cc2 = term_cc**2 - sum(effect_cc**2 for effect_cc in common_cc)
+    return _Effect(common_cc=common_cc, own_cc=max(own_cc2, 0.0) ** 0.5)
+
+
+def _half_width(effects: Sequence[_Effect], over: tuple[float, float]) -> float:
+    """Half-width of the difference of two volumes, each divided by a number, by one source."""
+    first, second = effects
+    common = [
+        one / over[0] - other / over[1] for one, other in zip_longest(first.common_cc, second.common_cc, fillvalue=0.0)
+    ]
+    return float(np.linalg.norm([*common, first.own_cc / over[0], second.own_cc / over[1]]))

@@ -8,7 +8,7 @@ No interval covers two meanings (docs/decisions/0029).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
@@ -204,6 +204,10 @@ class VolumeMeasurement:
     number itself may be wrong."""
     interval_terms_cc: Mapping[str, float]
     """Half-width at 95 % that each named source contributes, cc. Empty without an interval."""
+    common_cc: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    """Source → signed changes of the volume by errors of its capture that are independent of one another and common to
+    all its volumes, cc, at 95 %. What a source contributes beyond them is this volume's own. Its errors and another
+    breast's cancel by them (`difference`)."""
     interval_note: str
     """What the interval covers and what it leaves out, one sentence."""
     closed: TriangleMesh

@@ -1,7 +1,7 @@
 """The 95 % interval of a volume by source (linear theory).
 
 To first order a skin that lies off by u changes the volume by ∫ n·u over it. Where cameras or a body moved, u is what
-the motion leaves unknown (`movement_std_cc`). What moves the boundary along changes nothing, since the wall moves, too:
+the motion leaves unknown (`movement_cc`). What moves the boundary along changes nothing, since the wall moves, too:
 the rigid motion of the boundary is taken off u.
 """
 
@@ -47,16 +47,20 @@ def movement_of(found: Stillness, rig: Rig) -> Movement | None:
     return Movement(found=found, rig=rig) if found.moved else None
 
 
-def movement_std_cc(
+def movement_cc(
     movement: Movement, skin: TriangleMesh, boundary_world: Float64[Array, "n 3"], surface: RepairedSurface
-) -> float:
-    """Standard deviation of a volume by what the motions leave unknown, cc.
+) -> tuple[Float64[Array, " p"], float]:
+    """What the motions leave unknown of a volume, cc.
 
     Args:
         movement: of the capture.
         skin: the breast's own, mm, world frame.
         boundary_world: the curve around it.
         surface: the whole repaired surface, which knows what pairs measured each vertex.
+
+    Returns:
+        Signed change of the volume by one standard deviation of each independent motion, the same motions for all
+        volumes of the capture; and the standard deviation by what is not rigid, which is the volume's own.
     """
     found = movement.found
     area_mm2 = np.zeros(len(skin.vertices))
@@ -76,7 +80,8 @@ def movement_std_cc(
     whole_mm2 = float(area_mm2.sum())
     alike_mm2 = min(np.pi * _ALIKE_MM**2, whole_mm2)
     rest_mm3 = found.rest_mm / np.sqrt(2) * np.sqrt(whole_mm2 * alike_mm2)
-    return float(np.hypot(np.sqrt(gradient @ found.covariance @ gradient), rest_mm3)) / 1000
+    variances, motions = np.linalg.eigh(found.covariance)
+    return np.sqrt(np.maximum(variances, 0.0)) * (gradient @ motions) / 1000, float(rest_mm3) / 1000
 
 
 def _displacements(
@@ -127,12 +132,18 @@ WALL_SIDES_U95_MM = 1.9
 """Half-width, mm for each side, of what walls of both sides of one capture do not share. On real women right less left
 over the base was off by less than 2.6 mm in 95 %, which is 1.84 mm for each side. Our torsos have .93. An earlier
 synthetic family had 3.4. docs/decisions/0029."""
+WALL_CORRELATION = 0.75
+"""Correlation of the errors of both sides' walls in one capture. On real women each side was off by less than 3.7 mm in
+95 %, and right less left by less than 2.6 mm: 1 - 2.6² / (2 × 3.7²). Virtual women have .8. docs/decisions/0046."""
+BOUNDARY_CORRELATION = 0.5
+"""Correlation of what two boundaries found in one capture add to the errors of both volumes, over their terms. Pairs of
+virtual women had .7, at 95 % more than .5. Of curves that persons draw, nothing is known to be shared: two ratings by
+one person lie as far apart as by two. docs/decisions/0046."""
 WALL_SAME_POSE_U95_MM = 1.2
 """Half-width for the change of one breast between two captures in the same pose, mm."""
 MOVEMENT = "movement"
 AXIS = "trunk's axis"
-SCALE, WALL = "scale", "chest wall"
-"""Sources of error that two volumes share: the target's scale wholly, the wall for the greater part."""
+SCALE, WALL, BOUNDARY = "scale", "chest wall", "boundary"
 _BOUNDARY_CC_PER_MM_CM2 = 0.025
 """Change of a torso's volume when its curve jitters by a standard deviation of 1 mm, cc for each cm² of base: 4 mm made
 16 cc of standard deviation on breasts of 166 cm² base. Used where the boundary cannot be drawn again."""
@@ -179,6 +190,9 @@ class Uncertainty:
     its own end, and without an interval."""
     terms_cc: Mapping[str, float]
     """Half-width at 95 % of each source, cc."""
+    common_cc: Mapping[str, tuple[float, ...]]
+    """Source → signed changes of the volume, cc at 95 %, by errors that all volumes of a capture share
+    (`VolumeMeasurement.common_cc`)."""
     note: str
     """What the interval covers and what not, one sentence."""
 
@@ -197,7 +211,7 @@ def interval(
 
     - *scale*: 3·u·V.
     - *calibration*: the expected error of a point along the normal, over the skin.
-    - *movement*, where cameras or body moved: what was not put right (`movement_std_cc`).
+    - *movement*, where cameras or body moved: what was not put right (`movement_cc`).
     - *matching*: what windows make of convex skin, over the measured skin, and each vertex's own σ over its share.
     - *repaired* and *invented surface*: over theirs. They grow with the distance from measured skin, on a photographed
       cast no further than skin could stand out unseen. Invented skin that lies in a pit may be off by all of the pit.
@@ -222,6 +236,7 @@ def interval(
     model = (TORSO_WALLS if torso else CAST_WALLS)[wall.kind]
     surface, earlier, boundary_std_cc = evidence.surface, evidence.earlier, evidence.boundary_std_cc
     terms: dict[str, float] = {}
+    common: dict[str, tuple[float, ...]] = {}
     missing = []
     if earlier.scale_std is not None:
         terms[SCALE] = COVERAGE_95 * 3 * earlier.scale_std * volume_cc
@@ -234,15 +249,19 @@ def interval(
     else:
         missing.append("distortions of the scan: its file says nothing about them")
     if evidence.movement is not None and surface is not None:
-        std_cc = movement_std_cc(evidence.movement, wall.skin, boundary.points_world, surface)
-        terms[MOVEMENT] = COVERAGE_95 * std_cc
-    terms |= _of_skin(wall.skin, surface, evidence.views, settings)
+        shared_cc, own_cc = movement_cc(evidence.movement, wall.skin, boundary.points_world, surface)
+        terms[MOVEMENT] = COVERAGE_95 * float(np.hypot(np.linalg.norm(shared_cc), own_cc))
+        common[MOVEMENT] = tuple((COVERAGE_95 * shared_cc).tolist())
+    of_skin, bias_of_skin = _of_skin(wall.skin, surface, evidence.views, settings)
+    terms |= of_skin
+    common |= bias_of_skin
     if not (torso or model.measured):
         if boundary.sigma_mm is None:
             return Uncertainty(
                 interval_cc=None,
                 as_defined_cc=None,
                 terms_cc={},
+                common_cc={},
                 note="There is no interval, because the uncertainty of the boundary is not known.",
             )
         terms["base"] = COVERAGE_95 * boundary.sigma_mm * area_cm2 / 10
@@ -252,14 +271,19 @@ def interval(
                 across_mm = np.zeros(1) if boundary.across_mm is None else boundary.across_mm
                 sigma_mm = float(np.sqrt(settings.observers.mean_mm**2 + np.mean(across_mm**2)))
                 boundary_std_cc = sigma_mm * _BOUNDARY_CC_PER_MM_CM2 * area_cm2
-            terms["boundary"] = COVERAGE_95 * boundary_std_cc
+            terms[BOUNDARY] = COVERAGE_95 * boundary_std_cc
+            if boundary.across_mm is not None:
+                common[BOUNDARY] = (BOUNDARY_CORRELATION**0.5 * terms[BOUNDARY],)
         height_mm = WALL_MEASURED_U95_MM if model.measured else model.off_u95_mm(area_cm2)
         terms[WALL] = height_mm * area_cm2 / 10
+        if not model.measured:
+            common[WALL] = (WALL_CORRELATION**0.5 * terms[WALL],)
         if evidence.axis_assumed:
             terms[AXIS] = AXIS_U95_SHARE * volume_cc
     if torso and not model.sees_the_chest:
         missing.append("the error of this wall, which ignores the curve of the chest: the volume is too large")
     terms = {name: float(term) for name, term in terms.items()}
+    common |= {name: (terms[name],) for name in (SCALE, AXIS) if name in terms}
     as_defined = None
     if torso:
         fit_cc = min(terms[WALL], WALL_FIT_U95_MM * area_cm2 / 10)
@@ -277,7 +301,9 @@ def interval(
         )
     for omission in missing:
         note += f" It does not cover {omission}."
-    return Uncertainty(interval_cc=_around(volume_cc, terms), as_defined_cc=as_defined, terms_cc=terms, note=note)
+    return Uncertainty(
+        interval_cc=_around(volume_cc, terms), as_defined_cc=as_defined, terms_cc=terms, common_cc=common, note=note
+    )
 
 
 def _around(volume_cc: float, terms_cc: Mapping[str, float]) -> tuple[float, float]:
@@ -287,14 +313,15 @@ def _around(volume_cc: float, terms_cc: Mapping[str, float]) -> tuple[float, flo
 
 def _of_skin(
     skin: TriangleMesh, surface: RepairedSurface | None, views: Sequence[Bound], settings: MeasureSettings
-) -> dict[str, float]:
-    """Half-widths at 95 % that measured, repaired and invented skin contribute, cc."""
+) -> tuple[dict[str, float], dict[str, tuple[float, ...]]]:
+    """Half-widths at 95 % that measured, repaired and invented skin contribute, cc; what all skin shares of them."""
     own_mm2 = np.zeros(len(skin.vertices))
     face_mm2 = np.linalg.norm(skin.face_vectors(), axis=1)
     for corner in range(3):
         np.add.at(own_mm2, skin.faces[:, corner], face_mm2 / 3)
     if surface is None:
-        return _at_95({"matching": settings.surface_sigma_mm * own_mm2.sum()})
+        terms = _at_95({"matching": settings.surface_sigma_mm * own_mm2.sum()})
+        return terms, {name: (term,) for name, term in terms.items()}
     nearest = np.asarray(point_tree(surface.mesh.vertices).query(skin.vertices, workers=1)[1])
     origin = surface.provenance[nearest]
     seen, invented = origin == Provenance.MEASURED, origin == Provenance.INVENTED
@@ -310,13 +337,15 @@ def _of_skin(
     def unseen(which: Bool[Array, " n"], beside_mm: float) -> float:
         return float(unseen_mm2[which[~seen]] @ np.hypot(beside_mm, astray_mm[which[~seen]]))
 
-    return _at_95(
+    measured = "matching" if surface.pair_names else "scanner"
+    terms = _at_95(
         {
-            "matching" if surface.pair_names else "scanner": float(np.hypot(common, scatter)),
+            measured: float(np.hypot(common, scatter)),
             "repaired surface": unseen(repaired, REPAIRED_SIGMA_MM),
             "invented surface": float(np.hypot(unseen(invented, INVENTED_SIGMA_MM), _pits_mm3(skin, invented))),
         }
     )
+    return terms, {name: (term,) for name, term in _at_95({measured: float(common)}).items()}
 
 
 def _pits_mm3(skin: TriangleMesh, invented: Bool[Array, " n"]) -> float:

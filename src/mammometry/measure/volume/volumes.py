@@ -81,6 +81,7 @@ def measure(
         interval_cc=uncertainty.interval_cc,
         as_defined_cc=uncertainty.as_defined_cc,
         interval_terms_cc=uncertainty.terms_cc,
+        common_cc=uncertainty.common_cc,
         interval_note=uncertainty.note,
         closed=wall.closed,
         skin_faces=len(wall.skin.faces),
