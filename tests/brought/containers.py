@@ -414,6 +414,7 @@ USDZS = (
     Container("blend shapes", lambda: _skeleton(1, _SHAPES), 0, "blend shapes"),
     Container("blend shapes of weight 0", lambda: _skeleton(0, _SHAPES)),
     Container("a negative scale", lambda: _placed_usd(_FLIPPED), remark="mirrored"),
+    Container("subdivision", lambda: usda(usd_mesh().replace('"none"', '"catmullClark"')), remark="smoothed"),
     Container("left-handed", lambda: usda(
         usd_mesh(faces=FACES[:, ::-1], more='uniform token orientation = "leftHanded"'))),
     *(_in_unit(metres) for metres in (1.0, 0.01, 0.0254, 0.3048, 0.02, 1e-6)),

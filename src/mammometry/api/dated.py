@@ -144,6 +144,7 @@ def _scan(folder: Path, settings: Settings, watch: Watch) -> Dated:
     from mammometry.api.scan_folders import open_scan
 
     job = open_scan(folder, settings, watch=watch)
+    job.require_sides()
     return Dated(
         path=folder,
         date=None,

@@ -270,6 +270,19 @@ class MeshJob(Reported):
             },
         )
 
+    def require_sides(self) -> None:
+        """Refuse a scan that may be a mirror image: nothing of it may be exported or compared as left and right.
+
+        Raises:
+            SessionError: nobody has compared its sides with the patient.
+        """
+        if self.sides_doubtful:
+            raise SessionError(
+                str(self.files.mesh), found="a scan that may be a mirror image",
+                expected="left and right as on the patient",
+                remedy="Compare a mole, the operated side or a tattoo, and then measure it with --sides-checked",
+            )  # fmt: skip
+
     def run(self, *, report: bool = True) -> Results:
         """Measure, and write the report.
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
-from mammometry.base.errors import SessionError
 from mammometry.base.listing import visible
 from mammometry.hospital.exported import Absent, CoveredModel, CoveredModels, Exported, Model, Quantity, Side
 from mammometry.io.photographs.images import EXTENSIONS
@@ -120,11 +119,7 @@ def gather_scan(
     """
     import mammometry
 
-    if job.sides_doubtful:
-        raise SessionError(
-            str(job.files.mesh), found="a scan that may be a mirror image", expected="left and right as on the patient",
-            remedy="Compare a mole, the operated side or a tattoo, and then measure it with --sides-checked",
-        )  # fmt: skip
+    job.require_sides()
     results = job.run(report="pdf" in parts and not deidentify)
     measured = tuple(results.measurements.values())
     known = clinical or Clinical(confirmed=confirmed(job.inputs.attributions, measured))

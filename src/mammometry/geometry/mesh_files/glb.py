@@ -253,10 +253,12 @@ class _Reader:
         faces = self._faces(part, len(points))
         if "skin" in node and "JOINTS_0" in attributes:
             matrices = self._skinned(node["skin"], attributes, len(points))
+            points = np.einsum("nij,nj->ni", matrices[:, :3, :3], points) + matrices[:, :3, 3]
+            turn = np.median(np.linalg.det(matrices[:, :3, :3]))
         else:
-            matrices = np.broadcast_to(place, (len(points), 4, 4))
-        points = np.einsum("nij,nj->ni", matrices[:, :3, :3], points) + matrices[:, :3, 3]
-        if len(points) and np.median(np.linalg.det(matrices[:, :3, :3])) < 0:
+            points = points @ place[:3, :3].T + place[:3, 3]
+            turn = np.linalg.det(place[:3, :3])
+        if turn < 0:
             faces = faces[:, ::-1]
             self.remarks.append(MIRRORED)
         uv, picture = self._picture(part)
@@ -300,6 +302,8 @@ class _Reader:
 
     def _faces(self, part: Mapping[str, Any], count: int) -> Int64[Array, "m 3"]:
         corners = self._numbers(part["indices"])[:, 0].astype(np.int64) if "indices" in part else np.arange(count)
+        if corners.max(initial=-1) >= count:
+            raise ValueError("faces of vertices that are not there")
         mode = part.get("mode", _TRIANGLES)
         if mode == _TRIANGLES:
             return corners[: len(corners) // 3 * 3].reshape(-1, 3)

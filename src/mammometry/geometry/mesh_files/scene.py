@@ -16,6 +16,7 @@ MIRRORED = (
     "the patient: a mole, the operated side or a tattoo."
 )
 HIDDEN = "Parts that the file hides, or does not draw, were left out."
+SUBDIVIDED = "The file asks for a smoothed surface (subdivision). The mesh was read as it is, without it."
 ANIMATED = "The file has an animation. The mesh was read as it is at its beginning."
 
 

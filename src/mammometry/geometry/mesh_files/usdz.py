@@ -20,7 +20,7 @@ from mammometry.base.extras import require
 from mammometry.base.machine.system import limit_memory
 from mammometry.base.parse import error_text, require_file
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
-from mammometry.geometry.mesh_files.scene import ANIMATED, GREY, HIDDEN, MIRRORED, Scene, ScenePart
+from mammometry.geometry.mesh_files.scene import ANIMATED, GREY, HIDDEN, MIRRORED, SUBDIVIDED, Scene, ScenePart
 
 _LAYERS = (".usd", ".usda", ".usdc")
 _PICTURES = (".png", ".jpg", ".jpeg")
@@ -154,6 +154,8 @@ def _parts(stage: Any, folder: Path, pictures: dict[str, bytes], remarks: list[s
             remarks.append(HIDDEN)
             continue
         now = Usd.TimeCode.EarliestTime()
+        if mesh.GetSubdivisionSchemeAttr().HasAuthoredValue() and mesh.GetSubdivisionSchemeAttr().Get() != "none":
+            remarks.append(SUBDIVIDED)
         if _is_animated(mesh):
             remarks.append(ANIMATED)
         points = np.array(mesh.GetPointsAttr().Get(now) or (), dtype=np.float64).reshape(-1, 3)
