@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import os
 from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -112,7 +113,7 @@ def dicom(
     """
     from mammometry.base.extras import require
     from mammometry.hospital.codes import require_text
-    from mammometry.hospital.peers import Peer, Tls, web_address
+    from mammometry.hospital.peers import AUTHORIZATION, Peer, Tls, require_encrypted, web_address
     from mammometry.io.outputs import require_apart, require_free, write_outputs
 
     if out is None and send is None and stow is None:
@@ -124,8 +125,11 @@ def dicom(
     worklist_peer = None if worklist is None else Peer.parse(worklist)
     encrypted = Tls(authorities=tls_ca, certificate=tls_certificate, key=tls_key)
     chosen = encrypted if tls or encrypted != Tls() else None
+    login = os.environ.get(AUTHORIZATION)
     if stow is not None:
         stow = web_address(stow)
+        if login:
+            require_encrypted(stow)
     if out is not None:
         require_apart(out, [session, options.file])
         from mammometry.hospital.dicom.objects import possible_names
@@ -158,7 +162,7 @@ def dicom(
                 sent[str(peer)] = send_to(made, peer, own_title=own_title, tls=chosen, progress=progress)
         if stow is not None:
             with bars.task("send", stow) as progress:
-                sent[stow] = stow_to(made, stow, tls=chosen, progress=progress)
+                sent[stow] = stow_to(made, stow, tls=chosen, authorization=login, progress=progress)
     for where, what in sent.items():
         table[where] = {"sent": what.sent, "there_before": what.stored}
         before = f", {what.stored} were there before" if what.stored else ""

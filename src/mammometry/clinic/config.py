@@ -18,6 +18,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstra
 from mammometry.base.errors import MammometryError, SettingsError
 from mammometry.base.parse import read_text, toml_table
 from mammometry.hospital.codes import require_text, text_fault
+from mammometry.hospital.peers import require_encrypted
 
 if TYPE_CHECKING:
     from mammometry.settings import Settings
@@ -48,6 +49,15 @@ def _is_organization(name: str) -> str:
     if (fault := text_fault(name, "LO")) is not None:
         raise ValueError(fault[1])
     return name
+
+
+def _are_encrypted(secrets_of: dict[str, str]) -> dict[str, str]:
+    for address in secrets_of:
+        try:
+            require_encrypted(address)
+        except MammometryError as error:
+            raise ValueError(f"https in {address}: {error.expected}") from None
+    return secrets_of
 
 
 Filled = Annotated[str, StringConstraints(min_length=1, max_length=200)]
@@ -158,6 +168,20 @@ class ClinicConfig(BaseModel):
     cameras: dict[Filled, Filled] = {}
     """Rig's name → its rig.toml, relative to the clinic's folder, where its cameras are driven by this computer."""
 
+    stow_secrets: Annotated[dict[Filled, Filled], AfterValidator(_are_encrypted)] = {}
+    """Address of a DICOMweb archive → the file with its login ("Bearer …"), relative to the clinic's folder. It goes to
+    this address alone, whatever somebody enters on a page."""
+
+    def stow_secret(self, address: str) -> str | None:
+        """Login for a DICOMweb archive. None: it has none.
+
+        Raises:
+            ClinicError: its file is missing or empty.
+        """
+        files = {named.rstrip("/"): file for named, file in self.stow_secrets.items()}
+        file = files.get(address.rstrip("/"))
+        return None if file is None else _secret(self.folder / file, least=1)
+
     def measuring(self) -> Settings:
         """The clinic's measurement settings: its settings.toml, or the defaults.
 
@@ -215,7 +239,7 @@ def _secret(path: Path, least: int) -> str:
         text = ""
     if len(text) < least:
         found = f"{len(text)} characters"
-        remedy = "Put it back from a backup, or make a new clinic with `mammometry clinic init`"
+        remedy = "Put it back from a backup"
         raise ClinicError(path.name, found=found, expected=f"at least {least} characters of ASCII", remedy=remedy)
     return text
 

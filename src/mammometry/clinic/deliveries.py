@@ -16,6 +16,7 @@ from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.models import Delivery, Destination, Patient, Person, Visit, VisitOrder
 from mammometry.clinic.records.clinical import clinical_of, operation_words, operations_before
 from mammometry.clinic.records.results import measured_job
+from mammometry.clinic.site import the_clinic
 from mammometry.hospital.exported import Exported, Operation, Order, plain_name
 from mammometry.hospital.exported import Patient as PatientModule
 from mammometry.hospital.peers import Peer, Tls
@@ -73,7 +74,8 @@ def test(destination: Destination) -> None:
     else:
         from mammometry.hospital.dicom.stow import answers
 
-        answers(destination.address, tls=tls_of(destination))
+        secret = the_clinic().stow_secret(destination.address)
+        answers(destination.address, tls=tls_of(destination), authorization=secret)
 
 
 def claim() -> Delivery | None:
@@ -81,6 +83,8 @@ def claim() -> Delivery | None:
     now = timezone.now()
     waiting = (Delivery.State.QUEUED, Delivery.State.SENDING)
     rows = Delivery.objects.filter(state__in=waiting, next_try__lte=now, visit__binned_at=None)
+    given_up = rows.filter(state=Delivery.State.SENDING, tries__gte=MOST_TRIES)
+    given_up.update(state=Delivery.State.FAILED, message="The clinic's server ended while it was sent.", ended=now)
     for due in rows.order_by("next_try")[:20]:
         # Whoever changes the row first has it.
         taken = Delivery.objects.filter(pk=due.pk, state=due.state, next_try=due.next_try).update(
@@ -97,8 +101,14 @@ def deliver(config: ClinicConfig, delivery: Delivery) -> None:
     mine = Delivery.objects.filter(pk=delivery.pk, state=Delivery.State.SENDING, next_try=lease)
     try:
         sent, kept = _send(config, delivery)
-    except MammometryError as error:
-        words = str(error).replace(f"{config.folder}/", "")[:1500]
+    except DatabaseError:
+        raise
+    except Exception as error:  # whatever a library stumbles over: it is no reason to try for ever
+        if isinstance(error, MammometryError):
+            words = str(error).replace(f"{config.folder}/", "")[:1500]
+        else:
+            _LOG.exception("A delivery was not sent")
+            words = f"An unknown reason ({type(error).__name__}), which is in the clinic's log."
         last = delivery.tries >= MOST_TRIES
         wait = min(_FIRST_WAIT * 2 ** (delivery.tries - 1), _LONGEST_WAIT)
         mine.update(
@@ -233,7 +243,8 @@ def _send(config: ClinicConfig, delivery: Delivery) -> tuple[int, bool | None]:
     visit, destination = delivery.visit, delivery.destination
     made = objects(gathered(config, visit), patient_module(visit.patient), order_of(visit))
     if destination.kind == Destination.Kind.STOW:
-        return stow(made, destination.address, tls=tls_of(destination)).sent, None
+        secret = config.stow_secret(destination.address)
+        return stow(made, destination.address, tls=tls_of(destination), authorization=secret).sent, None
     (peer, tls), own_title = connection(destination), destination.own_title
     sent = send(made, peer, own_title=own_title, tls=tls).sent
     if not destination.commitment:

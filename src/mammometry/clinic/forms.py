@@ -94,7 +94,7 @@ class PatientForm(forms.ModelForm):  # type: ignore[type-arg]
     def clean_born(self) -> datetime.date | None:
         """Refuse days that have not come yet."""
         born: datetime.date | None = self.cleaned_data["born"]
-        if born is not None and not datetime.date(1900, 1, 1) <= born <= timezone.localdate():
+        if born is not None and not FIRST_DAY <= born <= timezone.localdate():
             raise forms.ValidationError("Enter a day between 1900 and today.")
         return born
 
@@ -265,13 +265,22 @@ class _Asking(Protocol):
     def add_error(self, field: str | None, error: Any) -> None: ...
 
 
+FIRST_DAY = datetime.date(1900, 1, 1)
+"""No date of a clinic is earlier."""
+
+
 def ask_about_day(form: _Asking, rig: Rig | None) -> None:
     """Ask whether a visit's day is right where it is in the future or before the rig's first calibration.
 
-    A second button says that it is.
+    A second button says that it is. No button allows a day before 1900 or after tomorrow.
     """
     taken_at = form.cleaned_data.get("taken_at")
-    if taken_at is None or "anyway" in form.data:
+    if taken_at is None:
+        return
+    if not FIRST_DAY <= timezone.localdate(taken_at) <= timezone.localdate() + datetime.timedelta(days=1):
+        form.add_error("taken_at", "Enter a day between 1900 and tomorrow.")
+        return
+    if "anyway" in form.data:
         return
     form.questions = tuple(date_questions(taken_at, rig))
     for question in form.questions:
@@ -313,8 +322,9 @@ class OperationForm(forms.ModelForm):  # type: ignore[type-arg]
         """Refuse days that have not come yet, and those before the patient was born."""
         day: datetime.date = self.cleaned_data["day"]
         born = self.instance.patient.born
-        if day > timezone.localdate() or (born is not None and day < born):
-            raise forms.ValidationError("Enter a day between the patient’s birth and today.")
+        if not (born or FIRST_DAY) <= day <= timezone.localdate():
+            first = "1900" if born is None else "the patient’s birth"
+            raise forms.ValidationError(f"Enter a day between {first} and today.")
         return day
 
     def clean_words(self) -> str:
@@ -438,6 +448,6 @@ class ConclusionForm(forms.ModelForm):  # type: ignore[type-arg]
 
 
 def _until_today(day: datetime.date) -> datetime.date:
-    if day > timezone.localdate():
-        raise forms.ValidationError("Enter today or an earlier day.")
+    if not FIRST_DAY <= day <= timezone.localdate():
+        raise forms.ValidationError("Enter today or an earlier day, from 1900 on.")
     return day

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import re
 import ssl
 from dataclasses import dataclass
@@ -12,7 +13,8 @@ from mammometry.base.errors import SettingsError
 from mammometry.hospital.codes import text_fault
 
 AUTHORIZATION = "MAMMOMETRY_STOW_AUTHORIZATION"
-"""Variable of the environment with the header Authorization. An address would show it to everybody."""
+"""Variable of the environment with the header Authorization, for commands. An address would show it to everybody. A
+clinic has a secret for each archive (`clinic.config`)."""
 _PEER = re.compile(r"^(?P<title>[^@]{1,16})@(?P<host>\[[0-9a-fA-F:.]+\]|[A-Za-z0-9_.-]+):(?P<port>[0-9]{1,5})$")
 
 
@@ -91,3 +93,25 @@ def web_address(url: str) -> str:
         expected = f"the variable {AUTHORIZATION} in the environment, such as 'Basic …' or 'Bearer …'"
         raise SettingsError(parts.hostname, found="a name or password in the address", expected=expected, remedy=remedy)
     return url.rstrip("/")
+
+
+def require_encrypted(url: str) -> str:
+    """Return an address over which a login may be sent: https, or this machine itself.
+
+    Raises:
+        SettingsError: it is another one.
+    """
+    parts = urlsplit(web_address(url))
+    if parts.scheme != "https" and not is_loopback(parts.hostname or ""):
+        remedy = "Ask the archive's administrator for its https address"
+        expected = "https, since the archive's login is sent with each request"
+        raise SettingsError(url, found="an address without encryption", expected=expected, remedy=remedy)
+    return url
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host is this machine itself."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"

@@ -384,7 +384,8 @@ def test_a_day_in_the_future_is_asked_about_in_a_correction_too(
 ) -> None:
     visit = Visit.objects.create(patient=anna, rig=rig, taken_at=NOON)
     client = client_of(Role.TECHNICIAN)
-    sent = {"taken_at": "2099-01-01T10:00", "note": "", "reason": "x"}
+    tomorrow = f"{timezone.localtime() + datetime.timedelta(days=1):%Y-%m-%dT%H:%M}"
+    sent = {"taken_at": tomorrow, "note": "", "reason": "x"}
     assert "in the future" in client.post(f"/visits/{visit.pk}/date/", sent).content.decode()
     assert client.post(f"/visits/{visit.pk}/date/", {**sent, "anyway": "1"}).status_code == 302
 

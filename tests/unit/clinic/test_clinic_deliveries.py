@@ -5,11 +5,13 @@ import io
 import shutil
 import ssl
 import subprocess
+import threading
 import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pydicom
 import pytest
@@ -24,12 +26,13 @@ from tests import orthanc
 from tests.orthanc import free_port
 from tests.unit.hospital.exports import NAMES, deidentified, exported
 
-from mammometry.base.errors import SessionError
+from mammometry.base.errors import SessionError, SettingsError
 from mammometry.clinic import deliveries
-from mammometry.clinic.config import ClinicConfig
+from mammometry.clinic.config import ClinicConfig, ClinicError, new_clinic, read_config
 from mammometry.clinic.models import Consent, Delivery, Destination, Visit
 from mammometry.clinic.roles import Role
 from mammometry.clinic.views import hospital, study
+from mammometry.hospital.dicom.stow import answers
 from mammometry.hospital.exported import Exported
 from mammometry.hospital.tables import FILES as TABLES
 from mammometry.hospital.tables import REDCAP_FILES as REDCAP
@@ -157,6 +160,97 @@ def test_a_visit_that_is_not_measured_says_so(clinic: ClinicConfig, visit: Visit
     delivery.refresh_from_db()
     assert delivery.message
     assert str(clinic.folder) not in delivery.message
+
+
+def test_an_unknown_reason_is_tried_as_often_as_a_known_one_and_no_more(
+    clinic: ClinicConfig, visit: Visit, archive: Destination, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("of Zypernkatze")
+
+    monkeypatch.setattr(deliveries, "gathered", fails)
+    delivery = deliveries.enqueue(visit, archive, None)
+    for _ in range(deliveries.MOST_TRIES):
+        claimed = deliveries.claim()
+        assert claimed is not None
+        deliveries.deliver(clinic, claimed)
+        due(delivery)
+    delivery.refresh_from_db()
+    assert delivery.state == Delivery.State.FAILED
+    assert "ZeroDivisionError" in delivery.message
+    assert "Zypernkatze" not in delivery.message
+    assert deliveries.claim() is None
+
+
+def test_a_delivery_that_ends_the_server_each_time_is_given_up(visit: Visit, archive: Destination) -> None:
+    delivery = deliveries.enqueue(visit, archive, None)
+    for _ in range(deliveries.MOST_TRIES):
+        assert deliveries.claim() is not None
+        due(delivery)
+    assert deliveries.claim() is None
+    delivery.refresh_from_db()
+    assert delivery.state == Delivery.State.FAILED
+
+
+class _Heard(BaseHTTPRequestHandler):
+    """A DICOMweb service that keeps the logins of its requests."""
+
+    logins: ClassVar[list[str | None]] = []
+
+    def do_GET(self) -> None:
+        self.logins.append(self.headers["Authorization"])
+        self.send_response(204)
+        self.end_headers()
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing."""
+
+
+@pytest.mark.requirement("R-SEC-7")
+def test_each_archive_gets_its_own_login_and_nobody_else_does(
+    clinic: ClinicConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MAMMOMETRY_STOW_AUTHORIZATION", "Bearer of all")
+    _Heard.logins = []
+    with ThreadingHTTPServer(("127.0.0.1", 0), _Heard) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        base = f"http://127.0.0.1:{server.server_port}"
+        (clinic.folder / "one.secret").write_text("Bearer one\n")
+        (clinic.folder / "two.secret").write_text("Bearer two\n")
+        secrets = {f"{base}/one": "one.secret", f"{base}/two/": "two.secret"}
+        changed = clinic.model_copy(update={"stow_secrets": secrets})
+        monkeypatch.setattr(deliveries, "the_clinic", lambda: changed)
+        for place in ("one", "two", "somebody"):
+            deliveries.test(Destination(name=place, kind=Destination.Kind.STOW, address=f"{base}/{place}"))
+        server.shutdown()
+    assert _Heard.logins == ["Bearer one", "Bearer two", None]
+
+
+@pytest.mark.requirement("R-SEC-7")
+@pytest.mark.parametrize(
+    ("address", "good"),
+    [
+        ("http://pacs.example.org/dicom-web", False),
+        ("http://10.0.0.5:8042/dicom-web", False),
+        ("https://pacs.example.org/dicom-web", True),
+        ("http://localhost:8042/dicom-web", True),
+        ("http://[::1]:8042/dicom-web", True),
+    ],
+)
+def test_a_login_goes_over_https_alone(tmp_path: Path, address: str, good: bool) -> None:
+    folder = tmp_path / "clinic"
+    new_clinic(folder, name="Clinic")
+    with (folder / "clinic.toml").open("a") as file:
+        file.write(f'\n[stow_secrets]\n"{address}" = "pacs.secret"\n')
+    if good:
+        assert read_config(folder).stow_secrets == {address: "pacs.secret"}
+        with pytest.raises(ClinicError, match=r"pacs\.secret"):  # it is not there
+            read_config(folder).stow_secret(address)
+    else:
+        with pytest.raises(SettingsError, match="https"):
+            read_config(folder)
+        with pytest.raises(SettingsError, match="https"):
+            answers(address, authorization="Bearer one")
 
 
 # --- pages ---

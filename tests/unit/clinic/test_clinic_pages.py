@@ -1,12 +1,14 @@
 """What pages of the clinic say: charts, changes, search, empty places, and names only where they belong."""
 
 import datetime
+import errno
 import html
 import json
 from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
+from django.db import OperationalError
 from django.test import Client
 from django.urls import reverse
 from django.utils import timezone
@@ -240,3 +242,29 @@ def test_a_report_is_sealed_off_and_its_scene_is_given(
     assert "allow-same-origin" not in policy
     assert "'unsafe-inline'" not in policy.split("script-src")[1].split(";")[0]
     assert client.get(f"/visits/{visit.pk}/scene/").json() == {"models": []}
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        OSError(errno.ENOSPC, "No space left on device"),
+        OperationalError("database or disk is full"),
+        OperationalError('could not extend file "base/5/1259": No space left on device'),
+    ],
+)
+def test_a_full_disk_is_said_and_is_no_defect(
+    client_of: Callable[..., Client], monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    client = client_of(Role.TECHNICIAN)
+    client.raise_request_exception = False
+
+    def fails(self: Patient, *_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(Patient, "save", fails)
+    sent = {"family_name": "Müller", "given_name": "Anna", "record_number": "KIS-1"}
+    answer = client.post(reverse("patient-new"), sent)
+    assert answer.status_code == 507
+    assert "The disk is full" in answer.content.decode()
+    monkeypatch.setattr(Patient, "save", lambda *_, **__: 1 / 0)
+    assert client.post(reverse("patient-new"), sent).status_code == 500

@@ -134,7 +134,8 @@ def test_a_strange_day_is_asked_about_once(clinic: ClinicConfig, client_of: Call
     Calibration.objects.create(rig=rig, taken_at=NOON, folder="c", state="done", current=True)
     client = client_of(Role.TECHNICIAN)
     sent = {"patient": str(patient.pk), "rig": str(rig.pk), "subject_kind": "torso"}
-    for day, question in (("2099-01-01T10:00", "in the future"), ("2026-02-01T10:00", "before the first calibration")):
+    tomorrow = f"{timezone.localtime() + datetime.timedelta(days=1):%Y-%m-%dT%H:%M}"
+    for day, question in ((tomorrow, "in the future"), ("2026-02-01T10:00", "before the first calibration")):
         answer = client.post("/visits/new/", {**sent, "taken_at": day}).content.decode()
         assert question in answer
         assert 'name="anyway"' in answer
@@ -143,6 +144,29 @@ def test_a_strange_day_is_asked_about_once(clinic: ClinicConfig, client_of: Call
         Visit.objects.get().delete()
     answer = client.post("/visits/new/", {**sent, "taken_at": "2026-03-01T00:30"})
     assert answer.status_code == 302
+
+
+def test_days_that_no_clinic_has_are_refused_whoever_insists(
+    clinic: ClinicConfig, client_of: Callable[..., Client]
+) -> None:
+    patient, rig = entered("Müller"), Rig.objects.create(name="Room 1", definition={"rig": {"pairs": []}})
+    sent = {"patient": str(patient.pk), "rig": str(rig.pk), "subject_kind": "torso", "anyway": "1"}
+    client = client_of(Role.TECHNICIAN, Role.CLINICIAN, Role.RESEARCHER, Role.ADMINISTRATOR)
+    for day in ("1899-12-31", "0001-01-01", "9999-12-31", f"{timezone.localdate() + datetime.timedelta(days=2)}"):
+        assert (
+            "between 1900 and tomorrow"
+            in client.post("/visits/new/", {**sent, "taken_at": f"{day}T10:00"}).content.decode()
+        )
+        operation = {"kind": "graft", "side": "left", "day": day}
+        assert client.post(f"/patients/{patient.pk}/operations/new/", operation).status_code == 200
+        consent = {"purpose": "research", "given_on": day}
+        assert client.post(f"/patients/{patient.pk}/consents/new/", consent).status_code == 200
+        for page in ("/study/", "/study/cohort.csv"):
+            assert client.get(page, {"from": day, "until": day}).status_code == 200, page
+        assert client.get("/audit/", {"since": day, "until": day}).status_code == 200
+    assert not Visit.objects.exists()
+    assert not patient.operations.exists()
+    assert not patient.consents.exists()
 
 
 # --- near duplicates ---

@@ -137,6 +137,16 @@ def test_a_photograph_in_pieces_lies_in_the_session_as_it_was_sent(sender, rig_v
     assert sender.client.get(table["thumbnail"]).headers["Content-Type"] == "image/webp"
 
 
+def test_no_lock_of_an_upload_stays(sender, rig_visit, clinic):
+    assert sender.send(photograph())["state"] == "placed"
+    half = Upload.objects.create(visit=rig_visit, camera="front_right", size_bytes=9)
+    kept = clinic.folder / "uploads" / f"{half.pk}.lock"
+    kept.touch()
+    (clinic.folder / "uploads" / "of-a-killed-server.lock").touch()
+    assert uploads.remove_stale_locks() == 1
+    assert list((clinic.folder / "uploads").glob("*.lock")) == [kept]
+
+
 def test_all_photographs_make_a_visit_ready_and_one_taken_away_does_not(sender, rig_visit):
     sender.send(photograph(1))
     right = sender.send(photograph(2), name="front_right.jpg")

@@ -163,6 +163,8 @@ def append(upload: Upload, offset: int, data: bytes) -> Upload:
             Upload.objects.filter(pk=upload.pk).update(received_bytes=arrived_bytes)
             if arrived_bytes == upload.size_bytes:
                 _finish(upload)
+                # Nobody waits for it any more: later pieces are refused by the upload's state.
+                Path(f"{upload.path}.lock").unlink(missing_ok=True)
     except Timeout:
         raise UploadError("Another piece of this photograph is just arriving. Ask again where to go on.") from None
     upload.refresh_from_db()
@@ -475,6 +477,15 @@ def _place(target: Target, pose: str, camera: str) -> str:
 def _pose(upload: Upload) -> str:
     parts = upload.name.split("/")
     return parts[1] if len(parts) == 3 else ""
+
+
+def remove_stale_locks() -> int:
+    """Remove locks of uploads that are not coming in. The number of those."""
+    receiving = {str(key) for key in Upload.objects.filter(state=Upload.State.RECEIVING).values_list("pk", flat=True)}
+    stale = [path for path in (the_clinic().folder / "uploads").glob("*.lock") if path.stem not in receiving]
+    for path in stale:
+        path.unlink(missing_ok=True)
+    return len(stale)
 
 
 def _files(upload: Upload) -> list[Path]:

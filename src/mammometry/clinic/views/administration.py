@@ -24,7 +24,7 @@ from mammometry.clinic import audit_entries
 from mammometry.clinic.accounts import invitation
 from mammometry.clinic.audit import FAILED_LOGIN, REFUSED
 from mammometry.clinic.audit_entries import KINDS, AuditFilter, entries
-from mammometry.clinic.forms import PersonForm
+from mammometry.clinic.forms import FIRST_DAY, PersonForm
 from mammometry.clinic.maintenance.backups import remove_leftovers, state_of
 from mammometry.clinic.maintenance.disk import cached_usage, folder_bytes
 from mammometry.clinic.maintenance.patient import copies, erase_patient, rows_of
@@ -78,11 +78,17 @@ class AuditForm(forms.Form):
         person = values.get("person")
         return AuditFilter(
             person=None if person is None else person.pk,
-            since=values.get("since"),
-            until=values.get("until"),
+            since=_within(values.get("since")),
+            until=_within(values.get("until")),
             patient=values.get("patient", "").strip().upper(),
             kind=values.get("kind", ""),
         )
+
+
+def _within(day: datetime.date | None) -> datetime.date | None:
+    """A day that a clinic can have entries of."""
+    last = timezone.localdate() + datetime.timedelta(days=1)
+    return None if day is None else min(max(day, FIRST_DAY), last)
 
 
 def audit(request: HttpRequest) -> HttpResponse:

@@ -1,7 +1,10 @@
 """Helpers that views share: the person, JSON for programs, pages for what is refused or missing."""
 
+import errno
 import json
 import logging
+import re
+import sys
 from collections.abc import Callable
 from functools import wraps
 from typing import Any
@@ -9,6 +12,7 @@ from uuid import UUID
 
 from django.contrib import messages
 from django.core.exceptions import PermissionDenied
+from django.db import DatabaseError
 from django.http import Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
 from django.middleware.csrf import get_token
 from django.shortcuts import get_object_or_404, render
@@ -129,6 +133,8 @@ def sealed_page(page: bytes) -> HttpResponse:
 
 
 _LOG = logging.getLogger(__name__)
+_FULL_DATABASE = re.compile(r"disk is full|No space left on device|Disk quota exceeded")
+"""What SQLite and PostgreSQL say of a full disk."""
 
 
 def _page(request: HttpRequest, status: int, title: str, sentence: str) -> HttpResponse:
@@ -168,12 +174,30 @@ def not_installed(request: HttpRequest, error: MissingLibraryError) -> HttpRespo
 
 
 def broken(request: HttpRequest) -> HttpResponse:
-    """500: a defect of ours, or no database. So the page asks nothing of it, not even who is logged in."""
+    """500: a defect of ours, or no database. So the page asks nothing of it, not even who is logged in.
+
+    507: the disk is full, whoever wrote on it.
+    """
+    title, status = "A defect", 500
     sentence = "Something went wrong on our side. It is in the log. Nothing that was saved is lost."
+    if _is_full(sys.exception()):
+        title, status = "The disk is full", 507
+        sentence = "What you did was not saved. Tell the administrator: the disk of the clinic’s server has no room."
     if is_program(request):
-        return JsonResponse({"error": sentence}, status=500)
-    about = {"title": "A defect", "sentence": sentence, "clinic_name": the_clinic().name}
-    return HttpResponse(render_to_string("clinic/refusal.html", about), status=500)
+        return JsonResponse({"error": sentence}, status=status)
+    about = {"title": title, "sentence": sentence, "clinic_name": the_clinic().name}
+    return HttpResponse(render_to_string("clinic/refusal.html", about), status=status)
+
+
+def _is_full(error: BaseException | None) -> bool:
+    """Whether an error is one of a full disk: the system's, SQLite's or PostgreSQL's."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return True
+        if isinstance(error, DatabaseError) and _FULL_DATABASE.search(str(error)):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def forged(request: HttpRequest, reason: str = "") -> HttpResponse:

@@ -22,6 +22,7 @@ from mammometry.base.csv_cells import CsvWriter, csv_text
 from mammometry.base.errors import MammometryError
 from mammometry.base.extras import MissingLibraryError
 from mammometry.clinic import deliveries
+from mammometry.clinic.forms import FIRST_DAY
 from mammometry.clinic.models import Visit
 from mammometry.clinic.records.cohort import left_out, measured_visits, pooled, repeats, study_rows, visits_between
 from mammometry.clinic.records.results import SIDES, report_file
@@ -124,9 +125,10 @@ def _cell(value: object) -> object:
 
 def _day(text: str) -> datetime.date | None:
     try:
-        return datetime.date.fromisoformat(text)
+        day = datetime.date.fromisoformat(text)
     except ValueError:
         return None
+    return min(max(day, FIRST_DAY), timezone.localdate() + datetime.timedelta(days=1))  # others hold no visits
 
 
 _RELEASES: Mapping[str, Release] = {"r4": "R4", "r5": "R5"}

@@ -2,7 +2,6 @@
 
 import asyncio
 import errno
-import ipaddress
 import logging
 import signal
 import socket
@@ -19,6 +18,7 @@ from mammometry.base.child_process import ChildProcess, NotDone
 from mammometry.base.machine.cores import available_cores
 from mammometry.clinic.config import ClinicConfig, ClinicError, host_and_port, read_config
 from mammometry.clinic.site import application
+from mammometry.hospital.peers import is_loopback
 
 _AGAIN_S = 5.0  # until a process beside the server that has ended is started again
 _END_S = 15.0  # for a runner to give its jobs back
@@ -148,7 +148,7 @@ def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
 
     host, port = host_and_port(config.address)
     tls = config.tls
-    if not tls.certificate and not _is_loopback(host):
+    if not tls.certificate and not is_loopback(host):
         remedy = "Give --tls-certificate and --tls-key, or listen on 127.0.0.1 behind a proxy that speaks TLS"
         expected = "encryption, as other machines can call it"
         raise ClinicError(f"address {config.address}", found="no certificate", expected=expected, remedy=remedy)
@@ -188,10 +188,12 @@ def work(folder: Path) -> None:
     configure(config)
     from mammometry.clinic.audit_chain import Chaining
     from mammometry.clinic.deliveries import Deliverer
+    from mammometry.clinic.intake.uploads import remove_stale_locks
     from mammometry.clinic.jobs.runner import Runner
     from mammometry.clinic.maintenance.backups import DailyBackup, remove_leftovers
 
     remove_leftovers(config)
+    remove_stale_locks()
     Deliverer(config).start()
     DailyBackup(config).start()
     Chaining().start()
@@ -261,10 +263,3 @@ def require_free(address: str) -> None:
             found = "a port that only the system may use"
         expected = "an address on which the clinic can listen"
         raise ClinicError(f"address {address}", found=found, expected=expected, remedy=remedy) from None
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"

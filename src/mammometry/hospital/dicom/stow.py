@@ -1,11 +1,11 @@
 """Send a study by STOW-RS (PS3.18), nothing twice."""
 
 import json
-import os
 import ssl
 import urllib.error
 import urllib.request
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from pydicom import Dataset
@@ -15,51 +15,76 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.hospital.codes import uid
 from mammometry.hospital.dicom.frame import encoded
 from mammometry.hospital.dicom.store import Sent
-from mammometry.hospital.peers import AUTHORIZATION, Tls, web_address
+from mammometry.hospital.peers import AUTHORIZATION, Tls, require_encrypted, web_address
 
 _ANSWER_S = 120.0  # wait for an answer, s; chosen for archives that index before they answer
 _MOST_ANSWER = 16 << 20  # bytes of an answer
+_LOGIN = f"Give its login: {AUTHORIZATION} for the command line, [stow_secrets] in a clinic's clinic.toml"
 _FULL = (507, 413)  # HTTP: insufficient storage, content too large
 
 
-def stow(made: Sequence[Dataset], url: str, *, tls: Tls | None = None, progress: Progress = no_progress) -> Sent:
+def stow(
+    made: Sequence[Dataset],
+    url: str,
+    *,
+    tls: Tls | None = None,
+    authorization: str | None = None,
+    progress: Progress = no_progress,
+) -> Sent:
     """Send objects of one study, each in a request of its own.
 
     Args:
         made: finished objects.
         url: of the archive's DICOMweb service, such as ``https://pacs/dicom-web``.
         tls: certificates. None: those that the system trusts.
+        authorization: the header of that name, such as ``Bearer …``. None: no login.
         progress: gets the fraction sent.
 
     Raises:
-        SettingsError: no such address.
+        SettingsError: no such address, or a login would go over it unencrypted.
         ArchiveError: it does not answer, refuses, is full, or the connection is lost. The same call sends the rest.
     """
-    base = web_address(url)
-    context = tls.context() if tls is not None else None
-    stored = _there(base, made[0].StudyInstanceUID, context)
+    service = _service(url, tls, authorization)
+    stored = _there(service, made[0].StudyInstanceUID)
     missing = [dataset for dataset in made if dataset.SOPInstanceUID not in stored]
     for number, dataset in enumerate(missing):
-        _store(base, dataset, context, f"after {number} of {len(missing)} objects")
+        _store(service, dataset, f"after {number} of {len(missing)} objects")
         progress((number + 1) / len(missing))
     return Sent(sent=len(missing), stored=len(made) - len(missing))
 
 
-def answers(url: str, *, tls: Tls | None = None) -> None:
+def answers(url: str, *, tls: Tls | None = None, authorization: str | None = None) -> None:
     """Ask whether a DICOMweb service answers, by a search that finds nothing.
 
     Raises:
-        SettingsError: no such address.
+        SettingsError: no such address, or a login would go over it unencrypted.
         ArchiveError: it does not answer, or refuses.
     """
-    _there(web_address(url), "2.25.0", None if tls is None else tls.context())
+    _there(_service(url, tls, authorization), "2.25.0")
 
 
-def _there(base: str, study: str, context: ssl.SSLContext | None) -> set[str]:
+@dataclass(frozen=True, slots=True)
+class _Service:
+    """A DICOMweb service and how it is spoken to."""
+
+    base: str
+    context: ssl.SSLContext | None
+    authorization: str | None
+
+
+def _service(url: str, tls: Tls | None, authorization: str | None) -> _Service:
+    base = web_address(url)
+    if authorization:
+        require_encrypted(base)
+    return _Service(base, None if tls is None else tls.context(), authorization)
+
+
+def _there(service: _Service, study: str) -> set[str]:
     """Which objects of the study the archive has, by QIDO-RS."""
-    request = _request(f"{base}/studies/{study}/instances?includefield=00080018", {"Accept": "application/dicom+json"})
+    base = service.base
+    query = f"studies/{study}/instances?includefield=00080018"
     try:
-        answer = _answer(request, context)
+        answer = _answer(service, query, {"Accept": "application/dicom+json"})
     except urllib.error.HTTPError as error:
         if error.code in (404, 204, 501, 405):  # no such study, or no searches
             return set()
@@ -77,23 +102,21 @@ def _there(base: str, study: str, context: ssl.SSLContext | None) -> set[str]:
         raise ArchiveError(base, found="an answer that is no DICOM JSON", expected=expected, remedy=remedy) from None
 
 
-def _store(base: str, made: Dataset, context: ssl.SSLContext | None, when: str) -> None:
+def _store(service: _Service, made: Dataset, when: str) -> None:
+    base = service.base
     boundary = uid("boundary", made.SOPInstanceUID)
     head = f"--{boundary}\r\nContent-Type: application/dicom\r\n\r\n".encode()
     body = head + encoded(made) + f"\r\n--{boundary}--\r\n".encode()
     kind = f'multipart/related; type="application/dicom"; boundary={boundary}'
-    request = _request(f"{base}/studies", {"Content-Type": kind, "Accept": "application/dicom+json"}, body)
     try:
-        answer = _answer(request, context)
+        answer = _answer(service, "studies", {"Content-Type": kind, "Accept": "application/dicom+json"}, body)
     except urllib.error.HTTPError as error:
         raise _refused(base, error, when) from None
     except OSError as error:
         raise _silent(base, error, when) from None
     failed = _failed(answer)
     # A full Orthanc answers 200, with an object neither among the stored nor among the refused ones.
-    if failed or (
-        not _listed(answer, made) and made.SOPInstanceUID not in _there(base, made.StudyInstanceUID, context)
-    ):
+    if failed or (not _listed(answer, made) and made.SOPInstanceUID not in _there(service, made.StudyInstanceUID)):
         raise ArchiveError(
             base,
             found=f"a refused object {when} ({failed or 'not stored, without a reason'}, {made.SOPClassUID.name})",
@@ -124,17 +147,14 @@ def _items(answer: bytes, sequence: str) -> list[dict[str, Any]]:
         return []
 
 
-def _request(url: str, headers: dict[str, str], body: bytes | None = None) -> urllib.request.Request:
-    secret = os.environ.get(AUTHORIZATION)
-    if secret:
-        headers = {**headers, "Authorization": secret}
-    return urllib.request.Request(url, data=body, headers=headers, method="POST" if body is not None else "GET")
-
-
-def _answer(request: urllib.request.Request, context: ssl.SSLContext | None) -> bytes:
+def _answer(service: _Service, place: str, headers: dict[str, str], body: bytes | None = None) -> bytes:
+    if service.authorization:
+        headers = {**headers, "Authorization": service.authorization}
+    method = "POST" if body is not None else "GET"
+    request = urllib.request.Request(f"{service.base}/{place}", data=body, headers=headers, method=method)
     handlers: list[urllib.request.BaseHandler] = [_NoRedirect()]
-    if context is not None:
-        handlers.append(urllib.request.HTTPSHandler(context=context))
+    if service.context is not None:
+        handlers.append(urllib.request.HTTPSHandler(context=service.context))
     with urllib.request.build_opener(*handlers).open(request, timeout=_ANSWER_S) as answer:
         return bytes(answer.read(_MOST_ANSWER))
 
@@ -150,7 +170,7 @@ def _refused(base: str, error: urllib.error.HTTPError, when: str) -> ArchiveErro
     full = error.code in _FULL
     login = error.code in (401, 403)
     remedy = (
-        "Have room made there" if full else f"Set {AUTHORIZATION}" if login else "Ask its administrator why"
+        "Have room made there" if full else _LOGIN if login else "Ask its administrator why"
     )  # fmt: skip
     return ArchiveError(
         base,
