@@ -23,6 +23,7 @@ from mammometry.measure.shape.symmetry import symmetry
 from mammometry.measure.trunk.body import find_body
 from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror, register
 from mammometry.measure.volume import volumes
+from mammometry.measure.volume.difference import difference
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
@@ -296,6 +297,9 @@ def test_a_breast_and_its_mirror_image_do_not_differ() -> None:
     assert found is not None
     assert found.rms_mm < 0.15
     assert (found.difference_cc, found.ratio) == (0.0, 1.0)
+    assert found.difference_interval_cc is not None
+    assert found.difference_interval_cc[0] == -found.difference_interval_cc[1]
+    assert found.difference_interval_cc == difference(left, twin, "sides").difference_interval_cc
     out = np.hypot(twin.closed.vertices[:, 0], twin.closed.vertices[:, 2])
     stretched = twin.closed.vertices * np.stack([k := 1 + 0.2 * (out - RADIUS_MM) / out, np.ones_like(k), k], axis=1)
     solid = TriangleMesh(vertices=stretched, faces=twin.closed.faces)

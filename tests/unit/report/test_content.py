@@ -126,7 +126,7 @@ def test_both_sides_are_compared() -> None:
     right = replace(synthetic.measurement("right"), volume_cc=330.0)
     lines = comparison([right, left])
     assert [(line.label, line.value) for line in lines] == [
-        ("Difference in volume", "left larger by 330 cc"),
+        ("Difference in volume", "left larger by 330.0 cc (its error is not known)"),
         ("Right as a share of left", "50 %"),
     ]
     assert comparison([left]) == ()
@@ -136,7 +136,8 @@ def test_both_sides_are_compared() -> None:
     ]
     gap = comparison(known)[0].value
     low, high = (330.0 - 3.0 * 2**0.5, 330.0 + 3.0 * 2**0.5)  # independent on either side
-    assert gap == f"larger than the measurement error: left larger by 330 cc (95 %: {low:.0f} to {high:.0f} cc)"
+    said = f"left larger by 330.0 ± 4.2 cc (95 %: {low:.1f} to {high:.1f} cc): more than the measurement error. "
+    assert gap == f"{said}The interval of the difference covers surface."
 
 
 def warned(rig, **changes) -> str:

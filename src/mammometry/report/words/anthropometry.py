@@ -261,11 +261,10 @@ def _lacks(deficit: VolumeDeficit) -> Fact:
 def _both(left: VolumeMeasurement, right: VolumeMeasurement) -> tuple[Fact, ...]:
     larger, smaller = sorted((left, right), key=lambda side: side.volume_cc, reverse=True)
     change = difference(larger, smaller, "sides")
-    gap, share = f"{larger.name} larger by {change.difference_cc:.0f} cc", f"{100 / change.ratio:.0f} %"
-    if change.difference_interval_cc is not None:
-        low, high = (f"{bound:.0f}".replace("-", "−") for bound in change.difference_interval_cc)
-        verdict = "larger than the measurement error" if change.beyond_error else "within measurement error"
-        gap = f"{verdict}: {gap} (95 %: {low} to {high} cc)"
+    interval_cc, share = change.difference_interval_cc, f"{100 / change.ratio:.0f} %"
+    gap = f"{larger.name} larger by {measured_words(change.difference_cc, interval_cc)}"
+    if interval_cc is not None:
+        gap += f": {verdict_words(change.beyond_error)}. {change.note}"
     if change.ratio_interval is not None:
         low, high = (f"{100 / bound:.0f}" for bound in reversed(change.ratio_interval))
         share += f" (95 %: {low} to {high} %)"
