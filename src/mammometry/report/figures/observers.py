@@ -157,7 +157,7 @@ def bland_altman(data: PairedMeasurements, figures: Agreement) -> bytes:
 def scatter(data: PairedMeasurements) -> bytes:
     """One method against the other, with the line of equality."""
     sheet = Sheet(1, 1, (400, 400), axes_room=_ROOM, header=26)
-    sheet.legend([(canvas.FAINT, "equality"), (canvas.BLUE, "subjects")])
+    sheet.legend([(canvas.FAINT, "equality"), (canvas.BLUE, "pairs")])
     axes = sheet.panel(0, plain=False)
     limits = _stretched(np.concatenate([data.reference, data.measured]), 0.05)
     axes.plot(limits, limits, color=canvas.FAINT, linewidth=1.0)
@@ -170,7 +170,9 @@ def scatter(data: PairedMeasurements) -> bytes:
         xlabel=f"{data.reference_name}{unit}",
         ylabel=f"{data.measured_name}{unit}",
     )
-    return sheet.png("One method against the other", "One point per subject. On the line both methods give the same.")
+    return sheet.png(
+        "One method against the other", "One point per pair of measurements. On the line both methods give the same."
+    )
 
 
 def _stretched(values: Array, share: float) -> tuple[float, float]:
