@@ -162,6 +162,19 @@ def test_a_tiff_that_is_no_photograph_is_refused_by_its_cause(
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.parametrize("ending", ["png", "tif"])
+@pytest.mark.parametrize(("bits", "factor"), [(10, 64), (12, 16), (14, None), (16, None)])
+def test_a_sensors_bits_in_the_lower_part_of_sixteen_are_named(
+    tmp_path: Path, ending: str, bits: int, factor: int | None
+) -> None:
+    cv2.imwrite(str(tmp_path / f"a.{ending}"), scene(16, 1) >> (16 - bits))
+    if factor is None:
+        assert read_photograph(tmp_path / f"a.{ending}", "a").pixels.dtype == np.uint16
+        return
+    with pytest.raises(ImageError, match=f"{bits} bits that were not scaled to 16.* multiplied by {factor}"):
+        read_photograph(tmp_path / f"a.{ending}", "a")
+
+
 @pytest.mark.parametrize("folder", [b"caf\xe9", b"\xff\xfe", "七乳".encode(), b"a b\nc"], ids=ascii)
 @pytest.mark.parametrize(("bits", "ending"), list(product((8, 16), ("png", "tif", "jpg"))))
 def test_a_folder_may_have_any_name(tmp_path: Path, folder: bytes, bits: int, ending: str) -> None:

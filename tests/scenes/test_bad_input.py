@@ -109,7 +109,7 @@ def change_manifest(session: Path, old: str, new: str) -> None:
 def replace_by_grey(path: Path) -> None:
     with Image.open(path) as image:
         size = image.size
-    Image.fromarray(np.full((size[1], size[0], 3), 90, np.uint8)).save(path)
+    Image.fromarray(np.full((size[1], size[0], 3), 90, np.uint8)).save(path, comment=path.stem)  # no two are one file
 
 
 CASES = [

@@ -19,13 +19,10 @@
 from __future__ import annotations
 
 import difflib
-import hashlib
-import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -38,10 +35,12 @@ from mammometry.geometry import Array, Camera
 from mammometry.io.cameras.own import read_cameras, read_priors
 from mammometry.io.csv_tables import read_table
 from mammometry.io.drawn import boundaries_digest, landmarks_digest, read_boundaries, read_landmarks
+from mammometry.io.looked_up import KeptMapping, LazyMapping, digest_of, file_digest
 from mammometry.io.manifest import MANIFEST, Manifest, read_manifest
 from mammometry.io.meshes.own import read_wall
 from mammometry.io.photographs.images import (
     EXTENSIONS,
+    UNREAD_ENDINGS,
     ImageHeader,
     check_sizes,
     read_header,
@@ -55,9 +54,6 @@ from mammometry.job.products import Stage
 if TYPE_CHECKING:
     from mammometry.base.photograph import MeasuredPoints
     from mammometry.calibration.adjust.projection import CameraPrior
-
-K = TypeVar("K")
-V = TypeVar("V")
 
 _MIN_POSES = 3  # of a board: fewer do not fix a camera's lens (Zhang 2000)
 _BROUGHT = (
@@ -153,7 +149,7 @@ class Session:
                 )
         tables = {shot: path.with_suffix(".csv") for shot, path in files.items() if path.with_suffix(".csv").is_file()}
         points = {shot: _read_points(path, str(path)) for shot, path in tables.items()}
-        return _Lazy(files, lambda shot, path: read_photograph(path, str(path), self.limits)), points
+        return LazyMapping(files, lambda shot, path: read_photograph(path, str(path), self.limits)), points
 
     def require(self, stage: Stage) -> None:
         """Require everything for a stage and earlier ones, calibration before capture.
@@ -163,8 +159,9 @@ class Session:
         """
         if self._ready_cameras() is None:
             self._require_calibration(self._calibration_files())
+            self._require_each_own(self._calibration_files())
         if stage != "calibrate":
-            self._capture_files()
+            self._require_each_own({("", camera): path for camera, path in self._capture_files().items()})
 
     def inputs(self) -> Inputs:
         """Everything the session brings, checked as far as headers allow.
@@ -193,25 +190,23 @@ class Session:
         landmarks = read_landmarks(self.path, manifest.subject.kind, manifest.subject.id)
         wall = self.path / "wall.ply"
         known = {
-            "rig": lambda: _digest_of([manifest.rig.name, list(self.pair_names.items())]),
-            "subject": lambda: _digest_of(manifest.subject.kind),
-            "target": lambda: _digest_of(manifest.target),
-            "intrinsics-target": lambda: _digest_of(
-                None if manifest.intrinsics is None else manifest.intrinsics.target
-            ),
-            "cameras": lambda: _file_digest(self.path / "cameras.json"),
-            "prior": lambda: _file_digest(self.path / "prior.json"),
+            "rig": lambda: digest_of([manifest.rig.name, list(self.pair_names.items())]),
+            "subject": lambda: digest_of(manifest.subject.kind),
+            "target": lambda: digest_of(manifest.target),
+            "intrinsics-target": lambda: digest_of(None if manifest.intrinsics is None else manifest.intrinsics.target),
+            "cameras": lambda: file_digest(self.path / "cameras.json"),
+            "prior": lambda: file_digest(self.path / "prior.json"),
             "boundaries": lambda: boundaries_digest(drawn),
             "landmarks": lambda: landmarks_digest(landmarks),
-            "wall": lambda: _file_digest(wall) if wall.is_file() else MISSING,
+            "wall": lambda: file_digest(wall) if wall.is_file() else MISSING,
         }
         files = self.files()
         made: Mapping[str, Callable[[], str]] = {
             **{f"capture/{camera}": lambda: MISSING for camera in capture},
             **known,
-            **{name: lambda path=path: _file_digest(path) for name, path in files.items()},  # type: ignore[misc]
+            **{name: lambda path=path: file_digest(path) for name, path in files.items()},  # type: ignore[misc]
         }
-        digests = _Kept(made, lambda name, digest: digest())
+        digests = KeptMapping(made, lambda name, digest: digest())
 
         def photograph(name: str, path: Path) -> Photograph:
             """Read what the digest in a product's key was made of, and nothing else."""
@@ -224,20 +219,20 @@ class Session:
             mounting=manifest.rig.turned,
             subject_kind=manifest.subject.kind,
             rim_radius_mm=manifest.subject.rim_radius_mm,
-            photographs=_Lazy(capture, lambda camera, path: photograph(f"capture/{camera}", path)),
+            photographs=LazyMapping(capture, lambda camera, path: photograph(f"capture/{camera}", path)),
             target=None if manifest.target is None else target_from_table(manifest.target),
-            calibration_photographs=_Lazy(
+            calibration_photographs=LazyMapping(
                 calibration, lambda shot, path: photograph(f"calibration/{shot[0]}/{shot[1]}", path)
             ),
             measured_points={} if cameras is not None else self.measured_points(),
             intrinsics_target=None if manifest.intrinsics is None else target_from_table(manifest.intrinsics.target),
             intrinsics_photographs={
-                camera: _Lazy(shots, lambda shot, path: photograph(f"intrinsics/{shot[1]}/{shot[0]}", path))
+                camera: LazyMapping(shots, lambda shot, path: photograph(f"intrinsics/{shot[1]}/{shot[0]}", path))
                 for camera, shots in intrinsics.items()
             },
             cameras=cameras,
             priors={} if cameras is not None else self._priors(),
-            masks=_Lazy(
+            masks=LazyMapping(
                 masks,
                 lambda camera, path: self._checked_mask(camera, path, capture[camera], digests[f"masks/{camera}"]),
             ),
@@ -285,8 +280,33 @@ class Session:
             files[path.stem] = path
         return files
 
+    def _require_read(self, folder: Path, files: Mapping[str, Path]) -> None:
+        """Refuse a camera's picture of a format that is not read, where it has no other."""
+        for path in visible(folder):
+            if path.suffix.lower() in UNREAD_ENDINGS and path.stem in self.cameras and path.stem not in files:
+                raise SessionError(
+                    self._name(path),
+                    found=f"a picture of a format that is not read ({path.suffix[1:].upper()})",
+                    expected="JPEG, PNG or TIFF",
+                    remedy="Export it as JPEG or TIFF, uncropped and without corrections, and set the camera to JPEG",
+                )
+
+    def _require_each_own(self, files: Mapping[tuple[str, str], Path]) -> None:
+        """Refuse one file as the photograph of two cameras. (pose, camera) → file."""
+        first: dict[str, tuple[str, str]] = {}
+        for shot, path in files.items():
+            other = first.setdefault(file_digest(path), shot)
+            if other[1] != shot[1]:
+                raise SessionError(
+                    self._name(path),
+                    found=f"the same file as {self._name(files[other])}",
+                    expected=f"a photograph by camera {shot[1]}",
+                    remedy="Copy each camera's own photograph again",
+                )
+
     def _capture_files(self) -> dict[str, Path]:
         files = self._images(self.path / "capture")
+        self._require_read(self.path / "capture", files)
         for camera in self.cameras:
             if camera not in files:
                 raise SessionError(
@@ -351,6 +371,8 @@ class Session:
         from mammometry.calibration.targets.table import target_from_table
 
         assert self.manifest.target is not None
+        for pose in _folders(self.path / "calibration"):
+            self._require_read(pose, self._images(pose))
         least = 1 if target_from_table(self.manifest.target).is_surveyed else _MIN_POSES
         poses = sorted({pose for pose, _ in files})
         if len(poses) < least:
@@ -422,39 +444,6 @@ def _read_points(path: Path, name: str) -> MeasuredPoints:
     return MeasuredPoints(name=name, ids=values[:, 0].astype(np.int64), uv=values[:, 1:].copy())
 
 
-class _Lazy(Mapping[K, V], Generic[K, V]):
-    """A mapping whose values are made at every look-up: photographs are large."""
-
-    def __init__(self, sources: Mapping[K, object], make: Callable[..., V]) -> None:
-        self._sources = dict(sources)
-        self._make = make
-
-    def __getitem__(self, key: K) -> V:
-        return self._make(key, self._sources[key])
-
-    def __iter__(self) -> Iterator[K]:
-        return iter(self._sources)
-
-    def __len__(self) -> int:
-        return len(self._sources)
-
-    def __contains__(self, key: object) -> bool:
-        return key in self._sources
-
-
-class _Kept(_Lazy[K, V]):
-    """A mapping whose values are made at the first look-up and then kept."""
-
-    def __init__(self, sources: Mapping[K, object], make: Callable[..., V]) -> None:
-        super().__init__(sources, make)
-        self._values: dict[K, V] = {}
-
-    def __getitem__(self, key: K) -> V:
-        if key not in self._values:
-            self._values[key] = super().__getitem__(key)
-        return self._values[key]
-
-
 def _folders(folder: Path) -> list[Path]:
     return [path for path in visible(folder) if path.is_dir()]
 
@@ -462,25 +451,3 @@ def _folders(folder: Path) -> list[Path]:
 def _perhaps(name: str, others: list[str]) -> str | None:
     near = difflib.get_close_matches(name, others, n=1, cutoff=0.6)
     return f"Did you mean {near[0]}? Rename the file, or correct session.toml" if near else None
-
-
-def _digest_of(value: object) -> str:
-    return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
-
-
-def _file_digest(path: Path) -> str:
-    """SHA-256 of a file's content. Remembered while its times, size and place on the disk stay."""
-    try:
-        status = path.stat()
-        return _hashed(path, (status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino))
-    except OSError as error:
-        remedy = "Check it and its permissions"
-        raise ImageError(
-            str(path), found=f"a file that cannot be read ({error.strerror})", expected="a readable file", remedy=remedy
-        ) from None
-
-
-@lru_cache(maxsize=4096)
-def _hashed(path: Path, about: tuple[int, ...]) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

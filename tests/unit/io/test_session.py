@@ -37,7 +37,7 @@ def folder(tmp_path: Path) -> Path:
     for place in ("capture", "calibration/00", "calibration/01", "calibration/02"):
         (session / place).mkdir(parents=True)
         for camera in ("front_left", "front_right"):
-            GREY.save(session / place / f"{camera}.jpg")
+            GREY.save(session / place / f"{camera}.jpg", comment=f"{place} {camera}")  # no two are one file
     (session / "session.toml").write_text(MANIFEST)
     return session
 

@@ -60,6 +60,11 @@ _OTHER_FORMATS = (
     (0, b"GIF8", "a GIF"), (0, b"%PDF", "a PDF"),
 )  # fmt: skip
 """Where a mark stands, the mark, and whose it is."""
+UNREAD_ENDINGS = (
+    ".heic", ".heif", ".avif", ".webp", ".nef", ".nrw", ".cr2", ".cr3", ".crw", ".arw", ".srf", ".sr2", ".raf", ".orf",
+    ".rw2", ".pef", ".dng", ".raw", ".3fr", ".iiq", ".x3f", ".jp2", ".jxl", ".bmp",
+)  # fmt: skip
+"""File name endings of pictures that cameras and telephones write and that are not read here. In any case."""
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_TAGS = {b"eXIf", b"tEXt", b"zTXt", b"iTXt"}  # where an orientation may stand
 
@@ -145,8 +150,8 @@ def read_photograph(
         digest: SHA-256 of the file as it was when what depends on it was planned. None: unknown.
 
     Raises:
-        ImageError: as `read_header`; it is truncated or damaged, has neither 8 nor 16 bits a channel, or is another
-            file than `digest` says.
+        ImageError: as `read_header`; it is truncated or damaged, has neither 8 nor 16 bits a channel, has 10 or 12 that
+            were not scaled to 16, or is another file than `digest` says.
     """
     header = read_header(path, name, limits)
     if header.bits not in (8, 16):
@@ -167,6 +172,7 @@ def read_photograph(
             raise ValueError(f"{pixels.shape} pixels, which its header does not state")
         if len(_undamaged) < _MOST_REMEMBERED:
             _undamaged.add(found)
+        _require_scaled(pixels, name)
     transpose, flip_rows, flip_columns = _UPRIGHT[1 if as_stored else header.orientation]
     if transpose:
         pixels = pixels.swapaxes(0, 1)
@@ -287,6 +293,21 @@ def _reading(path: Path, name: str) -> Iterator[None]:
         raise
     except Exception as error:
         raise _unreadable(path, name, error) from None
+
+
+_SENSOR_BITS = (10, 12)  # of cameras whose values are stored in 16 bits; 14 bits may be a dark picture of 16
+
+
+def _require_scaled(pixels: Array, name: str) -> None:
+    """Refuse a sensor's values in the lower bits of 16: everything that follows would take them for darkness."""
+    largest = int(pixels.max()) if pixels.dtype == np.uint16 else 0
+    if (bits := largest.bit_length()) in _SENSOR_BITS:
+        raise ImageError(
+            name,
+            found=f"no value above {largest} of 65535: {bits} bits that were not scaled to 16, or a black picture",
+            expected="values that use all 16 bits",
+            remedy=f"Export it multiplied by {1 << (16 - bits)}, or with 8 bits; if it is black, take it again",
+        )
 
 
 _undamaged: set[str] = set()

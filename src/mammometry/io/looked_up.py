@@ -1,0 +1,75 @@
+"""Values that are made when they are looked up, and digests of files."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from mammometry.base.errors import ImageError
+
+K = TypeVar("K")
+V = TypeVar("V")
+
+
+class LazyMapping(Mapping[K, V], Generic[K, V]):
+    """A mapping whose values are made at every look-up: photographs are large."""
+
+    def __init__(self, sources: Mapping[K, object], make: Callable[..., V]) -> None:
+        self._sources = dict(sources)
+        self._make = make
+
+    def __getitem__(self, key: K) -> V:
+        return self._make(key, self._sources[key])
+
+    def __iter__(self) -> Iterator[K]:
+        return iter(self._sources)
+
+    def __len__(self) -> int:
+        return len(self._sources)
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._sources
+
+
+class KeptMapping(LazyMapping[K, V]):
+    """A mapping whose values are made at the first look-up and then kept."""
+
+    def __init__(self, sources: Mapping[K, object], make: Callable[..., V]) -> None:
+        super().__init__(sources, make)
+        self._values: dict[K, V] = {}
+
+    def __getitem__(self, key: K) -> V:
+        if key not in self._values:
+            self._values[key] = super().__getitem__(key)
+        return self._values[key]
+
+
+def digest_of(value: object) -> str:
+    """SHA-256 of a value that JSON can hold."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file's content. Remembered while its times, size and place on the disk stay.
+
+    Raises:
+        ImageError: it cannot be read.
+    """
+    try:
+        status = path.stat()
+        return _hashed(path, (status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino))
+    except OSError as error:
+        remedy = "Check it and its permissions"
+        raise ImageError(
+            str(path), found=f"a file that cannot be read ({error.strerror})", expected="a readable file", remedy=remedy
+        ) from None
+
+
+@lru_cache(maxsize=4096)
+def _hashed(path: Path, about: tuple[int, ...]) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
