@@ -92,3 +92,13 @@ def test_a_current_session_is_used_where_nothing_may_be_written(
             answer(capsys, command, tiny_finished, "--settings", tiny_settings)
         assert main.run(["run", str(tiny_finished), "--set", "measure.wall=plane"]) == 9
         assert "no permission" in capsys.readouterr().err
+
+
+def test_a_check_by_the_calibrations_own_exposure_says_so(
+    tiny_finished: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pose = tiny_finished / "calibration" / "01"
+    assert main.run(["check", str(tiny_finished), "--image-set", str(pose), "--settings", str(tiny_settings)]) == 0
+    assert "The calibration was made of this exposure (calibration/01/front_left, calibration/01/front_right)" in (
+        capsys.readouterr().out
+    )

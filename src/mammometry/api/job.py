@@ -38,6 +38,7 @@ from mammometry.geometry.camera import Rig
 from mammometry.io.outputs import require_apart, require_free, write_output
 from mammometry.io.results.store import State, Store, Watch, unwatched
 from mammometry.io.session import Session
+from mammometry.io.write import file_digest
 from mammometry.job.graph import Background, Plan
 from mammometry.job.inputs import CameraSet, FinishedSurface
 from mammometry.job.products import STAGES, Key, Stage
@@ -193,6 +194,13 @@ class Job(Reported):
         history = drift.read_history(self.session.path).entries
         write_output(folder / drift.DRAWN, drawn(history, settings.check.refuse_mm), command="check")
         return result
+
+    def calibration_photographs_in(self, image_set: Path) -> list[str]:
+        """Photographs of the calibration that a folder has, by content: ``calibration/POSE/CAMERA``."""
+        used = self.session.files() if self.inputs.calibrates else ()
+        named = {self.inputs.digests[name]: name for name in used if name.startswith("calibration/")}
+        files = [path for path in sorted(image_set.rglob("*")) if path.is_file()]
+        return [named[digest] for digest in map(file_digest, files) if digest in named]
 
     def match(self) -> dict[str, DisparityMap]:
         """Match every pair: pair → disparity map."""

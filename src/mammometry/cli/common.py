@@ -46,6 +46,10 @@ SettingsFile = Annotated[
 ]
 
 
+SUBJECT_ID = ("--id", "--subject")
+"""Names of the option that gives the subject's pseudonym, of every command that takes one."""
+
+
 @value
 class JsonOptions:
     """Options of every command."""

@@ -149,10 +149,10 @@ def _say(answer: Answer, as_json: bool, quiet: bool) -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
     if as_json:
         print(json.dumps(answer.table, ensure_ascii=False), flush=True)  # noqa: T201  # the answer itself
-    elif not quiet:
+    elif not quiet or answer.exit_code:  # what went wrong is said even so, where errors are said
         from rich.console import Console
 
-        console = Console(soft_wrap=True, highlight=False, markup=False, emoji=False)
+        console = Console(stderr=quiet, soft_wrap=True, highlight=False, markup=False, emoji=False)
         for line in answer.lines:
             console.print(line)
 

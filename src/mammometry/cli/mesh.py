@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mammometry.base.value import value
-from mammometry.cli.common import Answer, Bars, Options, OutputOptions, command
+from mammometry.cli.common import SUBJECT_ID, Answer, Bars, Options, OutputOptions, command
 from mammometry.measure.settings import POSTURES
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class MeshOptions:
     surface_sd: Annotated[
         float | None, _mesh_option(help="Standard uncertainty of the surface, mm.", show_default="0.1")
     ] = None
-    subject: Annotated[str | None, _mesh_option(help="Identifier of the subject, a pseudonym.")] = None
+    subject: Annotated[str | None, _mesh_option(*SUBJECT_ID, help="Pseudonym of the patient, never a name.")] = None
     largest: Annotated[bool, _mesh_option("--largest", help="Measure only the largest piece.")] = False
     automatic: Annotated[
         bool, _mesh_option("--automatic", help="Find the boundaries of a torso along its creases.")
@@ -66,7 +66,8 @@ class MeshOptions:
     def given(self) -> str | None:
         """Name of the first option that was given. None if none was."""
         names = (name for name in self.__dataclass_fields__ if getattr(self, name) not in (None, False))
-        return next((f"--{name.replace('_', '-')}" for name in names), None)
+        option = next(names, None)
+        return SUBJECT_ID[0] if option == "subject" else None if option is None else f"--{option.replace('_', '-')}"
 
 
 def measure_mesh(
@@ -131,17 +132,25 @@ def measure_mesh(
         with bars.task("measure", "mesh"):
             job = MeshJob(files, folder, options.settings(*assignments), watch=bars.watch)
         results = job.run()
-    return results, [f"Standard uncertainty: scale {100 * files.scale_std:g} %, surface {files.surface_std_mm:g} mm"]
+    remarks = [f"Standard uncertainty: scale {100 * files.scale_std:g} %, surface {files.surface_std_mm:g} mm"]
+    if scan is not None and given.boundary is None and boundary is not None:
+        remarks += [
+            f"Boundary {name}, from {boundary}: {about.origin or 'nobody says who drew it'}"
+            for name, about in job.inputs.attributions.items()
+        ]
+    if scan is not None and given.landmarks is None and landmarks is not None:
+        remarks.append(f"Landmarks, from {landmarks}: {', '.join(job.inputs.landmarks)}")
+    return results, remarks
 
 
 def named_subject(text: str | None) -> str | None:
-    """A pseudonym as `--subject` gives it."""
+    """A pseudonym as `--id` gives it."""
     from mammometry.base.identity import subject_id
 
     try:
         return None if text is None else subject_id(text)
     except ValueError as error:
-        raise typer.BadParameter(f"--subject: expected {error}") from None
+        raise typer.BadParameter(f"--id: expected {error}") from None
 
 
 app = typer.Typer(name="import", help="Take over what other devices made: a scanner's mesh with its texture.")
@@ -171,7 +180,7 @@ def mesh(
     ] = "",
     ahead: Annotated[str, typer.Option(help="The axis straight ahead.", show_default="where an open mesh faces")] = "",
     subject: Annotated[
-        str | None, typer.Option(help="Identifier of the subject, a pseudonym.", show_default=False)
+        str | None, typer.Option(*SUBJECT_ID, help="Pseudonym of the patient, never a name.", show_default=False)
     ] = None,
     posture: Annotated[
         str, typer.Option(help="How the patient held herself: standing, leaning or lying.", show_default="not said")

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mammometry.base.shell import command_line
-from mammometry.cli.common import Answer, Bars, Options, OutputOptions, SessionFolder, command
+from mammometry.cli.common import SUBJECT_ID, Answer, Bars, Options, OutputOptions, SessionFolder, command
 
 if TYPE_CHECKING:
     from mammometry.io.drift import History
 
 
 app = typer.Typer()
+_SHOWN = 4  # photographs that a line names
 MOVED = 10
 """Exit code of a check that found a camera moved."""
 
@@ -80,6 +81,10 @@ def check(
         "refuse": "The rig moved. Calibrate it again before measuring.",
     }
     lines: list[Any] = [words[result.verdict], *(f"- {reason}" for reason in result.reasons), f"History: {drawn}"]
+    own = table["of_calibration"] = job.calibration_photographs_in(image_set)
+    if own:
+        shown = ", ".join(own[:_SHOWN]) + (" and others" if len(own) > _SHOWN else "")
+        lines.insert(1, f"The calibration was made of this exposure ({shown}): it cannot show a later movement.")
     lines += [f"Warning: {warning}" for warning in known.warnings]
     return Answer(table, lines, exit_code=0 if result.verdict == "unmoved" else MOVED)
 
@@ -229,7 +234,7 @@ def capture(
     rig: RigToml,
     backend: BackendName = None,
     subject_id: Annotated[
-        str | None, typer.Option("--id", help="Pseudonym of the patient, never a name.", show_default=False)
+        str | None, typer.Option(*SUBJECT_ID, help="Pseudonym of the patient, never a name.", show_default=False)
     ] = None,
     pose: Annotated[
         bool, typer.Option("--pose", help="Fire at the calibration board, and say where to hold it next.")

@@ -295,6 +295,8 @@ def target(
     from mammometry.io.outputs import require_apart, require_free, write_output
     from mammometry.io.session import Session
 
+    if out.suffix.lower() != ".pdf":
+        raise typer.BadParameter(f"OUT ends with .pdf, found {out.name}: only a PDF has a true scale")
     require_free(out.parent, [out.name], command="target")
     table: dict[str, Any] = {"kind": "charuco" if marker_mm else "chessboard", "square_mm": square_mm}
     table["squares"] = _columns_and_rows(squares)

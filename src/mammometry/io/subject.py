@@ -52,8 +52,8 @@ def check_mesh(mesh: Path, files: Iterable[Path | None], folder: Path, subject: 
     """
     sources = [(mesh, subject_of_mesh(mesh)), *_drawn(filter(None, files)), *_in_results(folder)]
     one_subject(
-        [("--subject", subject), *((str(path), name) for path, name in sources)],
-        remedy="If this is another subject's mesh, give its own drawings and another --out; if not, correct --subject",
+        [("--id", subject), *((str(path), name) for path, name in sources)],
+        remedy="If this is another subject's mesh, give its own drawings and another --out; if not, correct --id",
     )
 
 

@@ -273,7 +273,7 @@ def test_the_report_shows_the_mesh_and_the_subject_that_it_was_made_for(
     assert main.run(["measure", *map(str, command), "--subject", "P-1"]) == 0
     assert "All results are current, made 2" in capsys.readouterr().out
 
-    assert "found subject 'P-1', expected 'P-2', as --subject says" in refused(capsys, *command, "--subject", "P-2")
+    assert "found subject 'P-1', expected 'P-2', as --id says" in refused(capsys, *command, "--subject", "P-2")
     drawn = json.loads(given.read_text()) | {"subject": "P-3"}
     given.write_text(json.dumps(drawn))
     assert "b.json: found subject 'P-3', expected 'P-1'" in refused(capsys, *command, "--subject", "P-1")

@@ -253,3 +253,9 @@ def test_cameras_are_imported_whole_or_not(tmp_path: Path, capsys: pytest.Captur
     assert main.run(["import-cameras", str(folder), str(file), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["cameras"] == ["front_left", "front_right"]
     assert (folder / "cameras.json").is_file()
+
+
+def test_a_board_is_drawn_as_a_pdf_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.run(["target", str(tmp_path / "b.png")]) == main.USAGE
+    assert "OUT ends with .pdf, found b.png" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

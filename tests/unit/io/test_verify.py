@@ -123,6 +123,9 @@ def test_verify_names_what_is_damaged(
     assert "surface/mesh.ply: " in said
     assert "A rerun renews surface/mesh" in said
     assert "DAMAGED" in said
+    assert main.run(["verify", str(results), "--quiet"]) == 9
+    printed = capsys.readouterr()
+    assert (printed.out, "surface/mesh.ply: " in printed.err) == ("", True)  # what went wrong is no chatter
 
 
 def test_verify_says_what_it_cannot_check(results: Path) -> None:

@@ -238,7 +238,7 @@ def _check(about: Scan) -> None:
             subject_id(about.subject)
     except ValueError as error:
         raise SessionError(
-            "the scan's subject", found=f"{about.subject!r:.40}", expected=str(error), remedy="Correct --subject"
+            "the scan's subject", found=f"{about.subject!r:.40}", expected=str(error), remedy="Correct --id"
         ) from None  # fmt: skip
     if about.posture not in ("", *POSTURES):
         remedy = "Correct --posture"
