@@ -114,8 +114,9 @@ def _require_subject(table: Table, row: int, names: tuple[str, ...] | None, pair
     listed = "".join(words) in _SUMMARIES or not _FIRST_WORDS.isdisjoint(words[:1])
     last = max(_LEAST_ROWS, len(pairs) - _LAST_ROWS) <= row
     numbered = names is not None and any(map(str.isdigit, name)) and _shape(name) == _shape(names[0])
-    if listed or (last and not numbered and _rounds_to(pairs[:row].mean(axis=0), pairs[row])):
-        found = f"{name!r}, a summary" if listed else "the mean of the rows above it"
+    computed = last and not numbered and _computed(pairs[:row], pairs[row])
+    if listed or computed:
+        found = f"{name!r}, a summary" if listed else f"the {computed} of the rows above it"
         raise TableError(where, found=found, expected="a subject in every row", remedy="Remove rows of summaries")
 
 
@@ -124,13 +125,19 @@ def _shape(name: str) -> str:
     return re.sub(r"\d+", "9", re.sub(r"[^\W\d_]+", "a", name))
 
 
-def _rounds_to(means: Float64[Array, " 2"], values: Float64[Array, " 2"]) -> bool:
-    """Whether both values are the means, as they are rounded. Small whole numbers are so by chance.
+def _computed(above: Float64[Array, "m 2"], values: Float64[Array, " 2"]) -> str:
+    """What a row's numbers are of those above it. Empty: nothing that a table is closed with."""
+    kinds = {"mean": above.mean(axis=0), "standard deviation": above.std(axis=0, ddof=1), "sum": above.sum(axis=0)}
+    return next((kind for kind, computed in kinds.items() if _rounds_to(computed, values)), "")
 
-    The means are of values that were rounded too, the summary perhaps of those before.
+
+def _rounds_to(computed: Float64[Array, " 2"], values: Float64[Array, " 2"]) -> bool:
+    """Whether both values are those computed, as they are rounded. Small whole numbers are so by chance.
+
+    What is computed here is of values that were rounded too, the table's summary perhaps of those before.
     """
-    within = np.array([10.0 ** -_decimals(value) for value in values]) + _ROUNDING * np.abs(means)
-    return bool((np.abs(means - values) <= within).all() and (np.abs(values) >= _TELLING * within).all())
+    within = np.array([10.0 ** -_decimals(value) for value in values]) + _ROUNDING * np.abs(computed)
+    return bool((np.abs(computed - values) <= within).all() and (np.abs(values) >= _TELLING * within).all())
 
 
 def _decimals(value: float) -> int:

@@ -111,6 +111,8 @@ def refused(folder: Path, text: str, reference: str = "reference_cc", measured: 
         ("mean (n = 5),408.6,412.9\n", "a summary"),
         ("S.D.,126.5,150.6\n", "a summary"),
         ("F,500,510\n∅,423.8,429.1\n", "row 8: found the mean of the rows above it"),
+        ("total of all,2042.8,2064.7\n", "row 7: found the sum of the rows above it"),
+        ("±,126.3,148.2\n", "row 7: found the standard deviation of the rows above it"),
         (",408.6,412.9\n", "row 7: found no subject"),
         ("F,-999,300\n", "column reference_cc: found -999, expected a measurement"),
         ("F,300,-1\n", "column measured_cc: found -1, expected a value of 0 or more"),
