@@ -14,6 +14,7 @@ from mammometry.base.normal import COVERAGE_95
 from mammometry.base.photograph import Photograph
 from mammometry.base.rounding import half_width, rounded
 from mammometry.hospital.codes import require_text
+from mammometry.measure.volume.attribution import seen_words
 from mammometry.report.content import Clinical
 
 Side: TypeAlias = Literal["left", "right", "model", ""]
@@ -232,13 +233,18 @@ class Exported:
     """Where the people in `clinical` work. Empty: nobody said."""
 
     def __post_init__(self) -> None:
-        """Require texts that DICOM allows.
+        """Require texts that DICOM allows. What a person confirmed is no longer called "to be confirmed".
 
         Raises:
             SettingsError: names the field, and does not quote it.
         """
         require_text(self.organization, "LO", "the organization's name")
         if self.clinical.confirmed is not None:
+            seen = tuple(
+                replace(quantity, boundary=seen_words(quantity.boundary)) if quantity.boundary else quantity
+                for quantity in self.quantities
+            )
+            object.__setattr__(self, "quantities", seen)
             require_text(person_name(self.clinical.confirmed.by), "PN", "the name of who confirmed the boundaries")
         for conclusion in self.clinical.conclusions:
             require_text(person_name(conclusion.by), "PN", "the name of who concluded")

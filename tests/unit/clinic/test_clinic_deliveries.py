@@ -29,7 +29,7 @@ from tests.unit.hospital.exports import NAMES, deidentified, exported
 from mammometry.base.errors import SessionError, SettingsError
 from mammometry.clinic import deliveries
 from mammometry.clinic.config import ClinicConfig, ClinicError, new_clinic, read_config
-from mammometry.clinic.models import Consent, Delivery, Destination, Visit
+from mammometry.clinic.models import Confirmation, Consent, Delivery, Destination, Measurement, Person, Visit
 from mammometry.clinic.roles import Role
 from mammometry.clinic.views import hospital, study
 from mammometry.hospital.dicom.stow import answers
@@ -263,12 +263,32 @@ def test_a_clinician_sends_and_the_audit_says_so(
     address = reverse("visit-send", args=[visit.pk])
     assert "Send to PACS" in client.get(address).content.decode()
     answer = client.post(address, {"destination": str(archive.pk)}, follow=True)
+    assert "Nobody has confirmed the boundaries of this visit" in answer.content.decode()
+    assert not Delivery.objects.exists()  # one press alone sends nothing that nobody confirmed
+    answer = client.post(address, {"destination": str(archive.pk), "anyway": "1"}, follow=True)
     assert "on their way to PACS" in answer.content.decode()
     (delivery,) = Delivery.objects.all()
     assert str(delivery.created_by) == "clinician"
     entry = LogEntry.objects.get(object_pk=str(delivery.pk), action=LogEntry.Action.CREATE)
     assert str(entry.actor) == "clinician"
     assert "Zypernkatze" not in entry.changes_str + entry.object_repr
+
+
+def test_a_confirmed_visit_is_sent_without_a_question(
+    client_of: Callable[..., Client],
+    person_of: Callable[..., Person],
+    visit: Visit,
+    archive: Destination,
+    measured: None,
+) -> None:
+    made = Measurement.objects.create(
+        visit=visit, digest="d", made_at=timezone.now(), software="1", curves={"left": "c"}
+    )
+    Confirmation.objects.create(measurement=made, curves={"left": "c"}, by=person_of(Role.CLINICIAN))
+    Visit.objects.filter(pk=visit.pk).update(state=Visit.State.CONFIRMED)
+    address = reverse("visit-send", args=[visit.pk])
+    answer = client_of(Role.CLINICIAN).post(address, {"destination": str(archive.pk)}, follow=True)
+    assert "on their way to PACS" in answer.content.decode()
 
 
 def test_a_failed_one_is_tried_again_by_a_button(

@@ -11,10 +11,11 @@ import pytest
 from PIL import Image
 from pydicom import Dataset, config, dcmread
 from pydicom.encaps import generate_frames
-from tests.unit.hospital.exports import ANNA, NAMES, ORDER, deidentified, exported, one_sided, signed
+from tests.unit.hospital.exports import ANNA, NAMES, ORDER, deidentified, exported, one_sided, quantities, signed
 
 from mammometry.hospital.dicom.frame import encoded
 from mammometry.hospital.dicom.objects import baseline, files, objects
+from mammometry.measure.boundary import TO_BE_CONFIRMED
 
 DCMTK = pytest.mark.skipif(shutil.which("dsrdump") is None, reason="dcmtk is not installed (apt-get install dcmtk)")
 
@@ -209,6 +210,19 @@ def test_a_confirmed_report_is_verified_and_holds_the_conclusion(tmp_path: Path)
     assert (conclusion.TextValue, conclusion.ObservationDateTime) == ("Larger on the right.", "20260303083000+0000")
     assert str(conclusion.ContentSequence[0].PersonName).rstrip("^") == "Prof. Egon Dachs"
     assert numbers(report)["Left breast", "Volume"] == (354.25, "cm3")
+
+
+def test_what_is_verified_is_not_said_to_be_confirmed_yet(tmp_path: Path) -> None:
+    automatic = tuple(
+        replace(quantity, boundary=f"automatic: the fold; {TO_BE_CONFIRMED}") if quantity.boundary else quantity
+        for quantity in quantities()
+    )
+    (verified,) = of_kind(objects(replace(signed(tmp_path), quantities=automatic), ANNA, ORDER), "SR")
+    (before,) = of_kind(objects(exported(tmp_path, quantities=automatic), ANNA, ORDER), "SR")
+    assert (verified.VerificationFlag, before.VerificationFlag) == ("VERIFIED", "UNVERIFIED")
+    assert TO_BE_CONFIRMED in before.to_json()
+    assert TO_BE_CONFIRMED not in verified.to_json()
+    assert "automatic: the fold; confirmed by eye" in verified.to_json()
 
 
 def test_what_nobody_confirmed_or_concluded_is_not_said_to_be(made: list[Dataset], tmp_path: Path) -> None:

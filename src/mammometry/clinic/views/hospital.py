@@ -19,7 +19,7 @@ from mammometry.clinic import deliveries
 from mammometry.clinic.deliveries import connection, require_libraries
 from mammometry.clinic.forms import require_dicom_text
 from mammometry.clinic.models import Calibration, Delivery, Destination, Patient, Rig, Visit, VisitOrder
-from mammometry.clinic.records.confirmations import CHANGED_SENTENCE
+from mammometry.clinic.records.confirmations import CHANGED_SENTENCE, valid_confirmation
 from mammometry.clinic.records.results import report_file
 from mammometry.clinic.records.search import duplicates
 from mammometry.clinic.records.search_words import plain_name
@@ -117,16 +117,25 @@ def visit_send(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     """Have a visit's results sent, and say what became of earlier ones."""
     shown = get_object_or_404(Visit.objects.select_related("patient"), pk=visit)
     active = Destination.objects.filter(active=True).exclude(kind=Destination.Kind.WORKLIST)
+    ask_for = None
     if request.method == "POST":
         chosen = get_object_or_404(active, pk=_key(request.POST.get("destination", "")))
-        if report_file(shown, "report.pdf") is None:
+        if (
+            "anyway" not in request.POST
+            and not shown.is_changed
+            and report_file(shown, "report.pdf") is not None
+            and valid_confirmation(shown) is None
+        ):
+            ask_for = chosen
+        elif report_file(shown, "report.pdf") is None:
             messages.error(request, "This visit is not measured yet.")
         elif shown.is_changed:
             messages.error(request, CHANGED_SENTENCE)
         else:
             deliveries.enqueue(shown, chosen, person_of(request))
             messages.success(request, f"The results are on their way to {chosen}.")
-        return redirect("visit-send", visit=visit)
+        if ask_for is None:
+            return redirect("visit-send", visit=visit)
     context = {
         "visit": shown,
         "patient": shown.patient,
@@ -134,6 +143,7 @@ def visit_send(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
         "deliveries": shown.deliveries.select_related("destination", "created_by")[:_SHOWN],
         "measured": report_file(shown, "report.pdf") is not None,
         "changed": CHANGED_SENTENCE if shown.is_changed else "",
+        "ask_for": ask_for,
     }
     return render(request, "clinic/visit_send.html", context)
 

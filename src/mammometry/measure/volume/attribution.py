@@ -83,6 +83,12 @@ def attributed_words(method: str, curve: str, attribution: Attribution, *, named
     return confirmed_words(method, curve, attribution.confirmation, named=named)
 
 
+def seen_words(method: str) -> str:
+    """Method of a boundary that somebody confirmed: it is no longer to be confirmed."""
+    seen = "; confirmed by eye"
+    return f"{method.removesuffix(TO_BE_CONFIRMED).removesuffix(seen).rstrip(',; ')}{seen}"
+
+
 def confirmed_words(method: str, curve: str, confirmation: Confirmation | None, *, named: bool = True) -> str:
     """A boundary's method with what is known of its confirmation.
 
@@ -96,5 +102,5 @@ def confirmed_words(method: str, curve: str, confirmation: Confirmation | None, 
         return method
     who = f" by {confirmation.by} on {confirmation.at[:10]}" if named else ""
     if confirmation.curve == curve:
-        return f"{method.removesuffix(TO_BE_CONFIRMED).rstrip(',; ')}; confirmed by eye{who}"
+        return f"{seen_words(method)}{who}"
     return f"{method}; an earlier curve was confirmed by eye{who}, but not this one"
