@@ -41,9 +41,12 @@ from mammometry.surface.repair.repair import RepairedSurface
 _SUFFIX = ".json"
 _NOT_NAMES = frozenset(
     ("rater", "observer", "reader", "person", "surgeon", "doctor", "expert", "user", "drawer", "technician", "nurse",
-     "operator", "investigator", "student", "beobachter", "untersucher", "auswerter", "r", "o", "p")
+     "operator", "investigator", "student", "annotator", "clinician", "resident", "registrar", "consultant", "trainee",
+     "participant", "beobachter", "untersucher", "auswerter", "dr", "obs", "r", "o", "p")
 )  # fmt: skip
 """What a person is called by a number: ``rater-2`` is another person than ``rater-1``."""
+_NUMBERED = re.compile(r"(.*[^\W\d_])[ _]?(\d{1,3})")
+"""A name and a number without a hyphen."""
 _COPY = re.compile(r"\(\d+\)$|[\s_-](copy|kopie|copie|copia)([\s_-]?\(?\d+\)?)?$|^(copy of|kopie von) ", re.IGNORECASE)
 """How browsers and desktops name a copy: ``anna-1 (1)``, ``anna-1 copy 2``, ``Copy of anna-1``."""
 _SAME_MM = 1e-3  # curves nearer than this are copies: files hold a thousandth of a millimetre, and no hand draws so
@@ -72,7 +75,8 @@ def read_drawn_by(curves: Path, mesh: Path | None = None) -> tuple[DrawnBy, ...]
     letters, make no other person. A table's paths are relative to it; without a mesh column all drawings are of `mesh`.
 
     Raises:
-        SessionError: the folder holds fewer than two drawings, a copy, or one drawing twice, or nobody says the mesh.
+        SessionError: the folder holds fewer than two drawings, a copy, one drawing twice, or ``anna_1`` and ``anna_2``,
+            which may be one person or two; or nobody says the mesh.
         TableError: the table cannot be read, has no such columns, an empty cell, or one drawing twice.
     """
     drawn = _of_folder(curves, mesh) if curves.is_dir() else _of_table(curves, mesh)
@@ -88,9 +92,9 @@ def _of_folder(folder: Path, mesh: Path | None) -> tuple[DrawnBy, ...]:
         raise _no_mesh(folder)
     persons: dict[str, str] = {}
     drawn: dict[tuple[str, str], DrawnBy] = {}
-    for path in visible(folder):
-        if path.suffix.casefold() != _SUFFIX:
-            continue
+    paths = [path for path in visible(folder) if path.suffix.casefold() == _SUFFIX]
+    _require_hyphens(paths)
+    for path in paths:
         if _COPY.search(path.stem):
             remedy = "Remove it, or rename it if the person drew again: anna-2.json"
             raise SessionError(str(path), found="a copy, by its name", expected="a drawing", remedy=remedy)
@@ -105,6 +109,23 @@ def _of_folder(folder: Path, mesh: Path | None) -> tuple[DrawnBy, ...]:
             )
         drawn[observer, repeat] = DrawnBy(mesh=mesh, boundary=path, observer=observer, repeat=repeat)
     return tuple(drawn.values())
+
+
+def _require_hyphens(paths: Sequence[Path]) -> None:
+    """Refuse ``anna_1`` and ``anna_2``, which may be one person's drawings or two persons."""
+    numbered: dict[str, Path] = {}
+    for path in paths:
+        match = _NUMBERED.fullmatch(path.stem)
+        if match is None or folded(match[1]) in _NOT_NAMES:
+            continue
+        other = numbered.setdefault(folded(match[1]), path)
+        if other != path:
+            raise SessionError(
+                str(path),
+                found=f"a number without a hyphen, as in {shown_name(other)}",
+                expected=f"{match[1]}-{match[2]}{_SUFFIX} for drawing {match[2]} by {match[1]}",
+                remedy="Rename the files of one person so, and give two persons different names",
+            )
 
 
 def _person(stem: str) -> tuple[str, str]:

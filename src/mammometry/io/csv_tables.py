@@ -217,7 +217,9 @@ def read_table(path: Path, name: str, expected: str, *, refusal: type[Mammometry
                     f"{name}, row {reader.line_num}",
                     found=f"{len(row)} values",
                     expected=f"{len(columns)}, one a column",
-                    remedy="Correct the row; where commas separate, decimals take a point",
+                    remedy="Correct the row; where commas separate, decimals take a point"
+                    if separator == ","
+                    else f"Correct the row, or put quotes around a cell that contains {shown(separator)}",
                 )
             lines.append(reader.line_num)
             rows.append((*row, *[""] * (len(columns) - len(row)))[: len(columns)])

@@ -96,3 +96,16 @@ def test_words_that_need_their_number_name_a_person_with_it(tmp_path: Path) -> N
 def test_what_systems_leave_in_a_folder_is_no_drawing(tmp_path: Path) -> None:
     (tmp_path / "._anna-1.json").write_bytes(b"\x00\x05\x16\x07\x00\x02\x00\x00Mac OS X")
     assert persons(tmp_path, ".DS_Store", "anna-1.json", "ben-1.json") == [("anna", "1"), ("ben", "1")]
+
+
+UNCLEAR = [("anna_1.json", "anna_2.json"), ("anna1.json", "Anna2.json"), ("anna 1.json", "anna 2.json")]
+
+
+@pytest.mark.parametrize("names", UNCLEAR)
+def test_numbers_without_a_hyphen_may_mean_two_things(tmp_path: Path, names: tuple[str, str]) -> None:
+    with pytest.raises(SessionError, match=r"expected [Aa]nna-[12]\.json for drawing [12]"):
+        persons(tmp_path, *names)
+
+
+def test_raters_with_a_number_are_persons(tmp_path: Path) -> None:
+    assert len({name for name, _ in persons(tmp_path, "rater1.json", "rater2.json", "R3.json", "observer_4.json")}) == 4
