@@ -271,7 +271,7 @@ class MeshJob(Reported):
         )
 
     def require_sides(self) -> None:
-        """Refuse a scan that may be a mirror image: nothing of it may be exported or compared as left and right.
+        """Refuse a scan that may be a mirror image, before it is exported or compared.
 
         Raises:
             SessionError: nobody has compared its sides with the patient.
