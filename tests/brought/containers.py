@@ -419,3 +419,66 @@ USDZS = (
         usd_mesh(faces=FACES[:, ::-1], more='uniform token orientation = "leftHanded"'))),
     *(_in_unit(metres) for metres in (1.0, 0.01, 0.0254, 0.3048, 0.02, 1e-6)),
 )  # fmt: skip
+
+
+# --- drawn by chance ---
+
+FORMS = ("plain", "whole numbers", "morphed", "sparse", "strips", "instances")
+
+
+def random_glb(seed: int) -> tuple[bytes, float]:
+    """A GLB of up to four solids in a tree of nodes, in forms drawn by chance, and the true volume of all, cc.
+
+    It is the solid's, times what its form multiplies it by, times the determinants of the scales above it, whatever
+    their signs.
+    """
+    rng = np.random.default_rng(seed)
+    glb, volume_cc, roots = Glb(), 0.0, []
+    for number in range(rng.integers(1, 5)):
+        entries, factor, scale = _random_form(glb, rng, str(rng.choice(FORMS)))
+        for depth in range(rng.integers(1, 4)):
+            scales = rng.uniform(0.7, 1.3, 3) * rng.choice([-1, 1], 3, p=[0.2, 0.8]) * (1.0 if depth else scale)
+            factor *= abs(float(np.prod(scales)))
+            turn = rng.normal(size=4)
+            place = rng.uniform(-0.05, 0.05, 3) + np.array([0.25 * number, 0, 0])
+            node = glb.node(**entries, scale=scales.tolist(), rotation=(turn / np.linalg.norm(turn)).tolist(),
+                            translation=place.tolist())  # fmt: skip
+            entries = {"children": [node]}
+        if rng.random() < 0.2:
+            node = glb.node(children=[node], extensions={"KHR_node_visibility": {"visible": False}})
+        else:
+            volume_cc += factor * VOLUME_CC
+        roots.append(node)
+    return glb.content(*roots, embedded=bool(rng.random() < 0.8)), volume_cc
+
+
+def _random_form(glb: Glb, rng: np.random.Generator, form: str) -> tuple[dict[str, Any], float, float]:
+    """A mesh: entries of its node, what its form multiplies the volume by, and the scale that makes it metres."""
+    mesh = glb.mesh(indices=int(rng.choice([BYTE, WORD, INT])))
+    parts = glb.table["meshes"][mesh]["primitives"]
+    attributes = parts[0]["attributes"]
+    if form == "whole numbers":  # shares of 0.1 m
+        attributes["POSITION"] = glb.accessor(np.round(POINTS / 100 * 32767), SHORT, normalized=True)
+        return {"mesh": mesh}, 1000.0, 0.1
+    if form == "morphed":
+        weight = float(rng.choice([0.0, rng.uniform(-0.3, 0.3)]))
+        parts[0]["targets"] = [{"POSITION": glb.accessor(POINTS / 1000)}]
+        return {"mesh": mesh, "weights": [weight]}, (1 + weight) ** 3, 1.0
+    if form == "sparse":
+        places = np.sort(rng.choice(len(POINTS), 40, replace=False))
+        wrong = POINTS / 1000
+        wrong = np.where(np.isin(np.arange(len(POINTS)), places)[:, None], rng.normal(size=wrong.shape), wrong)
+        attributes["POSITION"] = glb.accessor(wrong)
+        glb.table["accessors"][-1]["sparse"] = {
+            "count": len(places),
+            "indices": {"bufferView": glb.view(places.astype("<u2").tobytes()), "componentType": WORD},
+            "values": {"bufferView": glb.view((POINTS[places] / 1000).astype("<f4").tobytes())},
+        }
+    if form == "strips":
+        parts[:] = [{"attributes": attributes, "mode": mode, "indices": glb.accessor(corners, WORD)}
+                    for mode, corners in pieces()]  # fmt: skip
+    if form == "instances":
+        scales = rng.uniform(0.7, 1.2, (2, 3))
+        extension = {"EXT_mesh_gpu_instancing": {"attributes": {"SCALE": glb.accessor(scales)}}}
+        return {"mesh": mesh, "extensions": extension}, float(np.prod(scales, axis=1).sum()), 1.0
+    return {"mesh": mesh}, 1.0, 1.0

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.brought.containers import GLBS, USDZS, VOLUME_CC, Container, Glb
+from tests.brought.containers import GLBS, USDZS, VOLUME_CC, Container, Glb, random_glb
 
 from mammometry.base.errors import SessionError
 from mammometry.io.meshes.foreign import read_foreign
+from mammometry.io.meshes.scans import ABOUT, Scan, import_scan, read_scan
 
 
 def require_right(container: Container, path: Path) -> None:
@@ -45,6 +46,33 @@ def test_a_usdz_is_read_right_or_refused_by_name(tmp_path: Path, container: Cont
     require_right(container, tmp_path / "a.usdz")
 
 
+def require_drawn_right(seed: int, folder: Path) -> str:
+    """What is wrong with a file drawn by chance, or nothing."""
+    content, volume_cc = random_glb(seed)
+    path = folder / f"{seed}.glb"
+    path.write_bytes(content)
+    try:
+        read_cc = read_foreign(path).mesh.volume_mm3() / 1000
+    except SessionError as error:
+        return "" if not volume_cc and "no triangles" in str(error) else f"{seed}: {error}"
+    finally:
+        path.unlink()
+    return "" if read_cc == pytest.approx(volume_cc, rel=2e-3) else f"{seed}: {read_cc:.1f} cc for {volume_cc:.1f}"
+
+
+@pytest.mark.requirement("R-IN-15")
+def test_some_files_drawn_by_chance_have_their_volume(tmp_path: Path) -> None:
+    wrong = list(filter(None, (require_drawn_right(seed, tmp_path) for seed in range(20))))
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.slow
+@pytest.mark.requirement("R-IN-15")
+def test_a_thousand_files_drawn_by_chance_have_their_volume(tmp_path: Path) -> None:
+    wrong = list(filter(None, (require_drawn_right(seed, tmp_path) for seed in range(20, 1020))))
+    assert not wrong, "\n".join(wrong)
+
+
 def test_the_search_covers_every_container_part() -> None:
     assert len(GLBS) >= 35
     assert len(USDZS) >= 20
@@ -76,3 +104,12 @@ def test_what_stands_behind_the_files_end_is_not_read(tmp_path: Path) -> None:
     extra = json.dumps({"nodes": []}).encode()
     (tmp_path / "a.glb").write_bytes(content + struct.pack("<II", len(extra), 0x4E4F534A) + extra)
     assert read_foreign(tmp_path / "a.glb").mesh.volume_mm3() / 1000 == pytest.approx(VOLUME_CC, rel=1e-3)
+
+
+def test_what_was_noted_of_a_container_is_kept_with_an_imported_scan(tmp_path: Path) -> None:
+    mirrored = next(container for container in GLBS if container.name == "a negative scale")
+    (tmp_path / "a.glb").write_bytes(mirrored.make())
+    (tmp_path / ABOUT).write_bytes(import_scan(tmp_path / "a.glb", Scan(scanner="A", units=""))[ABOUT])
+    scan = read_scan(tmp_path)
+    assert scan.units == "m, glTF's unit"
+    assert ["mirrored" in remark for remark in scan.remarks] == [True]
