@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import time
 from collections.abc import Mapping, Sequence
@@ -19,6 +20,7 @@ from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
+from urllib.parse import quote
 
 from mammometry.api.previews import Drawing, Previews
 from mammometry.api.results import Results, is_refusal_shown, seen, show_refusal, withdraw_refusal
@@ -280,6 +282,14 @@ class Job(Reported):
             stage_seconds=self._all_seconds(),
             posture=self.session.manifest.subject.patient_posture,
         )
+
+    def _photographs(self) -> Mapping[str, str]:
+        here = self.page.parent
+        return {
+            name: quote(os.fsencode(os.path.relpath(path, here)))
+            for name, path in self.session.files().items()
+            if name.startswith(("capture/", "calibration/"))
+        }
 
     def keys(self, stage: Stage) -> tuple[Key, ...]:
         """Keys of a stage's products and pictures, or of the report's content.

@@ -61,6 +61,10 @@ class Reported(ABC):
     def _page_inputs(self) -> PageInputs:
         """Content of a report that stands in no product."""
 
+    def _photographs(self) -> Mapping[str, str]:
+        """Photographs that the report's page may link: name → address from there. None of a mesh."""
+        return {}
+
     def _page_key(self, page: PageInputs) -> Key:
         return page.key(self.plan.products())
 
@@ -182,7 +186,8 @@ class Reported(ABC):
 
         with one_blas_thread():
             content = unpacked(self.store.files(self.content_key)[CONTENT])
-            return render(content, self.inputs.attributions, clinical)
+            photographs = {} if clinical is not None else self._photographs()
+            return render(content, self.inputs.attributions, clinical, photographs=photographs)
 
 
 def _write(folder: Path, files: Mapping[str, bytes]) -> None:

@@ -2,6 +2,7 @@
 
 import base64
 import io
+import re
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -164,3 +165,32 @@ def test_a_drawing_loses_nothing_and_a_photograph_little() -> None:
 
 def test_the_page_is_small(page_content: ReportContent) -> None:
     assert len(html.render(page_content, first(page_content))) < 8e6
+
+
+@pytest.mark.parametrize(
+    ("warning", "named"),
+    [
+        (
+            "Check the calibration. Pose 03: the picture of front_left does not fit the others.",
+            ["calibration/03/front_left"],
+        ),
+        ("pose 03, front_left: a picture that is nearly black. Expose it more", ["calibration/03/front_left"]),
+        ("Pose 03 of camera front was left out of the calibration.", ["calibration/03/front"]),
+        (
+            "No outline is used in the photographs of front_left, front: it is not seen.",
+            ["capture/front", "capture/front_left"],
+        ),
+        ("The focal length of front_left is known only to 0.034 %.", []),
+    ],
+)
+def test_a_warning_links_the_photographs_that_it_names(
+    page_content: ReportContent, warning: str, named: list[str]
+) -> None:
+    places = ("capture", "calibration/03", "calibration/3", "calibration/03b")
+    photographs = {
+        f"{place}/{camera}": f"../../{place}/{camera}.jpg" for place in places for camera in ("front", "front_left")
+    }
+    shown = replace(page_content, warnings=(warning,))
+    links = re.findall(r'<a href="\.\./\.\./([^"]+)\.jpg">([^<]+)</a>', html.render(shown, first(shown), photographs))
+    assert sorted(links) == sorted((name, name) for name in named)
+    assert "../../" not in html.render(shown, first(shown))

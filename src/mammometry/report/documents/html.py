@@ -3,7 +3,9 @@
 Pictures, style and 3D viewer are inside. It needs no network.
 """
 
+import re
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 from mammometry.report.content import DISCLAIMER, Picture, ReportContent
 from mammometry.report.documents import pages
@@ -14,12 +16,14 @@ from mammometry.report.words.volumes import MEANINGS_INTRODUCTION
 PAGE = "report.html"
 
 
-def render(content: ReportContent, first: FirstPage) -> str:
+def render(content: ReportContent, first: FirstPage, photographs: Mapping[str, str] = MappingProxyType({})) -> str:
     """HTML of the report's page.
 
     Args:
         content: what was measured.
         first: what stands before all else.
+        photographs: ``capture/CAMERA`` and ``calibration/POSE/CAMERA`` → address of the file, for a page that stays
+            beside them. Warnings that name one link it.
     """
     from markupsafe import Markup
 
@@ -27,6 +31,7 @@ def render(content: ReportContent, first: FirstPage) -> str:
         "report.html.j2",
         styles=(pages.STYLE, "viewer.css"),
         content=content,
+        warnings=[(warning, named_photographs(warning, photographs)) for warning in content.warnings],
         first=first,
         signature="" if first.conclusion is None else signature(first.conclusion),
         disclaimer=DISCLAIMER,
@@ -35,6 +40,21 @@ def render(content: ReportContent, first: FirstPage) -> str:
         viewer=Markup(pages.viewer_program()) if content.scene else None,
         pictures=_arranged(content, first),
     )
+
+
+def named_photographs(warning: str, photographs: Mapping[str, str]) -> dict[str, str]:
+    """Those photographs that a sentence names, by pose and camera, or as a camera's photograph."""
+
+    def names(word: str) -> bool:
+        return re.search(rf"(?<![\w.-]){re.escape(word)}(?![\w-])", warning, re.IGNORECASE) is not None
+
+    found = {}
+    for name, address in photographs.items():
+        place, *pose, camera = name.split("/")
+        said = names(f"pose {pose[0]}") if pose else " photograph" in warning and not names("pose")
+        if place in ("capture", "calibration") and said and names(camera):
+            found[name] = address
+    return found
 
 
 def _arranged(content: ReportContent, first: FirstPage) -> Mapping[str, object]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 from mammometry.measure.boundary import TO_BE_CONFIRMED
 from mammometry.measure.volume.attribution import Attribution, Confirmation, attributed_words
@@ -27,6 +28,7 @@ def render(
     clinical: Clinical | None = None,
     *,
     named: bool = True,
+    photographs: Mapping[str, str] = MappingProxyType({}),
 ) -> RenderedReport:
     """Render a report. Equal arguments give equal bytes.
 
@@ -36,13 +38,14 @@ def render(
         clinical: what a clinic knows. Its confirmation stands for all boundaries. None: the reader has the command
             line.
         named: whether names, dates and people's own words are said, which a de-identified report must not do.
+        photographs: name → address of the session's photographs, for a page that stays beside them.
     """
     from mammometry.report.documents import html, pdf
 
     first = first_page(content, attributions, clinical, named=named)
     whole = attributed_content(content, attributions, clinical, named=named)
     return RenderedReport(
-        html=html.render(whole, first).encode(), pdf=pdf.render(whole, first), warnings=whole.warnings
+        html=html.render(whole, first, photographs).encode(), pdf=pdf.render(whole, first), warnings=whole.warnings
     )
 
 
