@@ -201,6 +201,7 @@ def test_a_damaged_file_is_refused_and_can_be_sent_again(sender, rig_visit):
         (photograph(serial="B2"), "camera"),
         (photograph(size_wh=(240, 320)), "size"),
         (photograph()[:-200], "format"),
+        (photograph()[:-300] + bytes(200) + photograph()[-100:], "format"),
         (photograph() + b"PK\x03\x04PK\x05\x06" + b"\x00" * 18, "format"),
         (b"<html><script>alert(1)</script></html>", "format"),
         (b"\xff\xd8\xff" + b"\x00" * 300, "format"),

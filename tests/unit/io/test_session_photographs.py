@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from tests.brought.photograph_damage import written
 
-from mammometry.base.errors import SessionError
+from mammometry.base.errors import ImageError, SessionError
 from mammometry.io.session import Session
 
 MANIFEST = """\
@@ -58,6 +59,37 @@ def test_a_raw_picture_instead_of_a_photograph_is_named(session: Path, place: st
     (session / place / "l.jpg").rename(session / place / f"l.{ending}")
     with pytest.raises(SessionError, match=rf"{place}/l\.{ending}: found a picture of a format that is not read"):
         Session.open(session).require("report")
+
+
+@pytest.mark.parametrize("road", ["capture", "calibration", "intrinsics", "check", "masks"])
+@pytest.mark.requirement("R-IN-18")
+def test_a_damaged_photograph_is_refused_on_every_road(session: Path, road: str) -> None:
+    """4,096 zeros in the middle, and its end as it was: OpenCV and Pillow read it."""
+    whole = written("JPEG", 0)
+    middle = len(whole) // 2
+    damaged = whole[:middle] + bytes(4096) + whole[middle + 4096 :]
+    places = {"capture": "capture/l.jpg", "calibration": "calibration/01/l.jpg", "intrinsics": "intrinsics/l/a.jpg",
+              "check": "later/l.jpg", "masks": "masks/l.jpg"}  # fmt: skip
+    with (session / "session.toml").open("a") as manifest:
+        if road == "intrinsics":
+            manifest.write("[intrinsics.target]\nkind = 'chessboard'\nsquares = [5, 4]\nsquare_mm = 25.0\n")
+    for place in (*PLACES, "intrinsics/l", "intrinsics/r", "later", "masks"):
+        (session / place).mkdir(parents=True, exist_ok=True)
+        for number, camera in enumerate(("l", "r")):
+            name = "a" if place.startswith("intrinsics") else camera
+            (session / place / f"{name}.jpg").write_bytes(written("JPEG", 1 + number))
+    (session / places[road]).write_bytes(damaged)
+    opened = Session.open(session)
+    inputs = opened.inputs()
+    look_up = {
+        "capture": lambda: inputs.photographs["l"],
+        "calibration": lambda: inputs.calibration_photographs["01", "l"],
+        "intrinsics": lambda: inputs.intrinsics_photographs["l"]["a", "l"],
+        "check": lambda: opened.image_set(session / "later")[0]["later", "l"],
+        "masks": lambda: inputs.masks["l"],
+    }[road]
+    with pytest.raises(ImageError, match=rf"{places[road]}: found a damaged image .*Copy it again from the camera"):
+        look_up()
 
 
 def test_a_raw_picture_beside_a_photograph_is_left_alone(session: Path) -> None:
