@@ -2,9 +2,13 @@
 
 import __future__
 
+import importlib
 import io
 import json
+import os
 import re
+import shutil
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -69,29 +73,61 @@ REGISTRIES: tuple[Registry[Any], ...] = (
 )
 
 
-def blocks(repository: Path) -> dict[str, str]:
-    """Title of a section → its Python."""
+_PLACED = re.compile(r"In a new file `([a-z_/]+\.py)`:\n\n```python\n(.*?)```", re.DOTALL)
+
+
+def blocks(repository: Path) -> dict[str, dict[str, str]]:
+    """Title of a section → its files' places in the package, with their content."""
     page = (repository / "docs" / "how-to" / "extend.md").read_text(encoding="utf-8")
+    assert page.count("```python") == len(_PLACED.findall(page)), "a block without a file to put it into"
     sections = re.split(r"^## ", page, flags=re.MULTILINE)[1:]
-    found = {each.partition("\n")[0]: re.findall(r"```python\n(.*?)```", each, flags=re.DOTALL) for each in sections}
-    return {title: code for title, (code,) in found.items()}
+    found = {each.partition("\n")[0]: dict(_PLACED.findall(each)) for each in sections}
+    return {title: files for title, files in found.items() if files}
 
 
 @pytest.fixture
 def run(repository: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], dict[str, Any]]:
-    """Run the block of a section, and give the names it defines; what it adds is taken away after the test."""
+    """Run the files of a section, and give the names they define; what they add is taken away after the test.
+
+    Where somebody has put such a file into the package, that one is meant.
+    """
     for registry in REGISTRIES:
         assert len(registry)  # its modules are imported now, so that their entries stay
         monkeypatch.setattr(registry, "_entries", dict(registry._entries))
 
     def one(title: str) -> dict[str, Any]:
-        code = blocks(repository)[title]
-        module = ModuleType(f"extend: {title}")
-        monkeypatch.setitem(sys.modules, module.__name__, module)  # where dataclasses look up their annotations
-        exec(compile(code, f"extend.md: {title}", "exec"), vars(module))
-        return vars(module)
+        defined: dict[str, Any] = {}
+        for place, code in blocks(repository)[title].items():
+            if (repository / "src" / "mammometry" / place).exists():
+                name = f"mammometry.{place.removesuffix('.py').replace('/', '.')}"
+                defined |= vars(importlib.import_module(name))
+                continue
+            module = ModuleType(f"extend: {place}")
+            monkeypatch.setitem(sys.modules, module.__name__, module)  # where dataclasses look up their annotations
+            exec(compile(code, f"extend.md: {place}", "exec"), vars(module))
+            defined |= vars(module)
+        return defined
 
     return one
+
+
+@pytest.mark.slow
+def test_what_is_pasted_as_told_keeps_the_house_rules(repository: Path, tmp_path: Path) -> None:
+    """All files of the page in a copy of the repository, in which the checks of this folder then run."""
+    copied = subprocess.run(["git", "ls-files", "-co", "--exclude-standard"], cwd=repository, capture_output=True)
+    for name in copied.stdout.decode().split("\n"):
+        if (repository / name).is_file():
+            (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(repository / name, tmp_path / name)
+    for files in blocks(repository).values():
+        for place, code in files.items():
+            (tmp_path / "src" / "mammometry" / place).write_text(code, encoding="utf-8")
+    for words in (["init", "-q", "."], ["add", "-A"]):  # some checks look at what is to be committed
+        subprocess.run(["git", *words], cwd=tmp_path, check=True)
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/architecture", "-m", "not slow"]
+    environment = os.environ | {"PYTHONPATH": f"{tmp_path / 'src'}{os.pathsep}{tmp_path}"}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout[-6000:]
 
 
 def test_a_calibration_target_is_described_drawn_and_found(run: Callable[[str], dict[str, Any]]) -> None:

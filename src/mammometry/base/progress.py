@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from threading import Event, Lock, Thread
 from typing import Any, TypeAlias
 
 Progress: TypeAlias = Callable[[float], None]
@@ -24,6 +28,53 @@ def no_progress(fraction: float) -> None:
 def part(progress: Progress, start: float, stop: float) -> Progress:
     """Map a sub-task's 0…1 onto `start`…`stop` of the task that `progress` follows."""
     return lambda fraction: progress(start + (stop - start) * fraction)
+
+
+TICK_S = 0.5
+"""Seconds between two reports of work that reports nothing itself."""
+_USUAL_S = 20.0  # of a product of which no earlier run tells the time
+_MOST = 0.9  # share that elapsed time alone may claim
+
+
+@contextmanager
+def ticking(progress: Progress, expected_s: float | None = None, *, tick_s: float = TICK_S) -> Iterator[Progress]:
+    """Report at least each `tick_s`, also while the work itself reports nothing.
+
+    The share done is what the work reports. Until its first report, it is estimated by the time that has passed.
+
+    Args:
+        progress: is called from a thread of its own, too, one call at a time; never with less than before.
+        expected_s: seconds that the work took earlier, if known.
+        tick_s: seconds between two reports.
+
+    Yields:
+        The callback for the work.
+    """
+    begun, ended, lock = time.monotonic(), Event(), Lock()
+    usual_s = max(expected_s or _USUAL_S, tick_s)
+    done, own = 0.0, False
+
+    def report(fraction: float, *, by_work: bool) -> None:
+        nonlocal done, own
+        with lock:
+            if by_work:
+                own |= fraction > 0
+            elif own:
+                fraction = done
+            done = max(done, fraction)
+            progress(done)
+
+    def tick() -> None:
+        while not ended.wait(tick_s):
+            report(_MOST * -math.expm1(-(time.monotonic() - begun) / usual_s), by_work=False)
+
+    ticker = Thread(target=tick, daemon=True)
+    ticker.start()
+    try:
+        yield lambda fraction: report(fraction, by_work=True)
+    finally:
+        ended.set()
+        ticker.join()
 
 
 def map_in_sequence(function: Callable[..., Any], arguments: Mapping[str, tuple[Any, ...]]) -> dict[str, Any]:

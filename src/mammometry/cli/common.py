@@ -5,17 +5,20 @@ from __future__ import annotations
 import inspect
 import logging
 import sys
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field, fields, is_dataclass
 from datetime import datetime
 from functools import wraps
 from pathlib import Path
-from threading import Lock
+from threading import Event, Lock, Thread
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
+from mammometry.base.progress import TICK_S, ticking
 from mammometry.base.value import value
 
 if TYPE_CHECKING:
@@ -185,8 +188,16 @@ def start_logging(verbose: int) -> None:
         logging.getLogger("mammometry").setLevel(logging.NOTSET)  # an earlier command of this process may have set it
 
 
+_TENTH = 10.0  # percent of a stage for which a line is written without a terminal
+_SPARSE_S = 5.0  # between two such lines, so that a fast stage does not fill a log
+_SILENT_S = 28.0  # without a line, seconds: with the tick, one comes within half a minute
+
+
 class Bars:
-    """Progress bars on standard error, one per stage. Without a terminal, one line when a stage begins."""
+    """Progress on standard error: a bar for each stage.
+
+    Without a terminal, lines: when a stage begins, when another tenth of it is done, and at least each half minute.
+    """
 
     def __init__(self, quiet: bool) -> None:
         self._quiet = quiet
@@ -194,10 +205,17 @@ class Bars:
         self._bars: Any = None
         self._tasks: dict[str, Any] = {}
         self._totals: dict[str, int] = {}
+        self._expected_s: dict[tuple[str, str], float] = {}
         self._fractions: dict[str, dict[str, float]] = {}
+        self._begun_s = self._line_s = time.monotonic()
+        self._said: dict[str, str] = {}
+        self._stage = ""
+        self._ended = Event()
 
     def __enter__(self) -> Bars:
-        if not self._quiet and sys.stderr.isatty():
+        if self._quiet:
+            return self
+        if sys.stderr.isatty():
             from rich.console import Console
             from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -210,15 +228,19 @@ class Bars:
             )
             self._bars = Progress(*columns, console=Console(stderr=True))
             self._bars.start()
+        else:
+            Thread(target=self._say_in_silence, daemon=True).start()
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._ended.set()
         if self._bars is not None:
             self._bars.stop()
 
-    def expect(self, stage: str, products: int) -> None:
-        """Say how many products of a stage are to be made."""
+    def expect(self, stage: str, products: int, seconds: Mapping[str, float] = MappingProxyType({})) -> None:
+        """Say how many products of a stage are to be made, and how long they took before, by name."""
         self._totals[stage] = products
+        self._expected_s |= {(stage, what.replace("/", " ")): value for what, value in seconds.items()}
 
     @contextmanager
     def task(self, stage: str, what: str) -> Iterator[Progress]:
@@ -227,15 +249,40 @@ class Bars:
         def on_progress(fraction: float) -> None:
             with self._lock:
                 fractions = self._fractions.setdefault(stage, {})
-                if not fractions and self._bars is None and not self._quiet:
-                    print(f"{stage} …", file=sys.stderr, flush=True)  # noqa: T201  # the terminal's own module
-                fractions[what] = min(fraction, 1.0)
+                begins = not fractions
+                fractions[what] = max(min(fraction, 1.0), fractions.get(what, 0.0))
                 if self._bars is not None:
                     self._show(stage, what)
+                elif not self._quiet:
+                    self._stage = stage
+                    tenth = f"{self._share(stage) // _TENTH * _TENTH:.0f} %"
+                    waited_s = time.monotonic() - self._line_s
+                    if begins or (self._said.get(stage) != tenth and waited_s >= _SPARSE_S):
+                        self._line(stage, begins=begins)
 
         on_progress(0.0)
-        yield on_progress
+        with ticking(on_progress, self._expected_s.get((stage, what))) as report:
+            yield report
         on_progress(1.0)
+
+    def _share(self, stage: str) -> float:
+        """Percentage of a stage that is done."""
+        fractions = self._fractions.get(stage, {})
+        return 100 * sum(fractions.values()) / max(self._totals.get(stage, 0), len(fractions), 1)
+
+    def _line(self, stage: str, *, begins: bool = False) -> None:
+        now = time.monotonic()
+        share = self._share(stage)
+        words = f"{stage} …" if begins else f"{stage} {share:.0f} %, {now - self._begun_s:.0f} s"
+        print(words, file=sys.stderr, flush=True)  # noqa: T201  # the terminal's own module
+        self._line_s, self._said[stage] = now, f"{share // _TENTH * _TENTH:.0f} %"
+
+    def _say_in_silence(self) -> None:
+        """Say what is at work whenever nothing was said for long."""
+        while not self._ended.wait(TICK_S):
+            with self._lock:
+                if self._stage and time.monotonic() - self._line_s >= _SILENT_S:
+                    self._line(self._stage)
 
     def watch(self, key: Key) -> AbstractContextManager[Progress]:
         """Watch a product being made."""

@@ -29,8 +29,10 @@ def opened(session: Path, options: Options, bars: Bars, *assignments: str) -> Jo
 
     job = open_session(session, options.settings(*assignments), watch=bars.watch)
     for stage in STAGES:
-        states = job.store.states(job.keys(stage))
-        bars.expect(stage, sum(state != "current" for state in states))
+        keys = job.keys(stage)
+        records = {key.product: job.store.record(key) for key in keys}
+        seconds = {name: record.seconds for name, record in records.items() if record is not None}
+        bars.expect(stage, sum(state != "current" for state in job.store.states(keys)), seconds)
     return job
 
 
