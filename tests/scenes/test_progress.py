@@ -43,11 +43,8 @@ def test_every_stage_reports_each_two_seconds(tiny_finished: Path, tiny_settings
     longest = {name: max(b - a for a, b in pairwise(times)) for name, times in told.items()}
     worst = sorted(longest.items(), key=lambda item: -item[1])[:4]
     shared = max(1.0, os.getloadavg()[0] / available_cores())  # with others at work, a thread waits for its turn
-    print(
-        "longest waits for a report:",
-        ", ".join(f"{name} {seconds:.2f} s" for name, seconds in worst),
-        f"at {shared:.1f} ×",
-    )  # noqa: T201
+    waits = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in worst)
+    print(f"longest waits for a report: {waits}, on a machine shared {shared:.1f} times")  # noqa: T201
     assert all(values == sorted(values) for values in shares.values())
     assert {name.partition("/")[0] for name in told} == {"calibrate", "match", "surface", "measure", "report"}
     assert worst[0][1] < _LONGEST_S * shared, worst
