@@ -22,7 +22,7 @@ _ALIGNMENT = 7  # bits at most that fill the last byte of a stretch
 
 
 class DamagedJpegError(ValueError):
-    """A JPEG whose pixels are not as T.81 codes them. Its text says where."""
+    """A JPEG whose pixels are not as T.81 codes them. Its text says what is wrong."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -251,7 +251,7 @@ def _walk(
     read, left = kernels.walk(plain, spans, decoder.tables, components, units, scan, decoder.dc, decoder.known)
     spare = plain[spans[-1, 1] // 8 - left // 8 : spans[-1, 1] // 8]
     if read < total or (left > _ALIGNMENT and np.any(spare)):  # some programs fill a file's last sector with zeros
-        raise DamagedJpegError(f"its pixels are damaged about {100.0 * read / total:.0f} % from the top")
+        raise DamagedJpegError("its coded pixels are damaged")  # where is not known: wrong codes may be valid for long
     if scan[0] in (kernels.SEQUENTIAL, kernels.DC_FIRST):
         decoder.coded |= {part.number for part, _, _ in parts}
         if decoder.layout is None:
