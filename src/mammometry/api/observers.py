@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from mammometry.base.errors import SessionError, TableError
 from mammometry.base.identity import folded, shown_name
@@ -271,12 +272,16 @@ def _on_one(
 
 
 def _require_no_copies(drawn: Sequence[DrawnBy], files: Sequence[Mapping[str, Float64[Array, "n 3"]]]) -> None:
-    """Refuse one curve in two files: persons who agree to a thousandth of a millimetre did not both draw."""
+    """Refuse one curve in two files: persons who agree to a thousandth of a millimetre did not both draw.
+
+    Where a curve begins, and in which direction it runs, makes no difference.
+    """
     seen: list[tuple[DrawnBy, str, Float64[Array, "n 3"]]] = []
     for drawing, curves in zip(drawn, files, strict=True):
         for side, curve in curves.items():
             for other, other_side, earlier in seen:
-                if side == other_side and curve.shape == earlier.shape and np.abs(curve - earlier).max() < _SAME_MM:
+                same = side == other_side and len(curve) == len(earlier)
+                if same and float(cKDTree(earlier).query(curve)[0].max()) < _SAME_MM:
                     raise SessionError(
                         str(drawing.boundary),
                         found=f"the {side} curve of {shown_name(other.boundary)}",

@@ -21,18 +21,20 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def draw(folder: Path, name: str, radius_mm: float, decimals: int = 12) -> None:
-    angles = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+def draw(folder: Path, name: str, radius_mm: float, decimals: int = 12, begin: int = 0) -> None:
+    angles = np.roll(np.linspace(0, 2 * np.pi, 60, endpoint=False), begin)
     height_mm = (60**2 - radius_mm**2) ** 0.5 + 0 * angles
     rim = np.stack([radius_mm * np.cos(angles), radius_mm * np.sin(angles), height_mm], axis=1).round(decimals)
     table = {"boundaries": {"left": {"points": rim.tolist()}}}
     (folder / "curves" / name).write_text(json.dumps(table))
 
 
-@pytest.mark.parametrize(("other", "decimals"), [("ben-1.json", 12), ("anna-2.json", 4)])
-def test_a_copy_is_no_second_drawing(folder: Path, other: str, decimals: int) -> None:
+@pytest.mark.parametrize(
+    ("other", "decimals", "begin"), [("ben-1.json", 12, 0), ("anna-2.json", 4, 0), ("ben.json", 12, 7)]
+)
+def test_a_copy_is_no_second_drawing(folder: Path, other: str, decimals: int, begin: int) -> None:
     draw(folder, "anna-1.json", 55.0)
     draw(folder, "cleo-1.json", 52.0)
-    draw(folder, other, 55.0, decimals)
+    draw(folder, other, 55.0, decimals, begin)
     with pytest.raises(SessionError, match=r"found the left curve of .*\.json, expected curves that were drawn indep"):
         measure_drawings(read_drawn_by(folder / "curves", folder / "dome.ply"), units="mm", head="y", ahead="z")
