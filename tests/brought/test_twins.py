@@ -256,3 +256,11 @@ def test_nothing_of_a_doubtful_scan_is_exported_or_compared(tmp_path: Path, caps
     ):
         assert main.run([*call, "--quiet"]) == 3
         assert "a scan that may be a mirror image" in capsys.readouterr().err
+
+
+def test_an_imported_scan_is_in_mm_whatever_its_file_was_in(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mesh, folder = written(in_unit(front(), "cm"), tmp_path / "a.ply"), tmp_path / "scan"
+    write_outputs(folder, import_scan(mesh, Scan(scanner="A", units="")), command="import mesh")
+    assert read_scan(folder).remarks[0].endswith("If it is another, import the scanner's file again with --units.")
+    assert main.run(["measure", str(folder), "--units", "in", "--out", str(tmp_path / "out")]) == 2
+    assert "Import the scanner's file again" in " ".join(capsys.readouterr().err.split())

@@ -153,7 +153,7 @@ class MeshJob(Reported):
         check_mesh(files.mesh, (files.boundary, files.landmarks), folder, files.subject)
         drawn = DrawnBoundaries() if files.boundary is None else boundaries_in(files.boundary, _NAMES)
         foreign = read_foreign(files.mesh, files.units, of_torso="model" not in drawn.curves)
-        self._assumed = foreign.assumed if files.scan is None else unit_remark(files.scan.units)
+        self._assumed = foreign.assumed if files.scan is None else unit_remark(files.scan.units, imported=True)
         if files.boundary is None and files.landmarks is None and not files.automatic:
             remedy = "Add --boundary b.json, or --landmarks l.json with the protocol's landmarks, or --automatic"
             expected = "where the breast ends on this mesh"

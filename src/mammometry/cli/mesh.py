@@ -100,9 +100,11 @@ def measure_mesh(
     units, head, ahead, subject = given.units, given.head, given.ahead, given.subject
     scan = read_scan(mesh.parent) if mesh.name == MESH and is_scan(mesh.parent) else None
     if scan is not None:
+        own = scan_files(mesh.parent, subject=subject)
+        if given.units not in (None, own.units):
+            raise typer.BadParameter(f"--units: this scan's folder is in {own.units}. Import the scanner's file again")
         if given.sides_checked:
             confirm_sides(mesh.parent)
-        own = scan_files(mesh.parent, subject=subject)
         units, head, ahead, subject = units or own.units, head or own.head, ahead or own.ahead, own.subject
         if boundary is None:
             boundary, automatic = own.boundary, True
@@ -197,7 +199,7 @@ def mesh(
     Writes scan.ply (mm, with colours), scan.toml with the scanner's name and unit, and the OBJ with its material and
     pictures. Their own names are not kept: they may hold a patient's name.
     """
-    from mammometry.io.meshes.scans import FILES, MESH, Scan, import_scan
+    from mammometry.io.meshes.scans import FILES, MESH, Scan, import_scan, read_scan
     from mammometry.io.outputs import require_apart, require_free, write_outputs
 
     require_apart(out, [file])
@@ -210,4 +212,6 @@ def mesh(
     write_outputs(out, made, command=_COMMAND)
     pictures = sum(name.startswith("texture-") for name in made)
     sentence = f"{out / MESH}: with {pictures} pictures" if pictures else f"{out / MESH}: without pictures"
-    return Answer({"folder": str(out), "mesh": str(out / MESH), "files": sorted(made)}, [sentence])
+    notes = list(read_scan(out).remarks)
+    table = {"folder": str(out), "mesh": str(out / MESH), "files": sorted(made), "notes": notes}
+    return Answer(table, [sentence, *(f"note: {note}" for note in notes)])

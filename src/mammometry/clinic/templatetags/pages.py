@@ -119,6 +119,7 @@ _INSTEAD = (
     (r", or measure the largest alone with --largest", ""),
     (r" If they are right: --sides-checked\.", ""),
     (r", and then measure it with --sides-checked", ", and confirm them on the visit’s page"),
+    (r", import the scanner's file again with --units", ", begin a new visit with this scan and choose its unit"),
     (r"--units(?: mm, cm, m, in or ft)?", "the unit of the mesh"),
     (r"--head", "the axis towards the head"),
     (r"--ahead", "the axis straight ahead"),

@@ -47,10 +47,15 @@ class ForeignMesh:
     """Its unit, and who says so, in words."""
     mm_per_unit: float = 1.0
     """Its unit, mm."""
-    assumed: str = ""
-    """About a unit that nobody stated. Empty where somebody did."""
+    lengths: str = ""
+    """A sentence on its length in a unit that nobody stated and in others. Empty where there is no doubt."""
     remarks: tuple[str, ...] = ()
     """What its reader left out or took for granted, one sentence each."""
+
+    @property
+    def assumed(self) -> str:
+        """About a unit that nobody stated. Empty where somebody did."""
+        return " ".join(filter(None, (unit_remark(self.units), self.lengths)))
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -58,15 +63,17 @@ class ForeignMesh:
         return (*filter(None, [self.assumed]), *self.remarks)
 
 
-def unit_remark(units: str) -> str:
+def unit_remark(units: str, *, imported: bool = False) -> str:
     """A sentence about a unit that nobody stated. Empty where somebody did.
 
     Args:
         units: the unit and who says so, as of a `ForeignMesh`.
+        imported: whether it is said of an imported scan, which is in mm now.
     """
-    return (
-        f"The unit of the mesh is taken to be {units}. If it is another: --units." if units.endswith(_BY_SIZE) else ""
-    )
+    if not units.endswith(_BY_SIZE):
+        return ""
+    remedy = ", import the scanner's file again with --units" if imported else ": --units"
+    return f"The unit of the mesh is taken to be {units}. If it is another{remedy}."
 
 
 def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False) -> ForeignMesh:
@@ -89,10 +96,10 @@ def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False
     unit, who = (unit_named(units), "as stated") if units is not None else _stated_unit(path)
     content = read_mesh_file(path)
     extent_units = float(np.ptp(content.points, axis=0).max())
-    assumed = ""
+    lengths = ""
     if unit is None and of_torso:
         unit, lengths = _unit_of_torso(extent_units)
-        who, assumed = _BY_SIZE, f"{unit_remark(f'{unit}, {_BY_SIZE}')}{lengths}"
+        who = _BY_SIZE
     mm_per_unit = None if unit is None else mm_of_unit(unit)
     if unit is None or mm_per_unit is None:
         expected = "the unit of its coordinates, which such files do not state"
@@ -115,13 +122,13 @@ def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False
             f"coordinates in steps of {step_mm:.2g} mm, {np.abs(vertices).max() / 1000:.3g} m away from the origin",
             f"steps of at most {_COARSEST_STEP_MM:g} mm",
             "Move the mesh to its origin in the program that made it, and export it again",
-        ).with_remark(assumed)
+        ).with_remark(unit_remark(f"{unit}, {who}"))
     return ForeignMesh(
         mesh=TriangleMesh(vertices=vertices, faces=content.faces),
         colours=content.colours,
         units=f"{unit}, {who}",
         mm_per_unit=mm_per_unit,
-        assumed=assumed,
+        lengths=lengths,
         remarks=content.remarks,
     )
 
@@ -133,7 +140,7 @@ def _unit_of_torso(extent: float) -> tuple[str | None, str]:
     if unit is None:
         return None, ""
     others = [f"{mm:.0f} mm in {UNIT_TITLES[name]}" for name, mm in fits.items() if name not in _USUAL]
-    lengths = f" It is {fits[unit]:.0f} mm long in {unit}, and would be {' or '.join(others)}." if others else ""
+    lengths = f"It is {fits[unit]:.0f} mm long in {unit}, and would be {' or '.join(others)}." if others else ""
     return unit, lengths
 
 

@@ -26,7 +26,7 @@ from mammometry.base.parse import LimitSettings, read_bytes, read_text, toml_tab
 from mammometry.base.units import mm_of_unit
 from mammometry.geometry import Array, Float64, TriangleMesh, UInt8
 from mammometry.geometry.mesh_files.obj import parse_obj
-from mammometry.io.meshes.foreign import ForeignMesh, read_foreign
+from mammometry.io.meshes.foreign import ForeignMesh, read_foreign, unit_remark
 from mammometry.io.meshes.own import read_ply, write_ply
 from mammometry.io.meshes.textures import CoveredObj, covered_parts, read_covered_obj, texture_at
 from mammometry.io.photographs.images import read_photograph, read_plain_picture
@@ -120,7 +120,9 @@ def import_scan(
     files[MESH] = _ply(foreign, colours)
     _check_written(mesh, files, foreign)
     digest = hashlib.sha256(mesh.read_bytes()).hexdigest()
-    files[ABOUT] = scan_text(replace(about, units=foreign.units, sha256=digest, remarks=foreign.notes)).encode()
+    assumed = (unit_remark(foreign.units, imported=True), foreign.lengths)
+    remarks = (*filter(None, assumed), *foreign.remarks)
+    files[ABOUT] = scan_text(replace(about, units=foreign.units, sha256=digest, remarks=remarks)).encode()
     return files
 
 
