@@ -281,7 +281,7 @@ def _require_no_copies(drawn: Sequence[DrawnBy], files: Sequence[Mapping[str, Fl
         for side, curve in curves.items():
             for other, other_side, earlier in seen:
                 same = side == other_side and len(curve) == len(earlier)
-                if same and float(cKDTree(earlier).query(curve)[0].max()) < _SAME_MM:
+                if same and float(np.max(cKDTree(earlier).query(curve)[0])) < _SAME_MM:
                     raise SessionError(
                         str(drawing.boundary),
                         found=f"the {side} curve of {shown_name(other.boundary)}",
