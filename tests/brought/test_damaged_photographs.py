@@ -173,6 +173,16 @@ def test_of_a_tiff_the_page_at_full_size_is_read(tmp_path: Path, order: str) -> 
     np.testing.assert_array_equal(read_photograph(path, "a").pixels, full)
 
 
+@pytest.mark.requirement("R-IN-19")
+def test_a_raw_picture_is_named_by_its_content(tmp_path: Path) -> None:
+    """As DNG and NEF lay them out: a thumbnail, and the sensor's pixels in a sub-page. By the name of a photograph."""
+    with tifffile.TiffWriter(tmp_path / "a.tif") as tiff:
+        tiff.write(SMALL, photometric="rgb", subfiletype=1, metadata=None, subifds=1)
+        tiff.write(picture(0)[..., 0].astype(np.uint16), photometric="cfa", metadata=None)
+    with pytest.raises(ImageError, match="a camera's raw picture"):
+        read_header(tmp_path / "a.tif", "a")
+
+
 @pytest.mark.requirement("R-IN-18")
 def test_a_tiff_of_several_photographs_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ImageError, match="2 pages of the same size"):

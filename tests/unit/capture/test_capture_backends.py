@@ -196,6 +196,16 @@ def test_the_folder_of_other_software_gives_complete_sets_only(tmp_path):
     assert rig.fetch("a", 0.6).content == (tmp_path / "z_a.jpg").read_bytes()
 
 
+def test_a_raw_picture_of_other_software_is_named(tmp_path):
+    rig = BACKENDS["folder"](Devices(cameras=("a", "b"), ids={}, options={"path": str(tmp_path)}))
+    rig.arm()
+    (tmp_path / "a 17.NEF").write_bytes(b"raw")
+    with pytest.raises(CaptureError, match=r"no new photograph in .*, but a 17\.NEF, expected"):
+        rig.fetch("a", 0.0)
+    with pytest.raises(CaptureError, match=r"no new photograph in .* within 0 s, expected"):
+        rig.fetch("b", 0.0)
+
+
 def test_a_folder_that_is_not_there_is_refused(tmp_path):
     with pytest.raises(SettingsError, match="other software"):
         BACKENDS["folder"](Devices(cameras=("a",), ids={}, options={"path": str(tmp_path / "none")}))

@@ -14,7 +14,7 @@ from mammometry.base.listing import visible
 from mammometry.base.photograph import Photograph
 from mammometry.capture.camera import BACKENDS, CameraSettings, Clock, Devices, Frame, Health, failed
 from mammometry.capture.checks import camera_of_name
-from mammometry.io.photographs.images import EXTENSIONS, read_header, read_photograph
+from mammometry.io.photographs.images import EXTENSIONS, UNREAD_ENDINGS, read_header, read_photograph
 from mammometry.io.photographs.tags import read_exposure
 
 _TOGETHER_S = 20.0
@@ -79,11 +79,13 @@ class WatchedFolder:
             time.sleep(_LOOK_S)
         file = (chosen or {}).get(camera)
         if file is None:
-            raise failed(
-                camera,
-                f"no new photograph in {self._folder.name} within {timeout_s:g} s",
-                f"Look whether the tethering program received it; its name must contain {camera}",
-            )
+            found = f"no new photograph in {self._folder.name} within {timeout_s:g} s"
+            if unread := self._unread(camera):
+                raise failed(
+                    camera, f"{found}, but {unread}", "Set camera or program to write JPEG, with the raw or alone"
+                )
+            remedy = f"Look whether the tethering program received it; its name must contain {camera}"
+            raise failed(camera, found, remedy)
         clock: Clock = "none" if file.taken_s is None else "exif"
         return Frame(
             camera=camera, content=file.path.read_bytes(), taken_s=file.taken_s, clock=clock, serial=file.serial
@@ -111,6 +113,11 @@ class WatchedFolder:
             )
         except OSError:
             return []
+
+    def _unread(self, camera: str) -> str:
+        """Name of a camera's picture of a format that is not read, such as NEF. Empty where there is none."""
+        names = [path.name for path in visible(self._folder) if path.suffix.lower() in UNREAD_ENDINGS]
+        return next((name for name in names if camera_of_name(name, self._cameras) == camera), "")
 
     def _all(self) -> list[_File]:
         """Whole files whose camera is known."""

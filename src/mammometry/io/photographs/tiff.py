@@ -28,6 +28,7 @@ _MOST_PAGES = 64  # a photograph has a thumbnail, previews and masks; a stack of
 _REDUCED, _MASK = 1, 4  # NewSubfileType (TIFF 6.0, section 8): a smaller copy of another page; a transparency mask
 _COLOUR_SAMPLES = {"MINISWHITE": 1, "MINISBLACK": 1, "PALETTE": 1, "RGB": 3, "SEPARATED": 4, "YCBCR": 3}
 """How a picture codes colour → samples of a pixel. What a file has beyond these is transparency, which is dropped."""
+_RAW = ("CFA", "LINEAR_RAW")  # how DNG and the makers' own formats, which are TIFFs, code a sensor's pixels
 _PLANES = 2  # PlanarConfiguration: a plane for each channel
 _JPEG = (6, 7, 34892)  # compressions that decode YCbCr to RGB
 _PLAIN, _LZW, _PACKBITS = 1, 5, 32773  # compressions without a checksum
@@ -117,6 +118,8 @@ def _photograph(file: BinaryIO) -> Iterator[TiffPage]:
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # a damaged file is refused by us, in one sentence
     with tifffile.TiffFile(file) as tiff:
         page = _full_page([*_pages(tiff.pages)])
+        if getattr(page.photometric, "name", "") in _RAW:
+            raise UnusualTiffError("a camera's raw picture, such as DNG or NEF")
         if page.samplesperpixel > _MOST_SAMPLES or page.imagedepth != 1:
             raise UnusualTiffError(f"{page.samplesperpixel} channels in {page.imagedepth} layers")
         yield page
