@@ -112,8 +112,8 @@ def compare_visits(
 ) -> Comparison:
     """Compare two measured visits of a clinic.
 
-    Its database knows that both are one patient's, in this order, and who confirmed which boundary: the manifests are
-    not asked, and the page says nothing of confirmations.
+    Its database knows that both are one patient's, in this order, in which postures, and who confirmed which boundary:
+    the manifests are not asked, and the page says nothing of postures and confirmations.
 
     Args:
         before: folder of the earlier visit.
@@ -144,7 +144,7 @@ class _Request:
     remarks: Sequence[str] = ()
     """On how the dates were put in order."""
     in_clinic: bool = False
-    """Whether somebody else says which boundaries are confirmed."""
+    """Whether somebody else says which boundaries are confirmed, and how the patient held herself."""
 
 
 def _compare(jobs: list[Dated], request: _Request, progress: Progress) -> Comparison:
@@ -176,7 +176,8 @@ def _compare(jobs: list[Dated], request: _Request, progress: Progress) -> Compar
         f"The {name} breast has a volume at the {which} date only, and is not compared."
         for name, which in at_one_date.items()
     ]
-    warnings = [*posture_warnings(*jobs), *_warnings(change), *alone, *unconfirmed, *warnings]
+    postures = [] if request.in_clinic else [*posture_warnings(*jobs)]
+    warnings = [*postures, *_warnings(change), *alone, *unconfirmed, *warnings]
     heading = _heading(jobs, dates, request.subject, privacy.deidentify)
     report = replace(
         _report(jobs, heading, change, visits, warnings, remarks, privacy),

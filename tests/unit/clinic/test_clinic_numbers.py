@@ -34,6 +34,9 @@ def measured(client: Client, patient: Patient, folder: Path) -> Visit:
     visit = Visit.objects.get()
     assert queue.done(job.pk, "me", work.measure_scan(lambda stage, fraction: None, str(visit.folder), ""))
     visit.refresh_from_db()
+    how = visit.measurements.get().how
+    assert (how["settings"], set(how["boundaries"].values())) == ({}, {"automatic"})
+    assert set(how["walls"]) == {"left", "right"}
     return visit
 
 
