@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mammometry.base.errors import MatchingError
-from mammometry.calibration.features.keypoints import Keypoints
+from mammometry.calibration.features.keypoints import Keypoints, matched
 from mammometry.calibration.judge.camera_names import check_names, wrong_photographs
 from mammometry.calibration.judge.expected_error import meeting_point
 from mammometry.geometry.camera import Rig
@@ -153,3 +153,36 @@ def test_too_little_texture_is_said_and_refuses_nothing(rig):
     names = check_names(rig, photographs(rig, points=6, strangers=20))
     assert names.right
     assert set(names.unknown) == set(rig.pair_names)
+
+
+@pytest.mark.requirement("R-MASK-1")
+def test_the_squares_of_a_pattern_match_nothing():
+    """Fifty features that look alike, and fifty of their own kind, seen by two cameras with noise."""
+    rng = np.random.default_rng(8)
+    alike, unlike = np.tile(rng.uniform(0, 100, 128), (50, 1)), rng.uniform(0, 100, (50, 128))
+    uv = rng.uniform(0, 400, (100, 2))
+    one, other = (
+        Keypoints(
+            uv=uv, descriptors=(np.concatenate([alike, unlike]) + rng.normal(0, 5, (100, 128))).astype(np.float32)
+        )
+        for _ in range(2)
+    )
+    here, there = matched(one, other)
+    assert np.array_equal(here, uv[50:])
+    assert np.array_equal(there, uv[50:])
+
+
+@pytest.mark.requirement("R-MASK-1")
+def test_what_looks_alike_in_one_picture_alone_matches_nothing():
+    """The other picture shows only one of the alike ones: it is nobody's second there."""
+    rng = np.random.default_rng(9)
+    kind, unlike = rng.uniform(0, 100, 128), rng.uniform(0, 100, (20, 128))
+    many = Keypoints(
+        uv=rng.uniform(0, 400, (25, 2)),
+        descriptors=np.concatenate([kind + rng.normal(0, 5, (5, 128)), unlike]).astype(np.float32),
+    )
+    single = Keypoints(
+        uv=many.uv[4:], descriptors=np.concatenate([kind + rng.normal(0, 5, (1, 128)), unlike]).astype(np.float32)
+    )
+    for one, other in ((many, single), (single, many)):
+        assert len(matched(one, other)[0]) == len(unlike)

@@ -54,13 +54,34 @@ def keypoints(photograph: Photograph) -> Keypoints:
 
 
 def matched(one: Keypoints, other: Keypoints) -> tuple[Float64[Array, "m 2"], Float64[Array, "m 2"]]:
-    """Find the places, px, of features that are each other's nearest, clearly before any second."""
+    """Find the places, px, of features that are each other's nearest, clearly before any second.
+
+    The second may be in either picture: the squares of a patterned board look alike, and the nearest in the other
+    picture is most probably another one.
+    """
     if min(len(one.uv), len(other.uv)) < 2:
         return np.empty((0, 2)), np.empty((0, 2))
-    likeness = one.descriptors @ other.descriptors.T
-    squares = (one.descriptors**2).sum(axis=1)[:, None] + (other.descriptors**2).sum(axis=1) - 2 * likeness
+    squares = _squares(one, other)
     nearest = squares.argmin(axis=1)
     rows = np.arange(len(nearest))
     two = np.partition(squares, 1, axis=1)
-    good = (squares.argmin(axis=0)[nearest] == rows) & (two[:, 0] < _RATIO**2 * two[:, 1])
+    seconds = np.minimum.reduce([two[:, 1], _nearest_of_own(one), _nearest_of_own(other)[nearest]])
+    good = (squares.argmin(axis=0)[nearest] == rows) & (two[:, 0] < _RATIO**2 * seconds)
     return one.uv[good], other.uv[nearest[good]]
+
+
+def _squares(one: Keypoints, other: Keypoints) -> Float32[Array, "n m"]:
+    """Squared distances between descriptors."""
+    likeness = one.descriptors @ other.descriptors.T
+    found: Float32[Array, "n m"] = (
+        (one.descriptors**2).sum(axis=1)[:, None] + (other.descriptors**2).sum(axis=1) - 2 * likeness
+    )
+    return found
+
+
+def _nearest_of_own(points: Keypoints) -> Float32[Array, " n"]:
+    """Squared distance of each feature to the one most like it in its own picture."""
+    squares = _squares(points, points)
+    np.fill_diagonal(squares, np.inf)
+    found: Float32[Array, " n"] = squares.min(axis=1)
+    return found

@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
 _AT_ONCE = 4  # photographs in memory; at full size each has 40 MB
 
 
-@product("match", version=1, stored=False, check=True)
+@product("match", version=2, stored=False, check=True)
 def names(cameras: CameraSet, *, job: Context) -> Names:
     """Test of each photograph's name against its camera, before anything is matched.
 
