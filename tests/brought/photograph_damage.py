@@ -151,7 +151,7 @@ DAMAGES = {
     "512 bytes of noise": Damage(
         overwritten(512, lambda other, rng, length: rng.randbytes(length)), _PLAIN, sometimes=True
     ),
-    "4096 bytes of another": Damage(overwritten(4096, from_other), _PLAIN),
+    "4096 bytes of another": Damage(overwritten(4096, from_other), _PLAIN, sometimes=True),
     "512 bytes of another": Damage(overwritten(512, from_other), _PLAIN, sometimes=True),
     "a bit": Damage(flipped, _PLAIN | {"TIFF, packed bits"}, sometimes=True),
 }

@@ -51,8 +51,8 @@ def named_photographs(warning: str, photographs: Mapping[str, str]) -> dict[str,
     found = {}
     for name, address in photographs.items():
         place, *pose, camera = name.split("/")
-        said = names(f"pose {pose[0]}") if pose else " photograph" in warning and not names("pose")
-        if place in ("capture", "calibration") and said and names(camera):
+        matches = names(f"pose {pose[0]}") if pose else " photograph" in warning and not names("pose")
+        if place in ("capture", "calibration") and matches and names(camera):
             found[name] = address
     return found
 
