@@ -10,7 +10,7 @@ from mammometry.geometry.arrays import Array, Float64, Int64
 
 _HEAD, _COUNT = 80, 4  # bytes of a binary file's header, and of its count
 _ROW = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
-_VERTEX = re.compile(rb"(?:^|[\r\n])[ \t]*vertex[ \t]+(\S+)[ \t]+(\S+)[ \t]+([^\s]+)", re.IGNORECASE)
+_VERTEX = re.compile(rb"(?:^|[\r\n])[ \t]*vertex[ \t]+(\S+[ \t]+\S+[ \t]+\S+)", re.IGNORECASE)
 _WORD = re.compile(rb"(?:^|[\r\n])[ \t]*facet\b", re.IGNORECASE)
 
 
@@ -45,4 +45,4 @@ def _text(content: bytes) -> tuple[Float64[Array, "n 3"], Int64[Array, "m 3"]]:
     found = _VERTEX.findall(content)
     if len(found) % 3 or len(found) != 3 * len(_WORD.findall(content)):
         raise ValueError("facets without their three corners")
-    return np.array(found, dtype=np.float64).reshape(-1, 3), np.arange(len(found)).reshape(-1, 3)
+    return np.array(b" ".join(found).split(), dtype=np.float64).reshape(-1, 3), np.arange(len(found)).reshape(-1, 3)
