@@ -57,8 +57,8 @@ class _Split:
 def find_supports(views: Sequence[NearDepths]) -> list[Float64[Array, 4] | None]:
     """Find the plane on which the subject lies or against which it leans, for each pair.
 
-    One that explains what all pairs see together is the support of all. Where there is none, each pair may have its
-    own, as a wall close behind the body that only one of them sees.
+    One that explains what all pairs see together, or what each of most pairs sees, is the support of all. Where there
+    is none, each pair may have its own, as a wall close behind the body that only one of them sees.
 
     Returns:
         (nx, ny, nz, d) of the plane n·X = d, world frame, mm. None where there is no support.
@@ -66,7 +66,7 @@ def find_supports(views: Sequence[NearDepths]) -> list[Float64[Array, 4] | None]
     planes = [_best_plane(view) for view in views]
     candidates = [plane for plane in planes if plane is not None]
     splits = [[_split(view, plane) for view in views if _enough(view.near)] for plane in candidates]
-    supports = [index for index, split in enumerate(splits) if _is_support(split)]
+    supports = [index for index, split in enumerate(splits) if _is_support(split) or _by_most(split)]
     if len(candidates) > 1 and supports:
         best = max(supports, key=lambda index: sum(one.lying for one in splits[index]))
         return [candidates[best]] * len(views)
@@ -74,6 +74,11 @@ def find_supports(views: Sequence[NearDepths]) -> list[Float64[Array, 4] | None]
         plane if plane is not None and _is_support([_split(view, plane)]) else None
         for view, plane in zip(views, planes, strict=True)
     ]
+
+
+def _by_most(splits: Sequence[_Split]) -> bool:
+    """Whether most pairs take a plane for a support, each by what it sees: one may mistake a repeating pattern."""
+    return 2 * sum(_is_support([one]) for one in splits) > len(splits)
 
 
 def reciprocal_depth(plane_world: Float64[Array, 4], camera: Camera) -> Float64[Array, 3]:

@@ -72,6 +72,16 @@ def test_a_board_that_one_pair_sees_clearly_is_the_support_of_all() -> None:
     assert np.array_equal(front, shared)
 
 
+@pytest.mark.requirement("R-MASK-1")
+def test_one_pair_that_mistakes_a_repeating_pattern_is_outvoted() -> None:
+    """A part of the board, larger than the small hill, is matched a square too far behind it."""
+    small = TILTED - 60 * np.exp(-((np.hypot(U - 160, V - 120) / 20) ** 2))
+    mistaken = np.where((U > 220) & (U < 300) & (V > 140) & (V < 220), 1.03 * small, small)
+    alone = find_supports([seen(mistaken)])
+    assert alone == [None]
+    assert all(plane is not None for plane in find_supports([seen(small), seen(small), seen(mistaken)]))
+
+
 def test_a_plane_is_the_same_in_every_picture() -> None:
     """Points of a world plane have the reciprocal depths that both cameras of a pair are given."""
     plane = np.array([0.2, -0.1, 1.0, 40.0])

@@ -65,7 +65,7 @@ def _masks_missing(job: Context) -> bool:
     return bool(set(job.inputs.photographs) - set(job.inputs.masks))
 
 
-@product("match", version=3, settings="matching.foreground", inputs=("capture", "masks"), when=_masks_missing)
+@product("match", version=4, settings="matching.foreground", inputs=("capture", "masks"), when=_masks_missing)
 def subjects(cameras: CameraSet, *, job: Context) -> Subjects:
     """Place of the subject, and its blocks in each photograph. None where all masks are given."""
     from mammometry.matching.foreground.all_cameras import find_subjects
