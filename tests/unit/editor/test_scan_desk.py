@@ -72,6 +72,21 @@ def test_a_scan_is_exported_as_a_session_is(scan: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_scan_measured_elsewhere_says_whose_line_it_uses(
+    scan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = EditorPage(drawable_scan(scan))
+    left = page.drawing("C. Eye")["boundaries"]["left"]
+    sketch = Sketch(of=left["of"], handles=[SentHandle.model_validate(each) for each in left["handles"]])
+    page.desk.save(Save(author="A. Nurse", boundaries={"left": SketchChange(base=left["base"], sketch=sketch)}))
+    capsys.readouterr()
+    assert run(["measure", str(scan / "scan.ply"), "--out", str(tmp_path / "mine")]) == 0
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("Boundary left, from ")]
+    assert str(scan / "boundaries.json") in line
+    assert "A. Nurse" in line
+
+
+@pytest.mark.slow
 def test_a_scan_is_drawn_on_measured_and_shown(scan: Path) -> None:
     first = open_scan(scan).run()
     page = EditorPage(drawable_scan(scan))
