@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from mammometry.api.previews import Drawing, Previews
-from mammometry.api.results import Results, is_refusal_shown, seen, show_refusal, withdraw_refusal
+from mammometry.api.results import Results, is_refusal_shown, seen, show_refusal, torso_notes, withdraw_refusal
 from mammometry.api.stored_report import Reported
 from mammometry.base.errors import (
     CalibrationError,
@@ -259,6 +259,7 @@ class Job(Reported):
             report=self.page if report else None,
             no_breast=self.no_breast(),
             lacking={side.name: side for side in self.lacking()},
+            notes=torso_notes(self.plan, self.session.manifest.subject.patient_posture or None),
             made=tuple(self.store.made[before:]),
             made_at=self.made_at(last),
         )

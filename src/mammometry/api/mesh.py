@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from mammometry.api.previews import load
-from mammometry.api.results import Results, is_refusal_shown, show_refusal, withdraw_refusal
+from mammometry.api.results import Results, is_refusal_shown, show_refusal, torso_notes, withdraw_refusal
 from mammometry.api.stored_report import Reported
 from mammometry.base.child_process import ChildProcess, Ended, NotDone
 from mammometry.base.errors import MammometryError, MeasureError, SessionError
@@ -323,7 +323,7 @@ class MeshJob(Reported):
             folder=self.store.folder,
             report=self.page if report else None,
             no_breast=no_breast,
-            notes=self.notes,
+            notes=(*self.notes, *torso_notes(self.plan, self.posture if self.kind == "torso" else None)),
             made=tuple(self.store.made[before:]),
             made_at=self.store.made_at(
                 [*(product.key for product in self.plan.products()), *([self.content_key] if report else [])]

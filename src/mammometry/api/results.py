@@ -45,7 +45,8 @@ class Results:
     no_breast: Mapping[str, str] = field(default_factory=dict)
     """Side of a torso without a breast → the evidence for that."""
     notes: tuple[str, ...] = ()
-    """What was changed in a scanner's mesh, and what was taken for granted, one sentence each."""
+    """What was changed in a scanner's mesh, what was taken for granted, what makes a torso's volumes doubtful, and the
+    posture that they belong to, one sentence each."""
     lacking: Mapping[str, VolumeDeficit] = field(default_factory=dict)
     """Side of a torso → what it lacks compared with the mirrored other side."""
     made: tuple[str, ...] = ()
@@ -127,6 +128,18 @@ class Results:
             "made": list(self.made),
             "made_at": self.made_at,
         }
+
+
+def torso_notes(plan: Plan, posture: str | None) -> tuple[str, ...]:
+    """Sentences for the terminal on a measured torso.
+
+    Args:
+        plan: of its measurement.
+        posture: empty where it was not given; None: no torso.
+    """
+    from mammometry.report.words.doubts import body_doubts, posture_note
+
+    return () if posture is None else (*body_doubts(plan), posture_note(posture))
 
 
 _LOG = logging.getLogger(__name__)

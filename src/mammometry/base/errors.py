@@ -127,6 +127,13 @@ class MeasureError(MammometryError):
         super().__init__(subject, found=found, expected=expected, remedy=remedy)
         self._mesh_remedy = mesh_remedy or remedy
 
+    def with_remark(self, remark: str) -> Self:
+        """See `MammometryError.with_remark`. In words of a mesh the error keeps it."""
+        made = super().with_remark(remark)
+        if made is not self:
+            made._mesh_remedy = f"{self._mesh_remedy.rstrip('.')}. {_on_one_line(remark)}"
+        return made
+
     def of_mesh(self) -> MeasureError:
         """The same error in words of a mesh, which has no session and no cameras."""
         return type(self)(self.subject, found=self.found, expected=self.expected, remedy=self._mesh_remedy)

@@ -131,6 +131,9 @@ class MeasureSettings:
     """How nipples are proposed where none was picked."""
     layer: LayerSettings = field(default_factory=LayerSettings)
     """What is known of the layer before the muscle."""
+    size_confirmed: bool = False
+    """Whether somebody found the body's lengths to be right, though fewer than one adult in 1,000 is so large or so
+    small. Then it is measured, with a warning."""
     surface_sigma_mm: float = 0.02
     """Standard uncertainty of a cast's whole surface along its normal, mm. Matching windows bias convex skin by .02 to
     .04 mm."""

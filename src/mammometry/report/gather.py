@@ -46,6 +46,7 @@ from mammometry.report.words.anthropometry import (
     symmetry_facts,
     without_nipple,
 )
+from mammometry.report.words.doubts import body_cautions, body_doubts
 from mammometry.report.words.stage_facts import MatchingFacts, Shown, matching_facts, surface_facts
 from mammometry.study.tables import thousands
 from mammometry.surface.motion.motion_test import concerns
@@ -260,8 +261,11 @@ def gather(
         doubtful=without_nipple(measurements, marks, settings.measure),
         unseparated={} if (subjects := plan.value(match.subjects)) is None else subjects.doubts,
     )
-    beside = tuple(run_cautions(run))
-    breasts = [describe.breast_report(measured, finished.repaired, beside) for measured in measurements]
+    beside, of_body = tuple(run_cautions(run)), body_cautions(plan)
+    breasts = [
+        describe.breast_report(measured, finished.repaired, (*of_body[measured.name], *beside))
+        for measured in measurements
+    ]
     breasts += [describe.absent_report(side) for side in absent]
     changed, everything = describe.settings_facts(settings)
     return ReportContent(
@@ -270,7 +274,7 @@ def gather(
         created="" if privacy.deidentify else describe.created_words(created),
         subject=describe.SUBJECTS[inputs.subject_kind],
         world=plan[calibrate.cameras]().world,
-        warnings=tuple(warnings(run)),
+        warnings=(*body_doubts(plan), *warnings(run)),
         concerns=tuple(run_concerns(run)),
         breasts=tuple(sorted(breasts, key=lambda breast: breast.name)),
         comparison=comparison(measurements, absent=absent, lacking=less) + symmetry_facts(sides),
@@ -378,7 +382,7 @@ def gather_mesh(
         textured, contains = guarded.textured, guarded.contains
         page = replace(page, identity=NAMELESS) if privacy.deidentify else page
     words = describe.measure_report(measurements)
-    cautions = (_SIDES_DOUBTFUL,) if origin.sides_doubtful else ()
+    cautions, of_body = (_SIDES_DOUBTFUL,) if origin.sides_doubtful else (), body_cautions(plan)
     lengths, lengths_note = planning_lengths(sizes, marks)
     changed, everything = describe.settings_facts(page.settings)
     scene = viewer_scene(frame, finished.repaired, textured, measurements, symmetry=sides)
@@ -392,13 +396,16 @@ def gather_mesh(
         created="" if privacy is not None and privacy.deidentify else describe.created_words(None),
         subject=f"{describe.SUBJECTS[origin.kind]}; a mesh of another scanner",
         world=origin.world,
-        warnings=(*origin.notes[:1], *_warnings(measurements, body), *origin.notes[1:])
-        if origin.sides_doubtful
-        else (*_warnings(measurements, body), *origin.notes),
+        warnings=(
+            *body_doubts(plan),
+            *(origin.notes[:1] if origin.sides_doubtful else ()),
+            *_warnings(measurements, body),
+            *(origin.notes[1:] if origin.sides_doubtful else origin.notes),
+        ),
         breasts=tuple(
             sorted(
                 [
-                    *(describe.breast_report(measurement, cautions=cautions) for measurement in measurements),
+                    *(describe.breast_report(each, cautions=(*of_body[each.name], *cautions)) for each in measurements),
                     *(describe.absent_report(side) for side in absent),
                 ],
                 key=lambda breast: breast.name,

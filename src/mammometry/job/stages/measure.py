@@ -15,8 +15,10 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.matching.foreground.foreground import Foreground
     from mammometry.measure.boundary.boundary import Boundary, TorsoSides
     from mammometry.measure.boundary.breasts import NoBreast
+    from mammometry.measure.boundary.overlap import Overlap
     from mammometry.measure.landmarks.landmarks import Landmark
     from mammometry.measure.shape.anthropometry import Dimensions
+    from mammometry.measure.shape.body_size import BodySize
     from mammometry.measure.shape.symmetry import Symmetry
     from mammometry.measure.trunk.body import Body
     from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
@@ -57,9 +59,11 @@ def _frame(cameras: CameraSet, job: Context, body: Body | None = None) -> Float6
 def sides(corrected_cameras: CameraSet, repaired: RepairedSurface, *, job: Context) -> TorsoSides:
     """Breasts found on a torso, and sides without one."""
     from mammometry.measure.boundary.boundary import outline_torso
+    from mammometry.measure.shape.body_size import size_remarked
 
     frame = _frame(corrected_cameras, job)
-    return outline_torso(repaired, frame, head_stated=job.inputs.head_stated)
+    with size_remarked(repaired, frame):
+        return outline_torso(repaired, frame, head_stated=job.inputs.head_stated)
 
 
 def _boundary_inputs(job: Context) -> dict[str, str]:
@@ -78,6 +82,7 @@ def boundaries(
 ) -> tuple[Boundary, ...]:
     """One closed curve for each breast: drawn, by picked landmarks, or found."""
     from mammometry.measure.boundary import boundary
+    from mammometry.measure.shape.body_size import size_remarked
     from mammometry.measure.volume.volumes import wanted_boundaries
 
     inputs, settings = job.inputs, job.settings.measure
@@ -96,7 +101,8 @@ def boundaries(
     if inputs.all_removed:
         curves: tuple[Boundary, ...] = ()
     elif sides is not None:
-        curves = wanted_boundaries(sides, inputs.removed, required=not inputs.boundaries)
+        with size_remarked(repaired, _frame(corrected_cameras, job)):
+            curves = wanted_boundaries(sides, inputs.removed, required=not inputs.boundaries)
     elif _torso(job):
         frame = _frame(corrected_cameras, job)
         curves = boundary.landmark_boundaries(inputs.landmarks, repaired, frame, settings)
@@ -132,6 +138,22 @@ def body(
     # One curve does not show which way the trunk lies; where the sides were looked for, that is known.
     stated = job.inputs.head_stated or (sides is not None and len(curves) < 2)
     return find_body(repaired, frame, boundaries=curves, stated=stated)
+
+
+@product("measure", version=1, settings="measure", inputs=("landmarks",), when=_torso, threads=1)
+def size(repaired: RepairedSurface, boundaries: tuple[Boundary, ...], body: Body, *, job: Context) -> BodySize:
+    """Lengths of a torso that show a wrong scale."""
+    from mammometry.measure.shape.body_size import body_size
+
+    return body_size(repaired, boundaries, body, job.inputs.landmarks, job.settings.measure)
+
+
+@product("measure", version=1, when=_torso, threads=1)
+def overlaps(repaired: RepairedSurface, boundaries: tuple[Boundary, ...], *, job: Context) -> tuple[Overlap, ...]:
+    """Whether something lies on each breast, such as a hand. No volume depends on it."""
+    from mammometry.measure.boundary.overlap import overlap
+
+    return tuple(overlap(boundary, repaired) for boundary in boundaries)
 
 
 @product("measure", when=_photographed_cast, large=True)
@@ -170,16 +192,25 @@ def evidence(
 
 @product("measure", version=24, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
 def measurements(
-    repaired: RepairedSurface, boundaries: tuple[Boundary, ...], body: Body | None, evidence: Evidence, *, job: Context
+    repaired: RepairedSurface,
+    boundaries: tuple[Boundary, ...],
+    body: Body | None,
+    size: BodySize | None,
+    evidence: Evidence,
+    *,
+    job: Context,
 ) -> tuple[VolumeMeasurement, ...]:
     """The volume of each breast with its interval: ``model``, or the patient's ``left`` and ``right``.
 
     Raises:
-        MeasureError: no breast can be measured, or one that somebody drew.
+        MeasureError: no breast can be measured, or one that somebody drew; or no adult is so large or so small.
     """
+    from mammometry.measure.shape.body_size import require_adult
     from mammometry.measure.volume.volumes import measured_or_refused
     from mammometry.measure.wall.open_breast import open_breasts
 
+    if size is not None:
+        require_adult(size, job.settings.measure)
     frame = None if body is None else body.frame
     breasts = open_breasts(boundaries, repaired, job.settings.measure, frame=frame, back=job.inputs.wall)
     measured, refusals = [], []

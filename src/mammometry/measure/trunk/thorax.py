@@ -31,6 +31,7 @@ _SIDE_AZIMUTH_DEG = (75.0, 100.0)
 """Skin whose normal points this far to the side of straight ahead shows where the trunk's axis lies, degrees.
 docs/decisions/0009 says what 70 to 90 gave instead."""
 _SIDE_BAND_MM = 80.0  # side skin is taken within this height of the breasts; by eye: 100 moved a scan by 1 %
+_BREADTH_ROUNDS = 3  # of finding the body's scale and its breadth, each from the other: the third changes .5 % at most
 _FEWEST_SIDE = 50  # samples of side skin needed on either side; chosen by eye
 _ARM_MM = 40.0  # an arm's outer skin lies so much further out than the trunk's side: arms are thicker, sides even
 _BEHIND_FRONT_MM = 30.0
@@ -249,16 +250,20 @@ class _Front:
 
 
 def _front(
-    skin: Skin, frame: Float64[Array, "3 3"], height_of: Float64[Array, 3] | None, middle_of: Float64[Array, 3] | None
+    skin: Skin,
+    frame: Float64[Array, "3 3"],
+    height_of: Float64[Array, 3] | None,
+    middle_of: Float64[Array, 3] | None,
+    scale: float = 1.0,
 ) -> _Front:
-    """Seen skin at breast height, and the breastbone.
+    """Seen skin at breast height, and the breastbone. The band of heights grows with the body's scale.
 
     Raises:
         MeasureError: none was seen there.
     """
     local, turned = skin.points_world @ frame.T, skin.normals_world @ frame.T
     height = float(np.median(local[:, 1]) if height_of is None else height_of @ frame[1])
-    band = np.abs(local[:, 1] - height) < _SIDE_BAND_MM
+    band = np.abs(local[:, 1] - height) < scale * _SIDE_BAND_MM
     if band.sum() < _FEWEST_SIDE:
         raise MeasureError(
             "torso",
@@ -289,13 +294,10 @@ def _between_sides(front: _Front, frame: Float64[Array, "3 3"], *, symmetric: bo
 
     None where they were not seen, or are none that a trunk has.
     """
-    local, azimuth, bone = front.local, front.azimuth_deg, front.bone
-    low, high = _SIDE_AZIMUTH_DEG
-    beside = (np.abs(azimuth) > low) & (np.abs(azimuth) < high) & (local[:, 2] < bone[2] - _BEHIND_FRONT_MM)
-    left, right = (local[beside & (sign * azimuth > 0) & (sign * (local[:, 0] - bone[0]) > 0)] for sign in (1, -1))
-    if min(len(left), len(right)) < _FEWEST_SIDE:
+    bone, sides = front.bone, _side_skin(front)
+    if sides is None:
         return None
-    left, right = (side[_nearer_than_arm(np.abs(side[:, 0] - bone[0]))] for side in (left, right))
+    left, right = sides
     most, least = np.median(left[:, 0]), np.median(right[:, 0])
     half_width, depth = float(most - least) / 2, float(np.median(np.concatenate([left, right])[:, 2]))
     middle = float(most + least) / 2
@@ -309,10 +311,65 @@ def _between_sides(front: _Front, frame: Float64[Array, "3 3"], *, symmetric: bo
     return Trunk(frame=frame, origin=place @ frame, half_width_mm=half_width)
 
 
-def _nearer_than_arm(out_mm: Float64[Array, " n"]) -> Bool[Array, " n"]:
+def _side_skin(front: _Front, scale: float = 1.0) -> tuple[Float64[Array, "n 3"], Float64[Array, "m 3"]] | None:
+    """Skin of the trunk's left and right side, in the frame. None where too little of one was seen.
+
+    Args:
+        front: skin at the breasts' height.
+        scale: of the body against an adult's.
+    """
+    local, azimuth, bone = front.local, front.azimuth_deg, front.bone
+    low, high = _SIDE_AZIMUTH_DEG
+    beside = (np.abs(azimuth) > low) & (np.abs(azimuth) < high) & (local[:, 2] < bone[2] - scale * _BEHIND_FRONT_MM)
+    left, right = (local[beside & (sign * azimuth > 0) & (sign * (local[:, 0] - bone[0]) > 0)] for sign in (1, -1))
+    if min(len(left), len(right)) < _FEWEST_SIDE:
+        return None
+    left, right = (side[_nearer_than_arm(np.abs(side[:, 0] - bone[0]), scale)] for side in (left, right))
+    return left, right
+
+
+def trunk_breadth_mm(
+    skin: Skin, frame: Float64[Array, "3 3"], *, height_of: Float64[Array, 3] | None = None
+) -> float | None:
+    """Distance between the trunk's sides at the breasts' height, mm. None where they were not seen.
+
+    It scales with the body: no length of an adult decides which skin is the sides'.
+
+    Args:
+        skin: what was seen of the torso.
+        frame: patient's left, head, straight ahead (rows).
+        height_of: a world point at the breasts' height; without it the middle of the seen skin.
+
+    Raises:
+        MeasureError: no skin was seen at the breasts' height.
+    """
+    sampled = skin.about(TRUNK_SAMPLES)
+    turned_up = orthonormal(_axis(sampled.normals_world, frame), frame[2])
+    usual_mm = 2 * ASSUMED_HALF_WIDTH_MM
+    for first in (float(np.ptp(sampled.points_world @ turned_up[0])) / usual_mm, 1.0):
+        breadth_mm, scale = None, first
+        for _ in range(_BREADTH_ROUNDS):
+            breadth_mm = _breadth_mm(_front(sampled, turned_up, height_of, None, scale), scale)
+            if breadth_mm is None:
+                break
+            scale = breadth_mm / usual_mm
+        if breadth_mm is not None:
+            return breadth_mm
+    return None
+
+
+def _breadth_mm(front: _Front, scale: float) -> float | None:
+    sides = _side_skin(front, scale)
+    if sides is None:
+        return None
+    left, right = (float(np.median(np.abs(side[:, 0] - front.bone[0]))) for side in sides)
+    return left + right if abs(left - right) < _ASKEW * (left + right) else None
+
+
+def _nearer_than_arm(out_mm: Float64[Array, " n"], scale: float) -> Bool[Array, " n"]:
     """Mask of side skin that is the trunk's own: none beyond the first gap as wide as an arm."""
     ordered = np.sort(out_mm)
-    gaps = _FEWEST_SIDE - 1 + np.flatnonzero(np.diff(ordered[_FEWEST_SIDE - 1 :]) > _ARM_MM)
+    gaps = _FEWEST_SIDE - 1 + np.flatnonzero(np.diff(ordered[_FEWEST_SIDE - 1 :]) > scale * _ARM_MM)
     return out_mm <= ordered[gaps[0] if len(gaps) else -1]
 
 
