@@ -405,7 +405,10 @@ def gather_mesh(
         breasts=tuple(
             sorted(
                 [
-                    *(describe.breast_report(each, cautions=(*of_body[each.name], *cautions)) for each in measurements),
+                    *(
+                        describe.breast_report(measured, cautions=(*of_body[measured.name], *cautions))
+                        for measured in measurements
+                    ),
                     *(describe.absent_report(side) for side in absent),
                 ],
                 key=lambda breast: breast.name,

@@ -57,9 +57,10 @@ def test_an_average_body_of_a_model_without_scale_is_noticed(factor: float) -> N
     assert size_of(*ORDINARY["average woman"], factor).is_rare
 
 
-def test_one_length_alone_or_several_that_disagree_refuse_nothing() -> None:
+def test_one_length_alone_refuses_what_is_absurd_and_several_that_disagree_nothing() -> None:
     assert not BodySize(lengths_mm={}).is_rare
-    alone = BodySize(lengths_mm={"trunk": 600.0})
+    assert BodySize(lengths_mm={"trunk": 621.0}).is_impossible  # shared body 6, its centimetres read as inches
+    alone = BodySize(lengths_mm={"trunk": 500.0})
     assert alone.is_rare
     assert not alone.is_impossible
     assert not size_of(700, 205, 700).is_impossible  # one of them is a usual one

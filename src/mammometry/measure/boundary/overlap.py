@@ -1,8 +1,8 @@
-"""What lies on a breast's skin: a hand, an arm or a strap inside a border leaves edges that no breast has.
+"""Find what lies on a breast: a hand, an arm or a strap.
 
 A breast bulges everywhere but at its border. Where a hand is laid on it, or an arm runs across it, a scan makes one
 skin of both, with a sharp groove where one ends on the other. So grooves well inside the border show it, in whatever
-colour the skin is. See docs/decisions/0047.
+colour the skin is. See docs/decisions/0048.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ _INSIDE_MM = (
 )
 _LEAST_CM2 = 2.0
 """Area of grooves inside a border from which something lies on the breast, cm². Of 38 bare breasts (8 virtual women, 6
-shared bodies, 3 hanging; 17 scans of a telephone, 3 clean) one has 1.2, the others none; eight hands on virtual women 3.6
-to 36."""
+shared bodies, 3 hanging; 17 scans of a telephone, 3 clean) one has 1.2, the others none. Eight hands on virtual women
+have 3.6 to 36."""
 _FEWEST_PAIRS = 4  # samples that a ring must hold
 
 

@@ -1,7 +1,8 @@
-"""A torso's size against those of adults: what a wrong unit, or a board of another size, makes too large or too small.
+"""Compare a torso's size with adults'.
 
+A wrong unit, or a board of another size, makes it too large or too small.
 Several lengths of one body are compared with what is published of adults. Only what they have in common speaks of the
-scale: a wide trunk alone is a wide woman. See docs/decisions/0047.
+scale: a wide trunk alone is a wide woman. See docs/decisions/0048.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ _ALIKE = 1.28
 """Standard deviations by which each of several lengths differs at least, all to one side, for the scale to be wrong:
 80 % of adults lie within."""
 _FEWEST = 2  # lengths that must agree for a refusal
+_ALONE = 4.5  # deviations from which one length refuses: a trunk wider than 550 mm or narrower than 171
 _CORRELATION = 0.5  # of the logarithms of two of these lengths between adults: assumed, as of two breadths of the trunk
 _GREY = 128  # colour of skin on which only the shape shows a nipple
 
@@ -56,7 +58,7 @@ ADULTS: Mapping[str, AdultLength] = {
     "nipples": AdultLength(words="the nipples are {} apart", median_mm=205.0, below=0.13, above=0.17),
     "notch": AdultLength(words="the sternal notch is {} from a nipple", median_mm=205.0, below=0.13, above=0.25),
 }
-"""Length → its distribution. Medians of publications, spreads wider than theirs: docs/decisions/0047.
+"""Length → its distribution. Medians of publications, spreads wider than theirs: docs/decisions/0048.
 
 - trunk: breadth at the breasts' height. Chest breadth of ANSUR II (NATICK/TR-15/007), 269 mm women, 289 mm men. Above
   the median the spread is that of waist girths of US women (NHANES: the 95th percentile 1.7 times the 5th).
@@ -90,10 +92,14 @@ class BodySize:
 
     @property
     def is_impossible(self) -> bool:
-        """Whether several lengths agree that fewer than 0.1 % of adults are so large or so small."""
+        """Whether fewer than 0.1 % of adults are so large or so small.
+
+        Several lengths agree on it, or one is far beyond.
+        """
         sign = math.copysign(1.0, self.deviations)
-        agree = sum(sign * each > _ALIKE for each in self._each().values())
-        return abs(self.deviations) > _NEVER and agree >= _FEWEST and agree == len(self.lengths_mm)
+        agree = sum(sign * deviation > _ALIKE for deviation in self._each().values())
+        limit = _NEVER if len(self.lengths_mm) >= _FEWEST else _ALONE
+        return abs(self.deviations) > limit and agree == len(self.lengths_mm)
 
     def _each(self) -> dict[str, float]:
         """Standard deviations of each length alone."""
@@ -160,7 +166,10 @@ def require_adult(size: BodySize, settings: MeasureSettings) -> None:
 
 @contextmanager
 def size_remarked(surface: RepairedSurface, frame: Float64[Array, "3 3"]) -> Iterator[None]:
-    """Say with each refusal inside whether the trunk's breadth is a rare one: then the scale may be the reason."""
+    """Add to refusals that the trunk's breadth is rare, where it is.
+
+    Then the scale may be the reason.
+    """
     try:
         yield
     except MeasureError as error:

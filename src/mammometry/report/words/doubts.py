@@ -17,11 +17,11 @@ def body_doubts(plan: Plan) -> tuple[str, ...]:
     """Warnings about the body, the gravest first. They are made with the measurement, and empty before it."""
     size, overlaps = plan.value(measure.size), plan.value(measure.overlaps) or ()
     covered = (
-        f"Something lies on the {NAMES[each.name]}, such as a hand, an arm or a strap: {each.groove_cm2:.0f} cm² of "
+        f"Something lies on the {NAMES[found.name]}, such as a hand, an arm or a strap: {found.groove_cm2:.0f} cm² of "
         "the skin inside its border is a groove, which a bare breast does not have. Its volume includes what lies on "
         "it. Capture the patient again with the breast bare."
-        for each in overlaps
-        if each.is_covered
+        for found in overlaps
+        if found.is_covered
     )
     return (*covered, *([] if size is None or not size.is_rare else [size.warning]))
 
@@ -29,7 +29,7 @@ def body_doubts(plan: Plan) -> tuple[str, ...]:
 def body_cautions(plan: Plan) -> Mapping[str, tuple[str, ...]]:
     """Breast → what to say of its volume on the first page."""
     size, overlaps = plan.value(measure.size), plan.value(measure.overlaps) or ()
-    covered = {each.name for each in overlaps if each.is_covered}
+    covered = {found.name for found in overlaps if found.is_covered}
     common = () if size is None or not size.is_rare else (_RARE_SIZE.format(size.words),)
     return {
         measured.name: (*((_COVERED,) if measured.name in covered else ()), *common)
