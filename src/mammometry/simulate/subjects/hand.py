@@ -24,7 +24,7 @@ _FOLD_MM, _EVEN_MM, _SMOOTH_MM = 33.0, 12.0, 6.0  # skin under a hand: folds clo
 # A hand in its own plane, mm, its palm's middle at 0, fingers along the first axis: adults' mean lengths.
 _PALM_MM, _CORNER_MM = (32.0, 27.0), 15.0
 _FINGERS_MM = ((-31.0, 70.0), (-10.0, 82.0), (11.0, 78.0), (31.0, 60.0))  # place across, length
-_FINGER_RADII_MM, _THUMB_RADII_MM, _ARM_RADII_MM = (10.0, 8.0), (12.0, 9.0), (30.0, 42.0)
+_FINGER_RADII_MM, _THUMB_RADII_MM, _ARM_RADII_MM = (10.0, 8.0), (12.0, 9.0), (30.0, 42.0)  # at both ends; adults'
 _WRIST_MM, _THICKENING_MM = -60.0, 80.0  # behind which the forearm becomes twice as thick, and over which length
 
 
