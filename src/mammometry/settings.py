@@ -18,7 +18,7 @@ from mammometry.base.errors import MammometryError, SettingsError
 from mammometry.base.parse import LimitSettings, read_text, shown, toml_table
 from mammometry.calibration.settings import CalibrateSettings
 from mammometry.matching.settings import MatchSettings
-from mammometry.measure.settings import CompareSettings, MeasureSettings
+from mammometry.measure.settings import SINCE, CompareSettings, MeasureSettings
 from mammometry.measure.wall.registry import check_wall
 from mammometry.surface.settings import SurfaceSettings
 
@@ -159,11 +159,12 @@ def as_table(settings: object) -> dict[str, Any]:
 def key_table(settings: object) -> dict[str, Any]:
     """Settings as keys of stored results hold them, with the numbers that were settings once.
 
-    So a number that becomes a constant makes no result stale.
+    So a number that becomes a constant makes no result stale, and neither does a setting that is new.
     """
     own = {
         item.name: key_table(value) if is_dataclass(value := getattr(settings, item.name)) else value
         for item in fields(settings)  # type: ignore[arg-type]  # a dataclass by construction
+        if not (item.metadata.get(SINCE) and getattr(settings, item.name) == item.default)
     }
     path = _groups().get(type(settings))
     return own if path is None else {**former_settings(*path), **own}

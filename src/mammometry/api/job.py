@@ -96,7 +96,7 @@ class Job(Reported):
         """
         self.session.require(stage)
         stages = STAGES[: STAGES.index(stage) + 1]
-        if drawn and self._all_current(stages):
+        if drawn and not self.store.at_work and self._all_current(stages):
             return  # also where nothing may be written
         reuse_freed_memory()
         with (

@@ -11,6 +11,8 @@ POSTURES: tuple[Posture, ...] = get_args(Posture)
 NOT_TO_BE_COMPARED = "Volumes of different postures are not to be compared"
 
 
+SINCE = "since"
+"""In a setting's metadata: the version that brought it. Keys of stored results hold it where it is changed."""
 ProtocolJoin = Literal["arc", "geodesic"]
 """How a boundary runs between landmarks. See `protocol`."""
 _THICKEST_LAYER_MM = 100.0  # real women have 24 ± 8 mm where it is thickest; more is a slip of the unit or the point
@@ -131,7 +133,7 @@ class MeasureSettings:
     """How nipples are proposed where none was picked."""
     layer: LayerSettings = field(default_factory=LayerSettings)
     """What is known of the layer before the muscle."""
-    size_confirmed: bool = False
+    size_confirmed: bool = field(default=False, metadata={SINCE: "1.1"})
     """Whether somebody found the body's lengths to be right, though fewer than one adult in 1,000 is so large or so
     small. Then it is measured, with a warning."""
     surface_sigma_mm: float = 0.02

@@ -6,7 +6,7 @@ from tests.unit.measure.trunks import LEFT, RIGHT, edge_of, radius_mm, trunk_mes
 
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure import scanned
-from mammometry.measure.boundary.overlap import overlap
+from mammometry.measure.boundary.grooves import find_overlap
 
 SIDES = {"left": LEFT, "right": RIGHT}
 
@@ -37,14 +37,14 @@ def hand_mm(thick_mm: float, low_mm: float = -8.0) -> np.ndarray:
 
 def groove_cm2(mesh: TriangleMesh) -> dict[str, float]:
     surface = scanned.as_scanned(mesh)
-    return {s: overlap(edge_of(b, s), surface).groove_cm2 for s, b in SIDES.items()}
+    return {s: find_overlap(edge_of(b, s), surface).groove_cm2 for s, b in SIDES.items()}
 
 
 @pytest.mark.requirement("R-VOL-12")
 @pytest.mark.parametrize("thick_mm", [15.0, 25.0])
 def test_a_hand_on_a_breast_is_found_on_its_side(thick_mm: float) -> None:
     mesh = lifted(hand_mm(thick_mm), noise_mm=0.3)
-    left, right = (overlap(edge_of(breast, name), scanned.as_scanned(mesh)) for name, breast in SIDES.items())
+    left, right = (find_overlap(edge_of(breast, name), scanned.as_scanned(mesh)) for name, breast in SIDES.items())
     assert left.is_covered
     assert not right.is_covered
 

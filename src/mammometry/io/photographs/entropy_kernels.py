@@ -8,13 +8,10 @@ import numpy as np
 
 from mammometry.base.machine.compiled import kernel, small_kernel
 from mammometry.geometry.arrays import Array, Int32, Int64, UInt8, UInt16
+from mammometry.io.photographs.jpeg_stream import AC_REFINED, DC_FIRST, DC_REFINED, SEQUENTIAL
 
-SEQUENTIAL, DC_FIRST, DC_REFINED, AC_FIRST, AC_REFINED = range(5)
-"""Kinds of scans. The last four are those of a progressive JPEG."""
 DAMAGED = -1  # instead of a place in the stream
 _LARGEST_DC_BITS, _LARGEST_AC_BITS = 11, 10  # of 8-bit samples: T.81, F.1.2.1 and F.1.2.2
-PADDING = 512
-"""Bytes. More than the longest codes of a block take, after which the end is looked for."""
 COLUMNS = 6
 """What a component of a scan is described by: blocks across and down in a unit, blocks in a row, number of its first
 block, its two tables' numbers together as 16 × DC + AC, and the largest DC."""

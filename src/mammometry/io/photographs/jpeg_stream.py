@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Int64, UInt8
-from mammometry.io.photographs import entropy_kernels as kernels
 
 _FRAMES = (0xC0, 0xC1, 0xC2)  # start of frame: baseline, extended sequential, progressive (T.81, table B.1)
 _OTHER_FRAMES = {*range(0xC3, 0xD0)} - {0xC4, 0xC8, 0xCC}  # lossless, differential, arithmetic
@@ -19,6 +18,10 @@ _DHT, _DQT, _DRI, _SOS, _EOI, _SOI, _TEM = 0xC4, 0xDB, 0xDD, 0xDA, 0xD9, 0xD8, 0
 _FIRST_RESTART = 0xD0  # RST0, which seven others follow
 _AMPLITUDE = 1024  # largest mean of a block of 8-bit samples, level-shifted, as the transform scales it: 8 × 128
 _ALIGNMENT = 7  # bits at most that fill the last byte of a stretch
+SEQUENTIAL, DC_FIRST, DC_REFINED, AC_FIRST, AC_REFINED = range(5)
+"""Kinds of scans. The last four are those of a progressive JPEG."""
+PADDING = 512
+"""Bytes. More than the longest codes of a block take, after which the end is looked for."""
 
 
 class DamagedJpegError(ValueError):
@@ -224,6 +227,8 @@ def _walk(
         cuts: where its restart markers stand.
         decoder: what is known so far; what is read is added.
     """
+    from mammometry.io.photographs.entropy_kernels import walk  # compiled: a run with nothing to do needs none
+
     count = int(header[0])
     parts = [
         (decoder.components[int(number)], int(tables) >> 4, 4 + (int(tables) & 15))
@@ -248,11 +253,11 @@ def _walk(
         raise DamagedJpegError("its restart markers are missing or out of order")
     plain, spans = _without_stuffing(data, start, end, cuts)
     units = np.array([across, total, interval], dtype=np.int64)
-    read, left = kernels.walk(plain, spans, decoder.tables, components, units, scan, decoder.dc, decoder.known)
+    read, left = walk(plain, spans, decoder.tables, components, units, scan, decoder.dc, decoder.known)
     spare = plain[spans[-1, 1] // 8 - left // 8 : spans[-1, 1] // 8]
     if read < total or (left > _ALIGNMENT and np.any(spare)):  # some programs fill a file's last sector with zeros
         raise DamagedJpegError("its coded pixels are damaged")  # where is not known: wrong codes may be valid for long
-    if scan[0] in (kernels.SEQUENTIAL, kernels.DC_FIRST):
+    if scan[0] in (SEQUENTIAL, DC_FIRST):
         decoder.coded |= {part.number for part, _, _ in parts}
         if decoder.layout is None:
             every = decoder.components.values()
@@ -267,16 +272,16 @@ def _kind(
     """Kind of a scan as the kernels name it, band and shift."""
     first, last, before, shift = scan
     if not decoder.progressive:
-        kind, first, last, shift = kernels.SEQUENTIAL, 1, 63, 0
+        kind, first, last, shift = SEQUENTIAL, 1, 63, 0
     elif first == 0:
-        kind = kernels.DC_REFINED if before else kernels.DC_FIRST
+        kind = DC_REFINED if before else DC_FIRST
     else:
-        kind = kernels.AC_REFINED if before else kernels.AC_FIRST
+        kind = AC_REFINED if before else AC_FIRST
     if decoder.progressive and (not first <= last <= 63 or (first == 0) != (last == 0) or shift > 13):
         raise DamagedJpegError("its header is damaged")
     for _, dc, ac in parts:
-        needed = {dc} if kind in (kernels.SEQUENTIAL, kernels.DC_FIRST) else set()
-        needed |= {ac} if kind in (kernels.SEQUENTIAL, kernels.AC_FIRST, kernels.AC_REFINED) else set()
+        needed = {dc} if kind in (SEQUENTIAL, DC_FIRST) else set()
+        needed |= {ac} if kind in (SEQUENTIAL, AC_FIRST, AC_REFINED) else set()
         if not needed <= decoder.known_tables:
             raise DamagedJpegError("a table is missing")
     return np.array([kind, first, last, shift], dtype=np.int64)
@@ -295,7 +300,7 @@ def _without_stuffing(
     if len(coded) and coded[-1] == 0xFF:
         keep[-1] = False
     kept = coded[keep]
-    plain = np.concatenate([kept, np.zeros(kernels.PADDING, dtype=np.uint8)])
+    plain = np.concatenate([kept, np.zeros(PADDING, dtype=np.uint8)])
     dropped = np.flatnonzero(~keep)
     starts = np.concatenate([[0], cuts - start + 2])
     ends = np.concatenate([cuts - start, [len(coded)]])

@@ -59,7 +59,7 @@ def _frame(cameras: CameraSet, job: Context, body: Body | None = None) -> Float6
 def sides(corrected_cameras: CameraSet, repaired: RepairedSurface, *, job: Context) -> TorsoSides:
     """Breasts found on a torso, and sides without one."""
     from mammometry.measure.boundary.boundary import outline_torso
-    from mammometry.measure.shape.body_size import size_remarked
+    from mammometry.measure.shape.body_lengths import size_remarked
 
     frame = _frame(corrected_cameras, job)
     with size_remarked(repaired, frame):
@@ -82,7 +82,7 @@ def boundaries(
 ) -> tuple[Boundary, ...]:
     """One closed curve for each breast: drawn, by picked landmarks, or found."""
     from mammometry.measure.boundary import boundary
-    from mammometry.measure.shape.body_size import size_remarked
+    from mammometry.measure.shape.body_lengths import size_remarked
     from mammometry.measure.volume.volumes import wanted_boundaries
 
     inputs, settings = job.inputs, job.settings.measure
@@ -140,20 +140,20 @@ def body(
     return find_body(repaired, frame, boundaries=curves, stated=stated)
 
 
-@product("measure", version=1, settings="measure", inputs=("landmarks",), when=_torso, threads=1)
+@product("measure", version=1, settings="measure", when=_torso, threads=1)
 def size(repaired: RepairedSurface, boundaries: tuple[Boundary, ...], body: Body, *, job: Context) -> BodySize:
     """Lengths of a torso that show a wrong scale."""
-    from mammometry.measure.shape.body_size import body_size
+    from mammometry.measure.shape.body_lengths import find_body_size
 
-    return body_size(repaired, boundaries, body, job.inputs.landmarks, job.settings.measure)
+    return find_body_size(repaired, boundaries, body, job.settings.measure)
 
 
 @product("measure", version=1, when=_torso, threads=1)
 def overlaps(repaired: RepairedSurface, boundaries: tuple[Boundary, ...], *, job: Context) -> tuple[Overlap, ...]:
     """Whether something lies on each breast, such as a hand. No volume depends on it."""
-    from mammometry.measure.boundary.overlap import overlap
+    from mammometry.measure.boundary.grooves import find_overlap
 
-    return tuple(overlap(boundary, repaired) for boundary in boundaries)
+    return tuple(find_overlap(boundary, repaired) for boundary in boundaries)
 
 
 @product("measure", when=_photographed_cast, large=True)

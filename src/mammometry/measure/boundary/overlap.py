@@ -1,34 +1,18 @@
-"""Find what lies on a breast: a hand, an arm or a strap.
-
-A breast bulges everywhere but at its border. Where a hand is laid on it, or an arm runs across it, a scan makes one
-skin of both, with a sharp groove where one ends on the other. So grooves well inside the border show it, in whatever
-colour the skin is. See docs/decisions/0048.
-"""
+"""What lies on a breast, such as a hand, an arm or a strap, by the grooves that it makes. See `grooves`."""
 
 from __future__ import annotations
 
-import numpy as np
+from typing import TYPE_CHECKING
 
 from mammometry.base.value import value
-from mammometry.geometry import Array, Bool, Float64, Int64
-from mammometry.geometry.nearest import point_tree
-from mammometry.measure.boundary.boundary import Boundary, BreastName
-from mammometry.measure.boundary.breasts import within_outline
-from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
-_SAMPLE_MM = 3.0  # one vertex in every cube of this side: finer than the groove at a finger's side, 10 mm
-_DISC_MM, _RING_MM = 5.0, (10.0, 16.0)  # radii of a groove's middle and of the skin around it: half a finger to one
-_GROOVE_MM = 1.5
-"""Depth of the disc's mean below the ring's, mm. Noise of a telephone's scans reaches 0.5; a hand 25 mm thick has 3 to
-8."""
-_INSIDE_MM = (
-    20.0  # from the border: the fold itself is a groove, and a border is found to 7 mm, the ring's radius aside
-)
+if TYPE_CHECKING:
+    from mammometry.measure.boundary.boundary import BreastName
+
 _LEAST_CM2 = 2.0
 """Area of grooves inside a border from which something lies on the breast, cm². Of 38 bare breasts (8 virtual women, 6
 shared bodies, 3 hanging; 17 scans of a telephone, 3 clean) one has 1.2, the others none. Eight hands on virtual women
 have 3.6 to 36."""
-_FEWEST_PAIRS = 4  # samples that a ring must hold
 
 
 @value
@@ -44,58 +28,3 @@ class Overlap:
     def is_covered(self) -> bool:
         """Whether something lies on the breast."""
         return self.groove_cm2 > _LEAST_CM2
-
-
-def overlap(boundary: Boundary, surface: RepairedSurface) -> Overlap:
-    """Look for grooves inside a breast's border, on skin that was measured.
-
-    Args:
-        boundary: closed curve around the breast, mm, world frame.
-        surface: the repaired mesh, mm, world frame.
-    """
-    curve = boundary.points_world
-    middle = curve.mean(axis=0)
-    across = np.linalg.svd(curve - middle, full_matrices=False)[2][:2].T
-    reach_mm = float(np.linalg.norm(curve - middle, axis=1).max())
-    chosen = _samples(surface, middle, 2 * reach_mm)
-    points, normals = surface.mesh.vertices[chosen], surface.mesh.vertex_normals()[chosen]
-    if not len(points):
-        return Overlap(name=boundary.name, groove_cm2=0.0)
-    inside = within_outline((points - middle) @ across, (curve - middle) @ across)
-    between = np.concatenate([curve, (curve + np.roll(curve, -1, axis=0)) / 2])
-    inside &= np.asarray(point_tree(between).query(points)[0]) > _INSIDE_MM
-    depth_mm, area_mm2 = _grooves(points, normals)
-    return Overlap(name=boundary.name, groove_cm2=float(area_mm2[inside & (depth_mm > _GROOVE_MM)].sum()) / 100)
-
-
-def _samples(surface: RepairedSurface, middle: Float64[Array, 3], reach_mm: float) -> Int64[Array, " n"]:
-    """One measured vertex in every cube around a breast."""
-    vertices = surface.mesh.vertices
-    measured: Bool[Array, " n"] = surface.provenance == Provenance.MEASURED
-    near = np.flatnonzero(measured & (np.linalg.norm(vertices - middle, axis=1) < reach_mm))
-    cells = np.floor(vertices[near] / _SAMPLE_MM).astype(np.int64)
-    return near[np.unique(cells, axis=0, return_index=True)[1]]
-
-
-def _grooves(
-    points: Float64[Array, "n 3"], normals: Float64[Array, "n 3"]
-) -> tuple[Float64[Array, " n"], Float64[Array, " n"]]:
-    """Depth of each sample's disc below the ring around it, mm, and the skin that a sample stands for, mm²."""
-    tree = point_tree(points)
-    pairs = tree.sparse_distance_matrix(tree, _RING_MM[1], output_type="ndarray")
-    row, column, away = pairs["i"], pairs["j"], pairs["v"]
-    count = len(points)
-
-    def mean(
-        kept: Bool[Array, " p"], values: Float64[Array, "n 3"]
-    ) -> tuple[Float64[Array, "n 3"], Int64[Array, " n"]]:
-        number = np.bincount(row[kept], minlength=count)
-        sums = [np.bincount(row[kept], axis[column[kept]], minlength=count) for axis in values.T]
-        return np.stack(sums, axis=1) / np.maximum(number, 1)[:, None], number
-
-    disc, within = mean(away < _DISC_MM, points)
-    ring, around = mean(away >= _RING_MM[0], points)
-    normal, _ = mean(away >= 0, normals)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
-    depth_mm = np.where(around >= _FEWEST_PAIRS, ((ring - disc) * normal).sum(axis=1), -np.inf)
-    return depth_mm, np.pi * _DISC_MM**2 / np.maximum(within, 1)

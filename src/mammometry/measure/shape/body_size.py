@@ -8,22 +8,14 @@ scale: a wide trunk alone is a wide woman. See docs/decisions/0048.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.value import value
-from mammometry.geometry import Array, Float64
-from mammometry.measure.boundary.boundary import Boundary
-from mammometry.measure.landmarks.proposals import propose_nipple, propose_on_midline
 from mammometry.measure.settings import MeasureSettings
-from mammometry.measure.trunk.body import Body
-from mammometry.measure.trunk.thorax import seen_skin, trunk_breadth_mm
-from mammometry.measure.wall.open_breast import open_breasts
-from mammometry.surface.repair.repair import RepairedSurface
 
 _RARE, _NEVER = 2.33, 3.29
 """Standard deviations outside which 2 % and 0.1 % of adults lie, of both signs."""
@@ -33,7 +25,6 @@ _ALIKE = 1.28
 _FEWEST = 2  # lengths that must agree for a refusal
 _ALONE = 4.5  # deviations from which one length refuses: a trunk wider than 550 mm or narrower than 171
 _CORRELATION = 0.5  # of the logarithms of two of these lengths between adults: assumed, as of two breadths of the trunk
-_GREY = 128  # colour of skin on which only the shape shows a nipple
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -162,95 +153,3 @@ def require_adult(size: BodySize, settings: MeasureSettings) -> None:
         remedy=f"Check the size of the printed board in session.toml: {then}",
         mesh_remedy=f"Check --units: {then}",
     )
-
-
-@contextmanager
-def size_remarked(surface: RepairedSurface, frame: Float64[Array, "3 3"]) -> Iterator[None]:
-    """Add to refusals that the trunk's breadth is rare, where it is.
-
-    Then the scale may be the reason.
-    """
-    try:
-        yield
-    except MeasureError as error:
-        raise error.with_remark(BodySize(lengths_mm=_trunk(surface, frame, None)).warning) from None
-
-
-def body_size(
-    surface: RepairedSurface,
-    boundaries: Sequence[Boundary],
-    body: Body,
-    picked: Mapping[str, Float64[Array, "k 3"]],
-    settings: MeasureSettings = MeasureSettings(),
-) -> BodySize:
-    """Measure the lengths that are compared, as far as they are seen.
-
-    Args:
-        surface: the repaired mesh, world frame, mm.
-        boundaries: of the breasts.
-        body: the patient's own directions.
-        picked: landmark → its points, mm, which replace those that are looked for.
-        settings: how probable a nipple must be.
-    """
-    curves = [boundary.points_world for boundary in boundaries]
-    middle = np.mean([curve.mean(axis=0) for curve in curves], axis=0) if curves else None
-    found = _trunk(surface, body.frame, middle)
-    nipples = _nipples(surface, boundaries, body, picked, settings)
-    if len(nipples) == 2:
-        found["nipples"] = float(np.linalg.norm(np.subtract(*nipples.values())))
-    notch = _notch(surface, curves, body, picked)
-    if notch is not None and nipples:
-        found["notch"] = float(np.mean([np.linalg.norm(place - notch) for place in nipples.values()]))
-    return BodySize(lengths_mm=found)
-
-
-def _trunk(
-    surface: RepairedSurface, frame: Float64[Array, "3 3"], middle: Float64[Array, 3] | None
-) -> dict[str, float]:
-    try:
-        breadth_mm = trunk_breadth_mm(seen_skin(surface), frame, height_of=middle)
-    except MeasureError:
-        return {}
-    return {} if breadth_mm is None else {"trunk": breadth_mm}
-
-
-def _nipples(
-    surface: RepairedSurface,
-    boundaries: Sequence[Boundary],
-    body: Body,
-    picked: Mapping[str, Float64[Array, "k 3"]],
-    settings: MeasureSettings,
-) -> dict[str, Float64[Array, 3]]:
-    """Place of each nipple that was picked or that the shape shows."""
-    found: dict[str, Float64[Array, 3]] = {}
-    for breast in open_breasts(boundaries, surface, settings, frame=body.frame):
-        name = f"nipple_{breast.boundary.name}"
-        if name in picked:
-            found[name] = picked[name][0]
-            continue
-        try:
-            skin = breast.part.mesh
-        except MeasureError:
-            continue  # the measurement says what is wrong with the curve
-        grey = np.full((len(skin.vertices), 3), _GREY, dtype=np.uint8)
-        mark = propose_nipple(name, skin, grey, breast.boundary.points_world)
-        if mark is not None and mark.probability >= settings.nipple.least_probability:
-            found[name] = mark.points_world[0]
-    return found
-
-
-def _notch(
-    surface: RepairedSurface,
-    curves: Sequence[Float64[Array, "_ 3"]],
-    body: Body,
-    picked: Mapping[str, Float64[Array, "k 3"]],
-) -> Float64[Array, 3] | None:
-    if "sternal_notch" in picked:
-        return np.asarray(picked["sternal_notch"][0])
-    if body.plane is None or not curves:
-        return None
-    heights = (np.concatenate(curves) - body.point_world) @ body.up
-    marks = propose_on_midline(
-        surface.mesh, body.frame, body.point_world, body.plane.sigma_mm, float(heights.min()), float(heights.max())
-    )
-    return next((mark.points_world[0] for mark in marks if mark.name == "sternal_notch"), None)

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from mammometry.job.graph import Plan
 from mammometry.job.stages import measure
 from mammometry.measure.settings import NOT_TO_BE_COMPARED
-from mammometry.report.figures.shading import NAMES
 
 _RARE_SIZE = "The body is {} for an adult. Check the unit, or the size of the printed board. See the warnings."
 _COVERED = "Do not use this volume: something lies on the breast, such as a hand or an arm. See the warnings."
@@ -17,9 +16,9 @@ def body_doubts(plan: Plan) -> tuple[str, ...]:
     """Warnings about the body, the gravest first. They are made with the measurement, and empty before it."""
     size, overlaps = plan.value(measure.size), plan.value(measure.overlaps) or ()
     covered = (
-        f"Something lies on the {NAMES[found.name]}, such as a hand, an arm or a strap: {found.groove_cm2:.0f} cm² of "
-        "the skin inside its border is a groove, which a bare breast does not have. Its volume includes what lies on "
-        "it. Capture the patient again with the breast bare."
+        f"Something lies on the patient's {found.name} breast, such as a hand, an arm or a strap: "
+        f"{found.groove_cm2:.0f} cm² of the skin inside its border is a groove, which a bare breast does not have. Its "
+        "volume includes what lies on it. Capture the patient again with the breast bare."
         for found in overlaps
         if found.is_covered
     )

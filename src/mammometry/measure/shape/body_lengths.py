@@ -1,0 +1,102 @@
+"""Measure the lengths of a torso that are compared with adults'."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+
+from mammometry.base.errors import MeasureError
+from mammometry.geometry import Array, Float64
+from mammometry.measure.boundary.boundary import Boundary
+from mammometry.measure.landmarks.proposals import propose_nipple, propose_on_midline
+from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.shape.body_size import BodySize
+from mammometry.measure.trunk.body import Body
+from mammometry.measure.trunk.thorax import seen_skin, trunk_breadth_mm
+from mammometry.measure.wall.open_breast import open_breasts
+from mammometry.surface.repair.repair import RepairedSurface
+
+_GREY = 128  # colour of skin on which only the shape shows a nipple
+
+
+@contextmanager
+def size_remarked(surface: RepairedSurface, frame: Float64[Array, "3 3"]) -> Iterator[None]:
+    """Add to refusals that the trunk's breadth is rare, where it is.
+
+    Then the scale may be the reason.
+    """
+    try:
+        yield
+    except MeasureError as error:
+        raise error.with_remark(BodySize(lengths_mm=_trunk(surface, frame, None)).warning) from None
+
+
+def find_body_size(
+    surface: RepairedSurface,
+    boundaries: Sequence[Boundary],
+    body: Body,
+    settings: MeasureSettings = MeasureSettings(),
+) -> BodySize:
+    """Measure the lengths that are compared, as far as the shape shows them.
+
+    Picked landmarks are not used: a volume does not depend on them.
+
+    Args:
+        surface: the repaired mesh, world frame, mm.
+        boundaries: of the breasts.
+        body: the patient's own directions.
+        settings: how probable a nipple must be.
+    """
+    curves = [boundary.points_world for boundary in boundaries]
+    middle = np.mean([curve.mean(axis=0) for curve in curves], axis=0) if curves else None
+    found = _trunk(surface, body.frame, middle)
+    nipples = _nipples(surface, boundaries, body, settings)
+    if len(nipples) == 2:
+        found["nipples"] = float(np.linalg.norm(np.subtract(*nipples.values())))
+    notch = _notch(surface, curves, body)
+    if notch is not None and nipples:
+        found["notch"] = float(np.mean([np.linalg.norm(place - notch) for place in nipples.values()]))
+    return BodySize(lengths_mm=found)
+
+
+def _trunk(
+    surface: RepairedSurface, frame: Float64[Array, "3 3"], middle: Float64[Array, 3] | None
+) -> dict[str, float]:
+    try:
+        breadth_mm = trunk_breadth_mm(seen_skin(surface), frame, height_of=middle)
+    except MeasureError:
+        return {}
+    return {} if breadth_mm is None else {"trunk": breadth_mm}
+
+
+def _nipples(
+    surface: RepairedSurface,
+    boundaries: Sequence[Boundary],
+    body: Body,
+    settings: MeasureSettings,
+) -> dict[str, Float64[Array, 3]]:
+    """Place of each nipple that the shape shows."""
+    found: dict[str, Float64[Array, 3]] = {}
+    for breast in open_breasts(boundaries, surface, settings, frame=body.frame):
+        name = f"nipple_{breast.boundary.name}"
+        try:
+            skin = breast.part.mesh
+        except MeasureError:
+            continue  # the measurement says what is wrong with the curve
+        grey = np.full((len(skin.vertices), 3), _GREY, dtype=np.uint8)
+        mark = propose_nipple(name, skin, grey, breast.boundary.points_world)
+        if mark is not None and mark.probability >= settings.nipple.least_probability:
+            found[name] = mark.points_world[0]
+    return found
+
+
+def _notch(surface: RepairedSurface, curves: Sequence[Float64[Array, "_ 3"]], body: Body) -> Float64[Array, 3] | None:
+    if body.plane is None or not curves:
+        return None
+    heights = (np.concatenate(curves) - body.point_world) @ body.up
+    marks = propose_on_midline(
+        surface.mesh, body.frame, body.point_world, body.plane.sigma_mm, float(heights.min()), float(heights.max())
+    )
+    return next((mark.points_world[0] for mark in marks if mark.name == "sternal_notch"), None)
