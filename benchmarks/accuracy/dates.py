@@ -4,7 +4,7 @@
 
 No photographs. Each torso is made twice: as it was, and with one breast grown or shrunk by a known volume, in the
 same pose or in another (lean, arms and breath drawn again). First with true skin and true boundaries, so that nothing
-but the chest wall differs: what the walls of both dates do not share, as `uncertainty.WALL_SAME_POSE_U95_MM` and
+but the chest wall differs: what the walls of both dates do not share, as `sources.WALL_SAME_POSE_U95_MM` and
 `WALL_ACROSS_POSES_U95_MM` are defined. Then with errors drawn as the stages make them and boundaries drawn by another
 hand at each date: whether the interval of the change holds the true one, how often an unchanged breast is called
 changed, and how often a changed one is found. Last, other bodies' trunks, and one body's in extreme poses, for the

@@ -5,7 +5,7 @@
 No photographs: open fronts, as for `benchmarks.accuracy.women`. The wall's error is that of the volume within the true
 boundary; the boundary's is what the found one adds. Each is divided by the interval's term for it. Prints the
 correlations of left and right, about zero, which is what cancels, and about the mean, with 95 % of bootstrap draws.
-Errors beyond twice the term count as twice, so that one lost border does not decide. `uncertainty.WALL_CORRELATION` and
+Errors beyond twice the term count as twice, so that one lost border does not decide. `sources.WALL_CORRELATION` and
 `BOUNDARY_CORRELATION` are held against them. Develop on numbers below 1000.
 """
 
@@ -25,7 +25,7 @@ from mammometry.measure.boundary.boundary import Boundary, outline_torso
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import find_body
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.measure.volume.uncertainty import BOUNDARY, WALL
+from mammometry.measure.volume.sources import BOUNDARY, WALL
 from mammometry.measure.volume.volumes import measure_volumes
 from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.simulate.subjects.woman import woman_named

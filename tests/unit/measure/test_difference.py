@@ -8,7 +8,7 @@ import pytest
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.volume.difference import difference
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.measure.volume.uncertainty import BOUNDARY_CORRELATION, WALL_CORRELATION
+from mammometry.measure.volume.sources import BOUNDARY_CORRELATION, WALL_CORRELATION
 
 TETRAHEDRON = TriangleMesh(
     vertices=np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),

@@ -23,7 +23,8 @@ from mammometry.measure.settings import CompareSettings, LayerSettings
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 from mammometry.measure.trunk.thorax import Skin, Trunk, find_trunk, fit_thorax
 from mammometry.measure.volume.measurement import layer_before_muscle_mm
-from mammometry.measure.volume.uncertainty import AXIS, Evidence, interval
+from mammometry.measure.volume.sources import AXIS
+from mammometry.measure.volume.uncertainty import Evidence, interval
 from mammometry.measure.wall.chest_wall import ChestWall
 
 FRAME = np.eye(3)

@@ -15,7 +15,8 @@ from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings, ObserverSettings
 from mammometry.measure.volume import boundary_jitter
 from mammometry.measure.volume.boundary_jitter import boundary_std_cc, displacements_mm, drawn_sigma_mm
-from mammometry.measure.volume.uncertainty import WALL_FIT_U95_MM, EarlierErrors, Evidence, interval
+from mammometry.measure.volume.sources import WALL_FIT_U95_MM
+from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence, interval
 from mammometry.measure.volume.unseen_space import bounds
 from mammometry.measure.wall.chest_wall import ChestWall, fit
 from mammometry.measure.wall.open_breast import OpenBreast

@@ -14,7 +14,6 @@ from functools import cached_property
 from typing import Any, NoReturn
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import json_value
@@ -359,6 +358,8 @@ class _Reader:
 
 def _transform(node: Mapping[str, Any]) -> Float64[Array, "4 4"]:
     """A node's own transform, from its matrix or its translation, rotation and scale."""
+    from scipy.spatial.transform import Rotation  # sessions of photographs import this module, and need no SciPy
+
     if "matrix" in node:
         return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
     made = np.eye(4)

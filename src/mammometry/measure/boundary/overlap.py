@@ -1,4 +1,4 @@
-"""What lies on a breast, such as a hand, an arm or a strap, by the grooves that it makes. See `grooves`."""
+"""What lies on a breast, such as a hand or a strap, by the grooves that it makes."""
 
 from __future__ import annotations
 

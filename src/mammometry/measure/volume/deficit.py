@@ -23,7 +23,7 @@ from mammometry.measure.trunk.mirror_plane import MirrorPlane
 from mammometry.measure.trunk.thorax import Trunk
 from mammometry.measure.volume.boundary_jitter import ORDERS
 from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
-from mammometry.measure.volume.uncertainty import AXIS, WALL, WALL_SIDES_U95_MM
+from mammometry.measure.volume.sources import AXIS, WALL, WALL_SIDES_U95_MM
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.surface.repair.repair import RepairedSurface

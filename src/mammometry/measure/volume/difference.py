@@ -18,13 +18,7 @@ import numpy as np
 
 from mammometry.base.value import value
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.measure.volume.uncertainty import (
-    AXIS,
-    SCALE,
-    WALL,
-    WALL_FIT_U95_MM,
-    WALL_SAME_POSE_U95_MM,
-)
+from mammometry.measure.volume.sources import AXIS, SCALE, WALL, WALL_FIT_U95_MM, WALL_SAME_POSE_U95_MM
 
 Pairing: TypeAlias = Literal["sides", "same pose", "across poses"]
 """What is compared: both sides of one capture, or one breast in two captures, standing alike or differently."""

@@ -20,6 +20,16 @@ from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.solid.patch import harmonic_between
 from mammometry.measure.volume.boundary_jitter import UNSEEN_SLOPE
+from mammometry.measure.volume.sources import (
+    AXIS,
+    BOUNDARY,
+    BOUNDARY_CORRELATION,
+    MOVEMENT,
+    SCALE,
+    WALL,
+    WALL_CORRELATION,
+    WALL_FIT_U95_MM,
+)
 from mammometry.measure.volume.unseen_space import Bound, outward_room_mm
 from mammometry.measure.wall.chest_wall import ChestWall
 from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS
@@ -109,11 +119,6 @@ def _measured_by(points: Float64[Array, "n 3"], surface: RepairedSurface) -> Int
     return np.asarray(surface.pair_bits[known[nearest]])
 
 
-WALL_ACROSS_POSES_U95_MM = 2.5
-"""Half-width for the change of one breast between two captures in different poses, mm."""
-WALL_FIT_U95_MM = WALL_ACROSS_POSES_U95_MM / 2**0.5
-"""Half-width by which one fitted wall may lie off the surface that its definition means, mm. Two captures of one breast
-in different poses differ by both walls' shares."""
 COMMON_SHARE = 0.35
 """Share of the measured skin's expected error that is common to all of it. Weak texture and noise make matching flatten
 convex skin: for casts at .15 of full size the mean error was .1 to .4 of the expected one."""
@@ -128,22 +133,6 @@ AXIS_U95_SHARE = 0.025
 """Share of the volume that a trunk's axis of assumed depth adds: ± 2.5 % from 80 to 170 mm, on the same breasts."""
 WALL_MEASURED_U95_MM = 1.0
 """Half-width for a separately measured wall (wall.ply), mm: how well two scans can be registered."""
-WALL_SIDES_U95_MM = 1.9
-"""Half-width, mm for each side, of what walls of both sides of one capture do not share. On real women right less left
-over the base was off by less than 2.6 mm in 95 %, which is 1.84 mm for each side. Our torsos have .93. An earlier
-synthetic family had 3.4. docs/decisions/0029."""
-WALL_CORRELATION = 0.75
-"""Correlation of the errors of both sides' walls in one capture. On real women each side was off by less than 3.7 mm in
-95 %, and right less left by less than 2.6 mm: 1 - 2.6² / (2 × 3.7²). Virtual women have .8. docs/decisions/0046."""
-BOUNDARY_CORRELATION = 0.5
-"""Correlation of what two boundaries found in one capture add to the errors of both volumes, over their terms. On 34
-virtual women it was .81, in 95 % of bootstrap draws .55 to .95. Of curves that persons draw nothing is known to be
-shared: two ratings by one person lie as far apart as by two. docs/decisions/0046."""
-WALL_SAME_POSE_U95_MM = 1.2
-"""Half-width for the change of one breast between two captures in the same pose, mm."""
-MOVEMENT = "movement"
-AXIS = "trunk's axis"
-SCALE, WALL, BOUNDARY = "scale", "chest wall", "boundary"
 _BOUNDARY_CC_PER_MM_CM2 = 0.025
 """Change of a torso's volume when its curve jitters by a standard deviation of 1 mm, cc for each cm² of base: 4 mm made
 16 cc of standard deviation on breasts of 166 cm² base. Used where the boundary cannot be drawn again."""

@@ -28,7 +28,8 @@ from mammometry.measure.volume.measurement import (
     define,
     other_terms_cc,
 )
-from mammometry.measure.volume.uncertainty import WALL, WALL_FIT_U95_MM, Evidence, Uncertainty, interval
+from mammometry.measure.volume.sources import WALL, WALL_FIT_U95_MM
+from mammometry.measure.volume.uncertainty import Evidence, Uncertainty, interval
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.chest_wall import ChestWall
 from mammometry.measure.wall.open_breast import OpenBreast
