@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.brought.scan_twins import in_unit, mirrored, written
+from tests.brought.scan_twins import in_unit, mirrored, scaled, written
 from tests.unit.measure.trunks import LEFT, RIGHT, edge_of, trunk_mesh
 
 from mammometry.api.mesh import MeshFiles, MeshJob
@@ -243,6 +243,26 @@ def test_every_shared_scan_has_its_twins(tmp_path: Path, name: str) -> None:
     for unit in MM_PER_UNIT:
         read = read_foreign(written(in_unit(mesh, unit), tmp_path / "a.ply", f"units: {unit}")).mesh
         assert np.ptp(read.vertices, axis=0) == pytest.approx(np.ptp(mesh.vertices, axis=0), rel=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [2.54, 1 / 2.54], ids=["cm as inches", "inches as cm"])
+@pytest.mark.parametrize("name", BODIES)
+@pytest.mark.requirement("R-UNIT-3")
+def test_a_scan_of_a_wrong_size_is_never_silent(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, factor: float
+) -> None:
+    path = SHARED / f"{name}_scan.ply"
+    if not path.exists():
+        pytest.skip("the shared data are not here")
+    twin = written(scaled(read_foreign(path, "m").mesh, factor), tmp_path / "a.ply")
+    code = main.run(["measure", str(twin), "--automatic", "--units", "mm", "--json", "--out", str(tmp_path / "out")])
+    printed = capsys.readouterr()
+    if code:
+        assert code in (3, 8)
+        assert "--units" in json.loads(printed.out)["error"]
+    else:
+        assert any("for an adult" in note for note in json.loads(printed.out)["notes"])
 
 
 @pytest.mark.slow

@@ -102,7 +102,7 @@ def test_a_scan_is_drawn_on_measured_and_shown(scan: Path) -> None:
     assert {name for name, place in places.items() if place["proposed"]} >= {"medial_left", "lateral_right"}
     assert not any(place["points"] for place in places.values())
 
-    # One breast is changed: the other stays automatic, and its number the same.
+    # One breast is changed: the other stays automatic, and its number the same but for the trunk's plane.
     sketch = Sketch(of=left["of"], handles=[SentHandle.model_validate(each) for each in left["handles"]])
     moved = np.add(sketch.handles[0].point, [0.0, 12.0, 0.0])
     sketch.handles[0] = SentHandle(point=tuple(moved.tolist()))
@@ -111,7 +111,8 @@ def test_a_scan_is_drawn_on_measured_and_shown(scan: Path) -> None:
     again = open_scan(scan)
     second = again.run()
     assert second.volumes_cc["left"] != first.volumes_cc["left"]
-    assert second.volumes_cc["right"] == pytest.approx(first.volumes_cc["right"], rel=1e-3)
+    low, high = first.intervals_cc["right"]  # the trunk's own plane is fitted beside both borders, and moves a little
+    assert second.volumes_cc["right"] == pytest.approx(first.volumes_cc["right"], abs=0.01 * (high - low) / 2)
     state = Desk(drawable_scan(scan)).state()["boundaries"]
     assert state["left"]["measured"]["of"] == state["left"]["of"] != left["of"]
     assert state["right"]["automatic"]
