@@ -213,17 +213,18 @@ def measurements(
         require_adult(size, job.settings.measure)
     frame = None if body is None else body.frame
     breasts = open_breasts(boundaries, repaired, job.settings.measure, frame=frame, back=job.inputs.wall)
+    remark = "" if size is None else size.warning  # a wrong scale may be the reason
     measured, refusals = [], []
     results = measured_or_refused(breasts, evidence, progress=job.progress)
     for breast, result in zip(breasts, results, strict=True):
         if not isinstance(result, MeasureError):
             measured.append(result)
         elif breast.boundary.name in job.inputs.boundaries:
-            raise result  # who drew it waits to hear
+            raise result.with_remark(remark)  # a drawn breast must not fail silently
         else:
             refusals.append(result)  # of this side alone
     if refusals and not measured:
-        raise refusals[0]
+        raise refusals[0].with_remark(remark)
     return tuple(measured)
 
 
