@@ -144,7 +144,7 @@ class _Request:
     remarks: Sequence[str] = ()
     """On how the dates were put in order."""
     in_clinic: bool = False
-    """Whether somebody else says which boundaries are confirmed, and how the patient held herself."""
+    """Whether confirmations and the posture come from elsewhere, such as a clinic's visit."""
 
 
 def _compare(jobs: list[Dated], request: _Request, progress: Progress) -> Comparison:

@@ -109,7 +109,7 @@ class MeshFiles:
     posture: str = ""
     """How the patient held herself: ``standing``, ``leaning`` or ``lying``. Empty: as the scan's folder says."""
     sides_checked: bool = False
-    """Whether somebody found left and right of the mesh to be the patient's."""
+    """Whether a person has confirmed that left and right of the mesh are the patient's."""
     scan: Scan | None = None
     """What an imported scan's folder says. None: the mesh was not imported."""
 
@@ -274,7 +274,7 @@ class MeshJob(Reported):
         """Refuse a scan that may be a mirror image, before it is exported or compared.
 
         Raises:
-            SessionError: nobody has compared its sides with the patient.
+            SessionError: its sides have not been compared with the patient.
         """
         if self.sides_doubtful:
             raise SessionError(

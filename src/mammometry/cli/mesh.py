@@ -137,7 +137,7 @@ def measure_mesh(
     remarks = [f"Standard uncertainty: scale {100 * files.scale_std:g} %, surface {files.surface_std_mm:g} mm"]
     if scan is not None and given.boundary is None and boundary is not None:
         remarks += [
-            f"Boundary {name}, from {boundary}: {about.origin or 'nobody says who drew it'}"
+            f"Boundary {name}, from {boundary}: {about.origin or 'author unknown'}"
             for name, about in job.inputs.attributions.items()
         ]
     if scan is not None and given.landmarks is None and landmarks is not None:

@@ -304,7 +304,7 @@ def new_clinic(
 
 
 def new_private(path: Path) -> BinaryIO:
-    """Open a new file that nobody else may read, in place of one that a killed process left."""
+    """Open a new file, readable by its owner alone. Replaces one that a killed process left."""
     path.unlink(missing_ok=True)  # it may have a wider mode, which opening would keep
     return open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb")
 

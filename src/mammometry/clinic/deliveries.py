@@ -103,7 +103,7 @@ def deliver(config: ClinicConfig, delivery: Delivery) -> None:
         sent, kept = _send(config, delivery)
     except DatabaseError:
         raise
-    except Exception as error:  # whatever a library stumbles over: it is no reason to try for ever
+    except Exception as error:  # from a library: unknown failures end as well
         if isinstance(error, MammometryError):
             words = str(error).replace(f"{config.folder}/", "")[:1500]
         else:

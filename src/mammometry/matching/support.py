@@ -1,7 +1,7 @@
 """The board or table on which the subject lies.
 
 Every pair sees it, and it is not the subject. Where half of what is near lies in a plane and the rest stands before it,
-the plane is a support: a body curves away behind whatever plane fits it best. All pairs are asked together first: a
+the plane is a support: a body curves away behind the plane that fits it best. All pairs are asked together first: a
 plane that one of them sees clearly is the support of all, also of those that see little of it or see it at an angle.
 """
 

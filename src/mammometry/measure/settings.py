@@ -134,8 +134,8 @@ class MeasureSettings:
     layer: LayerSettings = field(default_factory=LayerSettings)
     """What is known of the layer before the muscle."""
     size_confirmed: bool = field(default=False, metadata={SINCE: "1.1"})
-    """Whether somebody found the body's lengths to be right, though fewer than one adult in 1,000 is so large or so
-    small. Then it is measured, with a warning."""
+    """Whether the body's lengths were checked and are right, though fewer than one adult in 1,000 has them. The body is
+    then measured, with a warning."""
     surface_sigma_mm: float = 0.02
     """Standard uncertainty of a cast's whole surface along its normal, mm. Matching windows bias convex skin by .02 to
     .04 mm."""

@@ -215,7 +215,7 @@ def facts(visit: Visit) -> Facts:
 def sides_doubtful(visit: Visit) -> bool:
     """Whether left and right of a visit's scan may be exchanged.
 
-    Not once somebody has compared them with the patient.
+    False once a person has compared them with the patient.
     """
     return visit.is_scan and SIDES_DOUBTFUL in facts(visit).warnings
 

@@ -176,7 +176,7 @@ def not_installed(request: HttpRequest, error: MissingLibraryError) -> HttpRespo
 def broken(request: HttpRequest) -> HttpResponse:
     """500: a defect of ours, or no database. So the page asks nothing of it, not even who is logged in.
 
-    507: the disk is full, whoever wrote on it.
+    507: the disk is full.
     """
     title, status = "A defect", 500
     sentence = "Something went wrong on our side. It is in the log. Nothing that was saved is lost."

@@ -117,7 +117,7 @@ def scan_new(request: HttpRequest) -> HttpResponse:
 
 
 def scan_sides(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """Keep that somebody compared left and right of a scan with the patient, and make its report again."""
+    """Record that left and right of a scan were compared with the patient, and make its report again."""
     shown = get_object_or_404(Visit.objects.select_for_update(), pk=visit)
     if request.method != "POST":
         return redirect("visit", visit=visit)

@@ -18,7 +18,7 @@ def eight_bit(values: Array, *, whole: bool) -> UInt8[Array, "n 3"]:
 
     Args:
         values: as the file has them (n, 3).
-        whole: whether the file has integers, whatever the array's type.
+        whole: whether the file has integers. The array may be of another type.
     """
     numbers = np.nan_to_num(np.asarray(values, dtype=np.float64), posinf=0.0, neginf=0.0)
     if not whole and (numbers > _SHARE).mean() <= _OVER:

@@ -1,4 +1,4 @@
-"""What a mesh file holds, whatever its format."""
+"""Contents of a mesh file of any format."""
 
 from __future__ import annotations
 

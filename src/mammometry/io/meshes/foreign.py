@@ -48,13 +48,13 @@ class ForeignMesh:
     mm_per_unit: float = 1.0
     """Its unit, mm."""
     lengths: str = ""
-    """A sentence on its length in a unit that nobody stated and in others. Empty where there is no doubt."""
+    """A sentence on its length in the assumed unit and in others. Empty where there is no doubt."""
     remarks: tuple[str, ...] = ()
     """What its reader left out or took for granted, one sentence each."""
 
     @property
     def assumed(self) -> str:
-        """About a unit that nobody stated. Empty where somebody did."""
+        """A sentence about an assumed unit. Empty where it was stated."""
         return " ".join(filter(None, (unit_remark(self.units), self.lengths)))
 
     @property
@@ -64,7 +64,7 @@ class ForeignMesh:
 
 
 def unit_remark(units: str, *, imported: bool = False) -> str:
-    """A sentence about a unit that nobody stated. Empty where somebody did.
+    """A sentence about an assumed unit. Empty where it was stated.
 
     Args:
         units: the unit and who says so, as of a `ForeignMesh`.

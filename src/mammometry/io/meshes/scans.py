@@ -83,7 +83,7 @@ class Scan:
     sha256: str = ""
     """Of the scanner's own mesh file."""
     sides: str = ""
-    """``checked``: somebody found left and right of the mesh to be the patient's. Empty: nobody looked."""
+    """``checked``: a person confirmed that left and right are the patient's. Empty: not checked."""
     remarks: tuple[str, ...] = ()
     """What was left out or taken for granted as the scanner's file was read, one sentence each."""
 

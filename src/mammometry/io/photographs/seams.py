@@ -24,7 +24,7 @@ _PLACES = 24  # in a row that are tried: the median of the step hides the rest
 def has_seam(pixels: UInt8[Array, "h w *c"], layout: Layout) -> bool:
     """Whether all blocks from some place on are brighter or darker than they were coded.
 
-    Where restart markers are closer than two rows, such damage ends before it can be told from an edge: False.
+    Where restart markers are closer than two rows, such damage is too short to differ from an edge: False.
 
     Args:
         pixels: as decoded, not turned.

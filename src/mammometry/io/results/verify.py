@@ -156,7 +156,7 @@ def _others(results: Path, session: Path | None) -> _Others:
         for name, about in written.items():
             path = folder / name
             if status(path) is None:
-                continue  # removed by somebody, or withdrawn by the command itself
+                continue  # removed, or withdrawn by the command itself
             if file_digest(path) in about.sha256:
                 whole[_named(path, results, root)] = path.stat().st_size
             else:

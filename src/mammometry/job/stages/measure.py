@@ -203,7 +203,7 @@ def measurements(
     """The volume of each breast with its interval: ``model``, or the patient's ``left`` and ``right``.
 
     Raises:
-        MeasureError: no breast can be measured, or one that somebody drew; or no adult is so large or so small.
+        MeasureError: no breast can be measured, a drawn one cannot, or no adult is of this size.
     """
     from mammometry.measure.shape.body_size import require_adult
     from mammometry.measure.volume.volumes import measured_or_refused

@@ -84,7 +84,7 @@ def attributed_words(method: str, curve: str, attribution: Attribution, *, named
 
 
 def seen_words(method: str) -> str:
-    """Method of a boundary that somebody confirmed: it is no longer to be confirmed."""
+    """Method of a confirmed boundary, without the request to confirm it."""
     seen = "; confirmed by eye"
     return f"{method.removesuffix(TO_BE_CONFIRMED).removesuffix(seen).rstrip(',; ')}{seen}"
 
