@@ -131,8 +131,10 @@ def measure_mesh(
         folder = given.out.resolve()  # a link that the user names is meant; one that came with the files is refused
     require_apart(folder, [options.file])
     with Bars(options.silent) as bars:
-        with bars.task("measure", "mesh"):
+        with bars.task("read", "mesh"):
             job = MeshJob(files, folder, options.settings(*assignments), watch=bars.watch)
+        keys = [product.key for product in job.plan.products()]
+        bars.expect("measure", sum(state != "current" for state in job.store.states(keys)))
         results = job.run()
     remarks = [f"Standard uncertainty: scale {100 * files.scale_std:g} %, surface {files.surface_std_mm:g} mm"]
     if scan is not None and given.boundary is None and boundary is not None:
