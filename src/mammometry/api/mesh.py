@@ -304,7 +304,7 @@ class MeshJob(Reported):
                 drawn = None if begin is None else begin()
                 self.plan.ensure("measure")
             except MeasureError as refused:
-                error = refused.with_remark(self._assumed)
+                error = refused.with_remark(self._assumed or f"The unit of the mesh: {self.units}")
                 show_refusal(self.store.folder, self.identity, error, self._seen)
                 raise error from None
             withdraw_refusal(self.store.folder)
