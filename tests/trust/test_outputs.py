@@ -40,6 +40,7 @@ from mammometry.hospital import gather as gathering
 from mammometry.io.cameras.own import cameras_table
 from mammometry.io.meshes import scans as scan_files
 from mammometry.io.outputs import RECORD
+from mammometry.io.sealed import sealed, unsealed
 from mammometry.measure import change
 from mammometry.report.documents import change_page, html, pdf, rendering
 from mammometry.report.figures import catalogue
@@ -475,11 +476,11 @@ def test_a_second_run_replaces_its_own_and_nothing_else(
     assert run(case.arguments, capsys)[0] == 0
     assert set(case.names) <= set(tree(case.folder))
     (case.folder / "mine.txt").write_text("mine")
-    record = json.loads((case.folder / RECORD).read_text())
+    record, _ = unsealed((case.folder / RECORD).read_bytes())
     for each in case.names:  # as if the first run had written something else
         (case.folder / each).write_bytes(b"earlier")
         record["files"][each]["sha256"] = [hashlib.sha256(b"earlier").hexdigest()]
-    (case.folder / RECORD).write_text(json.dumps(record))
+    (case.folder / RECORD).write_bytes(sealed(record))
     assert run(case.arguments, capsys)[0] == 0
     for each in case.names:
         assert (case.folder / each).read_bytes() != b"earlier"

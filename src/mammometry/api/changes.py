@@ -1,4 +1,4 @@
-"""What differs between what stored results were made from and what there is now."""
+"""Changes of a session's files and settings since its results were made."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a session or scan brings now, compared with what its results were made from."""
+"""Input files of a session or scan, compared with those of its stored results."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ class MammometryError(Exception):
         return f"{self.subject}: found {self.found}, expected {self.expected}. {self.remedy.rstrip('.')}."
 
     def with_remark(self, remark: str) -> Self:
-        """The same error with one more sentence behind its remedy.
+        """Return a copy with one more sentence after the remedy.
 
         A sentence that it has already, or an empty one, changes nothing.
         """

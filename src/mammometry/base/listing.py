@@ -1,4 +1,4 @@
-"""What a folder of the user's holds, without what systems leave there.
+"""List a user's folder without the files that operating systems leave there.
 
 macOS writes ``._name`` beside each file on disks of other systems, and ``__MACOSX`` into archives. Windows writes
 ``Thumbs.db`` and ``desktop.ini``. Whoever lists a folder of the user's does it here.

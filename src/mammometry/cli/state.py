@@ -269,7 +269,7 @@ def verify(
         ),
     ],
 ) -> Answer:
-    """Check that results are as they were written, and of these photographs.
+    """Check every byte of the results, and that the photographs are unchanged.
 
     All files are read. Names what is damaged or changed, and says which results a rerun renews. Files that cannot be
     checked are listed.
