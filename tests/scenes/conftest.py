@@ -3,6 +3,7 @@
 import io
 import json
 import shutil
+from collections.abc import Iterator
 from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -55,10 +56,11 @@ def tiny_finished_original(tiny_demo: dict[str, Any]) -> Path:
 
 
 @pytest.fixture(scope="session")
-def tiny_original(tmp_path_factory: pytest.TempPathFactory, tiny_finished_original: Path) -> Path:
+def tiny_original(tmp_path_factory: pytest.TempPathFactory, tiny_finished_original: Path) -> Iterator[Path]:
     """The tiny session without results; copy it before you change it."""
     folder = tmp_path_factory.mktemp("tiny") / "session"
-    return Path(shutil.copytree(tiny_finished_original, folder, ignore=shutil.ignore_patterns("results")))
+    yield Path(shutil.copytree(tiny_finished_original, folder, ignore=shutil.ignore_patterns("results")))
+    assert not (folder / "results").exists(), "a test wrote results into the original: let it use the fixture `tiny`"
 
 
 @pytest.fixture

@@ -14,12 +14,12 @@ _TOML = re.compile(r"```toml\n(.*?)```", re.DOTALL)
 
 
 @pytest.fixture
-def rig(repository: Path, tiny_original: Path, tmp_path: Path) -> Path:
+def rig(repository: Path, tiny: Path, tmp_path: Path) -> Path:
     """The guide's own rig.toml. Cameras and subject alone are others."""
     (text,) = _TOML.findall((repository / ROAD).read_text(encoding="utf-8"))
     text = re.sub(r'backend = "pylon" .*', 'backend = "virtual"', text)
     text = re.sub(r"cameras = .*", "", text.replace('kind = "torso"', 'kind = "model"'))
-    text = re.sub(r"\[capture.options\].*", f'[capture.options]\nsession = "{tiny_original}"\n', text, flags=re.DOTALL)
+    text = re.sub(r"\[capture.options\].*", f'[capture.options]\nsession = "{tiny}"\n', text, flags=re.DOTALL)
     (tmp_path / "rig.toml").write_text(text)
     return tmp_path / "rig.toml"
 
