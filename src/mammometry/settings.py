@@ -53,7 +53,7 @@ RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
     }
 )
 """Dotted name of each number, ``*`` for all of a group → least and largest usable value. Others are refused."""
-_CHOSEN = {"surface.extract.cube_mm": 0.0}  # values beside the range that leave the choice to the program
+_CHOSEN = {"surface.extract.cube_mm": 0.0}  # values outside the range that mean "choose automatically"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -294,7 +294,7 @@ def _require_usable(dotted: str, given: object, value: object, default: object) 
     """Refuse a number outside its range, also one of several.
 
     Raises:
-        SettingsError: says the range.
+        SettingsError: a value is outside its range, which the error names.
     """
     usable = range_of(dotted)
     numbers = [number for number in (value if isinstance(value, tuple) else (value,)) if not isinstance(number, str)]

@@ -77,7 +77,7 @@ def read_drawn_by(curves: Path, mesh: Path | None = None) -> tuple[DrawnBy, ...]
 
     Raises:
         SessionError: the folder holds fewer than two drawings, a copy, one drawing twice, or ``anna_1`` and ``anna_2``,
-            which may be one person or two; or nobody says the mesh.
+            which may be one person or two; or the mesh is unknown.
         TableError: the table cannot be read, has no such columns, an empty cell, or one drawing twice.
     """
     drawn = _of_folder(curves, mesh) if curves.is_dir() else _of_table(curves, mesh)

@@ -60,7 +60,7 @@ def as_utf_8(name: str) -> str:
 
 
 def folded(name: str) -> str:
-    """A name as it is compared: whatever its case, its blanks and the form of its accented letters.
+    """Normalise a name for comparison: case, blanks and the form of accented letters do not matter.
 
     >>> folded("Ju\u0308rg ") == folded("jürg")
     True

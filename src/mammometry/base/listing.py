@@ -1,7 +1,7 @@
 """List a user's folder without the files that operating systems leave there.
 
 macOS writes ``._name`` beside each file on disks of other systems, and ``__MACOSX`` into archives. Windows writes
-``Thumbs.db`` and ``desktop.ini``. Whoever lists a folder of the user's does it here.
+``Thumbs.db`` and ``desktop.ini``. Every listing of a user's folder goes through here.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ def part(progress: Progress, start: float, stop: float) -> Progress:
 
 TICK_S = 0.5
 """Seconds between two reports of work that reports nothing itself."""
-_USUAL_S = 20.0  # of a product of which no earlier run tells the time
+_USUAL_S = 20.0  # assumed for a product that no earlier run has timed
 _MOST = 0.9  # share that elapsed time alone may claim
 
 

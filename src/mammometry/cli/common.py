@@ -278,7 +278,7 @@ class Bars:
         self._line_s, self._said[stage] = now, f"{share // _TENTH * _TENTH:.0f} %"
 
     def _say_in_silence(self) -> None:
-        """Say what is at work whenever nothing was said for long."""
+        """Repeat the current step after a long silence."""
         while not self._ended.wait(TICK_S):
             with self._lock:
                 if self._stage and time.monotonic() - self._line_s >= _SILENT_S:

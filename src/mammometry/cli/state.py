@@ -230,7 +230,7 @@ def _opening(page: Path) -> str:
 
 
 def _after_table(table: dict[str, Any]) -> list[str]:
-    """What was changed, and whether a run is at work."""
+    """List what was changed, and whether a run is in progress."""
     lines = _changed_lines(table["stages"])
     lines += [f"A run is at work ({table['at_work']}). Wait for it to end"] if table["at_work"] else []
     return ["", *lines] if lines else []

@@ -2,7 +2,7 @@
 
 An entry that was changed or taken out, or put between others, breaks the chain from there on. Entries are chained some
 seconds after they are written, and before each backup. The digest of the last one stands in every backup, so that
-somebody who can change the whole database cannot begin a new chain unnoticed (docs/dossier/security.md).
+even an administrator of the database cannot start a new chain unnoticed (docs/dossier/security.md).
 """
 
 import datetime

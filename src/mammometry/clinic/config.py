@@ -170,7 +170,7 @@ class ClinicConfig(BaseModel):
 
     stow_secrets: Annotated[dict[Filled, Filled], AfterValidator(_are_encrypted)] = {}
     """Address of a DICOMweb archive → the file with its login ("Bearer …"), relative to the clinic's folder. It goes to
-    this address alone, whatever somebody enters on a page."""
+    this address only, whichever address is entered on a page."""
 
     def stow_secret(self, address: str) -> str | None:
         """Login for a DICOMweb archive. None: it has none.

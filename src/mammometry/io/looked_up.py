@@ -16,7 +16,7 @@ V = TypeVar("V")
 
 
 class LazyMapping(Mapping[K, V], Generic[K, V]):
-    """A mapping whose values are made at every look-up: photographs are large."""
+    """A mapping that makes its values at every look-up: photographs are too large to keep."""
 
     def __init__(self, sources: Mapping[K, object], make: Callable[..., V]) -> None:
         self._sources = dict(sources)
@@ -36,7 +36,7 @@ class LazyMapping(Mapping[K, V], Generic[K, V]):
 
 
 class KeptMapping(LazyMapping[K, V]):
-    """A mapping whose values are made at the first look-up and then kept."""
+    """A mapping that makes each value at its first look-up and keeps it."""
 
     def __init__(self, sources: Mapping[K, object], make: Callable[..., V]) -> None:
         super().__init__(sources, make)

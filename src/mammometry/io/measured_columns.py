@@ -1,4 +1,4 @@
-"""What the name of a column of measurements says: the method, and the unit."""
+"""Method and unit in the name of a column of measurements."""
 
 from __future__ import annotations
 

@@ -49,13 +49,13 @@ class SubjectRows:
 
 
 def subject_rows(table: Table, measured: tuple[str, str], pairs: Float64[Array, "n 2"]) -> SubjectRows:
-    """Find out whose each row is.
+    """Find the subject of each row.
 
     A column named patient, subject, id or the like names the subjects, else the first column if it is not measured;
     else each row is another subject. Names that differ by a side alone (``P7 left``, ``P7 right``) are one subject's.
 
     Args:
-        table: all of it.
+        table: every row, with the header.
         measured: the names of both columns of measurements.
         pairs: their numbers.
 

@@ -158,7 +158,7 @@ class SortedDepths:
 
 
 def sort_depths(depths: Sequence[CoarseDepths], middle_world: Float64[Array, 3]) -> list[SortedDepths]:
-    """Sort all pairs' pixels by depth: near, far, and what the subject lies on.
+    """Sort all pairs' pixels by depth: near, far, and the support under the subject.
 
     Args:
         depths: of all pairs.

@@ -22,12 +22,12 @@ LEAST_STANDING = 0.004
 """Of the picture: what stands on a wide table, at least. Chosen by eye."""
 
 # Where no other source is named: chosen on the simulated captures of docs/decisions/0028.
-_FLATNESS = 0.012  # of the depth: what is nearer to a plane lies on it; a pixel of disparity, and a tenth of a cast
+_FLATNESS = 0.012  # share of the depth within which a point is an inlier: a pixel of disparity, a tenth of a cast
 _STANDING = 1.5  # times that: what certainly stands before it
 _BOARD, _ON_BOARD, _BELOW = 0.5, 0.03, 0.4  # of what is near: on a board; before it; behind it, of what is before it
 _TABLE = 0.8  # of what is near: a wide table; by eye
 _SOME, _TRIALS, _LEAST_AREA, _DRAWN = 1500, 150, 0.02, 28  # points and planes tried, their size of the picture, seed
-_FITS = 3  # least squares on what lies on the plane
+_FITS = 3  # refits by least squares to the plane's inliers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -109,7 +109,7 @@ def parted(
 
 
 def cleaned(mask: Bool[Array, "h w"], least_share: float) -> Bool[Array, "h w"]:
-    """Remove thin parts and specks beside the largest part, and close gaps."""
+    """Remove thin parts and specks, and close gaps in the largest part."""
     opened = ndimage.binary_opening(ndimage.binary_closing(mask), iterations=2)
     labels, count = ndimage.label(opened)
     if count == 0:

@@ -18,7 +18,7 @@ import scipy  # it imports scipy.stats, which takes half a second, when that is 
 
 from mammometry.geometry.arrays import Array, Float64
 
-_ROUNDING = 1e-12  # of a variance whose largest value is k; below, it is 0 but for rounding
+_ROUNDING = 1e-12  # times the variance's largest value k: smaller values are rounding errors of 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -163,7 +163,7 @@ def append(upload: Upload, offset: int, data: bytes) -> Upload:
             Upload.objects.filter(pk=upload.pk).update(received_bytes=arrived_bytes)
             if arrived_bytes == upload.size_bytes:
                 _finish(upload)
-                # Nobody waits for it any more: later pieces are refused by the upload's state.
+                # The upload has ended: later pieces are refused by its state.
                 Path(f"{upload.path}.lock").unlink(missing_ok=True)
     except Timeout:
         raise UploadError("Another piece of this photograph is just arriving. Ask again where to go on.") from None
@@ -407,7 +407,7 @@ def ready_folder(visit: Visit) -> None:
     """
     text = manifest_text(
         rig_of(visit).definition, visit.subject_kind, visit.patient.pseudonym, timezone.localdate(visit.taken_at),
-        posture="unknown" if visit.subject_kind == Visit.Subject.TORSO else None,  # the database alone says it
+        posture="unknown" if visit.subject_kind == Visit.Subject.TORSO else None,  # only the database knows it
     )  # fmt: skip
     make_session(visit.folder, text)
 

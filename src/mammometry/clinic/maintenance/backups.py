@@ -171,7 +171,7 @@ def exclusive(config: ClinicConfig) -> Iterator[None]:
 
 
 def remove_leftovers(config: ClinicConfig) -> bool:
-    """Delete what killed backups and restore tests left: it holds names. False: one is at work now."""
+    """Delete the remains of killed backups and restore tests: they hold names. False if one is running."""
     try:
         with exclusive(config):
             return True
@@ -237,7 +237,7 @@ def is_due(config: ClinicConfig, now: datetime.datetime) -> bool:
     begun = datetime.datetime.fromtimestamp((config.folder / KEY_FILE).stat().st_mtime, datetime.UTC)
     tried = _outcomes(config).get("backup")
     known = [begun, *(file.made_at for file in backup_files(config)), *([tried.moment] if tried else [])]
-    # What a clock in the future made tells nothing of today.
+    # A backup dated in the future says nothing about today.
     return all(moment < last or moment > now for moment in known)
 
 

@@ -174,7 +174,9 @@ def not_installed(request: HttpRequest, error: MissingLibraryError) -> HttpRespo
 
 
 def broken(request: HttpRequest) -> HttpResponse:
-    """500: a defect of ours, or no database. So the page asks nothing of it, not even who is logged in.
+    """Answer 500: a defect of the program, or no database.
+
+    The page makes no query, not even for the user who is logged in.
 
     507: the disk is full.
     """

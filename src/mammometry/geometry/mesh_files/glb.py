@@ -59,7 +59,7 @@ def _chunks(content: bytes, name: str) -> tuple[dict[str, Any], bytes]:
     if magic != _MAGIC or version != _VERSION:
         raise ValueError("no GLB of version 2")
     table, binary, at = None, b"", _HEAD
-    end = length if _HEAD < length < len(content) else len(content)  # bytes behind it are no part of it
+    end = length if _HEAD < length < len(content) else len(content)  # later bytes are not part of it
     while at + 8 <= end:
         size, kind = struct.unpack_from("<II", content, at)
         chunk = content[at + 8 : at + 8 + size]

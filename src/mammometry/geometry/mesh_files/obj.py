@@ -17,7 +17,7 @@ from mammometry.base.errors import SessionError
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
 from mammometry.geometry.mesh_files.colours import eight_bit
 
-_NUMBERS = ("v ", "vt ", "vn ", "f ")  # whose lines hold no names, in which # may stand
+_NUMBERS = ("v ", "vt ", "vn ", "f ")  # lines of numbers only: a # begins a comment, not part of a name
 _KEPT = ("v", "vt", "vn", "f", "usemtl")
 _WIDE = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 _DECIMAL_COMMA = re.compile(r"\d,\d")

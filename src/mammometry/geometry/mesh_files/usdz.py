@@ -120,7 +120,7 @@ def _is_animated(mesh: Any) -> bool:
 
 
 def _unread(stage: Any) -> str | None:
-    """What a scene draws that is not read here, in words. None: all of it is read."""
+    """Name the first thing a scene draws that is not read here. None if all of it is read."""
     from pxr import Usd, UsdGeom, UsdSkel
 
     now = Usd.TimeCode.EarliestTime()

@@ -59,7 +59,7 @@ class ForeignMesh:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What must be said of how it was read, one sentence each."""
+        """Notes on how it was read, one sentence each."""
         return (*filter(None, [self.assumed]), *self.remarks)
 
 
@@ -67,8 +67,8 @@ def unit_remark(units: str, *, imported: bool = False) -> str:
     """A sentence about an assumed unit. Empty where it was stated.
 
     Args:
-        units: the unit and who says so, as of a `ForeignMesh`.
-        imported: whether it is said of an imported scan, which is in mm now.
+        units: the unit and its source, as in a `ForeignMesh`.
+        imported: whether the scan is imported, and so in mm.
     """
     if not units.endswith(_BY_SIZE):
         return ""

@@ -160,7 +160,7 @@ def walk(
         data: coded pixels, without stuffing and markers; `PADDING` bytes more than `spans` reach.
         spans: first bit and last bit + 1 of each stretch between restart markers.
         tables: symbol + 256 × length of its code, by the next 16 bits; 0 where there is none. Four for DC, four for AC.
-        components: what `COLUMNS` says, of each component in the scan.
+        components: one row of `COLUMNS` for each component in the scan.
         units: units in a row, units in all, and in a stretch.
         scan: kind, first and last coefficient, bits left for later.
         dc: each block's DC. Written by scans that code it.

@@ -25,7 +25,7 @@ PADDING = 512
 
 
 class DamagedJpegError(ValueError):
-    """A JPEG whose pixels are not as T.81 codes them. Its text says what is wrong."""
+    """A JPEG whose coded pixels violate ITU-T T.81. The text says where."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +55,7 @@ class _Component:
 
 @dataclass
 class _Decoder:
-    """What the markers have said so far."""
+    """The state that the markers have set so far."""
 
     tables: Array = field(default_factory=lambda: np.zeros((8, 65536 + 1024), dtype=np.uint16))
     known_tables: set[int] = field(default_factory=set)
@@ -79,7 +79,7 @@ def check_jpeg(content: bytes, tables: bytes | None = None) -> Layout:
 
     Args:
         content: the file, or the part of a TIFF.
-        tables: tables that a TIFF keeps apart.
+        tables: quantisation and Huffman tables that a TIFF stores separately.
 
     Raises:
         DamagedJpegError: they are not.

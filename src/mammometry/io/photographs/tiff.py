@@ -39,7 +39,7 @@ class UnusualTiffError(ValueError):
 
 
 class DamagedTiffError(ValueError):
-    """A TIFF whose pixels are not as they were written."""
+    """A TIFF with damaged pixel data."""
 
 
 def tiff_header(file: BinaryIO) -> tuple[tuple[int, int], int, int]:

@@ -87,7 +87,7 @@ class RunLock:
         return StorageError(str(self._folder), found=found, expected=expected, remedy=remedy)
 
     def holder(self) -> str:
-        """Process, computer and start of the run at work, by its note. Empty: none is known.
+        """Process, computer and start of the run in progress, by its note. Empty if there is none.
 
         Nothing is locked or written to find out.
         """

@@ -102,7 +102,7 @@ class Ready(BaseModel):
 
 
 class StageRecords(NamedTuple):
-    """What a stage's provenance.json says."""
+    """Contents of a stage's provenance.json."""
 
     records: dict[str, Record]
     """Product → record of all that are valid."""

@@ -81,7 +81,7 @@ class Store:
 
     @property
     def at_work(self) -> str:
-        """Process, computer and start of a run at work in the folder. Empty: none is known."""
+        """Process, computer and start of a run in progress in the folder. Empty if there is none."""
         return self._lock.holder()
 
     @contextmanager

@@ -129,7 +129,7 @@ def verify(results: Path, session: Path | None = None) -> Findings:
 
 
 class _Others(NamedTuple):
-    """Files that no stage wrote, by the records beside them."""
+    """Check files that no stage wrote, by their own records."""
 
     whole: Mapping[str, int]
     """File → its bytes."""
@@ -138,7 +138,7 @@ class _Others(NamedTuple):
 
 
 def _others(results: Path, session: Path | None) -> _Others:
-    """Check what commands wrote beside the stages' results, and the record of a batch."""
+    """Check the files of other commands, and a batch's record."""
     whole, damaged, without_digest = dict[str, int](), list[Damage](), list[str]()
     root = results if session is None else session
     records = [path for path in (root.rglob(RECORD) if root.is_dir() else ()) if not _is_below_link(path, root)]

@@ -150,7 +150,7 @@ def size(repaired: RepairedSurface, boundaries: tuple[Boundary, ...], body: Body
 
 @product("measure", version=1, when=_torso, threads=1)
 def overlaps(repaired: RepairedSurface, boundaries: tuple[Boundary, ...], *, job: Context) -> tuple[Overlap, ...]:
-    """Whether something lies on each breast, such as a hand. No volume depends on it."""
+    """Whether something covers a breast, such as a hand. No volume depends on it."""
     from mammometry.measure.boundary.grooves import find_overlap
 
     return tuple(find_overlap(boundary, repaired) for boundary in boundaries)

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from mammometry.base.errors import MatchingError, SurfaceError
 
 OF_PARTNER = "its partner's silhouette is not known"
-"""Reason of a camera whose own silhouette is right: both pictures of a pair are treated alike."""
+"""Reason given for a camera whose partner has a wrong silhouette: both pictures of a pair are treated alike."""
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Find what lies on a breast: a hand, an arm or a strap.
+"""Find an object on a breast: a hand, an arm or a strap.
 
 A breast bulges everywhere but at its border. Where a hand is laid on it, or an arm runs across it, a scan makes one
 skin of both, with a sharp groove where one ends on the other. So grooves well inside the border show it, in whatever

@@ -1,4 +1,4 @@
-"""What lies on a breast, such as a hand or a strap, by the grooves that it makes."""
+"""Grooves inside a breast's border, as a hand or a strap on it makes them."""
 
 from __future__ import annotations
 

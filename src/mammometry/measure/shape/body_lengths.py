@@ -84,7 +84,7 @@ def _nipples(
         try:
             skin = breast.part.mesh
         except MeasureError:
-            continue  # the measurement says what is wrong with the curve
+            continue  # the measurement reports the fault of the curve
         grey = np.full((len(skin.vertices), 3), _GREY, dtype=np.uint8)
         mark = propose_nipple(name, skin, grey, breast.boundary.points_world)
         if mark is not None and mark.probability >= settings.nipple.least_probability:

@@ -141,7 +141,7 @@ def require_adult(size: BodySize, settings: MeasureSettings) -> None:
     """Refuse a torso of a size that no adult has.
 
     Raises:
-        MeasureError: says the lengths, and the factor that would make them usual.
+        MeasureError: names the lengths, and the factor that would make them usual.
     """
     if not size.is_impossible or settings.size_confirmed:
         return

@@ -38,7 +38,7 @@ def render(
         clinical: what a clinic knows. Its confirmation stands for all boundaries. None: the reader has the command
             line.
         named: whether names, dates and people's own words are said, which a de-identified report must not do.
-        photographs: name → address of the session's photographs, for a page that stays beside them.
+        photographs: name → address of the session's photographs, for a page that is kept in its folder.
     """
     from mammometry.report.documents import html, pdf
 
