@@ -35,7 +35,8 @@ from mammometry.measure.volume.volumes import measure_volumes
 from mammometry.measure.wall.chest_wall import fit
 from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.simulate.subjects.solid import rig_from_solid
-from mammometry.simulate.subjects.torso import TorsoShape, torso, torso_shape
+from mammometry.simulate.subjects.torso import torso
+from mammometry.simulate.subjects.torso_shape import TorsoShape, torso_shape
 
 SIDES = ("left", "right")
 _UPRIGHT = np.array([0.0, 1.0, 0.0])

@@ -34,7 +34,7 @@ from mammometry.simulate.recipe import Disturbance, Situation
 from mammometry.simulate.rigs.build import REFERENCE, build_rig
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import rig_from_solid
-from mammometry.simulate.subjects.torso import SIDES, TorsoShape
+from mammometry.simulate.subjects.torso_shape import SIDES, TorsoShape
 from mammometry.study.rays import RayScene, seen_by_pairs
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 

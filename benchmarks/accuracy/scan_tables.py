@@ -98,6 +98,48 @@ def _table(rows: Sequence[Row], heads: Sequence[str], cells: _Cells) -> Iterator
     yield ""
 
 
+_WORST_PERCENT = 10.0  # beyond which a scan's volume may not differ from the clean mesh's without a word
+
+
+def hanging_table(rows: Sequence[Row]) -> Iterator[str]:
+    """Yield what is found of hanging breasts: against the truth, and scans against the clean mesh; ptosis."""
+    clean = {row["woman"]: row for row in rows if row["quality"] == CLEAN}
+    yield "| bodies | scan | measured | volume − truth % | held | − clean %: median, worst | held | beyond 10 % "\
+        "| ptosis graded, wrongly |"  # fmt: skip
+    yield "|" + " --- |" * 9
+    for shared in (False, True):
+        for quality in dict.fromkeys(row["quality"] for row in rows):
+            own = [row for row in rows if row["quality"] == quality and (row["posture"] == "shared") == shared]
+            if own:
+                yield f"| {'shared' if shared else 'virtual'} | {quality} | " + " | ".join(_hanging(own, clean)) + " |"
+    yield ""
+
+
+def _hanging(rows: Sequence[Row], clean: Mapping[Any, Row]) -> Sequence[str]:
+    sides = [(row, side, own) for row in rows for side, own in row["sides"].items()]
+    true = [(own, row["truth"]["volumes_cc"][side]) for row, side, own in sides if row["truth"]["volumes_cc"]]
+    pairs = _pairs(rows, {(row["woman"], row["posture"]): row for row in clean.values()})
+    apart = [100 * abs(scan["volume_cc"] / one["volume_cc"] - 1) for scan, one in pairs]
+    graded = [
+        (grades, row["truth"].get("ptosis", {}).get(side)) for row in rows for side, grades in row["ptosis"].items()
+    ]
+    wrong = sum(true_grade not in (None, *grades) for grades, true_grade in graded)
+    return (
+        f"{len(sides)} of {2 * len(rows)}",
+        _spread([100 * (own["volume_cc"] / volume_cc - 1) for own, volume_cc in true]),
+        _held(true),
+        f"{_median(apart)}, {max(apart):.1f}" if apart else "–",
+        _held([(scan, one["volume_cc"]) for scan, one in pairs]) if apart else "–",
+        str(sum(percent > _WORST_PERCENT for percent in apart)),
+        f"{len(graded)}, {wrong}",
+    )
+
+
+def _held(volumes: Sequence[tuple[Any, float]]) -> str:
+    held = sum(own["interval_cc"][0] <= true_cc <= own["interval_cc"][1] for own, true_cc in volumes)
+    return f"{held} of {len(volumes)}"
+
+
 def sides_of(row: Row) -> tuple[str, ...]:
     """Sides with a breast."""
     return tuple(side for side in SIDES if side in row["truth"]["outlines"])

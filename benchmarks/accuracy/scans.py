@@ -3,6 +3,7 @@
     python -m benchmarks.accuracy.scans --out rows --bodies ../shared/data/scans
     python -m benchmarks.accuracy.scans --out rows --one-posture
     python -m benchmarks.accuracy.scans --out rows --women 9000-9003 --repeat 10 --qualities telephone
+    python -m benchmarks.accuracy.scans --out rows --women 9600-9611 --postures hanging --bodies ../shared/data/scans
 
 Each woman is measured from her clean front and from scans that a virtual telephone makes of her, by the command's own
 road, without any drawing. Develop on numbers below 9000, report on those from 9000 on. Every scan's row is kept in the
@@ -10,7 +11,8 @@ folder, and what is there is not measured again. `--one-posture` has each woman 
 operation comes in every posture. Without reports a scan takes half the time. The shared bodies come from another
 generator: their volumes stand above its smallest cup, not above a flat chest, so that only outlines, repetition and the
 difference of both sides, from which what stands below that cup falls out, are judged by them. `--differences` prints
-left less right alone.
+left less right alone. In the posture `hanging` women stand, their breasts have 300 to 1,500 cc, and their nipples are
+10 to 60 mm below the fold, which no telephone sees: these are compared with the clean mesh, and their ptosis is graded.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.accuracy.scan_tables import CLEAN, SIDES, Row, differences, tables
+from benchmarks.accuracy.scan_tables import CLEAN, SIDES, Row, differences, hanging_table, tables
 from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.base.errors import MammometryError
 from mammometry.base.machine.cores import available_cores
@@ -71,13 +73,25 @@ class Body:
         """Of the virtual woman or the shared body."""
         return str(self.woman) if self.file is None else self.file.name.removesuffix("_truth.json")
 
+    @property
+    def hangs(self) -> bool:
+        """Whether its ptosis is graded, and its scan compared with its clean mesh."""
+        return _HANGING in (self.posture, self.name.partition("_")[0])
+
     def key(self, quality: str, repetition: int) -> str:
         """Name of a row."""
         return f"{self.name}-{self.posture}-{quality}-{repetition}"
 
 
+_HANGING = "hanging"
+_BELOW_FOLD_MM = (10.0, 60.0)  # of the nipples of hanging breasts
+
+
 def situation_of(number: int, posture: str) -> str:
-    """What is special about a woman: her posture, and an operation or a build."""
+    """What is special about a woman: her posture, and an operation or a build, or breasts that hang."""
+    if posture == _HANGING:
+        below_mm = np.random.default_rng([number, 56]).uniform(*_BELOW_FOLD_MM)
+        return f"posture=standing,hanging={below_mm:.0f}"
     return ",".join(filter(None, [f"posture={posture}", _OPERATIONS[number % len(_OPERATIONS)]]))
 
 
@@ -96,8 +110,15 @@ def woman(number: int, posture: str) -> Solid:
     return make_subject(f"torso_{number}", 0, edge_mm=_EDGE_MM, reshape=reshape)
 
 
-def measured(path: Path, units: str = "mm", *, report: bool = True) -> Row:
-    """Measure a mesh file as the command does: volumes, outlines, landmarks, seconds, or the refusal."""
+def measured(path: Path, units: str = "mm", *, report: bool = True, graded: bool = False) -> Row:
+    """Measure a mesh file as the command does: volumes, outlines, landmarks, seconds, or the refusal.
+
+    Args:
+        path: of the mesh.
+        units: of the mesh.
+        report: whether the report is made, too.
+        graded: whether the ptosis is graded: its possible grades by side.
+    """
     row: Row = {"sides": {}, "landmarks": {}, "no_breast": {}, "refused": ""}
     begun = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="mammometry-scans-") as folder:
@@ -122,6 +143,8 @@ def measured(path: Path, units: str = "mm", *, report: bool = True) -> Row:
             row["no_breast"] = {side.name: side.why for side in job.plan.value(measure.absent) or ()}
             marks = job.plan.value(measure.landmarks) or ()
             row["landmarks"] = {mark.name: np.asarray(mark.points_world)[0].tolist() for mark in marks}
+            shape = job.plan.value(measure.dimensions) if graded else None
+            row["ptosis"] = {} if shape is None else {one.name: list(one.likely) for one in shape.ptosis}
         except MammometryError as error:
             row["refused"] = str(error)
         except Exception:  # a failure of ours is a failure, too
@@ -149,6 +172,7 @@ def _rows_of_woman(body: Body) -> Iterator[tuple[str, int, Row]]:
         "difference_cc": _left_less_right(solid.volumes_cc),
         "outlines": {side: np.round(solid.mesh.vertices[b.boundary], 2).tolist() for side, b in solid.breasts.items()},
         "landmarks": {name: np.round(points, 2).tolist() for name, points in solid.landmarks.items()},
+        "ptosis": true_grades(solid),
     }
     for quality, repetition in body.scans:
         made = clean_front(solid) if quality == CLEAN else scan(solid, QUALITIES[quality], repetition)
@@ -157,8 +181,22 @@ def _rows_of_woman(body: Body) -> Iterator[tuple[str, int, Row]]:
             write_ply(path, made.mesh, made.ply_colours, comments=())
             yield quality, repetition, {
                 "situation": situation_of(body.woman, body.posture), "truth": truth, "faces": len(made.mesh.faces),
-                **measured(path, report=body.report),
+                **measured(path, report=body.report, graded=body.hangs),
             }  # fmt: skip
+
+
+def true_grades(solid: Solid) -> dict[str, str]:
+    """Side → Regnault's grade by the true fold, nipple and lowest contour, for nipples below the fold."""
+    grades = {}
+    for side, breast in solid.breasts.items():
+        fold, nipple = (solid.landmarks.get(f"{name}_{side}") for name in ("inframammary_fold", "nipple"))
+        if fold is None or nipple is None or nipple[0, 1] > fold[0, 1]:
+            continue
+        below_mm = float(fold[0, 1] - nipple[0, 1])
+        lowest_mm = float(nipple[0, 1] - solid.mesh.vertices[solid.mesh.faces[breast.skin_faces], 1].min())
+        at_contour = below_mm > 10.0 and lowest_mm < 5.0
+        grades[side] = "III" if below_mm > 30.0 or at_contour else "II" if below_mm > 10.0 else "I"
+    return grades
 
 
 def _left_less_right(volumes_cc: Mapping[str, float]) -> float | None:
@@ -170,13 +208,14 @@ def _shared_rows(body: Body) -> Iterator[tuple[str, int, Row]]:
     assert body.file is not None
     table = json.loads(body.file.read_text(encoding="utf-8"))
     apart_cc = _left_less_right(table["above_smallest_cup_cc"])
-    truth = {"volumes_cc": {}, "difference_cc": apart_cc, "outlines": table["outline_10_percent"], "landmarks": {}}
+    outlines = table.get("outline_10_percent", {})
+    truth = {"volumes_cc": {}, "difference_cc": apart_cc, "outlines": outlines, "landmarks": {}}
     for quality, repetition in body.scans:
         kind, units = ("clean", "mm") if quality == CLEAN else ("scan", "m")
         path = body.file.with_name(f"{body.name}_{kind}.ply")
         faces = len(read_foreign(path, units).mesh.faces)
-        row = {"situation": "", "truth": truth, "faces": faces, **measured(path, units, report=body.report)}
-        yield quality, repetition, row
+        own = measured(path, units, report=body.report, graded=body.hangs)
+        yield quality, repetition, {"situation": "", "truth": truth, "faces": faces, **own}
 
 
 def write_rows(body: Body, folder: Path) -> list[str]:
@@ -222,7 +261,8 @@ def _bodies(arguments: argparse.Namespace) -> Sequence[Body]:
         for posture in ([posture_of(number)] if arguments.one_posture else arguments.postures)
     ]
     if arguments.bodies is not None:
-        files = sorted(arguments.bodies.glob("body_*_truth.json"))
+        kind = _HANGING if _HANGING in arguments.postures else "body"
+        files = sorted(arguments.bodies.glob(f"{kind}_*_truth.json"))
         shared = ((CLEAN, 0), ("telephone", 0))
         bodies += [Body(file=file, scans=shared, report=arguments.reports) for file in files]
     left = [_missing(body, arguments.out) for body in bodies]
@@ -234,7 +274,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="folder of the rows; gone on with if it exists")
     parser.add_argument("--women", type=_range, default=_range("9000-9039"), help="first and last, as 9000-9039")
-    parser.add_argument("--postures", nargs="*", default=list(POSTURES), choices=POSTURES)
+    parser.add_argument("--postures", nargs="*", default=list(POSTURES), choices=(*POSTURES, _HANGING))
     parser.add_argument("--one-posture", action="store_true", help="each woman in one posture: a third of the time")
     parser.add_argument("--qualities", nargs="*", default=[CLEAN, *QUALITIES], choices=[CLEAN, *QUALITIES])
     parser.add_argument("--repeat", type=int, default=1, help="scans of each woman, of each quality")
@@ -249,7 +289,10 @@ def main() -> None:
         for done in as_completed([pool.submit(write_rows, body, arguments.out) for body in _bodies(arguments)]):
             print("\n".join(done.result()), flush=True)
     rows = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(arguments.out.glob("*.json"))]
-    print("\n".join(differences(rows) if arguments.differences else tables(rows)))
+    hanging = [row for row in rows if row.get("ptosis") is not None]
+    print(
+        "\n".join(differences(rows) if arguments.differences else hanging_table(hanging) if hanging else tables(rows))
+    )
     if arguments.failures:
         for row in rows:
             for why in (row["refused"], *(f"{side}: {text}" for side, text in row["no_breast"].items())):

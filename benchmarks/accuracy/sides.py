@@ -38,7 +38,8 @@ from mammometry.simulate.disturbances.registry import disturbed
 from mammometry.simulate.recipe import parse_situation
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import rig_from_solid
-from mammometry.simulate.subjects.torso import BreastShape, TorsoShape, torso, torso_shape
+from mammometry.simulate.subjects.torso import torso
+from mammometry.simulate.subjects.torso_shape import BreastShape, TorsoShape, torso_shape
 from mammometry.surface.repair.repair import RepairedSurface
 
 _NOISE_MM, _TILT_DEG, _EDGE_MM = 0.15, 8.0, 3.0

@@ -31,7 +31,7 @@ from mammometry.io.drift import CameraDrift, Entry, append_history
 from mammometry.job.products import STAGES
 from mammometry.job.stages.report import previews_key
 from mammometry.settings import Settings
-from mammometry.simulate.subjects.torso import torso_shape
+from mammometry.simulate.subjects.torso_shape import torso_shape
 
 _PAIR = ("front_left", "front_right")
 _TABLES = """\

@@ -25,7 +25,7 @@ from mammometry.report.documents import change_page
 from mammometry.report.documents.change_page import ChangeReport
 from mammometry.report.privacy import Privacy
 from mammometry.settings import Settings
-from mammometry.simulate.subjects.torso import torso_shape
+from mammometry.simulate.subjects.torso_shape import torso_shape
 
 pytestmark = pytest.mark.slow
 

@@ -18,7 +18,7 @@ from mammometry.job.stages import measure
 from mammometry.measure.boundary import TO_BE_CONFIRMED
 from mammometry.measure.volume.attribution import attributed, curve_digest
 from mammometry.settings import Settings
-from mammometry.simulate.subjects.torso import torso_shape
+from mammometry.simulate.subjects.torso_shape import torso_shape
 
 LEFT, RIGHT = ("boundaries", "left"), ("boundaries", "right")
 

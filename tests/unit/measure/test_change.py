@@ -15,7 +15,7 @@ from mammometry.measure.volume import volumes
 from mammometry.measure.volume.uncertainty import Evidence
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
-from mammometry.simulate.subjects.torso import torso_shape
+from mammometry.simulate.subjects.torso_shape import torso_shape
 
 NAME = "torso_2"
 GROWTH = 1.3

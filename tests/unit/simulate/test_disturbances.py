@@ -25,7 +25,7 @@ from mammometry.simulate.subjects.body import Body
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.shapes import sphere
 from mammometry.simulate.subjects.solid import Solid, rig_from_solid
-from mammometry.simulate.subjects.torso import torso_shape
+from mammometry.simulate.subjects.torso_shape import torso_shape
 
 _NAMES = tuple(DISTURBANCES)
 
@@ -119,6 +119,20 @@ def test_a_mound_has_its_exact_volume_and_no_fold_nipple_or_areola(volume_cc):
 def test_ratio_of_the_sides_is_as_asked():
     volumes = operated("ratio=5").volumes_cc
     assert volumes["left"] / volumes["right"] == pytest.approx(5.0, rel=0.05)  # each is met to 2 %
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("below_mm", [10.0, 55.0])
+def test_nipples_of_hanging_breasts_are_below_the_fold_as_asked(below_mm):
+    solid = operated(f"posture=standing,hanging={below_mm:g}")
+    assert solid.mesh.is_watertight()
+    for side, volume_cc in solid.volumes_cc.items():
+        assert 300.0 * 0.96 < volume_cc < 1500.0 * 1.04  # volumes are met to 2 % in finer meshes
+        assert manifold_cc(solid, side) == pytest.approx(volume_cc, rel=1e-5)
+        fold, nipple = (solid.landmarks[f"{name}_{side}"][0, 1] for name in ("inframammary_fold", "nipple"))
+        assert fold - nipple == pytest.approx(below_mm, abs=9.0)  # ± 3 mm are drawn, and a nipple is up to 7 mm long
+        skin = solid.mesh.vertices[solid.mesh.faces[solid.breasts[side].skin_faces]]
+        assert skin[..., 1].min() < fold - below_mm  # it hangs over the chest below
 
 
 @pytest.mark.slow
@@ -344,8 +358,9 @@ def test_every_disturbance_is_drawn_by_some_seed_for_development():
     }
     assert names == set(_NAMES) - {
         "posture",
+        "hanging",
         *OF_OTHER_CAPTURES,
-    }  # before a rig everybody leans: scans have other postures
+    }  # before a rig everybody leans: scans have other postures, in which breasts hang over the fold
 
 
 def test_the_page_lists_every_disturbance(repository):

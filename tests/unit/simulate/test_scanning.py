@@ -14,7 +14,7 @@ from mammometry.simulate.recipe import parse_situation
 from mammometry.simulate.scan import QUALITIES, ScanQuality, add_picture, clean_front, scan
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import Solid
-from mammometry.simulate.subjects.torso import torso_shape
+from mammometry.simulate.subjects.torso_shape import torso_shape
 
 RADIUS_MM = 100.0
 SMALL = ScanQuality(noise_mm=1.0, cube_mm=8.0, width_px=96)

@@ -13,7 +13,8 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.simulate.subjects.body import Body
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import Solid, rig_from_solid
-from mammometry.simulate.subjects.torso import torso, torso_shape
+from mammometry.simulate.subjects.torso import torso
+from mammometry.simulate.subjects.torso_shape import torso_shape
 
 SIDES = ("left", "right")
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from mammometry.simulate.disturbances.registry import Number, Word, disturbance
 from mammometry.simulate.subjects.marks import Mark, Point
-from mammometry.simulate.subjects.torso import SIDES, BreastShape, TorsoShape
+from mammometry.simulate.subjects.torso_shape import SIDES, BreastShape, TorsoShape
 
 _SCAR = (0.92, 0.70, 0.68)
 """Colour of a healed scar relative to the skin's: redder. Chosen by eye, as are all measures here."""
@@ -154,22 +154,49 @@ def _ratio(shape: TorsoShape, ratio: float, rng: np.random.Generator) -> TorsoSh
     if max(volumes) > 1160.0:  # as the family's own largest
         volumes = tuple(volume * 1160.0 / max(volumes) for volume in volumes)  # type: ignore[assignment]
     for side, volume_cc in zip(SIDES, volumes, strict=True):
-        breast = shape.breasts[side]
-        grown = (volume_cc / breast.volume_cc) ** (1.0 / 3.0)
-        limits = (breast.apex_mm[0] - 3.0, shape.body.half_width_mm + 4.0 - breast.apex_mm[0], 94.0 - breast.apex_mm[1])
-        inner, outer, upper = (
-            min(grown * length, limit) for length, limit in zip(breast.radii_mm, limits, strict=False)
-        )
-        changed = replace(
-            breast,
-            volume_cc=volume_cc,
-            radii_mm=(inner, outer, upper, grown * breast.radii_mm[3]),
-            projection_mm=grown * breast.projection_mm,
-            hang_mm=grown * breast.hang_mm,
-            areola_mm=min(grown * breast.areola_mm, 29.0),
-        )
-        shape = _with(shape, side, changed)
+        shape = _with(shape, side, _grown(shape, shape.breasts[side], volume_cc))
     return shape
+
+
+_HANGING_CC = (300.0, 1500.0)  # volumes of hanging breasts, evenly in their logarithm
+
+
+@disturbance(
+    "hanging",
+    "patient",
+    "large, hanging breasts of 300 to 1,500 cc: how far their nipples are below the fold",
+    Number(usual=30.0, within=(0.0, 60.0), unit="mm"),
+    turn=3,
+)
+def _hanging(shape: TorsoShape, below_mm: float, rng: np.random.Generator) -> TorsoShape:
+    mean_cc = math.exp(rng.uniform(*np.log(_HANGING_CC)))
+    for side, breast in shape.breasts.items():
+        if not (breast.removed or breast.fullness == 0.0):
+            volume_cc = float(np.clip(mean_cc * math.exp(rng.normal(0.0, 0.1)), *_HANGING_CC))
+            changed = replace(
+                _grown(shape, breast, volume_cc),
+                below_fold_mm=below_mm + rng.uniform(-3.0, 3.0),
+                nipple_place=(breast.nipple_place[0], rng.uniform(-0.3, -0.1)),
+                fullness=rng.uniform(0.85, 1.0),
+                sag=rng.uniform(1.8, 3.2),
+            )
+            shape = _with(shape, side, changed)
+    return shape
+
+
+def _grown(shape: TorsoShape, breast: BreastShape, volume_cc: float) -> BreastShape:
+    """The same breast with another volume, as far as its base has room on the chest."""
+    grown = (volume_cc / breast.volume_cc) ** (1.0 / 3.0)
+    limits = (breast.apex_mm[0] - 3.0, shape.body.half_width_mm + 4.0 - breast.apex_mm[0], 94.0 - breast.apex_mm[1])
+    inner, outer, upper = (min(grown * length, limit) for length, limit in zip(breast.radii_mm, limits, strict=False))
+    return replace(
+        breast,
+        volume_cc=volume_cc,
+        radii_mm=(inner, outer, upper, grown * breast.radii_mm[3]),
+        projection_mm=grown * breast.projection_mm,
+        hang_mm=grown * breast.hang_mm,
+        areola_mm=min(grown * breast.areola_mm, 29.0),
+    )
 
 
 @disturbance("arms", "patient", "where the arms are", Word(usual="raised", words=("raised", "sides", "frame")))

@@ -10,7 +10,7 @@ import numpy as np
 from mammometry.simulate.disturbances.registry import Number, Word, disturbance
 from mammometry.simulate.rendering.skin import SKINS, Skin
 from mammometry.simulate.subjects.marks import Mark
-from mammometry.simulate.subjects.torso import SIDES, TorsoShape
+from mammometry.simulate.subjects.torso_shape import SIDES, TorsoShape
 
 _LIVING = ("skin", "dark-skin", "pale-skin", "sweat")
 _INK = (0.22, 0.26, 0.34)

@@ -35,6 +35,14 @@ def smoothstep(low: float, high: float, value: Array) -> Array:
     return t * t * (3.0 - 2.0 * t)
 
 
+def sagged(height: Array, sag: float) -> Array:
+    """Share of a breast's fall, by the share of its height.
+
+    The same share for a `sag` of 1, more for a larger one.
+    """
+    return height if sag == 1.0 else 1.0 - np.clip(1.0 - height, 0.0, None) ** sag
+
+
 @value(eq=False)
 class Breast:
     """A torso's breast: the skin that the body without it lacks."""

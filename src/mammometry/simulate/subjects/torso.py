@@ -8,135 +8,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Bool, Float64, Int32
 from mammometry.geometry.mesh import TriangleMesh, edge_table, split_edges
-from mammometry.simulate.subjects.body import NOTCH_Y_MM, Body, BodyShape
-from mammometry.simulate.subjects.marks import Mark, mark
+from mammometry.simulate.subjects.body import NOTCH_Y_MM, Body
+from mammometry.simulate.subjects.marks import mark
 from mammometry.simulate.subjects.registry import SubjectRequest, add_subject, numbered
-from mammometry.simulate.subjects.solid import Breast, Solid, rounded_mesh, smoothstep, waves
+from mammometry.simulate.subjects.solid import Breast, Solid, rounded_mesh, sagged, smoothstep, waves
+from mammometry.simulate.subjects.torso_shape import SIDES, BreastShape, TorsoShape, torso_shape
 
-SIDES = ("left", "right")
 _COARSE_MM = 7.0  # edges of the body before it is refined
 _DEEPEST_MM, _HIGHEST_MM = 110.0, 45.0  # heights over a breast's tangent plane between which its wall lies
 _SNAP = 0.2  # share of an edge: a vertex this near to the boundary is moved onto it
 _VOLUME_ROUNDS = 3  # of scaling a breast to its volume
+_HANG_ROUNDS = 2  # of pulling a breast down: the nipple's height is linear in the pull but for its own place
 _ARMPIT_MM = 25.0  # height over the lowest place where arm and trunk meet, in which the armpit's front is sought
 _FORWARD = 0.6  # how much a breast points straight ahead, beside the chest's normal of length 1; chosen by eye
 _SLACK = 0.6  # pull down the chest beside gravity's 1, as skin gives way there; chosen by eye
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BreastShape:
-    """Measures of one breast, seen along its axis, mm along the chest."""
-
-    volume_cc: float = 400.0
-    """Wanted, cc. Met to 2 %."""
-    apex_mm: tuple[float, float] = (76.0, -8.0)
-    """Middle of the breast's base: distance from the midline, height."""
-    radii_mm: tuple[float, float, float, float] = (66.0, 72.0, 80.0, 62.0)
-    """Of the base: towards the midline, to the side, upwards, downwards."""
-    projection_mm: float = 45.0
-    """Height over the chest wall. Scaled to meet the volume."""
-    hang_mm: float = 20.0
-    """Distance by which gravity pulls the mass: little is young and firm, much is ptotic with an undercut."""
-    fullness: float = 0.85
-    """Fullness of the lower pole: 0 runs out flat into the chest, 1 is round and meets it in a fold."""
-    fold_mm: float = 4.0
-    """Rounding of the fold."""
-    nipple_place: tuple[float, float] = (0.05, -0.12)
-    """Where the nipple is, in radii: to the side, up."""
-    areola_mm: float = 20.0
-    """Radius of the areola."""
-    nipple_mm: float = 5.0
-    """Height of the nipple."""
-    unevenness_mm: float = 1.0
-    """Amplitude of the skin's random unevenness."""
-    cap: float = 2.6
-    """Exponent of the upper profile: how far it is round before it runs out. 2.6 was chosen by eye."""
-    bare: bool = False
-    """Whether it lacks areola and nipple."""
-    removed: bool = False
-    """Whether it is removed: its measures then say where it was."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TorsoShape:
-    """A trunk, its breasts and its pose."""
-
-    body: BodyShape
-    breasts: Mapping[str, BreastShape]
-    """"left" and "right", the patient's own."""
-    lean_rad: float = math.radians(35.0)
-    """How far it leans forward: 0 stands, −π/2 lies on the back."""
-    marks: tuple[Mark, ...] = ()
-    """Scars, folds, tattoos and whatever else is on its skin."""
-
-
-def torso_shape(name: str, seed: int) -> TorsoShape:
-    """Draw a torso by seed, with breasts of 100 … 1200 cc.
-
-    Args:
-        name: ``torso``, or ``torso_1``, ``torso_2``, … for others of the family.
-        seed: of everything drawn.
-
-    Raises:
-        ValueError: the name is none of these.
-    """
-    number = name.removeprefix("torso").removeprefix("_")
-    if name != "torso" and not (name.startswith("torso_") and number.isdecimal() and int(number) > 0):
-        raise ValueError(f"torsos are torso, torso_1, torso_2 and so on, found {name!r}")
-    rng = np.random.default_rng([seed, int(number or 0), 74])
-    mean_cc = math.exp(rng.uniform(math.log(125.0), math.log(960.0)))
-    ratio = math.exp(float(np.clip(rng.normal(0.0, 0.16), -0.4, 0.4)))
-    # Larger breasts are on larger chests, on average.
-    heaviness = math.log(mean_cc / 100.0) / math.log(12.0)
-    body = BodyShape(
-        half_width_mm=132.0 + 22.0 * heaviness + rng.uniform(-6.0, 10.0),
-        depth=rng.uniform(0.64, 0.78),
-        flatness=rng.uniform(2.1, 2.9),
-        skew=rng.normal(0.0, 0.02),
-        arm_out_rad=math.radians(rng.uniform(28.0, 48.0)),
-        arm_back_rad=math.radians(rng.uniform(0.0, 25.0)),
-        arm_mm=rng.uniform(40.0, 50.0),
-        sternum_mm=rng.uniform(1.0, 6.0),
-        rib_mm=rng.uniform(0.0, 0.3),
-        clavicle_mm=rng.uniform(1.0, 5.0),
-        unevenness_mm=rng.uniform(0.5, 1.5),
-        seed=int(rng.integers(1 << 31)),
-    )
-    slimness = float(np.clip(0.55 + 0.6 * heaviness + rng.normal(0.0, 0.06), 0.45, 1.3))
-    ptosis = float(np.clip(0.1 + 0.65 * heaviness + rng.uniform(-0.15, 0.3), 0.02, 1.1))
-    height = rng.uniform(-18.0, 10.0)
-    fullness = min(rng.uniform(0.6, 1.0) + 0.25 * heaviness, 1.0)
-    gap = rng.uniform(5.0, 12.0)
-    areola, nipple = rng.uniform(0.25, 0.36), rng.uniform(3.0, 7.0)
-    breasts: dict[str, BreastShape] = {}
-    for side, share in zip(SIDES, (math.sqrt(ratio), 1.0 / math.sqrt(ratio)), strict=True):
-        volume_cc = float(np.clip(mean_cc * share, 103.0, 1160.0))
-        radius = (volume_cc * 1000.0 / (0.45 * math.pi * slimness)) ** (1.0 / 3.0)
-        inner = radius * rng.uniform(0.86, 0.96)
-        apex = (inner + gap, height + rng.normal(0.0, 4.0))
-        # The base ends before flank and armpit, where the chest would no longer be seen as a relief.
-        outer = min(radius * rng.uniform(0.96, 1.06), body.half_width_mm + 4.0 - apex[0])
-        upper = min(radius * rng.uniform(1.15, 1.4), 94.0 - apex[1])
-        breasts[side] = BreastShape(
-            volume_cc=volume_cc,
-            apex_mm=apex,
-            radii_mm=(inner, outer, upper, radius * rng.uniform(0.82, 0.92)),
-            projection_mm=slimness * radius,
-            hang_mm=ptosis * radius * rng.uniform(0.9, 1.1),
-            fullness=fullness,
-            fold_mm=rng.uniform(2.5, 6.0),
-            nipple_place=(rng.uniform(-0.02, 0.16), -0.06 - 0.22 * ptosis + rng.normal(0.0, 0.03)),
-            areola_mm=min(areola * radius * rng.uniform(0.95, 1.05), 29.0),
-            nipple_mm=nipple,
-            unevenness_mm=rng.uniform(0.4, 1.4),
-        )
-    return TorsoShape(body=body, breasts=breasts, lean_rad=math.radians(rng.uniform(27.0, 42.0)))
 
 
 class _Mound:
@@ -255,7 +146,7 @@ class _Mound:
             + (spread * across)[:, None] * self.aside
             + (spread * along)[:, None] * self.up
             + (height * (shape.projection_mm + uneven))[:, None] * self.ahead
-            + (height * shape.hang_mm)[:, None] * self._pull
+            + (sagged(height, shape.sag) * shape.hang_mm)[:, None] * self._pull
         )
 
 
@@ -341,7 +232,7 @@ def _torso(wanted: SubjectRequest) -> Solid:
 
 def _sized(body: Body, coarse: TriangleMesh, shape: BreastShape, side: str, lean_rad: float, seed: int) -> _Mound:
     """The breast scaled to the wanted volume, to a few per cent."""
-    mound = _Mound(body, shape, side, lean_rad, seed)
+    mound = _hung(body, shape, side, lean_rad, seed)
     near = (mound.rho(coarse.vertices) < 1.2)[coarse.faces].any(axis=1)
     patch = coarse.submesh(near)
     vertices, faces = patch.vertices, patch.faces
@@ -352,8 +243,20 @@ def _sized(body: Body, coarse: TriangleMesh, shape: BreastShape, side: str, lean
         # Open alike at the same rim: the difference of what they enclose with any one point is the breast.
         middle = vertices.mean(axis=0)
         swept = _cone_mm3(skin - middle, faces) - _cone_mm3(vertices - middle, faces)
-        shape = replace(shape, projection_mm=shape.projection_mm * shape.volume_cc * 1000.0 / swept)
-        mound = _Mound(body, shape, side, lean_rad, seed)
+        shape = replace(mound.shape, projection_mm=mound.shape.projection_mm * shape.volume_cc * 1000.0 / swept)
+        mound = _hung(body, shape, side, lean_rad, seed)
+    return mound
+
+
+def _hung(body: Body, shape: BreastShape, side: str, lean_rad: float, seed: int) -> _Mound:
+    """The breast pulled down until its nipple is as far below the fold as is wanted."""
+    mound = _Mound(body, shape, side, lean_rad, seed)
+    for _ in range(_HANG_ROUNDS if shape.below_fold_mm is not None else 0):
+        fold_y = mound.on_boundary(-0.5 * math.pi, body)[1]
+        further = _Mound(body, replace(mound.shape, hang_mm=mound.shape.hang_mm + 1.0), side, lean_rad, seed)
+        missing_mm = shape.below_fold_mm - (fold_y - mound.apex[1])
+        hang_mm = mound.shape.hang_mm + missing_mm / (mound.apex[1] - further.apex[1])
+        mound = _Mound(body, replace(mound.shape, hang_mm=hang_mm), side, lean_rad, seed)
     return mound
 
 
