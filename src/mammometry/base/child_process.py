@@ -15,16 +15,17 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from types import TracebackType
 from typing import IO, Any, Self, TypeVar
 
 from mammometry.base.errors import MammometryError
 from mammometry.base.machine.cores import CORES
 from mammometry.base.machine.system import own_group, peak_memory_mb, reuse_freed_memory
-from mammometry.base.progress import StageProgress
+from mammometry.base.progress import Progress, StageProgress, no_progress, ticking
 
 _R = TypeVar("_R")
 _DEFECT = 70
@@ -108,8 +109,9 @@ class ChildProcess:
 
         Args:
             call: the call.
-            progress: hears of each new stage at once and of the same one every so many seconds. The function is
-                called with a `StageProgress` before the other arguments then.
+            progress: hears of each new stage at once, and of the current one about every so many seconds, also while
+                the work reports nothing. The function is called with a `StageProgress` before the other arguments
+                then.
             every_s: so many seconds.
 
         Returns:
@@ -161,8 +163,11 @@ def _answer(order: bytes, send: Callable[[object], None]) -> dict[str, Any]:
     answer: dict[str, Any]
     try:
         call, every_s = pickle.loads(order)
-        first = () if every_s is None else (_reporter(send, every_s),)
-        answer = {"done": call.function(*first, *call.arguments)}
+        if every_s is None:
+            answer = {"done": call.function(*call.arguments)}
+        else:
+            with _reporting(send, every_s) as report:
+                answer = {"done": call.function(report, *call.arguments)}
     except MammometryError as error:
         answer = {"failed": str(error), "kind": type(error).__name__, "exit_code": error.exit_code, "why": str(error)}
     except MemoryError:
@@ -175,17 +180,30 @@ def _answer(order: bytes, send: Callable[[object], None]) -> dict[str, Any]:
     return answer | {"memory_mb": peak_memory_mb()}
 
 
-def _reporter(send: Callable[[object], None], every_s: float) -> StageProgress:
-    """Send a stage and its fraction done, each stage at once and then every so many seconds."""
+@contextmanager
+def _reporting(send: Callable[[object], None], every_s: float) -> Iterator[StageProgress]:
+    """Send stages and their fractions done: a new stage at once, the current one about every so many seconds."""
     sent: dict[str, float] = {}
+    lock, current = threading.Lock(), ""
+    report_current: Progress = no_progress
 
-    def report(stage: str, fraction: float) -> None:
+    def send_in_time(stage: str, fraction: float) -> None:
         now = time.monotonic()
         if now - sent.get(stage, -every_s) >= every_s:
             sent[stage] = now
             send((stage, round(fraction, 3)))
 
-    return report
+    def report(stage: str, fraction: float) -> None:
+        nonlocal current, report_current
+        with lock:
+            if stage != current or fraction == 0:  # another piece of work begins
+                current = stage
+                ticker.close()
+                report_current = ticker.enter_context(ticking(partial(send_in_time, stage), tick_s=every_s / 4))
+            report_current(fraction)
+
+    with ExitStack() as ticker:
+        yield report
 
 
 def _read(pipe: IO[bytes], orders: queue.SimpleQueue[bytes]) -> None:

@@ -12,8 +12,9 @@ import numpy as np
 import psutil
 import pytest
 
-from mammometry.base.child_process import ChildProcess, Ended, NotDone
+from mammometry.base.child_process import Call, ChildProcess, Ended, NotDone
 from mammometry.base.machine.cores import available_cores
+from mammometry.base.progress import StageProgress
 
 _ENDS_WITHIN_S = 20.0  # on a machine that is very busy
 
@@ -33,6 +34,36 @@ def test_what_it_prints_is_no_answer() -> None:
     with ChildProcess() as child:
         assert child.call(print, "this goes elsewhere") is None
         assert child.call(math.sqrt, 4) == 2
+
+
+def silent_stages(report: StageProgress, silent_s: float) -> int:
+    for stage in ("match", "surface"):
+        report(stage, 0.0)
+        time.sleep(silent_s)
+    report("surface", 0.95)
+    time.sleep(silent_s)
+    report("surface", 0.0)  # the next piece of the same stage
+    time.sleep(silent_s)
+    return 1
+
+
+def test_a_stage_that_reports_nothing_is_reported_all_the_same() -> None:
+    """On the road of each job of the clinic and each session of a batch."""
+    heard: list[tuple[str, float, float]] = []
+    with ChildProcess() as child:
+        call = Call(function=silent_stages, arguments=(0.5,))
+        answer = child.answer(call, lambda *about: heard.append((*about, time.monotonic())), every_s=0.1)
+    assert answer["done"] == 1
+    assert [stage for stage, *_ in heard] == sorted(stage for stage, *_ in heard)  # match, then surface alone
+    for wanted in ("match", "surface"):
+        times = [when for stage, _, when in heard if stage == wanted]
+        assert len(times) >= 3
+        assert max(np.diff(times)) < 0.4  # ticks of 0.1 s, on a busy machine
+    shares = [fraction for stage, fraction, _ in heard if stage == "match"]
+    assert 0 < shares[-1] <= 0.9
+    assert shares == sorted(shares)
+    assert max(fraction for stage, fraction, _ in heard if stage == "surface") == 0.95  # reported by the work itself
+    assert heard[-1][1] < 0.5
 
 
 def test_an_error_there_is_told_and_the_next_call_is_done() -> None:

@@ -4,7 +4,9 @@ import datetime
 import errno
 import html
 import json
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from itertools import pairwise
 
 import pytest
@@ -244,18 +246,34 @@ def test_a_report_is_sealed_off_and_its_scene_is_given(
     assert client.get(f"/visits/{visit.pk}/scene/").json() == {"models": []}
 
 
+def full_sqlite() -> OperationalError:
+    """Django's error of a database that may not grow."""
+    with closing(sqlite3.connect(":memory:")) as database:
+        database.execute("PRAGMA max_page_count = 2")
+        database.execute("CREATE TABLE a (b)")
+        try:
+            database.execute("INSERT INTO a VALUES (zeroblob(100000))")
+        except sqlite3.OperationalError as error:
+            full = OperationalError(*error.args)
+            full.__cause__ = error
+            return full
+    raise AssertionError("it had room")
+
+
+def full_postgresql() -> OperationalError:
+    """Django's error of a German server."""
+    full = OperationalError("konnte Datei »base/5/1259« nicht erweitern: Auf dem Gerät ist kein Speicherplatz mehr")
+    full.__cause__ = pytest.importorskip("psycopg").errors.DiskFull()
+    return full
+
+
 @pytest.mark.parametrize(
-    "error",
-    [
-        OSError(errno.ENOSPC, "No space left on device"),
-        OperationalError("database or disk is full"),
-        OperationalError('could not extend file "base/5/1259": No space left on device'),
-    ],
+    "make", [lambda: OSError(errno.ENOSPC, "No space left on device"), full_sqlite, full_postgresql]
 )
 def test_a_full_disk_is_said_and_is_no_defect(
-    client_of: Callable[..., Client], monkeypatch: pytest.MonkeyPatch, error: Exception
+    client_of: Callable[..., Client], monkeypatch: pytest.MonkeyPatch, make: Callable[[], Exception]
 ) -> None:
-    client = client_of(Role.TECHNICIAN)
+    client, error = client_of(Role.TECHNICIAN), make()
     client.raise_request_exception = False
 
     def fails(self: Patient, *_: object, **__: object) -> None:

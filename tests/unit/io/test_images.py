@@ -83,6 +83,33 @@ def test_truncated_files_are_refused(
     assert capfd.readouterr().err == ""  # libpng and libjpeg would talk
 
 
+@pytest.mark.parametrize("ending", ["jpg", "png", "tif"])
+def test_what_is_wrong_with_a_file_is_seen_in_its_bytes_and_not_in_its_name(tmp_path: Path, ending: str) -> None:
+    """A decoder's message holds the file's name."""
+    path = tmp_path / f"truncated.{ending}"
+    path.write_text("not a picture at all")
+    with pytest.raises(ImageError) as caught:
+        read_photograph(path, "a")
+    assert caught.value.found == "a file that is not an image"
+    if ending == "tif":
+        import tifffile
+
+        tifffile.imwrite(path, RGB8)
+    else:
+        cv2.imwrite(str(path), RGB8)
+    whole = path.read_bytes()
+    for keep in (0.5, 0.9):
+        path.write_bytes(whole[: int(keep * len(whole))])
+        with pytest.raises(ImageError) as caught:
+            read_photograph(path, "a")
+        assert caught.value.found == "a truncated image"
+    if ending != "tif":  # whose pixels have no checksum
+        path.write_bytes(whole[: len(whole) // 2] + bytes(40) + whole[len(whole) // 2 + 40 :])
+        with pytest.raises(ImageError) as caught:
+            read_photograph(path, "a")
+        assert caught.value.found.startswith("a damaged image")
+
+
 def test_no_image_and_no_file_are_told_apart(tmp_path: Path) -> None:
     (tmp_path / "a.jpg").write_text("not a picture at all")
     with pytest.raises(ImageError, match="a file that is not an image"):

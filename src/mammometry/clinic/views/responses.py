@@ -3,7 +3,7 @@
 import errno
 import json
 import logging
-import re
+import sqlite3
 import sys
 from collections.abc import Callable
 from functools import wraps
@@ -12,7 +12,6 @@ from uuid import UUID
 
 from django.contrib import messages
 from django.core.exceptions import PermissionDenied
-from django.db import DatabaseError
 from django.http import Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
 from django.middleware.csrf import get_token
 from django.shortcuts import get_object_or_404, render
@@ -133,8 +132,8 @@ def sealed_page(page: bytes) -> HttpResponse:
 
 
 _LOG = logging.getLogger(__name__)
-_FULL_DATABASE = re.compile(r"disk is full|No space left on device|Disk quota exceeded")
-"""What SQLite and PostgreSQL say of a full disk."""
+_DISK_FULL = "53100"
+"""PostgreSQL's SQLSTATE of a full disk. Its messages are in the server's language."""
 
 
 def _page(request: HttpRequest, status: int, title: str, sentence: str) -> HttpResponse:
@@ -196,7 +195,9 @@ def _is_full(error: BaseException | None) -> bool:
     while error is not None:
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
             return True
-        if isinstance(error, DatabaseError) and _FULL_DATABASE.search(str(error)):
+        if isinstance(error, sqlite3.Error) and getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_FULL:
+            return True
+        if getattr(error, "sqlstate", "") == _DISK_FULL:
             return True
         error = error.__cause__ or error.__context__
     return False

@@ -10,7 +10,7 @@ import io
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from mammometry.base.listing import visible
 from mammometry.base.parse import LimitSettings, require_file
 from mammometry.base.photograph import Photograph
 from mammometry.geometry.arrays import Array, Bool, UInt8
-from mammometry.io.photographs.jpeg_stream import DamagedJpegError, check_jpeg
+from mammometry.io.photographs.jpeg_stream import DamagedJpegError, TruncatedJpegError, check_jpeg
 from mammometry.io.photographs.seams import has_seam
 from mammometry.io.photographs.tiff import (
     SIGNATURES,
@@ -65,7 +65,7 @@ UNREAD_ENDINGS = (
     ".rw2", ".pef", ".dng", ".raw", ".3fr", ".iiq", ".x3f", ".jp2", ".jxl", ".bmp",
 )  # fmt: skip
 """File name endings of pictures that cameras and telephones write and that are not read here. In any case."""
-_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_PNG_SIGNATURE, _JPEG_SIGNATURE = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
 _PNG_TAGS = {b"eXIf", b"tEXt", b"zTXt", b"iTXt"}  # where an orientation may stand
 
 
@@ -423,6 +423,23 @@ def _check_png(content: bytes) -> None:
         place = end + 4
 
 
+def _is_truncated(path: Path) -> bool:
+    """Whether the content of a JPEG, PNG or TIFF ends before its pixels do."""
+    with path.open("rb") as file:
+        head = file.read(len(_PNG_SIGNATURE))
+    if head.startswith(SIGNATURES):
+        with path.open("rb") as file, suppress(Exception):  # it is damaged; tifffile raises anything
+            return tiff_is_truncated(file)
+    if head == _PNG_SIGNATURE:
+        return max((end for _, end in _png_chunks(path)), default=0) > path.stat().st_size
+    if head.startswith(_JPEG_SIGNATURE):
+        try:
+            check_jpeg(path.read_bytes())
+        except DamagedJpegError as error:
+            return isinstance(error, TruncatedJpegError)
+    return False
+
+
 def _truncated(name: str) -> ImageError:
     return ImageError(
         name, found="a truncated image", expected="the whole file", remedy="Copy it again from the camera"
@@ -448,16 +465,16 @@ def _unreadable(path: Path, name: str, error: BaseException | None) -> ImageErro
     if isinstance(error, UnusualTiffError):
         remedy = "Export it as an ordinary JPEG, PNG or TIFF"
         return ImageError(name, found=str(error), expected="a photograph, grey or RGB, of 8 or 16 bits", remedy=remedy)
-    if error is not None and ("truncated" in str(error).lower() or isinstance(error, struct.error)):
+    if isinstance(error, OSError) and error.errno is not None:
+        found = f"a file that cannot be read ({error.strerror})"
+        return ImageError(name, found=found, expected="a photograph", remedy="Check the path and what it leads to")
+    if isinstance(error, (TruncatedJpegError, struct.error)) or _is_truncated(path):
         return _truncated(name)
     if isinstance(error, (DamagedJpegError, DamagedTiffError)):
         remedy = "Copy it again from the camera"
         return ImageError(
             name, found=f"a damaged image ({error})", expected="every pixel as it was written", remedy=remedy
         )
-    if isinstance(error, OSError) and error.errno is not None:
-        found = f"a file that cannot be read ({error.strerror})"
-        return ImageError(name, found=found, expected="a photograph", remedy="Check the path and what it leads to")
     kind = "a damaged image"
     if isinstance(error, UnidentifiedImageError):
         kind = _other_format(path) or "a file that is not an image"

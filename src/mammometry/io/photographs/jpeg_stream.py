@@ -28,6 +28,13 @@ class DamagedJpegError(ValueError):
     """A JPEG whose coded pixels violate ITU-T T.81. The text says where."""
 
 
+class TruncatedJpegError(DamagedJpegError):
+    """A JPEG that ends before its pixels do."""
+
+    def __init__(self) -> None:
+        super().__init__("it is truncated")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
     """In which order the blocks of a JPEG's brightness are coded."""
@@ -83,6 +90,7 @@ def check_jpeg(content: bytes, tables: bytes | None = None) -> Layout:
 
     Raises:
         DamagedJpegError: they are not.
+        TruncatedJpegError: the file ends before they do.
     """
     decoder = _Decoder()
     try:
@@ -92,7 +100,7 @@ def check_jpeg(content: bytes, tables: bytes | None = None) -> Layout:
     except DamagedJpegError:
         raise
     except IndexError:
-        raise DamagedJpegError("it is truncated") from None
+        raise TruncatedJpegError from None
     except (KeyError, ValueError):
         raise DamagedJpegError("its markers contradict each other") from None
     if decoder.layout is None or decoder.coded != set(decoder.components):
@@ -123,12 +131,12 @@ def _read(data: UInt8[Array, " n"], decoder: _Decoder) -> None:
         length = _number(data, place)
         segment = data[place + 2 : place + length]
         if length < 2 or len(segment) != length - 2:
-            raise DamagedJpegError("it is truncated")
+            raise TruncatedJpegError
         place += length
         if marker == _SOS:
             stop = np.searchsorted(stops, place)
             if stop == len(stops):
-                raise DamagedJpegError("it is truncated")
+                raise TruncatedJpegError
             end = int(stops[stop])
             cuts = restarts[np.searchsorted(restarts, place) : np.searchsorted(restarts, end)]
             _walk(segment, data, place, end, cuts, decoder)
