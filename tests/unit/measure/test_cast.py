@@ -9,8 +9,15 @@ import pytest
 from solids import as_surface, dome, rig_around, silhouettes
 
 from mammometry.base.errors import MeasureError
+from mammometry.base.normal import COVERAGE_95
 from mammometry.matching.foreground.foreground import Foreground
-from mammometry.measure.boundary.boundary import Boundary, find_base, find_boundaries, leaving_whole
+from mammometry.measure.boundary.boundary import (
+    RIM_RADIUS_SIGMA_MM,
+    Boundary,
+    find_base,
+    find_boundaries,
+    leaving_whole,
+)
 from mammometry.measure.boundary.cast_base import Base, moved
 from mammometry.measure.boundary.cast_rim import adjust_base, mean_height, rim_candidates
 from mammometry.measure.settings import BaseRimSettings, MeasureSettings
@@ -92,6 +99,11 @@ def test_half_of_the_rims_own_uncertainty_is_the_bases(monkeypatch: pytest.Monke
     assert one is not None
     assert other is not None
     assert other**2 - one**2 == pytest.approx(0.4**2 - 0.07**2)
+
+
+def test_the_interval_of_an_assumed_rim_holds_a_sharp_one() -> None:
+    """Each base lies half a radius behind its rim: what holds for the radii holds for the volumes."""
+    assert BaseRimSettings().rim_radius_mm <= COVERAGE_95 * RIM_RADIUS_SIGMA_MM
 
 
 @pytest.mark.slow
