@@ -12,6 +12,7 @@ from typing import Any
 
 from auditlog.models import LogEntry
 from auditlog.registry import auditlog
+from auditlog.signals import post_log
 from axes.signals import user_locked_out
 from django.apps import apps
 from django.contrib.auth import get_user_model
@@ -19,6 +20,7 @@ from django.contrib.auth.signals import user_logged_in, user_logged_out, user_lo
 from django.contrib.contenttypes.models import ContentType
 from django.db import connection
 from django.db.models import Model
+from django.db.models.signals import pre_delete
 from django.dispatch import Signal
 from django.http import HttpRequest, HttpResponseBase
 
@@ -43,6 +45,10 @@ MASKED = {
     "Correction": ["reason", "before", "after"],
 }
 """Fields of which the audit holds only that they changed: they tell who somebody is."""
+NOTES = {"Patient": "note", "Visit": "note", "Consent": "note", "Operation": "words"}
+"""Fields whose text before and after each change is kept beside the audit (`NoteChange`), for who may read notes."""
+_UNWATCHED = ("AuditLink", "FormToken", "NoteChange")
+"""Rows that are entered with others or hold nothing of anybody."""
 _ABOUT = {
     "patient": "Patient", "visit": "Visit", "rig": "Rig", "calibration": "Calibration", "check": "DailyCheck",
     "job": "Job", "upload": "Upload", "measurement": "Measurement", "person": "Person",
@@ -63,8 +69,11 @@ def watch_models() -> None:
     """Have each change of the clinic's models entered."""
     for model in apps.get_app_config("clinic").get_models():
         name = model.__name__
-        if name == "AuditLink":  # of the entries themselves
+        if name in _UNWATCHED:
             continue
+        if name in NOTES:
+            pre_delete.connect(_note_origin, sender=model, dispatch_uid=f"clinic origin of {name}")
+            post_log.connect(record_note, sender=model, dispatch_uid=f"clinic notes of {name}")
         auditlog.register(
             model,
             exclude_fields=list(_LEFT_OUT.get(name, ())),
@@ -75,6 +84,41 @@ def watch_models() -> None:
         signal.connect(record_login, dispatch_uid="clinic audit")
     for signal in (user_login_failed, user_locked_out):
         signal.connect(record_failed_login, dispatch_uid="clinic audit")
+
+
+def record_note(
+    sender: type[Model],
+    instance: Model,
+    instance_old: Model | None,
+    action: int,
+    log_entry: LogEntry | None,
+    **_: object,
+) -> None:
+    """Keep what a note said before and after a change, unless its patient is being erased."""
+    field = NOTES[sender.__name__]
+    if log_entry is None or field not in (log_entry.changes_dict or {}):
+        return
+    is_deleted = action == LogEntry.Action.DELETE
+    if is_deleted and not getattr(instance, _ALONE, False):
+        return
+    before = "" if instance_old is None else getattr(instance_old, field)
+    after = "" if is_deleted else getattr(instance, field)
+    if before == after:  # a new row's empty note
+        return
+    of_visit = sender.__name__ == "Visit"
+    patient = instance.pk if sender.__name__ == "Patient" else getattr(instance, "patient_id", None)
+    apps.get_model("clinic", "NoteChange").objects.create(
+        patient_id=None if of_visit else patient, visit_id=instance.pk if of_visit else None, entry=log_entry.pk,
+        field=field, before=before, after=after,
+    )  # fmt: skip
+
+
+_ALONE = "_is_deleted_alone"
+
+
+def _note_origin(instance: Model, origin: object = None, **_: object) -> None:
+    """Note whether a row is removed by itself, and not with its patient."""
+    setattr(instance, _ALONE, origin is instance and not hasattr(instance, "note_changes"))
 
 
 def record_login(sender: object, request: HttpRequest | None, user: Model | None, signal: Signal, **_: object) -> None:

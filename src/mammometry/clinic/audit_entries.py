@@ -4,12 +4,13 @@ import datetime
 import io
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, TextIO
 from uuid import UUID
 
 from auditlog.models import LogEntry
 from django.contrib.contenttypes.models import ContentType
-from django.db.models import Func, Q, QuerySet, TextField
+from django.db.models import Func, Model, Q, QuerySet, TextField
 from django.db.models.functions import Cast
 from django.utils import timezone
 
@@ -181,12 +182,15 @@ def entry_page(chosen: AuditFilter, before: int | None = None) -> tuple[list[Ent
     return rows[:SHOWN], rows[SHOWN - 1].number if len(rows) > SHOWN else None
 
 
-def in_words(row: LogEntry, names: Mapping[UUID, str]) -> Entry:
+def in_words(
+    row: LogEntry, names: Mapping[UUID, str], texts: Mapping[str, tuple[str, str]] = MappingProxyType({})
+) -> Entry:
     """One entry in words, whatever became of what it is about.
 
     Args:
         row: the entry.
         names: key of each person → the name that pages say.
+        texts: field → its text before and after, where the entry does not hold it and the reader may read it.
     """
     additional: dict[str, Any] = row.additional_data if isinstance(row.additional_data, dict) else {}
     model = ContentType.objects.get_for_id(row.content_type_id).model
@@ -206,9 +210,17 @@ def in_words(row: LogEntry, names: Mapping[UUID, str]) -> Entry:
         about=row.object_repr,
         model=model,
         key=row.object_pk,
-        fields=tuple(_field_changes(row.changes)),
+        fields=tuple((name, *texts.get(name, values)) for name, *values in _field_changes(row.changes)),
         client=row.remote_addr or "",
     )
+
+
+def change_of(row: Model) -> LogEntry | None:
+    """The newest change of a row: who and when. None: there is none."""
+    of_row = LogEntry.objects.filter(
+        content_type=ContentType.objects.get_for_model(row), object_pk=str(row.pk), action__in=_CHANGES
+    )
+    return of_row.select_related("actor").order_by("-pk").first()
 
 
 def write_audit(file: TextIO, chosen: AuditFilter | None = None) -> int:

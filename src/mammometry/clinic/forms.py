@@ -12,6 +12,7 @@ from mammometry.base.errors import MammometryError
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture.sessions import manifest_text
 from mammometry.clinic.models import Conclusion, Consent, Operation, Patient, Person, Rig, Visit
+from mammometry.clinic.record_form import RecordForm
 from mammometry.clinic.records.comparability import is_between
 from mammometry.clinic.records.search import Duplicates, date_questions, duplicates
 from mammometry.clinic.roles import Role
@@ -37,7 +38,7 @@ def require_dicom_text(text: str, representation: Representation) -> None:
         raise forms.ValidationError(f"Found {found}. The hospital’s systems allow {allowed}.")
 
 
-class PatientForm(forms.ModelForm):  # type: ignore[type-arg]
+class PatientForm(RecordForm):
     """Who somebody is."""
 
     class Meta:
@@ -106,7 +107,7 @@ def _clean_name(name: str) -> str:
     return name
 
 
-class VisitForm(forms.ModelForm):  # type: ignore[type-arg]
+class VisitForm(RecordForm):
     """Who is photographed, before which rig."""
 
     class Meta:
@@ -154,7 +155,7 @@ def name_empty_choices(fields: Mapping[str, forms.Field]) -> None:
         field.choices = [("", "not entered"), *choices]
 
 
-class RigForm(forms.ModelForm):  # type: ignore[type-arg]
+class RigForm(RecordForm):
     """A rig, described by the tables of a session.toml."""
 
     described_by = forms.FileField(
@@ -201,7 +202,7 @@ class RigForm(forms.ModelForm):  # type: ignore[type-arg]
         return rig
 
 
-class PersonForm(forms.ModelForm):  # type: ignore[type-arg]
+class PersonForm(RecordForm):
     """Somebody who logs in, with roles to tick."""
 
     roles = forms.MultipleChoiceField(
@@ -299,7 +300,7 @@ def _number(most: float) -> forms.NumberInput:
     return forms.NumberInput(attrs={"min": "0", "max": f"{most:g}", "step": "any", "inputmode": "decimal"})
 
 
-class OperationForm(forms.ModelForm):  # type: ignore[type-arg]
+class OperationForm(RecordForm):
     """What was done to a breast, and when."""
 
     class Meta:
@@ -355,7 +356,17 @@ class OperationForm(forms.ModelForm):  # type: ignore[type-arg]
         return value
 
 
-class ConsentForm(forms.ModelForm):  # type: ignore[type-arg]
+class OperationRemovalForm(RecordForm):
+    """Removes an operation, as it was seen."""
+
+    watched = ("kind", "side", "day", "volume_cc", "resected_g", "words")
+
+    class Meta:
+        model = Operation
+        fields = ()
+
+
+class ConsentForm(RecordForm):
     """What a patient agreed to, and since when."""
 
     class Meta:
@@ -370,7 +381,7 @@ class ConsentForm(forms.ModelForm):  # type: ignore[type-arg]
         return _until_today(self.cleaned_data["given_on"])
 
 
-class WithdrawalForm(forms.ModelForm):  # type: ignore[type-arg]
+class WithdrawalForm(RecordForm):
     """Since when a consent holds no more. Empty: it holds."""
 
     class Meta:
@@ -401,7 +412,7 @@ class _VisitField(forms.ModelChoiceField):  # type: ignore[type-arg]
         return f"{timezone.localtime(obj.taken_at):%Y-%m-%d, %H:%M}"
 
 
-class CircumstancesForm(forms.ModelForm):  # type: ignore[type-arg]
+class CircumstancesForm(RecordForm):
     """Why the patient came, how she held herself, and whether the visit repeats another."""
 
     class Meta:
@@ -431,7 +442,7 @@ class CircumstancesForm(forms.ModelForm):  # type: ignore[type-arg]
         return first
 
 
-class ConclusionForm(forms.ModelForm):  # type: ignore[type-arg]
+class ConclusionForm(RecordForm):
     """What a clinician concludes."""
 
     class Meta:

@@ -9,6 +9,7 @@ from auditlog.models import LogEntry
 from django.test import Client
 from django.urls import reverse
 from django.utils import timezone
+from tests.clinic_forms import filled
 
 from mammometry.clinic.models import (
     Comparison,
@@ -274,9 +275,10 @@ def test_an_operation_is_entered_changed_and_removed(visit: Visit, client_of: Ca
     assert (operation.patient, operation.entered_by) == (patient, Person.objects.get(username="technician"))
     assert "300 cc, round" in page
     address = reverse("operation-edit", args=[operation.pk])
-    assert client.post(address, {**entered, "volume_cc": "315"}).status_code == 302
+    assert client.post(address, filled(client, address, volume_cc="315")).status_code == 302
     assert Operation.objects.get().volume_cc == 315.0
-    client.post(reverse("operation-remove", args=[operation.pk]))
+    remove = reverse("operation-remove", args=[operation.pk])
+    client.post(remove, filled(client, address, remove))
     assert not Operation.objects.exists()
     changes = LogEntry.objects.filter(object_pk=str(operation.pk)).exclude(action=LogEntry.Action.ACCESS)
     assert {entry.action for entry in changes} == {0, 1, 2}
@@ -312,10 +314,10 @@ def test_a_visit_says_where_the_consent_to_photographs_lacks_or_is_withdrawn(
     consent = Consent.objects.get()
     assert consent.entered_by is not None
     assert "onsent to photographs" not in client.get(page).content.decode()
-    withdrawn = {"given_on": "2026-01-05", "withdrawn_on": "2026-02-01"}
-    client.post(reverse("consent-edit", args=[consent.pk]), withdrawn)
+    address = reverse("consent-edit", args=[consent.pk])
+    client.post(address, filled(client, address, withdrawn_on="2026-02-01"))
     assert "has withdrawn the consent to photographs" in client.get(page).content.decode()
-    early = client.post(reverse("consent-edit", args=[consent.pk]), {**withdrawn, "withdrawn_on": "2026-01-01"})
+    early = client.post(address, filled(client, address, withdrawn_on="2026-01-01"))
     assert "before the consent was given" in early.content.decode()
 
 
@@ -347,7 +349,8 @@ def test_a_conclusion_is_signed_amended_and_never_overwritten(
     client, address = client_of(name="sergio"), reverse("conclude", args=[visit.pk])
 
     def sign(text: str, result: Measurement) -> str:
-        answer = client.post(address, {"text": text, "measurement": str(result.pk)}, follow=True)
+        entered = filled(client, reverse("visit", args=[visit.pk]), address, text=text, measurement=str(result.pk))
+        answer = client.post(address, entered, follow=True)
         page: str = answer.content.decode()
         return page
 
@@ -406,11 +409,12 @@ def test_occasion_and_posture_are_entered_and_shown(visit: Visit, client_of: Cal
     client = client_of(Role.TECHNICIAN)
     page = client.get(reverse("visit", args=[visit.pk])).content.decode()
     assert "<dt>Posture</dt><dd>not entered</dd>" in page
-    client.post(reverse("circumstances", args=[visit.pk]), {"occasion": "1 year", "posture": "standing"})
+    shown, address = reverse("visit", args=[visit.pk]), reverse("circumstances", args=[visit.pk])
+    client.post(address, filled(client, shown, address, occasion="1 year", posture="standing"))
     page = client.get(reverse("visit", args=[visit.pk])).content.decode()
     assert "1 year after" in page
     assert "<dt>Posture</dt><dd>standing</dd>" in page
-    client.post(reverse("circumstances", args=[visit.pk]), {"occasion": "1 year", "posture": "floating"})
+    client.post(address, filled(client, shown, address, posture="floating"))
     assert Visit.objects.get(pk=visit.pk).posture == Visit.Posture.STANDING
     assert Visit.objects.create(patient=visit.patient, taken_at=timezone.now()).posture == ""
 

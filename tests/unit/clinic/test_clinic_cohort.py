@@ -12,6 +12,7 @@ import pytest
 from django.test import Client
 from django.urls import reverse
 from django.utils import timezone
+from tests.clinic_forms import filled
 
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.models import (
@@ -254,18 +255,25 @@ def test_a_repeat_of_another_patient_is_none(clinic: ClinicConfig) -> None:
 def test_a_repeat_is_declared_on_the_visits_page(clinic: ClinicConfig, client_of: Callable[..., Client]) -> None:
     first, second = repeated(0, declared=False)
     client, address = client_of(Role.TECHNICIAN), reverse("circumstances", args=[second.pk])
-    page = client.post(address, {"repeat_of": str(first.pk), "posture": "leaning"}, follow=True).content.decode()
+    shown = reverse("visit", args=[second.pk])
+
+    def declared(repeat_of: Visit) -> str:
+        sent = filled(client, shown, address, repeat_of=str(repeat_of.pk))
+        return str(client.post(address, sent, follow=True).content.decode())
+
+    page = declared(first)
     assert f'repeat of <a href="{reverse("visit", args=[first.pk])}">' in page
     assert pairs_of()[0] == BOTH
     stranger, _ = repeated(1)
-    page = client.post(address, {"repeat_of": str(stranger.pk)}, follow=True).content.decode()
+    page = declared(stranger)
     assert "Nothing was changed" in page
-    client.post(reverse("circumstances", args=[first.pk]), {"repeat_of": str(second.pk)})  # the later one
+    own = reverse("circumstances", args=[first.pk])
+    client.post(own, filled(client, reverse("visit", args=[first.pk]), own, repeat_of=str(second.pk)))  # the later one
     first.refresh_from_db()
     assert first.repeat_of is None
     Visit.objects.filter(pk=second.pk).update(taken_at=NOON + 3 * DAY, repeat_of=None)
     first.patient.operations.create(kind="graft", side="left", day=(NOON + DAY).date())
-    page = client.post(address, {"repeat_of": str(first.pk)}, follow=True).content.decode()
+    page = declared(first)
     assert "An operation lies between both visits" in page
 
 

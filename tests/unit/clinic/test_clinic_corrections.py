@@ -10,6 +10,7 @@ from auditlog.models import LogEntry
 from django.test import Client
 from django.urls import reverse
 from django.utils import timezone
+from tests.clinic_forms import filled
 from tests.clinic_seed import DEFINITION
 
 from mammometry.base.errors import SessionError
@@ -359,9 +360,11 @@ def test_every_correction_has_a_page_a_reason_and_an_undo(
         before = Correction.objects.count()
         page = client.get(path, {"patient": sent["patient"]} if "patient" in sent else {}).content.decode()
         assert "Reason" in page, path
-        client.post(path, sent)
+        shown = f"{path}?patient={sent['patient']}" if "patient" in sent else path
+        client.post(path, filled(client, shown, **sent))
         assert Correction.objects.count() == before, path  # a reason is needed
-        assert client.post(path, {**sent, "reason": "Zypernkatze said so"}).status_code == 302, path
+        filled_in = filled(client, shown, **sent, reason="Zypernkatze said so")
+        assert client.post(path, filled_in).status_code == 302, path
         assert Correction.objects.count() == before + 1, path
         Job.objects.all().delete()
     assert set(Correction.objects.values_list("kind", flat=True)) == {"moved", "dated", "binned", "merged"}
@@ -385,7 +388,7 @@ def test_a_day_in_the_future_is_asked_about_in_a_correction_too(
     visit = Visit.objects.create(patient=anna, rig=rig, taken_at=NOON)
     client = client_of(Role.TECHNICIAN)
     tomorrow = f"{timezone.localtime() + datetime.timedelta(days=1):%Y-%m-%dT%H:%M}"
-    sent = {"taken_at": tomorrow, "note": "", "reason": "x"}
+    sent = filled(client, f"/visits/{visit.pk}/date/", taken_at=tomorrow, reason="x")
     assert "in the future" in client.post(f"/visits/{visit.pk}/date/", sent).content.decode()
     assert client.post(f"/visits/{visit.pk}/date/", {**sent, "anyway": "1"}).status_code == 302
 

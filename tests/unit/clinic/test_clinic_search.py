@@ -6,6 +6,7 @@ from collections.abc import Callable
 import pytest
 from django.test import Client
 from django.utils import timezone
+from tests.clinic_forms import filled
 
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.models import Patient, Rig, Visit
@@ -218,7 +219,7 @@ def test_an_entry_can_be_changed_without_being_asked_again(
 ) -> None:
     entered("Müller")
     twin = entered("Müller", number="KIS-2")
-    table = {"family_name": "Müller", "given_name": "Anna", "born": "1979-05-14", "record_number": "KIS-2"}
-    answer = client_of(Role.TECHNICIAN).post(f"/patients/{twin.pk}/edit/", {**table, "note": "left-handed"})
+    client, address = client_of(Role.TECHNICIAN), f"/patients/{twin.pk}/edit/"
+    answer = client.post(address, filled(client, address, note="left-handed"))
     assert answer.status_code == 302
     assert timezone.now() > twin.created

@@ -29,6 +29,7 @@ from mammometry.clinic.models import (
     Drawing,
     Job,
     Measurement,
+    NoteChange,
     Operation,
     Patient,
     Person,
@@ -75,6 +76,7 @@ def rows_of(patient: Patient) -> list[Model]:
         Delivery.objects.filter(visit__in=visits),
         VisitOrder.objects.filter(visit__in=visits),
         Scan.objects.filter(visit__in=visits),
+        NoteChange.objects.filter(Q(patient__in=records) | Q(visit__in=visits)),
     ]
     return [*records, *visits, *(row for query in queries for row in query)]
 

@@ -1,7 +1,7 @@
 """Tables of the clinic. Keys are random (UUID 4), times are UTC."""
 
-from mammometry.clinic.models.patients import Consent, Operation, Patient, Scan, Upload, Visit
-from mammometry.clinic.models.people import AuditLink, Calibration, DailyCheck, Person, Rig
+from mammometry.clinic.models.patients import Consent, NoteChange, Operation, Patient, Scan, Upload, Visit
+from mammometry.clinic.models.people import AuditLink, Calibration, DailyCheck, FormToken, Person, Rig
 from mammometry.clinic.models.results import (
     Comparison,
     Conclusion,
@@ -18,6 +18,6 @@ from mammometry.clinic.models.results import (
 
 __all__ = [
     "AuditLink", "Calibration", "Comparison", "Conclusion", "Confirmation", "Consent", "Correction", "DailyCheck",
-    "Delivery", "Destination", "Drawing", "Job", "Measurement", "Operation", "Patient", "Person", "Rig", "Scan",
-    "Upload", "Visit", "VisitOrder", "Volume",
+    "Delivery", "Destination", "Drawing", "FormToken", "Job", "Measurement", "NoteChange", "Operation", "Patient",
+    "Person", "Rig", "Scan", "Upload", "Visit", "VisitOrder", "Volume",
 ]  # fmt: skip

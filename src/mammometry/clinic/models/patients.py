@@ -299,6 +299,28 @@ class Visit(Keyed):
         return self.rig_id is None
 
 
+class NoteChange(Keyed):
+    """What a note about a patient said before and after a change.
+
+    The audit's entry says who changed it and when, and holds no text. This goes when the patient is erased.
+    """
+
+    patient = models.ForeignKey(Patient, null=True, on_delete=models.CASCADE, related_name="note_changes")
+    """None: it is of a visit, which may be moved to another patient."""
+    visit = models.ForeignKey(Visit, null=True, on_delete=models.CASCADE, related_name="note_changes")
+    entry = models.BigIntegerField(db_index=True)
+    """Key of the audit's entry."""
+    field = models.CharField(max_length=20)
+    before = models.TextField(blank=True)
+    after = models.TextField(blank=True)
+
+    class Meta:
+        ordering = ("-entry",)
+
+    def __str__(self) -> str:
+        return f"{self.field} of entry {self.entry}"
+
+
 class Scan(Keyed):
     """Where a visit without photographs has its mesh from."""
 

@@ -176,3 +176,19 @@ class AuditLink(models.Model):
 
     def __str__(self) -> str:
         return f"link {self.place}"
+
+
+class FormToken(models.Model):
+    """The token of a form that somebody sent, and how it was answered (`web.once`)."""
+
+    person = models.ForeignKey(Person, on_delete=models.CASCADE, related_name="+")
+    token = models.UUIDField()
+    at = models.DateTimeField(auto_now_add=True, db_index=True)
+    answer = models.JSONField(default=dict)
+    """Address that the form led to, or status and JSON. Empty: the answer is being made."""
+
+    class Meta:
+        constraints = (models.UniqueConstraint(fields=("person", "token"), name="one_form_a_token"),)
+
+    def __str__(self) -> str:
+        return f"form {self.token}"

@@ -95,6 +95,8 @@ def merge(kept: Patient, other: Patient, number_of: Patient, reason: str, by: Pe
     """
     if kept.pk == other.pk:
         raise CorrectionError("This is the same record. Choose another one.")
+    for record in sorted((kept, other), key=lambda record: record.pk):  # both are saved whole, so as they are now
+        record.refresh_from_db(from_queryset=Patient.everything.select_for_update())
     rows: dict[str, list[Any]] = {
         "visits": list(Visit.everything.filter(patient=other)),
         "operations": list(Operation.objects.filter(patient=other)),
@@ -198,7 +200,7 @@ def _undo_date(row: Correction, by: Person | None) -> None:
 def _undo_merge(row: Correction, by: Person | None) -> None:
     other = row.patient
     assert other is not None
-    kept = Patient.everything.get(pk=row.after["into"])
+    kept = Patient.everything.select_for_update().get(pk=row.after["into"])
     if other.merged_into_id != kept.pk or [kept.record_number, other.record_number] != row.after["numbers"]:
         raise _later()
     visits = list(Visit.everything.filter(pk__in=row.before["visits"], patient=kept))

@@ -4,6 +4,7 @@ import datetime
 import re
 from dataclasses import dataclass, replace
 from typing import Any
+from uuid import uuid4
 
 from django import template
 from django.http import HttpRequest
@@ -24,6 +25,7 @@ from mammometry.clinic.records.confirmations import CHANGED
 from mammometry.clinic.records.operations import sides_of
 from mammometry.clinic.records.results import age
 from mammometry.clinic.roles import Role
+from mammometry.clinic.web.once import FIELD
 from mammometry.report.words.anthropometry import Length, length_words
 
 register = template.Library()
@@ -110,6 +112,12 @@ def queued(verdict: Verdict) -> Verdict:
         return verdict
     queue.compare(verdict.before, verdict.after, None)
     return comparing.verdict(verdict.before, verdict.after)
+
+
+@register.simple_tag
+def form_token() -> SafeString:
+    """The hidden field by which a form that is sent twice is carried out once (`web.once`)."""
+    return format_html('<input type="hidden" name="{}" value="{}">', FIELD, uuid4())
 
 
 _INSTEAD = (

@@ -29,6 +29,8 @@ from mammometry.clinic.maintenance.backups import remove_leftovers, state_of
 from mammometry.clinic.maintenance.disk import cached_usage, folder_bytes
 from mammometry.clinic.maintenance.patient import copies, erase_patient, rows_of
 from mammometry.clinic.models import Patient, Person, Upload, Visit
+from mammometry.clinic.records.notes import texts_of
+from mammometry.clinic.roles import CARE
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.responses import download, person_of
 from mammometry.clinic.views.today import first_day_of
@@ -118,7 +120,8 @@ def audit_entry(request: HttpRequest, entry: int) -> HttpResponse:
     """One entry with all that it holds."""
     row = get_object_or_404(LogEntry, pk=entry)
     names = {person.pk: str(person) for person in Person.objects.all()}
-    return render(request, "clinic/audit_entry.html", {"entry": audit_entries.in_words(row, names)})
+    texts = texts_of(row) if person_of(request).has_role(*CARE) else {}
+    return render(request, "clinic/audit_entry.html", {"entry": audit_entries.in_words(row, names, texts)})
 
 
 def _is_number(text: str) -> bool:

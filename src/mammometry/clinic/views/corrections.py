@@ -15,6 +15,7 @@ from django.utils.dateparse import parse_datetime
 from mammometry.base.errors import MammometryError
 from mammometry.clinic.forms import DAY_AND_TIME, ask_about_day
 from mammometry.clinic.models import Correction, Delivery, Patient, Visit
+from mammometry.clinic.record_form import RecordForm
 from mammometry.clinic.records import corrections as records
 from mammometry.clinic.roles import CARE, Role
 from mammometry.clinic.templatetags.pages import day, moment
@@ -33,7 +34,27 @@ class ReasonForm(forms.Form):
     )  # fmt: skip
 
 
-class DateForm(forms.ModelForm, ReasonForm):  # type: ignore[type-arg]
+class VisitReasonForm(RecordForm, ReasonForm):
+    """Why a visit is moved or put into the bin, as it was seen."""
+
+    watched = ("patient", "taken_at")
+
+    class Meta:
+        model = Visit
+        fields = ()
+
+
+class PatientReasonForm(RecordForm, ReasonForm):
+    """Why a patient's record is put into the bin, as it was seen."""
+
+    watched = ("family_name", "given_name", "born", "record_number")
+
+    class Meta:
+        model = Patient
+        fields = ()
+
+
+class DateForm(RecordForm, ReasonForm):
     """The right day, time and note of a visit."""
 
     questions: tuple[str, ...] = ()
@@ -52,7 +73,7 @@ class DateForm(forms.ModelForm, ReasonForm):  # type: ignore[type-arg]
         return values
 
 
-class MergeForm(ReasonForm):
+class MergeForm(PatientReasonForm):
     """Which record number stays when two records become one."""
 
     number = forms.ChoiceField(label="Record number that stays", widget=forms.RadioSelect)
@@ -86,21 +107,21 @@ def visit_move(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
         warnings.append("Results were sent to an archive under the former patient. Have them deleted there.")
     if row.conclusions.exists():
         warnings.append("The visit has a signed conclusion. Read whether it still holds.")
-    form = ReasonForm(request.POST or None)
+    form = VisitReasonForm(request.POST or None, instance=row)
     context |= {
         "chosen": patient, "chosen_role": "Moves to", "facts": facts, "warnings": warnings, "act": "Move the visit",
     }  # fmt: skip
     return _carried_out(
         request, form, context,
-        lambda: records.move(row, patient, form.cleaned_data["reason"], person_of(request)),
+        lambda: records.move(form.instance, patient, form.cleaned_data["reason"], person_of(request)),
         f"The visit is {patient.name}’s now.", reverse("visit", args=[row.pk]),
     )  # fmt: skip
 
 
 def visit_date(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     """Correct a visit's day, time and note."""
-    row, unchanged = visit_or_404(visit), visit_or_404(visit)
-    form = DateForm(request.POST or None, instance=row)
+    form = DateForm(request.POST or None, instance=visit_or_404(visit))
+    unchanged = visit_or_404(visit)  # read after the form has locked the row, which it changes in memory
     facts = ["With another day the report is made again. The numbers stay.", _NOTHING_LOST]
     context = {**_of_visit(unchanged), "heading": "Correct date and note", "facts": facts, "act": "Save"}
 
@@ -114,14 +135,15 @@ def visit_date(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 def visit_bin(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     """Put a visit into the bin."""
     row = visit_or_404(visit)
-    form = ReasonForm(request.POST or None)
+    form = VisitReasonForm(request.POST or None, instance=row)
     facts = ["The visit is then on no other page, in no table and in no export.", _NOTHING_LOST]
     context = {
         **_of_visit(row), "heading": "Put this visit into the bin", "facts": facts, "act": "Put into the bin",
         "grave": True,
     }  # fmt: skip
     return _carried_out(
-        request, form, context, lambda: records.put_into_bin(row, form.cleaned_data["reason"], person_of(request)),
+        request, form, context,
+        lambda: records.put_into_bin(form.instance, form.cleaned_data["reason"], person_of(request)),
         "The visit is in the bin.", reverse("patient", args=[row.patient_id]),
     )  # fmt: skip
 
@@ -140,7 +162,7 @@ def patient_merge(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
         f"Visits that change their pseudonym are measured again ({other.visits.count()}).",
         _NOTHING_LOST,
     ]
-    form = MergeForm(request.POST or None, records=(kept, other))
+    form = MergeForm(request.POST or None, instance=kept, records=(kept, other))
 
     def merge() -> None:
         number_of = other if form.cleaned_data["number"] == str(other.pk) else kept
@@ -159,14 +181,15 @@ def patient_merge(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
 def patient_bin(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
     """Put a patient's record without visits into the bin."""
     row = get_object_or_404(Patient, pk=patient)
-    form = ReasonForm(request.POST or None)
+    form = PatientReasonForm(request.POST or None, instance=row)
     facts = ["Only a record without visits can go into the bin.", _NOTHING_LOST]
     context = {
         **_of_patient(row), "heading": "Put this record into the bin", "facts": facts, "act": "Put into the bin",
         "grave": True,
     }  # fmt: skip
     return _carried_out(
-        request, form, context, lambda: records.put_into_bin(row, form.cleaned_data["reason"], person_of(request)),
+        request, form, context,
+        lambda: records.put_into_bin(form.instance, form.cleaned_data["reason"], person_of(request)),
         "The record is in the bin.", reverse("patients"),
     )  # fmt: skip
 

@@ -7,7 +7,6 @@ import uuid
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from django import forms
 from django.contrib import messages
 from django.db.models import QuerySet
 from django.http import Http404, HttpRequest, HttpResponse
@@ -19,6 +18,7 @@ from mammometry.clinic import deliveries
 from mammometry.clinic.deliveries import connection, require_libraries
 from mammometry.clinic.forms import require_dicom_text
 from mammometry.clinic.models import Calibration, Delivery, Destination, Patient, Rig, Visit, VisitOrder
+from mammometry.clinic.record_form import RecordForm
 from mammometry.clinic.records.confirmations import CHANGED_SENTENCE, valid_confirmation
 from mammometry.clinic.records.results import report_file
 from mammometry.clinic.records.search import duplicates
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 _SHOWN = 100  # newest deliveries
 
 
-class DestinationForm(forms.ModelForm):  # type: ignore[type-arg]
+class DestinationForm(RecordForm):
     """An archive, and how it is spoken to."""
 
     class Meta:

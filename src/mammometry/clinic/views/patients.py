@@ -10,9 +10,9 @@ from django.http import Http404, HttpRequest, HttpResponse, HttpResponseBase
 from django.shortcuts import get_object_or_404, redirect, render
 from django.utils import timezone
 
-from mammometry.clinic.forms import ConsentForm, OperationForm, PatientForm, WithdrawalForm
+from mammometry.clinic.forms import ConsentForm, OperationForm, OperationRemovalForm, PatientForm, WithdrawalForm
 from mammometry.clinic.models import Consent, Operation, Patient
-from mammometry.clinic.records import comparing, results, search
+from mammometry.clinic.records import comparing, notes, results, search
 from mammometry.clinic.records.clinical import holds, operation_details
 from mammometry.clinic.records.operations import events, phase_of, retentions
 from mammometry.clinic.views.responses import form_page, person_of
@@ -105,6 +105,12 @@ def patient(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
     return render(request, "clinic/patient.html", context)
 
 
+def patient_notes(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
+    """What notes about a patient said before, by whom and when they were changed."""
+    person = get_object_or_404(Patient, pk=patient)
+    return render(request, "clinic/patient_notes.html", {"patient": person, "lines": notes.history(person)})
+
+
 def patient_form(request: HttpRequest, patient: uuid.UUID | None = None) -> HttpResponse:
     """Enter a patient, or correct who somebody is."""
     person = None if patient is None else get_object_or_404(Patient, pk=patient)
@@ -136,14 +142,15 @@ def operation_edit(request: HttpRequest, operation: uuid.UUID) -> HttpResponse:
     row = get_object_or_404(Operation.objects.select_related("patient"), pk=operation)
     form = OperationForm(request.POST or None, instance=row)
     heading, done = "Change the operation", "The operation is changed."
-    return _clinical_form(request, form, "operation", done, heading=heading, operation=row)
+    removal = OperationRemovalForm(instance=row)
+    return _clinical_form(request, form, "operation", done, heading=heading, operation=row, removal=removal)
 
 
 def operation_remove(request: HttpRequest, operation: uuid.UUID) -> HttpResponse:
     """Remove an operation that was entered by mistake. The audit keeps it."""
     row = get_object_or_404(Operation, pk=operation)
     patient = row.patient_id
-    if request.method == "POST":
+    if request.method == "POST" and OperationRemovalForm(request.POST, instance=row).is_valid():
         row.delete()
         messages.success(request, "The operation is removed.")
     return redirect("patient", patient=patient)

@@ -20,8 +20,10 @@ from django.template.loader import render_to_string
 from mammometry.base.errors import MammometryError, StorageError
 from mammometry.base.extras import MissingLibraryError
 from mammometry.clinic.audit import record_refusal
+from mammometry.clinic.audit_entries import change_of
 from mammometry.clinic.intake.uploads import UploadError
 from mammometry.clinic.models import Comparison, Person, Visit
+from mammometry.clinic.record_form import RecordForm
 from mammometry.clinic.roles import CARE
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.web.access import is_program
@@ -117,6 +119,12 @@ def form_page(
         messages.success(request, done)
         return goes_on(row)
     return render(request, template, {"form": form, **context})
+
+
+def stale_page(request: HttpRequest, form: RecordForm) -> HttpResponse:
+    """409: somebody else changed the record meanwhile. Both versions, field by field, and what was typed."""
+    newest = change_of(form.instance)
+    return render(request, "clinic/stale.html", {"form": form, "newest": newest, "address": request.path}, status=409)
 
 
 def download(content: bytes | str, name: str, content_type: str) -> HttpResponse:

@@ -18,6 +18,7 @@ from mammometry.clinic.forms import DAY_AND_TIME, ask_about_day, name_empty_choi
 from mammometry.clinic.intake.scans import taken_in
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Drawing, Patient, Scan, Visit
+from mammometry.clinic.record_form import RecordForm
 from mammometry.clinic.records.results import sides_doubtful
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.templatetags.pages import on_pages
@@ -48,7 +49,7 @@ class _FilesField(forms.FileField):
         return [super(_FilesField, self).clean(file, initial) for file in every]
 
 
-class ScanForm(forms.ModelForm):  # type: ignore[type-arg]
+class ScanForm(RecordForm):
     """Whose scan, of which device, in which unit."""
 
     scanner = forms.CharField(max_length=100, label="Device", help_text="Such as Vectra M5, 3dMD or Artec Leo.")

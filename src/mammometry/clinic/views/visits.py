@@ -62,13 +62,20 @@ def visit_new(request: HttpRequest) -> HttpResponse:
     return render(request, "clinic/visit_new.html", {"form": form, "chosen": patient})
 
 
-def visit_page(request: HttpRequest, visit: uuid.UUID, draft: str | None = None) -> HttpResponse:
+def visit_page(
+    request: HttpRequest,
+    visit: uuid.UUID,
+    *,
+    conclusion: ConclusionForm | None = None,
+    circumstances: CircumstancesForm | None = None,
+) -> HttpResponse:
     """One visit, as far as it is: photographs, progress or result.
 
     Args:
         request: whose.
         visit: its key.
-        draft: a conclusion that could not be signed, to be shown again.
+        conclusion: one that could not be signed, to be shown again.
+        circumstances: those that could not be saved, to be shown again.
     """
     shown = visit_or_404(visit)
     job = shown.jobs.order_by("-created").first()
@@ -76,6 +83,7 @@ def visit_page(request: HttpRequest, visit: uuid.UUID, draft: str | None = None)
     busy = job is not None and job.state in OPEN
     person = person_of(request)
     failed = job if job is not None and job.state in ("failed", "cancelled") and not busy else None
+    conclusions = list(shown.conclusions.select_related("by"))
     context = {
         "visit": shown,
         "patient": shown.patient,
@@ -90,10 +98,11 @@ def visit_page(request: HttpRequest, visit: uuid.UUID, draft: str | None = None)
         "facts": facts(shown) if measurement is not None and not busy else None,
         "has_report": report_file(shown, "report.html") is not None,
         "drawings": shown.drawings.select_related("by")[:20],
-        "conclusions": list(shown.conclusions.select_related("by")),
-        "draft": draft,
+        "conclusions": conclusions,
+        "conclusion": conclusion or _conclusion_form(None, shown, conclusions[0] if conclusions else None),
+        "draft": None if conclusion is None else conclusion.data.get("text", ""),
         "consent_caution": pictures_caution(shown.patient) if shown.subject_kind == Visit.Subject.TORSO else "",
-        "circumstances": CircumstancesForm(instance=shown),
+        "circumstances": circumstances or CircumstancesForm(instance=shown),
         "phase": phase_of(shown, list(shown.patient.operations.all())),
         "rig_verdict": None if shown.rig is None else today(shown.rig),
         "photographs": not busy and not shown.is_scan and (measurement is None or "photographs" in request.GET),
@@ -118,22 +127,22 @@ def circumstances(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     shown = get_object_or_404(Visit, pk=visit)
     if request.method == "POST":
         form = CircumstancesForm(request.POST, instance=shown)
-        if form.is_valid():
-            shown.save(update_fields=["occasion", "posture", "repeat_of"])
-            messages.success(request, "Occasion, posture and repeat are changed.")
-        else:
+        if not form.is_valid():
             reasons = [str(error) for errors in form.errors.values() for error in errors]
             messages.error(request, f"Nothing was changed. {' '.join(reasons)}")
+            return visit_page(request, visit, circumstances=form)
+        form.save()
+        messages.success(request, "Occasion, posture and repeat are changed.")
     return redirect("visit", visit=visit)
 
 
 def conclude(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     """Sign a conclusion on the newest result of a visit. What cannot be signed is shown again."""
-    shown = get_object_or_404(Visit, pk=visit)
     if request.method != "POST":
         return redirect("visit", visit=visit)
+    shown = get_object_or_404(Visit.objects.select_for_update(), pk=visit)  # two people sign one after the other
     measurement, newest = shown.measurements.first(), shown.conclusions.first()
-    form = ConclusionForm(request.POST)
+    form = _conclusion_form(request.POST, shown, newest)
     if measurement is None:
         messages.error(request, "This visit is not measured yet. Measure it first.")
     elif request.POST.get("measurement") != str(measurement.pk):
@@ -149,7 +158,12 @@ def conclude(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
         Conclusion.objects.create(visit=shown, measurement=measurement, text=text, by=person_of(request))
         messages.success(request, "The conclusion is signed.")
         return redirect("visit", visit=visit)
-    return visit_page(request, visit, draft=request.POST.get("text", ""))
+    return visit_page(request, visit, conclusion=form)
+
+
+def _conclusion_form(data: Any, visit: Visit, newest: Conclusion | None) -> ConclusionForm:
+    """A conclusion that amends the newest one, if there is one."""
+    return ConclusionForm(data, instance=newest or Conclusion(visit=visit), auto_id="conclusion_%s")
 
 
 def jobs(request: HttpRequest) -> HttpResponse:

@@ -1,18 +1,18 @@
 """Access to pages. A view is mounted with its roles, or not at all.
 
 `guarded` wraps a view: it refuses who may not, requires the second factor, makes each change and its audit entry one
-transaction, and enters into the audit who saw which patient's, visit's or rig's page.
+transaction, carries a form that is sent twice out once, answers a form whose record somebody else changed meanwhile,
+and enters into the audit who saw which patient's, visit's or rig's page.
 """
 
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from functools import wraps
-from typing import Any
+from typing import Any, cast
 from urllib.parse import urlencode
 
 from asgiref.sync import iscoroutinefunction, sync_to_async
 from django.core.exceptions import PermissionDenied
-from django.db import transaction
 from django.http import HttpRequest, HttpResponseBase, HttpResponseRedirect, JsonResponse
 from django.urls import URLPattern, path, re_path, reverse
 
@@ -60,6 +60,9 @@ def route(where: str, view: View, name: str, roles: frozenset[Role] | None, **ot
 def guarded(view: View, access: Access) -> View:
     """A view that refuses whoever may not open it. ``view.access`` says who may."""
     from mammometry.clinic.audit import record_view
+    from mammometry.clinic.record_form import StaleRecord
+    from mammometry.clinic.views.responses import stale_page
+    from mammometry.clinic.web.once import once
 
     if iscoroutinefunction(view):
 
@@ -76,17 +79,20 @@ def guarded(view: View, access: Access) -> View:
         asynchronous.access = access  # type: ignore[attr-defined]
         return asynchronous
 
+    act = cast(Callable[..., HttpResponseBase], view)
+
     @wraps(view)
     def synchronous(request: HttpRequest, *args: Any, **kwargs: Any) -> HttpResponseBase:
         refusal = refused(request, access)
         if refusal is not None:
             return refusal
-        if request.method in _SAFE or not access.atomic:
-            response = view(request, *args, **kwargs)
+        if request.method in _SAFE:
+            response = act(request, *args, **kwargs)
         else:
-            with transaction.atomic():
-                response = view(request, *args, **kwargs)
-        assert isinstance(response, HttpResponseBase)
+            try:
+                response = once(request, lambda: act(request, *args, **kwargs), atomic=access.atomic)
+            except StaleRecord as stale:  # nothing was saved: it has left the transaction
+                response = stale_page(request, stale.form)
         if access.audited:
             record_view(request, response, kwargs)
         return response

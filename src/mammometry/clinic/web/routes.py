@@ -37,6 +37,7 @@ PAGES = [
     route("patients/new/", patients.patient_form, "patient-new", CARE),
     route("patients/<uuid:patient>/", leads_on(patients.patient), "patient", CARE),
     route("patients/<uuid:patient>/edit/", leads_on(patients.patient_form), "patient-edit", CARE),
+    route("patients/<uuid:patient>/notes/", leads_on(patients.patient_notes), "patient-notes", CARE),
     route("patients/<uuid:patient>/merge/", corrections.patient_merge, "patient-merge", CARE),
     route("patients/<uuid:patient>/bin/", corrections.patient_bin, "patient-bin", CARE),
     route("patients/<uuid:patient>/compare/", leads_on(results.compare), "compare", CLINICIAN),

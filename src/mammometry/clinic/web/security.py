@@ -18,6 +18,7 @@ from django.http import HttpRequest, HttpResponse, HttpResponseBase
 from django.utils.decorators import sync_and_async_middleware
 
 from mammometry.clinic.site import the_clinic
+from mammometry.clinic.web.once import ACCEPTED
 
 Response = Callable[[HttpRequest], HttpResponseBase]
 _SCRIPT = re.compile(rb"<script(?![^>]*\ssrc=)[^>]*>(.*?)</script>", re.DOTALL | re.IGNORECASE)
@@ -129,4 +130,5 @@ def for_all_pages(request: HttpRequest) -> dict[str, Any]:
     """Values for every template: the clinic's name, and what the person may do."""
     person = getattr(request, "user", None)
     roles = list(person.roles) if person is not None and person.is_authenticated else []
-    return {"clinic_name": the_clinic().name, "roles": roles}
+    accepted = request.session.get(ACCEPTED, ()) if roles else ()
+    return {"clinic_name": the_clinic().name, "roles": roles, "accepted": accepted}

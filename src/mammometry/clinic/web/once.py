@@ -1,0 +1,126 @@
+"""A form that is sent twice is carried out once.
+
+Each form carries a random token (`form_token` of the pages' tags). The first request with it is carried out, and its
+answer kept; every other one gets the same answer. Two at the same time wait for one another. Where the form is shown
+again, because something in it is not right, the token can be sent again.
+"""
+
+import time
+from collections.abc import Callable
+from datetime import timedelta
+from typing import Any
+from uuid import UUID
+
+from django.db import IntegrityError, transaction
+from django.db.models import QuerySet
+from django.http import HttpRequest, HttpResponse, HttpResponseBase, HttpResponseRedirect, JsonResponse
+from django.utils import timezone
+
+from mammometry.clinic.models import FormToken
+
+FIELD, HEADER = "form_token", "Form-Token"
+"""Where a page and a script put the token."""
+ACCEPTED = "accepted_forms"
+"""Key of the session under which the newest tokens are that were accepted: pages forget what was typed with them."""
+_ACCEPTED_MOST = 20  # forms of one session whose drafts may still be in a tab
+_KEPT = timedelta(days=2)  # longer than any session lasts
+_CLEARED = 200  # old tokens a request, so that none waits long
+_WAIT_S, _LOOK_S = 30.0, 0.2  # for an answer that another request is making
+_ABANDONED = timedelta(minutes=15)  # a request without an answer for so long has died
+
+
+def once(request: HttpRequest, act: Callable[[], HttpResponseBase], *, atomic: bool) -> HttpResponseBase:
+    """Carry a request out, or answer as the first of the same form was answered.
+
+    Args:
+        request: one that changes something, of somebody who is logged in or not.
+        act: carries it out.
+        atomic: whether it is one transaction with what it changes. Otherwise the token is taken first.
+    """
+    token = _token_of(request)
+    if token is None or not request.user.is_authenticated:
+        if not atomic:
+            return act()
+        with transaction.atomic():
+            return act()
+    return _in_one_transaction(request, token, act) if atomic else _taken_first(request, token, act)
+
+
+def _in_one_transaction(request: HttpRequest, token: UUID, act: Callable[[], HttpResponseBase]) -> HttpResponseBase:
+    with transaction.atomic():
+        row = _take(request, token)
+        if row is not None:
+            response = act()
+            _keep(request, row, response)
+            return response
+    return _repeated(request, _rows(request, token).get())
+
+
+def _taken_first(request: HttpRequest, token: UUID, act: Callable[[], HttpResponseBase]) -> HttpResponseBase:
+    end = time.monotonic() + _WAIT_S
+    while (row := _take(request, token)) is None:
+        there = _rows(request, token).first()
+        if there is not None and there.answer:
+            return _repeated(request, there)
+        if there is not None and timezone.now() - there.at > _ABANDONED:
+            there.delete()
+        elif time.monotonic() > end:
+            return _busy()
+        else:
+            time.sleep(_LOOK_S)
+    try:
+        response = act()
+    except BaseException:
+        row.delete()
+        raise
+    _keep(request, row, response)
+    return response
+
+
+def _rows(request: HttpRequest, token: UUID) -> QuerySet[FormToken]:
+    return FormToken.objects.filter(person_id=str(request.user.pk), token=token)
+
+
+def _token_of(request: HttpRequest) -> UUID | None:
+    text = request.headers.get(HEADER) or request.POST.get(FIELD, "")
+    try:
+        return UUID(text)
+    except ValueError:
+        return None
+
+
+def _take(request: HttpRequest, token: UUID) -> FormToken | None:
+    """The token's row. None: another request has it, or had it."""
+    old = FormToken.objects.filter(at__lt=timezone.now() - _KEPT).select_for_update(skip_locked=True)
+    try:
+        with transaction.atomic():
+            FormToken.objects.filter(pk__in=list(old.values_list("pk", flat=True)[:_CLEARED])).delete()
+            return FormToken.objects.create(person_id=str(request.user.pk), token=token)  # waits for another request's
+    except IntegrityError:
+        return None
+
+
+def _keep(request: HttpRequest, row: FormToken, response: HttpResponseBase) -> None:
+    """Keep an answer to give it again. One that shows the form again gives the token back."""
+    if isinstance(response, HttpResponseRedirect):
+        row.answer = {"location": response.url}
+    elif isinstance(response, JsonResponse) and response.status_code < 300:
+        row.answer = {"status": response.status_code, "json": response.content.decode()}
+    else:
+        row.delete()
+        return
+    row.save(update_fields=["answer"])
+    accepted: list[str] = request.session.get(ACCEPTED, [])
+    request.session[ACCEPTED] = [*accepted, str(row.token)][-_ACCEPTED_MOST:]
+
+
+def _repeated(request: HttpRequest, row: FormToken) -> HttpResponseBase:
+    request.session.modified = False  # the first request has kept it, with what this one does not know
+    answer: dict[str, Any] = row.answer
+    if "location" in answer:
+        return HttpResponseRedirect(answer["location"])
+    return HttpResponse(answer["json"], status=answer["status"], content_type="application/json")
+
+
+def _busy() -> HttpResponseBase:
+    return HttpResponse("This form is being sent already. Wait, and look whether it has arrived.", status=409)
