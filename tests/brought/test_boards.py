@@ -19,7 +19,7 @@ from mammometry.calibration.adjust.initialise import TooFewViewsError
 from mammometry.calibration.detection.detect import Observations, detect, detect_in, set_duplicates_aside
 from mammometry.calibration.judge.no_target import no_target, with_causes
 from mammometry.calibration.judge.quality import assess
-from mammometry.calibration.judge.suspects import SuspectPhotographsError, refusal
+from mammometry.calibration.judge.suspects import SuspectPhotographsError, refusal, spared_photograph
 from mammometry.calibration.settings import BundleSettings, CalibrateSettings, QualitySettings
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget, charuco_board
 from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
@@ -68,10 +68,8 @@ TABLE = {
     "older, exchanged": (OLD, as_it_is, replace(NEW, squares=(8, 10)), "squares = [10, 8] and legacy_pattern = true"),
     "other dictionary": (NEW, as_it_is, replace(NEW, dictionary="DICT_6X6_250"), 'Write dictionary = "DICT_5X5_50" in'),
     "mirrored": (NEW, mirrored, NEW, "without flipping them"),
-    "negative": (NEW, negative, NEW, "printed as a negative"),
     "chessboard's corners counted": (CHESS, as_it_is, replace(CHESS, squares=(10, 7)), "Write squares = [11, 8] in"),
     "chessboard's row forgotten": (CHESS, as_it_is, replace(CHESS, squares=(11, 7)), "Write squares = [11, 8] in"),
-    "negative chessboard": (CHESS, negative, CHESS, "printed as a negative"),
     "a column of circles too many": (CIRCLES, as_it_is, replace(CIRCLES, grid=(10, 7)), "Write grid = [9, 7] in"),
 }
 
@@ -94,6 +92,18 @@ def test_what_is_described_rightly_is_found_whole(printed: Target) -> None:
     found = detect_in(photographed(printed), printed, camera="a", pose="00")
     assert found is not None
     assert len(found.ids) == len(printed.points_target)
+
+
+@pytest.mark.parametrize("printed", [NEW, CIRCLES, pytest.param(CHESS, marks=pytest.mark.slow)])
+def test_a_negative_is_read_as_well_and_named(printed: Target) -> None:
+    photograph = photographed(printed)
+    right, seen = (detect_in(picture, printed, camera="a", pose="00") for picture in (photograph, negative(photograph)))
+    assert right is not None
+    assert seen is not None
+    assert len(seen.ids) == len(printed.points_target)
+    assert seen.inverse
+    turned = isinstance(printed, ChessboardTarget)  # begins at a dark square, which was bright
+    assert np.abs((seen.uv[::-1] if turned else seen.uv) - right.uv).max() < 0.1
 
 
 @pytest.mark.parametrize("legacy", [False, True])
@@ -235,6 +245,42 @@ def test_all_suspect_photographs_are_named_at_once_with_what_is_left() -> None:
     assert "Take them out" in error.remedy
     assert "12 poses are left, at least 11 for each camera" in error.remedy
     assert [line.partition(":")[0] for line in error.details] == [f"pose {pose}, {camera}" for pose, camera in BAD]
+
+
+def spared(moved_mm: Mapping[tuple[str, str], tuple[float, float, float]], poses: int) -> Calibration | None:
+    calibration = recalibrate(with_moved(moved_mm, poses))
+    quality = assess(calibration)
+    assert quality.verdict == "refuse"
+    found = spared_photograph(calibration, quality, recalibrate, QualitySettings())
+    if found is not None:
+        assert found[1].verdict == "warn"
+        assert "set aside" in found[1].reasons[0]
+        return found[0]
+    return None
+
+
+def test_one_photograph_that_all_others_contradict_is_left_out_and_named() -> None:
+    calibration = spared({("03", "front_left"): (0.2, 0.0, 0.0)}, 8)
+    assert calibration is not None
+    (aside,) = calibration.set_aside
+    assert (aside.pose, aside.camera) == ("03", "front_left")
+    assert 0.1 < aside.residual_px < 2.0
+    clean = recalibrate(with_moved({}, 8)).rig.cameras["front_left"].centre_world
+    assert np.linalg.norm(calibration.rig.cameras["front_left"].centre_world - clean) < 0.02
+
+
+@pytest.mark.parametrize(
+    "moved_mm",
+    [
+        {("07", "front_left"): (0.2, 0.0, 0.0)},  # for good, perhaps: the subject's photographs come later
+        pytest.param({(f"{k:02d}", "front_left"): (0.2, 0.0, 0.0) for k in range(4, 8)}, marks=pytest.mark.slow),
+        pytest.param({key: BAD[key] for key in list(BAD)[:2]}, marks=pytest.mark.slow),
+        pytest.param({("03", name): (0.2, 0.0, 0.0) for name in PAIRS["front"]}, marks=pytest.mark.slow),
+    ],
+    ids=["its last", "half of its own", "two cameras' in two poses", "both of a pair"],
+)
+def test_photographs_that_contradict_one_another_stay_a_refusal(moved_mm) -> None:
+    assert spared(moved_mm, 8) is None
 
 
 @pytest.mark.slow

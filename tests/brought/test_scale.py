@@ -115,6 +115,14 @@ def test_a_rare_rig_is_measured_with(name: str) -> None:
     assert "which is rare" in noticed_of_cameras(calibration.rig, "model")
 
 
+def test_a_small_open_surface_decides_the_size_of_its_rig() -> None:
+    """A strain measurement's field of 62 mm is right, and ten times as large would be usual of a body alone."""
+    rig = pair_of(200.0, 25.0, 0.31)
+    assert noticed_of_cameras(rig, "surface") == ""
+    for kind in ("model", "torso"):
+        assert "62 mm" in noticed_of_cameras(rig, kind)
+
+
 @pytest.mark.parametrize(("factor", "unit"), [(0.1, "cm"), (1e-3, "m"), (10.0, "tenths of a mm"), (1 / 25.4, "inches")])
 @pytest.mark.parametrize("kind", ["model", "torso"])
 @pytest.mark.parametrize("name", RIGS)

@@ -92,7 +92,7 @@ def test_poses_detected_apart_are_merged_and_must_agree_in_size(photograph):
 
 def test_fewer_points_than_asked_for_do_not_count(photograph, monkeypatch):
     assert len(detect_in(photograph, BOARD, camera="a", pose="00").ids) == 20
-    monkeypatch.setattr("mammometry.calibration.detection.detect.MIN_POINTS", 21)
+    monkeypatch.setattr(ChessboardTarget, "least_points", 21)
     assert detect_in(photograph, BOARD, camera="a", pose="00") is None
 
 

@@ -168,7 +168,7 @@ def test_what_cannot_be_used_is_named(radiance, case):
 
 
 def test_a_view_with_too_few_points_says_how_many(radiance, monkeypatch):
-    monkeypatch.setattr("mammometry.calibration.detection.detect.MIN_POINTS", 118)
+    monkeypatch.setattr(type(BOARD), "least_points", 118)
     seen = detect({("00", "a"): shoot(radiance)}, BOARD)
     assert seen.detections == ()
     assert "of 117 points of the target, fewer than 118" in seen.missed[0].found

@@ -159,3 +159,17 @@ def test_corners_of_an_independent_renderer(shared_data):
         uv = (xy - view.matrix[:2, 2]) / view.matrix[[0, 1], [0, 1]] * k[[0, 1], [0, 1]] + k[:2, 2]
         errors.append(found.uv - uv[found.ids])
     assert np.sqrt(np.square(np.concatenate(errors)).mean()) < 0.03
+
+
+@pytest.mark.parametrize("corners", [4, 6])
+def test_a_few_corners_of_a_board_are_of_use(corners):
+    """Of a board that leaves the picture: its markers say which corners they are."""
+    view = camera(turn_deg=(10.0, 8.0, 3.0), at=(0.0, 0.0, 330.0))
+    whole = shoot(view)
+    columns = corners // 2
+    at = np.arange(len(BOARD.points_target)).reshape(BOARD.squares[1] - 1, -1)[:2, :columns]
+    last = board_in_view(view)[at[-1, -1]] + 0.55 * BOARD.square_mm * 900.0 / 330.0
+    cropped = Photograph(name="a", pixels=np.ascontiguousarray(whole.pixels[: int(last[1]), : int(last[0])]))
+    found = find(cropped)
+    np.testing.assert_array_equal(found.ids, at.ravel())
+    assert np.abs(found.uv - board_in_view(view)[found.ids]).max() < 0.1

@@ -129,6 +129,8 @@ _LEAST_VIEWS = 3
 """Fewest views of a flat target that determine a camera's intrinsics (Zhang 2000)."""
 LEAST_POINTS = 6
 """Fewest points by which a target is placed, recognised or compared."""
+_LEAST_FLAT_POINTS = 4
+"""Fewest points by which a flat target is placed: four determine a homography."""
 _FLAT = 1e-6
 """Points thinner than this share of their extent are flat: rounding only."""
 _VIEW_ERROR_RATIO = 3.0
@@ -210,7 +212,7 @@ def initialise(
                 f"camera {camera}",
                 cameras=[camera],
                 found="no usable view of the rig's target",
-                expected=f"at least one with {LEAST_POINTS} points",
+                expected=f"at least one with {_least_placed(observations.target.points_target)} points",
                 remedy="Check its photographs: focus, light, and that the target is inside the frame",
             )
     require_connected(list(camera_from_target))
@@ -272,9 +274,10 @@ def _check_sizes(observations: Observations, own: Mapping[str, Observations], kn
 def _usable(observations: Observations) -> list[Detection]:
     """Views with enough points that do not lie on a line."""
     points = observations.target.points_target
+    least = _least_placed(points)
     usable = []
     for detection in observations.detections:
-        if len(detection.ids) < LEAST_POINTS:
+        if len(detection.ids) < least:
             continue
         seen = points[detection.ids] - points[detection.ids].mean(axis=0)
         spread = np.linalg.svd(seen, compute_uv=False)
@@ -286,6 +289,11 @@ def _usable(observations: Observations) -> list[Detection]:
 def least_views(target: Target) -> int:
     """Fewest views of a target by which a camera's own parameters are found."""
     return _LEAST_VIEWS if is_flat(target.points_target) else 1
+
+
+def _least_placed(points: Float64[Array, "n 3"]) -> int:
+    """Fewest points by which a camera is placed before them."""
+    return _LEAST_FLAT_POINTS if is_flat(points) else LEAST_POINTS
 
 
 def is_flat(points: Float64[Array, "n 3"]) -> bool:
@@ -413,7 +421,7 @@ def resect(
     distorted = (uv - intrinsics[2:4]) / intrinsics[:2]
     ideal = undistort(distorted, intrinsics[4:9])
     good: Bool[Array, " n"] = np.isfinite(ideal).all(axis=1)
-    if good.sum() < LEAST_POINTS:
+    if good.sum() < _least_placed(points):
         return None
     points, ideal = points[good], ideal[good]
     method = cv2.SOLVEPNP_IPPE if is_flat(points) else cv2.SOLVEPNP_SQPNP

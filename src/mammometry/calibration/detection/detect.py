@@ -18,7 +18,7 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.base.value import value
 from mammometry.calibration.detection.finders import explain_miss, find
 from mammometry.calibration.detection.finders.cylinder import numbered_alike
-from mammometry.calibration.features.pixels import MIN_POINTS, Cause, FoundPoints, grey_bytes, reduced
+from mammometry.calibration.features.pixels import Cause, FoundPoints, grey_bytes, inverse_of, reduced
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
 
@@ -131,6 +131,8 @@ class Detection:
     """Distorted pixels of the original photograph, integers at pixel centres."""
     covariance_px2: Float64[Array, "n 2 2"]
     """Covariance of each point's `uv`, px²."""
+    inverse: bool = False
+    """Whether it was found in the photograph's inverse: the target is printed white on black."""
 
     def __post_init__(self) -> None:
         if not (len(self.ids) == len(self.uv) == len(self.covariance_px2)):
@@ -194,7 +196,7 @@ def detect_in(
 ) -> Detection | None:
     """Find the target in one photograph.
 
-    None where it is not, or shows fewer than `MIN_POINTS` points. A kind whose numbering is agreed between
+    None where it is not, or shows fewer than the target's `least_points`. A kind whose numbering is agreed between
     photographs, as the columns of a dotted cylinder, is numbered from the first points seen; `detect` makes the
     photographs agree.
 
@@ -202,7 +204,7 @@ def detect_in(
         SessionError: the target's description cannot be used (unknown marker dictionary).
     """
     seen = _look(photograph, target, search_width_px)
-    if isinstance(seen, Cause | None) or len(seen.ids) < MIN_POINTS:
+    if isinstance(seen, Cause | None) or len(seen.ids) < target.least_points:
         return None
     return _named(seen, camera, pose)
 
@@ -274,7 +276,13 @@ def _look(photograph: Photograph, target: Target, search_width_px: int) -> Found
     # OpenCV's searches for grids draw at random. Without a fresh start, what is found would depend on the photographs
     # that the same thread searched before.
     cv2.setRNGSeed(0)
-    return find(target, photograph, search_width_px)
+    seen = find(target, photograph, search_width_px)
+    if not target.has_inverse or (isinstance(seen, FoundPoints) and len(seen.ids)):
+        return seen
+    inverse = find(target, inverse_of(photograph), search_width_px)
+    if isinstance(inverse, FoundPoints) and len(inverse.ids) >= target.least_points:
+        return replace(inverse, inverse=True)
+    return seen
 
 
 def _look_or_explain(photograph: Photograph, target: Target) -> FoundPoints | Cause:
@@ -284,9 +292,10 @@ def _look_or_explain(photograph: Photograph, target: Target) -> FoundPoints | Ca
         return seen
     if seen is None or not len(seen.uv):
         return diagnose(photograph, target)
-    if len(seen.uv) < MIN_POINTS:
+    if len(seen.uv) < target.least_points:
         return Cause(
-            found=f"{len(seen.uv)} of {len(target.points_target)} points of the target, fewer than {MIN_POINTS}",
+            found=f"{len(seen.uv)} of {len(target.points_target)} points of the target, fewer than "
+            f"{target.least_points}",
             remedy="Have more of it in the picture, larger, or less aslant",
         )
     return seen
@@ -295,7 +304,12 @@ def _look_or_explain(photograph: Photograph, target: Target) -> FoundPoints | Ca
 def _named(found: FoundPoints, camera: str, pose: str) -> Detection:
     floor_px2 = _FLOOR_PX**2 * np.eye(2)
     return Detection(
-        camera=camera, pose=pose, ids=found.ids, uv=found.uv, covariance_px2=found.covariance_px2 + floor_px2
+        camera=camera,
+        pose=pose,
+        ids=found.ids,
+        uv=found.uv,
+        covariance_px2=found.covariance_px2 + floor_px2,
+        inverse=found.inverse,
     )
 
 

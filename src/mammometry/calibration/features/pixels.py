@@ -7,12 +7,15 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from mammometry.base.photograph import Photograph
+from mammometry.base.photograph import Photograph, linear_of
 from mammometry.calibration.features.corner_kernels import weighted_levels
 from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
 
 MIN_POINTS = 8
-"""Fewest points of a usable view. Fewer show little, and are found in any scatter by chance."""
+"""Fewest points from which a target is recognised. Fewer are found in any scatter by chance."""
+_BRIGHTEST, _SPARSE = 99.5, 4
+"""Percentile of the levels that is black in the inverse, and rows and columns from one looked at to the next, for
+speed."""
 _REC709 = np.array([[0.2126, 0.7152, 0.0722]], dtype=np.float32)
 
 
@@ -59,6 +62,19 @@ def linear_luma(photograph: Photograph) -> Float32[Array, "h w"]:
     return np.asarray(cv2.transform(linear, _REC709) if linear.ndim == 3 else linear, dtype=np.float32)
 
 
+def inverse_of(photograph: Photograph) -> Photograph:
+    """The photograph in which what is darkest is brightest, in 16 bit.
+
+    Light is subtracted, linearly, from that of the brightest parts: blurred edges keep their places.
+    """
+    light = linear_of(photograph.pixels.dtype)
+    top = light[int(np.percentile(photograph.pixels[::_SPARSE, ::_SPARSE], _BRIGHTEST))]
+    linear = np.clip(top - light, 0.0, 1.0).astype(np.float64)
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    levels = np.rint(np.iinfo(np.uint16).max * encoded).astype(np.uint16)
+    return Photograph(name=photograph.name, pixels=levels[photograph.pixels])
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FoundPoints:
     """Points of the target in one photograph."""
@@ -69,6 +85,8 @@ class FoundPoints:
     """Distorted pixels of the original photograph."""
     covariance_px2: Float64[Array, "n 2 2"]
     """Covariance of each point's `uv` by the fit alone, px²."""
+    inverse: bool = False
+    """Whether they were found in the photograph's inverse: the target is printed white on black."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -107,7 +107,7 @@ def about_names(calibration: Calibration) -> Iterator[Finding]:
         if other is None:
             yield (
                 "warn",
-                f"pose {pose}: the picture of {camera} does not fit the others (off by {residual_px:.0f} px) and was "
+                f"pose {pose}: the picture of {camera} does not fit the others (off by {residual_px:.2g} px) and was "
                 "set aside. Check that it is the right file, and was exposed together with the others",
             )
         elif truly.get((other.camera, other.pose)) == Shot(camera, pose):
@@ -132,6 +132,18 @@ def about_missed(calibration: Calibration) -> Iterator[Finding]:
     for view in calibration.observations.missed:
         if view.remedy and not sees_badly(calibration, view.camera, view.pose):
             yield "warn", str(view)
+
+
+def about_inverse(calibration: Calibration) -> Iterator[Finding]:
+    """Report a target that is printed white on black."""
+    seen = calibration.observations.detections
+    count = sum(view.inverse for view in seen)
+    if count:
+        yield (
+            "pass",
+            f"the target is white on black in {count} of {len(seen)} photographs, which were read in the inverse. If "
+            "it is printed black on white, these photographs are negatives",
+        )
 
 
 def about_movements(movements: Sequence[Movement]) -> Iterator[Finding]:
@@ -294,8 +306,8 @@ def about_scale(calibration: Calibration) -> Iterator[Finding]:
     if rare := [size for size in sizes if not size.is_usual()]:
         yield (
             "warn",
-            f"by target.{name} = {stated_mm:g} mm, {' and '.join(map(str, rare))}, which is rare. Measure the target, "
-            f"and check that its sizes are in millimetres{fitting(stated_mm, sizes)}",
+            f"by target.{name} = {stated_mm:g} mm, {' and '.join(map(str, rare))}, which is rare. If the subject is "
+            f"of another size than that, check that the target's sizes are in millimetres{fitting(stated_mm, sizes)}",
         )
     std = calibration.scale_std
     if std is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,11 +22,10 @@ Photographs = Mapping[tuple[str, str], Photograph]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Reading:
-    """A target or pictures as they commonly are by mistake."""
+    """A target as it commonly is described by mistake."""
 
     cause: Cause
     target: Target
-    changed: Callable[[Photograph], Photograph]
 
 
 def no_target(target: Target, parts: Sequence[Observations], photographs: Photographs) -> CalibrationError:
@@ -106,7 +105,7 @@ def _fitting_reading(
 ) -> tuple[str, str] | None:
     """Return the common mistake that explains most of some missed photographs, in words, and its remedy."""
     some = [photographs[keys[k]] for k in np.unique(np.linspace(0, len(keys) - 1, _TRIED).astype(int)) if keys]
-    for reading in (*_other_targets(target), _as_negative(target)):
+    for reading in _other_targets(target):
         fitting = sum(_fits(reading, photograph) for photograph in some[:2])
         if fitting:
             fitting += sum(_fits(reading, photograph) for photograph in some[2:])
@@ -119,25 +118,11 @@ def _fitting_reading(
 
 
 def _fits(reading: _Reading, photograph: Photograph) -> bool:
-    changed = reading.changed(photograph)
-    return detect_in(changed, reading.target, camera="", pose="") is not None
+    return detect_in(photograph, reading.target, camera="", pose="") is not None
 
 
 def _other_targets(target: Target) -> Iterator[_Reading]:
     for keys, other in target.mistaken():
         remedy = f"Write {keys} in [target] of session.toml, or photograph the board that it describes"
         cause = Cause(found=f"a board with {keys}", remedy=remedy)
-        yield _Reading(cause=cause, target=other, changed=lambda photograph: photograph)
-
-
-def _as_negative(target: Target) -> _Reading:
-    cause = Cause(
-        found="the target with dark and bright exchanged, as in a negative",
-        remedy="Export the photographs in the camera's own tones. If they are, the board was printed as a negative: "
-        "print it again",
-    )
-    return _Reading(cause=cause, target=target, changed=_negative)
-
-
-def _negative(photograph: Photograph) -> Photograph:
-    return Photograph(name=photograph.name, pixels=np.iinfo(photograph.pixels.dtype).max - photograph.pixels)
+        yield _Reading(cause=cause, target=other)

@@ -79,14 +79,17 @@ def require_camera_scale(file: str, rig: Rig, subject_kind: str) -> tuple[str, .
             remedy=f"Give the cameras' translations in millimetres{seem}",
         )
     rare = [str(size) for size in sizes if not size.is_usual()]
-    return (f"By the imported cameras {' and '.join(rare)}, which is rare. Check their unit{seem}",) if rare else ()
+    if not rare:
+        return ()
+    doubt = f"By the imported cameras {' and '.join(rare)}, which is rare. If the subject is of another size than that"
+    return (f"{doubt}, check the cameras' unit{seem}",)
 
 
 def _impossible(sizes: Sequence[Size]) -> Size | None:
     return next((size for size in sizes if not size.is_possible), None)
 
 
-def calibrated_sizes(calibration: Calibration, subject_kind: str = "surface") -> tuple[Size, ...]:
+def calibrated_sizes(calibration: Calibration, subject_kind: str = "model") -> tuple[Size, ...]:
     """Sizes of a calibrated rig, with the target held where the subject stands."""
     depths: dict[str, list[float]] = {}
     for seen in calibration.observations.detections:
@@ -112,7 +115,10 @@ def _rig_sizes(rig: Rig, subject_kind: str) -> tuple[Size, ...]:
 
 
 def _sizes(rig: Rig, depths_mm: Mapping[str, float], subject_kind: str, where: str) -> tuple[Size, ...]:
-    """Shorter side of the pictures at these depths, and distance of a pair's cameras: medians over the rig."""
+    """Shorter side of the pictures at these depths, and distance of a pair's cameras: medians over the rig.
+
+    Casts and bodies have usual sizes. A surface may be of anything, so all that is possible is usual.
+    """
     baselines = [float(np.linalg.norm(pair.left.centre_world - pair.right.centre_world)) for pair in rig.pairs]
     views = [
         depth_mm * min(rig.cameras[name].size_wh) / float(rig.cameras[name].matrix[0, 0])
@@ -122,11 +128,12 @@ def _sizes(rig: Rig, depths_mm: Mapping[str, float], subject_kind: str, where: s
     sizes = []
     if views:
         least_mm = _MARGIN * (_BREAST_MM if subject_kind == "torso" else SUBJECT_MM[0])
+        possible_mm = (least_mm, SUBJECT_MM[1])
         sizes.append(
             Size(
                 mm=float(np.median(views)),
-                possible_mm=(least_mm, SUBJECT_MM[1]),
-                usual_mm=_USUAL_VIEW_MM,
+                possible_mm=possible_mm,
+                usual_mm=possible_mm if subject_kind == "surface" else _USUAL_VIEW_MM,
                 words=f"the pictures' shorter side is {{}} {where}",
             )
         )
@@ -135,7 +142,7 @@ def _sizes(rig: Rig, depths_mm: Mapping[str, float], subject_kind: str, where: s
             Size(
                 mm=float(np.median(baselines)),
                 possible_mm=_BASELINE_MM,
-                usual_mm=_USUAL_BASELINE_MM,
+                usual_mm=_BASELINE_MM if subject_kind == "surface" else _USUAL_BASELINE_MM,
                 words="the two cameras of a pair stand {} apart",
             )
         )

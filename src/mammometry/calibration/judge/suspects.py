@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 
 from mammometry.base.errors import CalibrationError
-from mammometry.calibration.adjust.calibrated import Calibration
+from mammometry.calibration.adjust.calibrated import Calibration, SetAside
 from mammometry.calibration.detection.detect import Observations
 from mammometry.calibration.features.pixels import Cause
 from mammometry.calibration.judge.findings import BIAS_REFUSE, board_faults
@@ -168,6 +168,61 @@ def find_suspects(
     aside = {(view.pose, view.camera) for view in calibration.set_aside}
     kept = Counter(seen.camera for seen in observations.detections if (seen.pose, seen.camera) not in aside)
     return Suspects(reasons=dict(sorted(reasons.items())), rest=rest, views=kept)
+
+
+_LEAST_AGREEING = 5
+"""Photographs of a camera that must agree without the one that is left out. Two or three agree with anything."""
+
+
+def spared_photograph(
+    calibration: Calibration, quality: CalibrationQuality, recalibrate: Recalibrate, settings: QualitySettings
+) -> tuple[Calibration, CalibrationQuality] | None:
+    """Leave out the one photograph for which a calibration is refused, if all others agree without it.
+
+    A camera's last photograph is not left out: if the camera moved before it, the subject's photographs, which come
+    later, would be measured from the wrong place.
+
+    Args:
+        calibration: that is refused.
+        quality: its judgement.
+        recalibrate: the adjustment of other observations, with or without the board's shape.
+        settings: limits.
+
+    Returns:
+        The calibration without the photograph, which it names as set aside, and its judgement. None where several
+        photographs contradict one another, or a camera moved for good.
+    """
+    shot = _worst_photograph(quality)
+    if shot is None:
+        return None
+    pose, camera = shot
+    seen = {(view.pose, view.camera): view for view in calibration.observations.detections}
+    aside = {(view.pose, view.camera) for view in calibration.set_aside}
+    others = [other for other, seer in seen if seer == camera and other != pose and (other, seer) not in aside]
+    if len(others) < _LEAST_AGREEING or pose > max(others):
+        return None
+    left = tuple(view for key, view in seen.items() if key != shot)
+    try:
+        without = recalibrate(replace(calibration.observations, detections=left), None)
+    except CalibrationError:
+        return None
+    if pose not in without.world_from_target:
+        return None
+    points = without.world_from_target[pose].apply(without.target_points[seen[shot].ids])
+    off_px = np.linalg.norm(without.rig.cameras[camera].project(points) - seen[shot].uv, axis=1)
+    left_out = SetAside(camera=camera, pose=pose, residual_px=float(np.median(off_px)))
+    without = replace(without, set_aside=(*without.set_aside, left_out))
+    judged = assess(without, settings)
+    return (without, judged) if judged.verdict != "refuse" else None
+
+
+def _worst_photograph(quality: CalibrationQuality) -> Shot | None:
+    """The photograph that contradicts the others most. None where it is more than one, or something else."""
+    if quality.movements:
+        worst = quality.movements[0]
+        return (worst.first, worst.cameras[0]) if worst.only and len(worst.cameras) == 1 else None
+    view = max(quality.views, key=lambda view: view.bias)
+    return (view.pose, view.camera) if view.bias > BIAS_REFUSE else None
 
 
 def _suspicious(calibration: Calibration, quality: CalibrationQuality) -> Iterator[tuple[Shot, str]]:

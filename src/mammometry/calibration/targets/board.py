@@ -95,6 +95,10 @@ class Board(Target):
     may_be_cropped: ClassVar[bool] = False
     """Whether a part of it in the picture suffices to identify its points."""
 
+    least_points: ClassVar[int] = 4
+    """Fewest measured points of a usable view: four determine a plane's picture. What the points are is known from the
+    markers or the whole grid, of which more was seen."""
+
     edge_std_mm: float | None = None
     """Standard uncertainty of `edge_mm` as measured, mm. None: the print was not measured."""
     flatness_mm: float | None = None

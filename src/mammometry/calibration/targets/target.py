@@ -33,6 +33,11 @@ class Target(ABC):
     is_surveyed: ClassVar[bool] = False
     """Whether its points were surveyed, so that its frame is the world. For a board, the world is its first pose."""
 
+    has_inverse: ClassVar[bool] = True
+    """Whether it is another pattern where it is printed white on black. The inverse of a chessboard is a chessboard."""
+    least_points: ClassVar[int] = 8
+    """Fewest measured points of a usable view: fewer of a solid are found in any scatter by chance."""
+
     @property
     def kind(self) -> str:
         """Name of the kind in the registry."""

@@ -16,6 +16,7 @@ from mammometry.job.products import Context, product, product_of_each
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.adjust.calibrated import Calibration
     from mammometry.calibration.detection.detect import Observations
+    from mammometry.calibration.judge.suspects import Recalibrate
     from mammometry.calibration.settings import CalibrateSettings
     from mammometry.calibration.targets.target import Target
 
@@ -35,7 +36,7 @@ def _pose_inputs(job: Context) -> dict[str, str]:
 @product_of_each(
     "pose",
     "calibrate",
-    version=8,
+    version=9,
     name="observations/{item}",
     settings="calibration.detect",
     inputs=_pose_inputs,
@@ -57,7 +58,7 @@ def _lens_inputs(job: Context) -> dict[str, str]:
 @product_of_each(
     "lens",
     "calibrate",
-    version=8,
+    version=9,
     name="observations/intrinsics-{item}",
     settings="calibration.detect",
     inputs=_lens_inputs,
@@ -76,24 +77,28 @@ def _detect(shots: Mapping[tuple[str, str], Photograph], target: Target, job: Co
     return detect.detect(shots, target, measured=measured, progress=job.progress)
 
 
+def _judged_settings(job: Context) -> object:
+    return job.settings.calibration.bundle, job.settings.calibration.quality
+
+
 @product(
     "calibrate",
-    version=6,
-    settings="calibration.bundle",
+    version=7,
+    settings=_judged_settings,
     inputs=("rig", "subject", "prior", "mounting"),
     when=_calibrates,
 )
 def calibration(
     observations: Mapping[str, Observations], lens_observations: Mapping[str, Observations], *, job: Context
 ) -> Calibration:
-    """The rig adjusted to what was seen of the target.
+    """The rig adjusted to what was seen of the target, without a photograph that all others contradict.
 
     Raises:
         CalibrationError: no photograph shows the target, cameras cannot be adjusted, or the result contradicts what
             the session says of its rig.
     """
     from mammometry.calibration.detection.detect import merged, set_duplicates_aside
-    from mammometry.calibration.judge import no_target
+    from mammometry.calibration.judge import no_target, quality, suspects
     from mammometry.calibration.judge.scale import require_scale, require_sides
 
     inputs, settings = job.inputs, job.settings.calibration
@@ -109,7 +114,25 @@ def calibration(
         raise no_target.with_causes(error, seen, photographs) from None
     require_sides(adjusted.rig, inputs.upside_down)
     require_scale(adjusted, inputs.subject_kind)
-    return adjusted
+    judged = quality.assess(adjusted, settings.quality)
+    if judged.verdict != "refuse":
+        return adjusted
+    spared = suspects.spared_photograph(adjusted, judged, _recalibration(adjusted, job), settings.quality)
+    return adjusted if spared is None else spared[0]
+
+
+def _recalibration(calibration: Calibration, job: Context) -> Recalibrate:
+    """The adjustment of other observations of a rig, with or without the board's shape."""
+    settings = job.settings.calibration
+
+    def recalibrate(observations: Observations, target_prior_mm: tuple[float, float, float] | None) -> Calibration:
+        bundle = settings.bundle
+        if target_prior_mm is not None:
+            bundle = replace(bundle, free_target="always", target_prior_mm=target_prior_mm)
+        lenses = calibration.intrinsics_observations
+        return _adjusted(job.inputs, observations, lenses, replace(settings, bundle=bundle), no_progress)
+
+    return recalibrate
 
 
 def _adjusted(
@@ -152,16 +175,9 @@ def cameras(calibration: Calibration | None, *, job: Context) -> CameraSet:
 
     settings = job.settings.calibration
 
-    def recalibrate(observations: Observations, target_prior_mm: tuple[float, float, float] | None) -> Calibration:
-        bundle = settings.bundle
-        if target_prior_mm is not None:
-            bundle = replace(bundle, free_target="always", target_prior_mm=target_prior_mm)
-        lenses = calibration.intrinsics_observations
-        return _adjusted(job.inputs, observations, lenses, replace(settings, bundle=bundle), no_progress)
-
     assessed = quality.assess(calibration, settings.quality)
     if assessed.verdict == "refuse":
-        raise suspects.refusal(calibration, assessed, recalibrate, settings.quality)
+        raise suspects.refusal(calibration, assessed, _recalibration(calibration, job), settings.quality)
     return CameraSet(
         rig=calibration.rig,
         std={name: dict(values) for name, values in calibration.parameter_std.items()},

@@ -206,7 +206,7 @@ def _broken(name: str, found: str) -> CrossingError:
         f"boundary {name!r}",
         found=found,
         expected="a simple closed curve on the surface",
-        remedy="Redraw the boundary there",
+        remedy="Draw the boundary there with `mammometry edit`",
     )
 
 

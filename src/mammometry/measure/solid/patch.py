@@ -63,7 +63,8 @@ def fill(loops: Sequence[Float64[Array, "_ 2"]], spacing_mm: float | None = None
         "boundary",
         found="curves that cross one another when laid flat",
         expected="simple closed curves around the breast",
-        remedy="Redraw the boundary without crossings, or choose another wall with --set measure.wall=plane",
+        remedy="Draw the boundary with `mammometry edit`, without crossings, or choose another wall with "
+        "--set measure.wall=plane",
     )
 
 
@@ -227,7 +228,7 @@ def sew(
             subject,
             found="a boundary that runs the wrong way round when laid flat",
             expected="a simple closed curve around the breast",
-            remedy="Redraw the boundary, or choose another wall with --set measure.wall=plane",
+            remedy="Draw the boundary with `mammometry edit`, or choose another wall with --set measure.wall=plane",
         )
     patch = fill(flat_loops, spacing_mm)
     loop = np.concatenate(part.loops)

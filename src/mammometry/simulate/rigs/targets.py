@@ -22,7 +22,7 @@ _USEFUL_DEG = 70.0
 _DOT_USEFUL_DEG = 60.0
 """Largest such angle of a dot on a body. `find_cylinder` measures none beyond it."""
 _USEFUL_POINTS = 12
-"""Fewest points of a kept picture: more than `detect.MIN_POINTS`, since some will be missed."""
+"""Fewest points of a kept picture: more than a target's `least_points`, since some will be missed."""
 _RIGHTWARD_DEG = 60.0
 """Largest angle between the x axis and the picture's right, for a board that looks the same after half a turn. Below
 90°, with room for the camera's roll."""

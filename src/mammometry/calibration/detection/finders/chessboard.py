@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
@@ -29,6 +31,8 @@ def find_chessboard(
     columns, rows = target.squares[0] - 1, target.squares[1] - 1
     small, scale = reduced(grey_bytes(photograph), search_width_px)
     grid = _search(small, columns, rows)
+    if inverse := grid is None:  # measured as it is all the same, so that all photographs begin at a dark square
+        grid = _search(255 - small, columns, rows)
     if grid is None:
         return None
     uv = enlarge(grid, scale)
@@ -50,7 +54,7 @@ def find_chessboard(
             remedy="Count its squares, not the corners between them, and correct [target] squares",
         )
     column, row = np.meshgrid(np.arange(columns), np.arange(rows))
-    return refine_corners(
+    measured = refine_corners(
         linear,
         board_map,
         corners_mm,
@@ -60,6 +64,7 @@ def find_chessboard(
             bright_first=((column + row).ravel() % 2 == 1) == starts_dark,
         ),
     )
+    return None if measured is None else replace(measured, inverse=inverse)
 
 
 def explain_missed_chessboard(target: ChessboardTarget, small: UInt8[Array, "h w"]) -> Cause | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -23,6 +24,8 @@ class ChessboardTarget(SquaresBoard):
     Raises:
         ValueError: fewer than 3 × 3 squares, or a size that is not positive.
     """
+
+    has_inverse: ClassVar[bool] = False
 
     def mistaken(self) -> Iterator[tuple[str, ChessboardTarget]]:
         """Yield boards whose squares were counted wrongly, first those counted between the squares."""
