@@ -9,9 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mammometry.base.errors import SessionError
+from mammometry.base.letters import JOINERS, name_fault
 
 LONGEST_ID = 64
 """Characters of a subject's identifier at most."""
+_WITHOUT_JOINERS = dict.fromkeys(map(ord, JOINERS))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,7 +79,8 @@ def subject_id(text: str) -> str:
     composed = unicodedata.normalize("NFC", text)
     if (
         not 0 < len(composed) <= LONGEST_ID
-        or not composed.isprintable()
+        or name_fault(composed) is not None
+        or not composed.translate(_WITHOUT_JOINERS).isprintable()
         or composed != composed.strip()
         or set(composed) & set("/\\")
     ):

@@ -4,20 +4,22 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
+from mammometry.base.letters import name_fault
+
 Breast = Literal["model", "left", "right"]
 Point = tuple[float, float, float]
 Base = Annotated[str, Field(max_length=64)] | None
 """Digest of the item before the change, if there was one."""
 
 
-def _printable(name: str) -> str:
+def _is_name(name: str) -> str:
     name = " ".join(name.split())
-    if not name or not name.isprintable():
+    if not name or name_fault(name) is not None:
         raise ValueError("enter your name")
     return name
 
 
-Author = Annotated[str, Field(max_length=80), AfterValidator(_printable)]
+Author = Annotated[str, Field(max_length=80), AfterValidator(_is_name)]
 
 
 class Message(BaseModel):

@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import Literal, TypeAlias
 
 from mammometry.base.errors import MammometryError, SettingsError
+from mammometry.base.letters import UNREADABLE, name_fault
 
 OWN_SCHEME = "99MAMMOMETRY"
 """Designator in DICOM. PS3.16, 8.2: private schemes begin with 99."""
@@ -145,13 +146,12 @@ _LONGEST: Mapping[Representation, int] = {"AE": 16, "LO": 64, "PN": 64, "SH": 16
 _MOST_GROUPS, _MOST_PARTS = 3, 5  # of a name: groups are separated by =, their parts by ^
 _UID = re.compile(r"(0|[1-9][0-9]*)(\.(0|[1-9][0-9]*))*", re.ASCII)
 _LINES = "\t\n\f\r"  # control characters of a text of several lines
-_UNREADABLE = "\ufffd"  # what a reader puts where it cannot read a byte
 _ALLOWED: Mapping[Representation, str] = {
     "AE": "1 to 16 letters of ASCII without backslash",
-    "LO": "at most 64 letters, no backslash and no control character",
-    "PN": "at most 64 letters in each of at most 3 groups (=) of at most 5 parts (^), no backslash and no control "
+    "LO": "at most 64 letters, no backslash and no invisible character",
+    "PN": "at most 64 letters in each of at most 3 groups (=) of at most 5 parts (^), no backslash and no invisible "
     "character",
-    "SH": "at most 16 letters, no backslash and no control character",
+    "SH": "at most 16 letters, no backslash and no invisible character",
     "UI": "numbers with points between them, at most 64 letters, such as 1.2.840.113619",
     "UT": "text without control characters",
 }
@@ -188,14 +188,12 @@ def require_text(
 
 
 def _fault(text: str, representation: Representation) -> str | None:
-    for place, letter in enumerate(text, 1):
-        category = unicodedata.category(letter)
-        if category == "Cs" or letter == _UNREADABLE:
-            return f"a byte at place {place} that is no letter in UTF-8"
-        if category in ("Cc", "Zl", "Zp") and not (representation == "UT" and letter in _LINES):
-            return f"a control character at place {place}"
-        if letter == "\\" and representation != "UT":
-            return f"a backslash at place {place}"
+    if representation == "UT":
+        return _fault_of_lines(text)
+    if (fault := name_fault(text)) is not None:
+        return fault
+    if "\\" in text:
+        return f"a backslash at place {text.index(chr(92)) + 1}"
     if representation == "AE" and not (text.strip() and text.isascii()):
         return "letters beyond ASCII" if text.strip() else "no title"
     if representation == "UI" and text and not _UID.fullmatch(text):
@@ -206,4 +204,14 @@ def _fault(text: str, representation: Representation) -> str | None:
     if (parts := max(group.count("^") + 1 for group in groups)) > _MOST_PARTS and representation == "PN":
         return f"{parts} parts in a group"
     longest = max(map(len, groups))
-    return f"{longest} letters" if longest > _LONGEST.get(representation, longest) else None
+    return f"{longest} letters" if longest > _LONGEST[representation] else None
+
+
+def _fault_of_lines(text: str) -> str | None:
+    for place, letter in enumerate(text, 1):
+        category = unicodedata.category(letter)
+        if category == "Cs" or letter == UNREADABLE:
+            return f"a byte at place {place} that is no letter in UTF-8"
+        if category in ("Cc", "Zl", "Zp") and letter not in _LINES:
+            return f"a control character at place {place}"
+    return None

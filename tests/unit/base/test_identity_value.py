@@ -24,12 +24,14 @@ def test_any_folder_has_a_name_that_can_be_written(tmp_path: Path, name: str, sh
     shown.encode("utf-8")
 
 
-@pytest.mark.parametrize("text", ["P-0421", "Fall 12, links", "Ä", "x" * 64, "Mu\u0308"])
+@pytest.mark.parametrize("text", ["P-0421", "Fall 12, links", "Ä", "x" * 64, "Mu\u0308", "山田", "نیک\u200cپور"])
 def test_a_pseudonym_is_taken_in_its_composed_form(text: str) -> None:
     assert subject_id(text) == text.replace("u\u0308", "ü")
 
 
-@pytest.mark.parametrize("text", ["", "x" * 65, "a/b", "a\\b", "two\nlines", "\x00", " P1", "P1 ", "\udcfc"])
+@pytest.mark.parametrize(
+    "text", ["", "x" * 65, "a/b", "a\\b", "two\nlines", "\x00", " P1", "P1 ", "\udcfc", "P\u202e1", "P\u200d1"]
+)
 def test_what_is_no_identifier_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="1 to 64 printable characters"):
         subject_id(text)

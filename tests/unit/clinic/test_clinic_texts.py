@@ -26,6 +26,9 @@ ANNA = {"family_name": "Größe", "given_name": "Åse", "born": "1971-05-04", "r
         ({"given_name": "A=B"}, "A name has no ^ and no ="),
         ({"family_name": "M" * 65}, "Found 65 letters."),
         ({"family_name": "M" * 40, "given_name": "A" * 30}, "Both names have 70 letters together."),
+        ({"family_name": "Moser\u202e"}, "Found the format character U+202E RIGHT-TO-LEFT OVERRIDE at place 6."),
+        ({"given_name": "A\ue000"}, "Found a character for private use, U+E000 at place 2."),
+        ({"record_number": "1\u200b2"}, "Found the format character U+200B ZERO WIDTH SPACE at place 2."),
         ({"family_name": "M\ufffdller"}, "Found a byte at place 2 that is no letter"),
     ],
 )
@@ -43,7 +46,11 @@ def test_a_patient_is_entered_as_dicom_allows(
 
 def test_who_confirms_has_a_name_that_dicom_allows(client_of: Callable[..., Client]) -> None:
     client = client_of(Role.ADMINISTRATOR)
-    for name, sentence in (("A" * 70, "Found 70 letters."), ("A\\B", "Found a backslash at place 2.")):
+    for name, sentence in (
+        ("A" * 70, "Found 70 letters."),
+        ("A\\B", "Found a backslash at place 2."),
+        ("Dr. \u202eB", "Found the format character U+202E"),
+    ):
         table = {"username": "eva", "full_name": name, "roles": [Role.CLINICIAN.value], "is_active": "on"}
         assert sentence in client.post(reverse("person-new"), table).content.decode()
     with pytest.raises(ClinicError, match="the full name: found 71 letters"):

@@ -14,6 +14,7 @@ from mammometry.report.figures.canvas import INK
 from mammometry.study.tables import Table
 
 _MARGIN_MM = 14.0  # of the page; chosen by eye
+_FOOTER_SIZE = 6.0  # points; smaller than all text above it
 ACCENT, FAINT = "#005a8e", "#586573"
 WARN = "#8a5a00"
 _LINE, _EDGE, _WARN_GROUND = "#dde2e8", "#d08700", "#fff4dc"
@@ -96,8 +97,10 @@ def text(
         square: colour of a square before the words. Empty: none.
     """
     from reportlab.lib.styles import ParagraphStyle
-    from reportlab.platypus import Paragraph
 
+    from mammometry.report.documents.letters.lines import paragraph
+
+    _prepare()
     style = ParagraphStyle(
         "text",
         fontName="DejaVu-Bold" if bold else "DejaVu",
@@ -109,23 +112,25 @@ def text(
         splitLongWords=1,
     )
     mark = f'<font color="{square}">■</font> ' if square else ""
-    return Paragraph(mark + _marked(words), style)
+    return paragraph(_marked(words), style, is_bold=bold, label="■ " if square else "", label_markup=mark)
 
 
 def _marked(words: str) -> str:
-    """Words as ReportLab wants them: line breaks kept, commands without their `backticks`."""
-    return escape(words).replace("\n", "<br/>").replace("`", "")
+    """Words as paper has them: commands without their `backticks`."""
+    return words.replace("`", "")
 
 
 def facts(lines: Sequence[Fact], size: float = 8.0) -> Iterator[Any]:
     """One line a fact: label and value."""
     from reportlab.lib.styles import ParagraphStyle
-    from reportlab.platypus import Paragraph
 
+    from mammometry.report.documents.letters.lines import paragraph
+
+    _prepare()
     style = ParagraphStyle("fact", fontName="DejaVu", fontSize=size, leading=1.3 * size, textColor=INK, spaceAfter=1.5)
     for fact in lines:
-        label = f'<font color="{FAINT}">{escape(fact.label)}:</font>'
-        yield Paragraph(f"{label} {_marked(fact.value)}", style)
+        markup = f'<font color="{FAINT}">{escape(fact.label)}:</font> '
+        yield paragraph(_marked(fact.value), style, label=f"{fact.label}: ", label_markup=markup)
 
 
 def table(data: Table, width: float, *, size: float = 6.5, first: float | None = None) -> Any:
@@ -138,12 +143,14 @@ def table(data: Table, width: float, *, size: float = 6.5, first: float | None =
         first: share of the first column. None: all are alike.
     """
     from reportlab.lib.styles import ParagraphStyle
-    from reportlab.platypus import Paragraph
 
+    from mammometry.report.documents.letters.lines import paragraph
+
+    _prepare()
     style = ParagraphStyle("cell", fontName="DejaVu", fontSize=size, leading=1.2 * size, textColor=INK)
     faint = ParagraphStyle("head", parent=style, textColor=FAINT)
-    rows = [[Paragraph(escape(name), faint) for name in data.columns]]
-    rows += [[Paragraph(escape(cell), style) for cell in row] for row in data.rows]
+    rows = [[paragraph(name, faint) for name in data.columns]]
+    rows += [[paragraph(cell, style) for cell in row] for row in data.rows]
     count = len(data.columns)
     share = 1 / count if first is None else first
     widths = [share * width, *[(1 - share) * width / max(count - 1, 1)] * (count - 1)]
@@ -224,12 +231,19 @@ def picture(jpeg: bytes, width: float, height: float) -> Any:
 
 
 def _footer(title: str, margin: float) -> Callable[[Any, Any], None]:
+    from mammometry.report.documents.letters.lines import in_order, pieces
+
     def draw(canvas: Any, document: Any) -> None:
         canvas.saveState()
-        canvas.setFont("DejaVu", 6)
+        canvas.setFont("DejaVu", _FOOTER_SIZE)
         canvas.setFillColor(FAINT)
         canvas.drawString(margin, 0.55 * margin, DISCLAIMER)
-        canvas.drawRightString(document.pagesize[0] - margin, 0.55 * margin, f"{title} · {document.page}")
+        named = in_order(pieces(f"{title} · {document.page}", "DejaVu", is_bold=False))
+        left = document.pagesize[0] - margin - sum(piece.width(_FOOTER_SIZE) for piece in named)
+        for piece in named:
+            canvas.setFont(piece.font, _FOOTER_SIZE)
+            canvas.drawString(left, 0.55 * margin, piece.text)
+            left += piece.width(_FOOTER_SIZE)
         canvas.restoreState()
 
     return draw

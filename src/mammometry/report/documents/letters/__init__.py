@@ -1,0 +1,1 @@
+"""Letters of all scripts on paper: order, shapes and fonts."""

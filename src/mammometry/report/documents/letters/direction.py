@@ -1,0 +1,186 @@
+"""Order of letters in text of both directions: Unicode's bidirectional algorithm.
+
+Without explicit embeddings, overrides and isolates, which our texts do not hold (`base/letters`): they count as absent.
+"""
+
+import unicodedata
+from collections.abc import Sequence
+from itertools import groupby
+from typing import TypeAlias, TypeVar
+
+_Item = TypeVar("_Item")
+_Kinds: TypeAlias = list[str]  # bidirectional class of each letter, changed rule by rule
+
+_STRONG = {"L": 0, "R": 1, "AL": 1}
+_ABSENT = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI", "BN"}
+_NEUTRAL = {"B", "S", "WS", "ON"}
+_BRACKETS = {
+    "(": ")",
+    "[": "]",
+    "{": "}",
+    "⟨": "⟩",
+    "「": "」",
+    "『": "』",
+    "（": "）",
+    "［": "］",
+    "｛": "｝",
+    "【": "】",
+}
+MIRRORED = str.maketrans({**_BRACKETS, **{last: first for first, last in _BRACKETS.items()}})
+"""Brackets as they look in text from right to left, for `str.translate`."""
+_DEEPEST = 63  # open brackets at most, by rule BD16
+
+
+def is_right_to_left(text: str) -> bool:
+    """Whether the first letter with a direction runs from right to left (rules P2 and P3)."""
+    kinds = map(unicodedata.bidirectional, text)
+    return bool(next((_STRONG[kind] for kind in kinds if kind in _STRONG), 0))
+
+
+def levels(line: str, base: int) -> list[int]:
+    """Level of each letter: even from left to right, odd from right to left.
+
+    Args:
+        line: without line breaks, in the order of reading.
+        base: level of the paragraph, 0 or 1.
+    """
+    classes = [unicodedata.bidirectional(letter) or "L" for letter in line]
+    shown = [place for place, kind in enumerate(classes) if kind not in _ABSENT]
+    kinds = [classes[place] for place in shown]
+    _weak(kinds, base)
+    _brackets(kinds, [line[place] for place in shown], [classes[place] for place in shown], base)
+    _neutral(kinds, base)
+    found = [base] * len(line)
+    for place, kind in zip(shown, kinds, strict=True):
+        found[place] = base + {"L": base % 2, "R": 1 - base % 2}.get(kind, 2 - base % 2)
+    _absent_and_trailing(found, classes, base)
+    return found
+
+
+def reordered(items: Sequence[_Item], at: Sequence[int]) -> list[_Item]:
+    """Items of one line in the order in which they stand from left to right (rule L2).
+
+    Args:
+        items: in the order of reading.
+        at: level of each.
+    """
+    order = list(range(len(items)))
+    odd = [level for level in at if level % 2]
+    for level in range(max(at, default=0), min(odd, default=1) - 1, -1):
+        turned: list[int] = []
+        for is_turned, run in groupby(order, key=lambda place: at[place] >= level):
+            places = list(run)
+            turned += places[::-1] if is_turned else places
+        order = turned
+    return [items[place] for place in order]
+
+
+def _weak(kinds: _Kinds, base: int) -> None:
+    """Rules W1 to W7: marks, numbers and what stands between and beside them."""
+    before = strong = "LR"[base]
+    for place, kind in enumerate(kinds):  # W1, W2
+        if kind == "NSM":
+            kinds[place] = before
+        before = kinds[place]
+        if kinds[place] in _STRONG:
+            strong = kinds[place]
+        elif kinds[place] == "EN" and strong == "AL":
+            kinds[place] = "AN"
+    kinds[:] = ["R" if kind == "AL" else kind for kind in kinds]  # W3
+    for place in range(1, len(kinds) - 1):  # W4
+        left, kind, right = kinds[place - 1 : place + 2]
+        if left == right and ((left == "EN" and kind in ("ES", "CS")) or (left == "AN" and kind == "CS")):
+            kinds[place] = left
+    for start, end in _runs(kinds, {"ET"}):  # W5
+        if "EN" in (kinds[start - 1 : start] + kinds[end : end + 1]):
+            kinds[start:end] = ["EN"] * (end - start)
+    strong = "LR"[base]
+    for place, kind in enumerate(kinds):  # W6, W7
+        if kind in ("ES", "ET", "CS"):
+            kinds[place] = "ON"
+        elif kind in _STRONG:
+            strong = kind
+        elif kind == "EN" and strong == "L":
+            kinds[place] = "L"
+
+
+def _brackets(kinds: _Kinds, letters: Sequence[str], classes: Sequence[str], base: int) -> None:
+    """Rule N0: both brackets of a pair take one direction."""
+    for first, last in _pairs(kinds, letters):
+        inside = {_side(kind) for kind in kinds[first + 1 : last]} - {""}
+        ours, other = "LR"[base], "RL"[base]
+        if ours in inside:
+            side = ours
+        elif inside:
+            before = next((_side(kind) for kind in reversed(kinds[:first]) if _side(kind)), ours)
+            side = other if before == other else ours
+        else:
+            continue
+        for place in (first, last):
+            kinds[place] = side
+            for after in range(place + 1, len(kinds)):
+                if classes[after] != "NSM":
+                    break
+                kinds[after] = side
+
+
+def _pairs(kinds: Sequence[str], letters: Sequence[str]) -> list[tuple[int, int]]:
+    """Places of brackets that belong together, by the place of the first (rule BD16)."""
+    opened: list[tuple[str, int]] = []
+    found: list[tuple[int, int]] = []
+    for place, letter in enumerate(letters):
+        if kinds[place] != "ON":
+            continue
+        if letter in _BRACKETS:
+            if len(opened) == _DEEPEST:
+                return []
+            opened.append((_BRACKETS[letter], place))
+        for depth in range(len(opened) - 1, -1, -1):
+            if opened[depth][0] == letter:
+                found.append((opened[depth][1], place))
+                del opened[depth:]
+                break
+    return sorted(found)
+
+
+def _neutral(kinds: _Kinds, base: int) -> None:
+    """Rules N1 and N2: what has no direction takes that of both its sides, or the paragraph's."""
+    for start, end in _runs(kinds, _NEUTRAL):
+        before = _side(kinds[start - 1]) if start else "LR"[base]
+        after = _side(kinds[end]) if end < len(kinds) else "LR"[base]
+        kinds[start:end] = [before if before == after else "LR"[base]] * (end - start)
+
+
+def _absent_and_trailing(found: list[int], classes: Sequence[str], base: int) -> None:
+    """Rule L1: blanks at the end of the line, and separators, have the paragraph's level.
+
+    What counts as absent has the level of the letter before it.
+    """
+    for place, kind in enumerate(classes):
+        if kind in _ABSENT:
+            found[place] = found[place - 1] if place else base
+    is_end = True
+    for place in range(len(classes) - 1, -1, -1):
+        kind = classes[place]
+        if kind in ("S", "B"):
+            is_end = True
+        elif kind != "WS" and kind not in _ABSENT:
+            is_end = False
+        if is_end:
+            found[place] = base
+
+
+def _side(kind: str) -> str:
+    """Direction of a class for its neighbours: numbers count as right to left. Empty: none."""
+    return kind if kind == "L" else "R" if kind in ("R", "EN", "AN") else ""
+
+
+def _runs(kinds: Sequence[str], wanted: set[str]) -> list[tuple[int, int]]:
+    """First place, and place after the last, of each run of these classes."""
+    found, start = [], 0
+    for is_wanted, run in groupby(kinds, key=lambda kind: kind in wanted):
+        end = start + len(list(run))
+        if is_wanted:
+            found.append((start, end))
+        start = end
+    return found
