@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.later_exposure import later_exposure
 
 from mammometry.api.job import open_session
 from mammometry.capture.sessions import take_over
@@ -60,8 +61,8 @@ def test_a_calibration_is_judged_in_figures_that_a_database_can_hold(tiny_finish
 
 
 def test_a_check_that_is_begun_twice_is_entered_once(tiny_finished: Path, tmp_path: Path) -> None:
-    """The same exposure as one of the calibration's own: nothing has moved."""
-    folder = Path(shutil.copytree(tiny_finished / "calibration" / "00", tmp_path / "check"))
+    """The board where one pose of the calibration had it: nothing has moved."""
+    folder = later_exposure(tiny_finished / "calibration" / "00", tmp_path / "check")
     asked = (lambda stage, fraction: None, str(tiny_finished), str(folder), Settings().to_toml())
     first, second = work.check(*asked), work.check(*asked)
     assert first == second

@@ -8,9 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.later_exposure import later_exposure
 from tests.trust.read_only_disk import read_only
 
+from mammometry.api.exposures import require_later
+from mammometry.base.errors import SessionError
 from mammometry.cli import main
+from mammometry.io.drift import read_history
+from mammometry.io.photographs.images import read_photograph
 from mammometry.io.results.store import Store
 
 
@@ -94,11 +99,48 @@ def test_a_current_session_is_used_where_nothing_may_be_written(
         assert "no permission" in capsys.readouterr().err
 
 
-def test_a_check_by_the_calibrations_own_exposure_says_so(
-    tiny_finished: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.requirement("R-RIG-1")
+def test_a_check_refuses_what_cannot_show_a_later_movement(
+    tiny_finished: Path, tiny_settings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """The calibration's files, their pixels in other files, another day's photographs; a new exposure is judged."""
+
+    def check(folder: Path, code: int) -> str:
+        capsys.readouterr()
+        words = ["check", str(tiny_finished), "--image-set", str(folder), "--settings", str(tiny_settings)]
+        assert main.run(words) == code
+        out = capsys.readouterr()
+        return out.out + out.err
+
     pose = tiny_finished / "calibration" / "01"
-    assert main.run(["check", str(tiny_finished), "--image-set", str(pose), "--settings", str(tiny_settings)]) == 0
-    assert "The calibration was made of this exposure (calibration/01/front_left, calibration/01/front_right)" in (
-        capsys.readouterr().out
+    assert "a photograph of the calibration itself (calibration/01/front_left)" in check(pose, 3)
+    saved_again = later_exposure(pose, tmp_path / "again", lighter=0)
+    assert "a photograph of the calibration itself (calibration/01/front_left)" in check(saved_again, 3)
+    assert read_history(tiny_finished).entries == ()
+
+    monday = later_exposure(pose, tmp_path / "monday")
+    assert "No camera has moved" in check(monday, 0)
+    assert "No camera has moved" in check(monday, 0)  # the same folder may be judged again
+    tuesday = Path(shutil.copytree(monday, tmp_path / "tuesday"))
+    words = check(tuesday, 3)
+    assert "a photograph of the check of" in words
+    assert "monday" in words
+    assert len(read_history(tiny_finished).entries) == 2
+
+
+def test_a_check_refuses_photographs_older_than_the_calibration(tiny: Path, tmp_path: Path) -> None:
+    pose = tiny / "calibration" / "01"
+    before, after = (
+        later_exposure(pose, tmp_path / name, taken=when)
+        for name, when in (("before", "2026:03:01 08:00:00"), ("after", "2026:03:03 08:00:00"))
     )
+    calibrated = later_exposure(pose, tmp_path / "timed", lighter=2, taken="2026:03:02 08:00:00")
+    known = {("01", path.stem): path for path in calibrated.iterdir()}
+    for folder, is_later in ((before, False), (after, True)):
+        files = {("later", path.stem): path for path in folder.iterdir()}
+        seen = {shot: read_photograph(path, path.name) for shot, path in files.items()}
+        if is_later:
+            assert len(require_later(folder, files, seen, known, ())) == len(files)
+        else:
+            with pytest.raises(SessionError, match="no newer than the calibration's"):
+                require_later(folder, files, seen, known, ())

@@ -16,6 +16,7 @@ BY_HAND = {
     "edit scan": "tests/unit/editor/test_server.py",
     "clinic demo demo-clinic": "tests/scenes/test_readme.py::test_a_demo_clinic_is_made_and_served_by_one_command",
     "clinic serve my-clinic": "served below",
+    "check SESSION --image-set MONDAY": "tests/unit/cli/test_rig.py",
 }
 """Command that waits for a person → where it is tested."""
 LEFT_BEHIND = {

@@ -40,7 +40,6 @@ from mammometry.geometry.camera import Rig
 from mammometry.io.outputs import require_apart, require_free, write_output
 from mammometry.io.results.store import State, Store, Watch, unwatched
 from mammometry.io.session import Session
-from mammometry.io.write import file_digest
 from mammometry.job.graph import Background, Plan
 from mammometry.job.inputs import CameraSet, FinishedSurface
 from mammometry.job.products import STAGES, Key, Stage
@@ -157,8 +156,10 @@ class Job(Reported):
             progress: fraction of the photographs that are searched.
 
         Raises:
-            MammometryError: whatever stands in the way, in one sentence.
+            MammometryError: whatever stands in the way, in one sentence: also photographs of the calibration itself,
+                of an earlier check in another folder, or older than the calibration's by their time stamps.
         """
+        from mammometry.api.exposures import require_later
         from mammometry.calibration.detection.detect import detect
         from mammometry.calibration.judge import check
         from mammometry.io import drift
@@ -174,6 +175,12 @@ class Job(Reported):
             expected = "a description of the target of that exposure"
             raise SessionError("session.toml", found="no [target]", expected=expected, remedy=remedy)
         self.ensure("calibrate")
+        digest = self.plan[calibrate.cameras].key.digest[:12]
+        earlier = (each for each in drift.read_history(self.session.path).entries if each.calibration == digest)
+        calibrated = self.session.calibration_files() if self.inputs.calibrates else {}
+        paths = self.session.image_set_files(Path(image_set))
+        files = {shot: path for shot, path in paths.items() if shot not in measured}  # else the table is what counts
+        pixels = require_later(Path(image_set), files, photographs, calibrated, earlier)
         calibration = self.calibration()
         reference = (
             check.Reference.of_cameras(self.plan[calibrate.cameras]().rig, target)
@@ -190,19 +197,13 @@ class Job(Reported):
                 result,
                 when=datetime.now().astimezone().isoformat(timespec="seconds"),
                 image_set=str(image_set),
-                calibration=self.plan[calibrate.cameras].key.digest[:12],
+                calibration=digest,
+                photographs=pixels.values(),
             ),
         )
         history = drift.read_history(self.session.path).entries
         write_output(folder / drift.DRAWN, drawn(history, settings.check.refuse_mm), command="check")
         return result
-
-    def calibration_photographs_in(self, image_set: Path) -> list[str]:
-        """Photographs of the calibration that a folder has, by content: ``calibration/POSE/CAMERA``."""
-        used = self.session.files() if self.inputs.calibrates else ()
-        named = {self.inputs.digests[name]: name for name in used if name.startswith("calibration/")}
-        files = [path for path in sorted(image_set.rglob("*")) if path.is_file()]
-        return [named[digest] for digest in map(file_digest, files) if digest in named]
 
     def match(self) -> dict[str, DisparityMap]:
         """Match every pair: pair → disparity map."""

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 
 app = typer.Typer()
-_SHOWN = 4  # photographs that a line names
 MOVED = 10
 """Exit code of a check that found a camera moved."""
 
@@ -41,7 +40,8 @@ def check(
 ) -> Answer:
     """Check with a new photograph whether a camera has moved.
 
-    The photograph shows the calibration target. The exit code is 10 if a camera has moved.
+    The photograph shows the calibration target. The exit code is 10 if a camera has moved. Photographs of the
+    calibration itself, of an earlier check, or older than the calibration by their time stamps are refused.
     """
     from mammometry.cli.stages import opened
     from mammometry.io import drift
@@ -81,10 +81,6 @@ def check(
         "refuse": "The rig moved. Calibrate it again before measuring.",
     }
     lines: list[Any] = [words[result.verdict], *(f"- {reason}" for reason in result.reasons), f"History: {drawn}"]
-    own = table["of_calibration"] = job.calibration_photographs_in(image_set)
-    if own:
-        shown = ", ".join(own[:_SHOWN]) + (" and others" if len(own) > _SHOWN else "")
-        lines.insert(1, f"The calibration was made of this exposure ({shown}): it cannot show a later movement.")
     lines += [f"Warning: {warning}" for warning in known.warnings]
     return Answer(table, lines, exit_code=0 if result.verdict == "unmoved" else MOVED)
 

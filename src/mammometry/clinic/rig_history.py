@@ -7,10 +7,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
+from django.db.models import Min
 from django.utils import timezone
 
 from mammometry.capture.sessions import make_session, manifest_text
-from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Job, Rig, Visit
+from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Job, Rig, Upload, Visit
 from mammometry.clinic.site import the_clinic
 from mammometry.io.drift import CameraDrift, Entry
 
@@ -143,7 +144,7 @@ def today(rig: Rig) -> Today:
         return judge(day, None, None)
     figures = calibration.figures
     known = Calibrated(
-        on=timezone.localdate(calibration.taken_at),
+        on=timezone.localdate(photographed_at(calibration)),
         verdict=figures.get("verdict"),
         reasons=tuple(figures.get("reasons", ())),
     )
@@ -162,6 +163,13 @@ def today(rig: Rig) -> Today:
         unseen = [name for name in newest.figures.get("unseen", ()) if name not in seen]
         checked = Checked.of(on, {**newest.figures, "unseen": unseen})
     return judge(day, known, checked)
+
+
+def photographed_at(calibration: Calibration) -> datetime.datetime:
+    """When the oldest of a calibration's photographs came in: those of an earlier calibration are no newer than it."""
+    own = calibration.uploads.filter(state=Upload.State.PLACED).exclude(sha256="").values("sha256")
+    first = Upload.objects.filter(sha256__in=own).aggregate(first=Min("created"))["first"]
+    return calibration.taken_at if first is None else min(first, calibration.taken_at)
 
 
 def entries(rig: Rig) -> list[Entry]:

@@ -7,7 +7,7 @@ import json
 import logging
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -55,6 +55,8 @@ class Entry:
     """RMS displacement of measured points by the worst pair."""
     reasons: tuple[str, ...]
     cameras: Mapping[str, CameraDrift]
+    photographs: frozenset[str] = frozenset()
+    """Digests of the photographs' pixels. Empty in entries of version 1.0."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +69,9 @@ class History:
     """One sentence a line that cannot be read."""
 
 
-def entry_of(result: RigCheck, *, when: str, image_set: str, calibration: str) -> Entry:
+def entry_of(
+    result: RigCheck, *, when: str, image_set: str, calibration: str, photographs: Iterable[str] = ()
+) -> Entry:
     """A check's entry in the history."""
     return Entry(
         when=when,
@@ -77,6 +81,7 @@ def entry_of(result: RigCheck, *, when: str, image_set: str, calibration: str) -
         effect_mm=result.effect_mm,
         reasons=result.reasons,
         cameras={name: _drift(camera) for name, camera in result.cameras.items()},
+        photographs=frozenset(photographs),
     )
 
 
@@ -112,6 +117,7 @@ def entry_table(entry: Entry) -> dict[str, Any]:
         "effect_mm": round(entry.effect_mm, 5),
         "reasons": list(entry.reasons),
         "cameras": cameras,
+        **({"photographs": sorted(entry.photographs)} if entry.photographs else {}),
     }
 
 
@@ -184,4 +190,5 @@ def _entry(table: dict[str, Any]) -> Entry:
             )
             for name, drift in table["cameras"].items()
         },
+        photographs=frozenset(map(str, table.get("photographs", ()))),
     )

@@ -118,6 +118,17 @@ class Session:
         """
         return {shot: _read_points(path, self._name(path)) for shot, path in self._points_files().items()}
 
+    def image_set_files(self, folder: Path) -> dict[tuple[str, str], Path]:
+        """(exposure, camera) → file of a later photograph of the target, as `image_set` reads them."""
+        exposures = [folder] if self._images(folder) else _folders(folder)
+        return {
+            (exposure.name, camera): path for exposure in exposures for camera, path in self._images(exposure).items()
+        }
+
+    def calibration_files(self) -> dict[tuple[str, str], Path]:
+        """(pose, camera) → file of a calibration photograph."""
+        return self._calibration_files()
+
     def image_set(
         self, folder: Path
     ) -> tuple[Mapping[tuple[str, str], Photograph], dict[tuple[str, str], MeasuredPoints]]:
@@ -129,10 +140,7 @@ class Session:
         Raises:
             SessionError: no such folder, nothing in it, or a photograph by a camera that no pair names.
         """
-        exposures = [folder] if self._images(folder) else _folders(folder)
-        files = {
-            (exposure.name, camera): path for exposure in exposures for camera, path in self._images(exposure).items()
-        }
+        files = self.image_set_files(folder)
         if not files:
             raise SessionError(
                 str(folder),

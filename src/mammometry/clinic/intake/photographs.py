@@ -23,10 +23,12 @@ from mammometry.calibration.judge.camera_names import check_names, wrong_photogr
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture import checks
 from mammometry.capture.checks import Finding, KnownCamera, not_only_a_photograph
+from mammometry.clinic.intake.check_photographs import known_photograph
 from mammometry.clinic.models import Calibration, DailyCheck, Upload, Visit
 from mammometry.clinic.site import the_clinic
 from mammometry.geometry.camera import Rig
 from mammometry.io.photographs.images import read_header, read_photograph
+from mammometry.io.photographs.same_pixels import pixels_digest
 from mammometry.io.photographs.tags import read_exposure
 from mammometry.io.write import disk_errors, sync_folder
 from mammometry.job.stages import calibrate
@@ -158,8 +160,11 @@ def look(upload: Upload, target: Target) -> tuple[list[Finding], dict[str, Any]]
     if isinstance(target, Visit):
         findings += checks.judge(checks.look(photograph), target.subject_kind)
         note(upload.sha256, photograph)
+    pixels = "" if isinstance(target, Visit) else pixels_digest(photograph)
+    if isinstance(target, DailyCheck):
+        findings += known_photograph(upload, target, pixels, exposure.taken_s)
     small_picture(_roughly(photograph, _LONGEST_PX), thumbnail_path(upload))
-    return findings, {"serial": exposure.serial, "taken_s": exposure.taken_s, "named": named}
+    return findings, {"serial": exposure.serial, "taken_s": exposure.taken_s, "named": named, "pixels": pixels}
 
 
 def known_cameras(target: Target) -> dict[str, KnownCamera]:

@@ -22,6 +22,7 @@ from mammometry.capture import checks
 from mammometry.capture.checks import Finding, refuses
 from mammometry.capture.sessions import cameras_of, make_session, manifest_text
 from mammometry.clinic.intake import photographs
+from mammometry.clinic.intake.check_photographs import known_photograph
 from mammometry.clinic.intake.photographs import (
     Target,
     clear_place,
@@ -415,17 +416,27 @@ def ready_folder(visit: Visit) -> None:
 def _together(target: Target, placed: Sequence[Upload]) -> list[Finding]:
     if len(placed) < 2:
         return []
-    facts = {upload.camera: upload.checks[0] if upload.checks else {} for upload in placed}
+    facts = dict(map(_facts, placed))
     taken = {camera: table["taken_s"] for camera, table in facts.items() if table.get("taken_s") is not None}
     known = known_cameras(target)
     clock_s = {camera: about.clock_s for camera, about in known.items() if about.clock_s is not None}
-    findings = [checks.together(taken, clock_s), *checks.twice({upload.camera: upload.sha256 for upload in placed})]
+    same = {camera: table.get("pixels") or upload.sha256 for upload in placed for camera, table in [_facts(upload)]}
+    findings = [checks.together(taken, clock_s), *checks.twice(same)]
     if isinstance(target, Visit) and not refuses(findings):
         folder = folder_of(target)
         findings += photographs.check(
             target, tuple((upload.camera, upload.sha256, folder / upload.name) for upload in placed)
         )
+    if isinstance(target, DailyCheck) and not target.figures:  # another check may have been judged since they came
+        for upload in placed:
+            _, table = _facts(upload)
+            findings += known_photograph(upload, target, table.get("pixels", ""), table.get("taken_s"))
     return findings
+
+
+def _facts(upload: Upload) -> tuple[str, dict[str, Any]]:
+    """A photograph's camera, and what is kept of its file."""
+    return upload.camera, upload.checks[0] if upload.checks else {}
 
 
 def _refuse(upload: Upload, findings: Sequence[Finding]) -> None:
