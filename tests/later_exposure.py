@@ -7,7 +7,7 @@ from PIL import Image
 
 
 def later_exposure(source: Path, goal: Path, *, lighter: int = 1, taken: str = "") -> Path:
-    """A folder of the same pictures as PNG, lighter by some levels of 255; the board in them does not move.
+    """A folder of the same pictures lighter by some levels of 255: PNG, or JPEG where it has a time stamp.
 
     Args:
         source: folder with a photograph a camera.
@@ -22,5 +22,6 @@ def later_exposure(source: Path, goal: Path, *, lighter: int = 1, taken: str = "
         exif = Image.Exif()
         if taken:
             exif.get_ifd(0x8769)[0x9003] = taken
-        Image.fromarray(pixels).save(goal / f"{path.stem}.png", exif=exif)
+        ending = "jpg" if taken else "png"
+        Image.fromarray(pixels).save(goal / f"{path.stem}.{ending}", exif=exif)
     return goal

@@ -22,7 +22,7 @@ def require_later(
     calibrated: Mapping[Shot, Path],
     earlier: Iterable[Entry],
 ) -> dict[str, str]:
-    """Require that no photograph of an exposure is one of the calibration or of an earlier check, or older.
+    """Require photographs that are newer than the calibration and all known ones.
 
     Checking one exposure again is no fault: an earlier check of the same folder counts for nothing.
 

@@ -176,7 +176,7 @@ class Job(Reported):
             raise SessionError("session.toml", found="no [target]", expected=expected, remedy=remedy)
         self.ensure("calibrate")
         digest = self.plan[calibrate.cameras].key.digest[:12]
-        earlier = (each for each in drift.read_history(self.session.path).entries if each.calibration == digest)
+        earlier = (entry for entry in drift.read_history(self.session.path).entries if entry.calibration == digest)
         calibrated = self.session.calibration_files() if self.inputs.calibrates else {}
         paths = self.session.image_set_files(Path(image_set))
         files = {shot: path for shot, path in paths.items() if shot not in measured}  # else the table is what counts

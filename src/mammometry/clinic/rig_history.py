@@ -166,7 +166,10 @@ def today(rig: Rig) -> Today:
 
 
 def photographed_at(calibration: Calibration) -> datetime.datetime:
-    """When the oldest of a calibration's photographs came in: those of an earlier calibration are no newer than it."""
+    """When the oldest of a calibration's photographs came in.
+
+    Those of an earlier calibration are no newer for being sent again.
+    """
     own = calibration.uploads.filter(state=Upload.State.PLACED).exclude(sha256="").values("sha256")
     first = Upload.objects.filter(sha256__in=own).aggregate(first=Min("created"))["first"]
     return calibration.taken_at if first is None else min(first, calibration.taken_at)

@@ -11,6 +11,7 @@ from django.utils import timezone
 from PIL import Image
 
 from mammometry.clinic.intake import uploads
+from mammometry.clinic.intake.places import folder_of
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Calibration, Upload, Visit
 from mammometry.clinic.roles import Role
@@ -311,7 +312,7 @@ def test_a_calibration_takes_poses_and_no_path(client_of, rig_visit):
         assert sender.begin(photograph(), pose=wrong).status_code == 400
     assert sender.send(photograph(), pose="01")["state"] == "placed"
     assert sender.state()["poses"]["01"]["front_left"]["pose"] == "01"
-    assert (uploads.folder_of(sender.target) / "calibration" / "01" / "front_left.jpg").is_file()
+    assert (folder_of(sender.target) / "calibration" / "01" / "front_left.jpg").is_file()
 
 
 def test_an_administrator_sees_no_patients_photographs(client_of, sender):

@@ -14,7 +14,7 @@ _ARRIVED = (Upload.State.PLACED, Upload.State.SET_ASIDE)
 
 
 def known_photograph(upload: Upload, check: DailyCheck, pixels: str, taken_s: float | None) -> list[Finding]:
-    """Refuse a photograph that was sent for something else before, or is older than the last ones of its camera.
+    """Refuse a photograph that was sent before, or is older than its camera's last.
 
     Args:
         upload: with its digest and, where known, its camera.

@@ -24,6 +24,7 @@ from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture import checks
 from mammometry.capture.checks import Finding, KnownCamera, not_only_a_photograph
 from mammometry.clinic.intake.check_photographs import known_photograph
+from mammometry.clinic.intake.places import Target
 from mammometry.clinic.models import Calibration, DailyCheck, Upload, Visit
 from mammometry.clinic.site import the_clinic
 from mammometry.geometry.camera import Rig
@@ -124,9 +125,6 @@ def _seen(sha256: str, path: Path) -> Keypoints:
     if sha256 not in _features:
         note(sha256, read_photograph(path, path.name))
     return _features[sha256]
-
-
-Target = Visit | Calibration | DailyCheck
 
 
 def look(upload: Upload, target: Target) -> tuple[list[Finding], dict[str, Any]]:

@@ -20,7 +20,7 @@ from django.core.files.uploadedfile import UploadedFile
 from mammometry.base.listing import is_hidden
 from mammometry.base.parse import LimitSettings
 from mammometry.capture.checks import not_only_a_photograph
-from mammometry.clinic.intake.uploads import UploadError
+from mammometry.clinic.intake.places import UploadError
 from mammometry.clinic.site import the_clinic
 from mammometry.geometry.mesh_files.mesh_file import KINDS, SUFFIXES
 from mammometry.io.meshes.scans import Scan, import_scan

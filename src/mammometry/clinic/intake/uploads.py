@@ -13,18 +13,15 @@ from pathlib import Path
 from typing import Any
 
 from django.db import transaction
-from django.db.models import QuerySet
 from django.utils import timezone
 from filelock import FileLock, Timeout
 
-from mammometry.base.errors import MammometryError
 from mammometry.capture import checks
 from mammometry.capture.checks import Finding, refuses
 from mammometry.capture.sessions import cameras_of, make_session, manifest_text
 from mammometry.clinic.intake import photographs
 from mammometry.clinic.intake.check_photographs import known_photograph
 from mammometry.clinic.intake.photographs import (
-    Target,
     clear_place,
     known_cameras,
     look,
@@ -33,33 +30,28 @@ from mammometry.clinic.intake.photographs import (
     set_aside,
     thumbnail_path,
 )
+from mammometry.clinic.intake.places import (
+    Target,
+    UploadError,
+    field_of,
+    folder_of,
+    place_of,
+    pose_of,
+    rig_of,
+    target_of,
+    uploads_of,
+)
 from mammometry.clinic.jobs import queue
-from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Rig, Upload, Visit
+from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Upload, Visit
 from mammometry.clinic.site import the_clinic
 from mammometry.io.write import disk_errors, file_digest, sync_folder
 
 CHUNK_BYTES = 4 << 20
 """Largest piece: a second on a slow line, and little enough to hold in memory."""
-_POSE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _ENDINGS = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png", b"II*\x00": ".tif", b"MM\x00*": ".tif"}
 _LOCK_S = 5.0  # that one piece waits for another of the same photograph
 _DECODED_AT_ONCE = threading.BoundedSemaphore(2)  # a photograph of 250 megapixels takes 750 MB as it is looked at
-
-
-class UploadError(MammometryError):
-    """An upload cannot go on as it was asked for.
-
-    Args:
-        sentence: what and what to do.
-        status: of the HTTP answer.
-    """
-
-    exit_code = 4
-
-    def __init__(self, sentence: str, status: int = 409) -> None:
-        Exception.__init__(self, sentence)
-        self.status = status
 
 
 class OccupiedError(UploadError):
@@ -107,12 +99,12 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
             f"The file has {size_bytes / 1e6:.0f} MB. A photograph has 1 byte to {most / 1e6:.0f} MB.", 413
         )
     named = checks.camera_of_name(file.name, known)
-    place = _place(target, pose, camera or named or "")
+    place = place_of(target, pose, camera or named or "")
     of_pose = pose if isinstance(target, Calibration) else ""
     if sha256:
         gone = (Upload.State.REFUSED, Upload.State.SET_ASIDE)
-        same = _of(target).filter(camera=camera or named or "", sha256=sha256).exclude(state__in=gone)
-        if (earlier := next((row for row in same if _pose(row) == of_pose), None)) is not None:
+        same = uploads_of(target).filter(camera=camera or named or "", sha256=sha256).exclude(state__in=gone)
+        if (earlier := next((row for row in same if pose_of(row) == of_pose), None)) is not None:
             return earlier
     if not replace and (camera or named) and _has_photograph(target, pose, camera or named or ""):
         raise OccupiedError(
@@ -121,7 +113,7 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
     named_by = [Finding("name", "ok", f"The file is called {named}.").as_table()] if named else []
     with transaction.atomic():
         upload = Upload.objects.create(
-            **{_field(target): target},
+            **{field_of(target): target},
             camera=camera or named or "",
             name=place,
             size_bytes=size_bytes,
@@ -137,9 +129,9 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
 
 def _has_photograph(target: Target, pose: str, camera: str) -> bool:
     """Whether a camera's place is taken, or a photograph is on its way there."""
-    uploads = _of(target).filter(camera=camera, state__in=(Upload.State.PLACED, Upload.State.RECEIVING))
+    uploads = uploads_of(target).filter(camera=camera, state__in=(Upload.State.PLACED, Upload.State.RECEIVING))
     of_pose = pose if isinstance(target, Calibration) else ""
-    return any(_pose(upload) == of_pose for upload in uploads)
+    return any(pose_of(upload) == of_pose for upload in uploads)
 
 
 def append(upload: Upload, offset: int, data: bytes) -> Upload:
@@ -198,7 +190,7 @@ def place(upload: Upload, camera: str) -> Upload:
         raise UploadError("This photograph has a place already, or has not arrived.")
     if camera not in cameras_of(rig_of(target).definition):
         raise UploadError(f"This rig has no camera {camera[:40]!r}.", 400)
-    upload.camera, upload.name = camera, _place(target, _pose(upload), camera)
+    upload.camera, upload.name = camera, place_of(target, pose_of(upload), camera)
     _judge_and_place(upload)
     upload.refresh_from_db()
     return upload
@@ -238,7 +230,7 @@ def bring_back(upload: Upload) -> None:
     if upload.state != Upload.State.SET_ASIDE:
         raise UploadError("This photograph is not set aside.")
     folder = folder_of(target)
-    name = f"{_place(target, _pose(upload), upload.camera)}{Path(upload.name).suffix}"
+    name = f"{place_of(target, pose_of(upload), upload.camera)}{Path(upload.name).suffix}"
     with transaction.atomic():
         _clear_place(upload, target, folder / name)
         put_back(upload, folder, folder / name)
@@ -247,36 +239,13 @@ def bring_back(upload: Upload) -> None:
         note_ready(target, changed=True)
 
 
-def target_of(upload: Upload) -> Target:
-    """The record that an upload belongs to."""
-    target = upload.visit or upload.calibration or upload.check_of_day
-    assert target is not None
-    return target
-
-
-def rig_of(target: Target) -> Rig:
-    """The rig whose cameras photograph.
-
-    Raises:
-        UploadError: the visit has a scan of another device, and no cameras.
-    """
-    if target.rig is None:
-        raise UploadError("This visit has a scan of another device. Begin a new visit for photographs.")
-    return target.rig
-
-
-def folder_of(target: Target) -> Path:
-    """Folder in which the photographs' places are."""
-    return target.folder if isinstance(target, Visit) else the_clinic().folder / target.folder
-
-
 def require_open(target: Target) -> None:
     """Refuse to change what is being computed from.
 
     Raises:
         UploadError: a job of it is open.
     """
-    if Job.objects.filter(**{_field(target): target}, state__in=queue.OPEN).exists():
+    if Job.objects.filter(**{field_of(target): target}, state__in=queue.OPEN).exists():
         raise UploadError("This is being measured. Wait until it is done, or cancel it first.")
 
 
@@ -287,7 +256,7 @@ def table_of(upload: Upload) -> dict[str, Any]:
         "id": str(upload.pk),
         "for": field,
         "camera": upload.camera or None,
-        "pose": _pose(upload) or None,
+        "pose": pose_of(upload) or None,
         "name": Path(upload.name).stem if upload.camera else None,
         "size_bytes": upload.size_bytes,
         "offset": arrived(upload),
@@ -300,16 +269,16 @@ def table_of(upload: Upload) -> dict[str, Any]:
 
 def state_of(target: Target) -> dict[str, Any]:
     """Every camera's photograph, what is missing, and what the photographs say together."""
-    uploads = list(_of(target).exclude(state=Upload.State.SET_ASIDE))
-    newest = {(_pose(upload), upload.camera): upload for upload in uploads if upload.camera}
+    uploads = list(uploads_of(target).exclude(state=Upload.State.SET_ASIDE))
+    newest = {(pose_of(upload), upload.camera): upload for upload in uploads if upload.camera}
     placed = {shot: upload for shot, upload in newest.items() if upload.state == Upload.State.PLACED}
     known = cameras_of(rig_of(target).definition)
     common: dict[str, Any] = {
         "unplaced": [table_of(upload) for upload in uploads if not upload.camera],
         "set_aside": [
-            table_of(upload) for upload in _of(target).filter(state=Upload.State.SET_ASIDE).order_by("camera")
+            table_of(upload) for upload in uploads_of(target).filter(state=Upload.State.SET_ASIDE).order_by("camera")
         ],
-        "busy": Job.objects.filter(**{_field(target): target}, state__in=queue.OPEN).exists(),
+        "busy": Job.objects.filter(**{field_of(target): target}, state__in=queue.OPEN).exists(),
     }
     if isinstance(target, Calibration):
         poses = sorted({pose for pose, _ in newest})
@@ -362,7 +331,7 @@ def _judge_and_place(upload: Upload) -> None:
     if refuses(findings):
         _refuse(upload, findings)
         return
-    if by_serial and upload.camera and _has_photograph(target, _pose(upload), upload.camera):
+    if by_serial and upload.camera and _has_photograph(target, pose_of(upload), upload.camera):
         sentence = f"By its serial number {upload.camera} took it, which has another photograph. Choose the camera."
         findings.append(Finding("camera", "warn", sentence))
         upload.camera = ""
@@ -375,7 +344,7 @@ def _judge_and_place(upload: Upload) -> None:
     with upload.path.open("rb") as file:
         head = file.read(4)
     ending = next(ending for mark, ending in _ENDINGS.items() if head.startswith(mark))
-    goal = folder / f"{_place(target, _pose(upload), upload.camera)}{ending}"
+    goal = folder / f"{place_of(target, pose_of(upload), upload.camera)}{ending}"
     if isinstance(target, Visit):
         ready_folder(target)
     with transaction.atomic():
@@ -393,9 +362,9 @@ def _judge_and_place(upload: Upload) -> None:
 
 
 def _clear_place(upload: Upload, target: Target, goal: Path) -> bool:
-    others = _of(target).filter(camera=upload.camera).exclude(pk=upload.pk)
+    others = uploads_of(target).filter(camera=upload.camera).exclude(pk=upload.pk)
     left = (Upload.State.RECEIVING, Upload.State.SET_ASIDE)
-    same_pose = [other for other in others.exclude(state__in=left) if _pose(other) == _pose(upload)]
+    same_pose = [other for other in others.exclude(state__in=left) if pose_of(other) == pose_of(upload)]
     return clear_place(same_pose, upload, folder_of(target), goal)
 
 
@@ -457,37 +426,6 @@ def note_ready(target: Target, *, changed: bool = False) -> None:
     if target.state != state:
         target.state = state
         target.save(update_fields=["state"])
-
-
-# --- names ---
-
-
-def _of(target: Target) -> QuerySet[Upload]:
-    return Upload.objects.filter(**{_field(target): target}).order_by("created")
-
-
-def _field(target: Target) -> str:
-    return {Visit: "visit", Calibration: "calibration", DailyCheck: "check_of_day"}[type(target)]
-
-
-def _place(target: Target, pose: str, camera: str) -> str:
-    """Path of a camera's photograph below its target's folder, less the ending.
-
-    Raises:
-        UploadError: a calibration's photograph without a pose, or one that is no folder's name.
-    """
-    if isinstance(target, Visit):
-        return f"capture/{camera}"
-    if isinstance(target, DailyCheck):
-        return camera
-    if not _POSE.fullmatch(pose):
-        raise UploadError("Say which pose this is: letters and digits, such as 01.", 400)
-    return f"calibration/{pose}/{camera}"
-
-
-def _pose(upload: Upload) -> str:
-    parts = upload.name.split("/")
-    return parts[1] if len(parts) == 3 else ""
 
 
 def remove_stale_locks() -> int:

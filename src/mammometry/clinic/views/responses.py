@@ -21,7 +21,7 @@ from mammometry.base.errors import MammometryError, StorageError
 from mammometry.base.extras import MissingLibraryError
 from mammometry.clinic.audit import record_refusal
 from mammometry.clinic.audit_entries import change_of
-from mammometry.clinic.intake.uploads import UploadError
+from mammometry.clinic.intake.places import UploadError
 from mammometry.clinic.models import Comparison, Person, Visit
 from mammometry.clinic.record_form import RecordForm
 from mammometry.clinic.roles import CARE

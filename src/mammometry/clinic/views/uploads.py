@@ -10,6 +10,7 @@ from django.urls import reverse
 from mammometry.base.errors import MammometryError
 from mammometry.clinic.intake import uploads
 from mammometry.clinic.intake.photographs import screen_picture, thumbnail_path
+from mammometry.clinic.intake.places import UploadError, target_of
 from mammometry.clinic.models import Calibration, DailyCheck, Upload, Visit
 from mammometry.clinic.records.search import elsewhere, same_photographs
 from mammometry.clinic.views.responses import Refused, json_body, json_view, require_care, text_of, visit_or_404
@@ -75,7 +76,7 @@ def one(request: HttpRequest, upload: UUID) -> HttpResponseBase:
             raise Refused("The header Upload-Offset is missing or no whole number.", 400)
         try:
             row = uploads.append(row, int(offset), request.body)
-        except uploads.UploadError as error:
+        except UploadError as error:
             table = as_json(uploads.table_of(row))
             return JsonResponse({**table, "error": str(error)}, status=error.status)
     else:
@@ -143,7 +144,7 @@ def _find(request: HttpRequest, key: UUID) -> Upload:
     related = ("visit__rig", "visit__calibration", "visit__patient", "calibration__rig", "check_of_day__rig")
     rows = Upload.objects.select_related(*related, "check_of_day__calibration")
     row: Upload = get_object_or_404(rows, pk=key)
-    require_care(request, uploads.target_of(row))
+    require_care(request, target_of(row))
     return row
 
 

@@ -21,6 +21,7 @@ from mammometry.clinic import cameras
 from mammometry.clinic.forms import CircumstancesForm, ConclusionForm, VisitForm
 from mammometry.clinic.intake import uploads
 from mammometry.clinic.intake.photographs import fired_files, small_picture, thumbnail_path
+from mammometry.clinic.intake.places import rig_of
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Calibration, Conclusion, Person, Scan, Upload, Visit
 from mammometry.clinic.records.clinical import pictures_caution
@@ -228,8 +229,8 @@ def visit_capture(request: HttpRequest, visit: UUID) -> HttpResponse:
     """The page on which a visit is photographed."""
     shown = get_object_or_404(Visit.objects.select_related("patient", "rig").exclude(rig=None), pk=visit)
     return render(request, "clinic/capture.html", {
-        "visit": shown, "patient": shown.patient, "rig_verdict": today(uploads.rig_of(shown)),
-        "driven": cameras.rig_file(uploads.rig_of(shown)) is not None,
+        "visit": shown, "patient": shown.patient, "rig_verdict": today(rig_of(shown)),
+        "driven": cameras.rig_file(rig_of(shown)) is not None,
     })  # fmt: skip
 
 
@@ -237,7 +238,7 @@ def visit_capture(request: HttpRequest, visit: UUID) -> HttpResponse:
 def visit_state(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     """The rig before anything is fired."""
     row = visit_or_404(visit)
-    rig = uploads.rig_of(row)
+    rig = rig_of(row)
     return JsonResponse(cameras.stand_of(rig, row.calibration).state(rig.name, row.folder))
 
 
@@ -245,7 +246,7 @@ def visit_state(request: HttpRequest, visit: UUID) -> HttpResponseBase:
 def visit_look(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     """A live picture of every camera, with its aids."""
     row = visit_or_404(visit)
-    stand = cameras.stand_of(uploads.rig_of(row), row.calibration)
+    stand = cameras.stand_of(rig_of(row), row.calibration)
     return JsonResponse(stand.look(request.body, subject_kind=row.subject_kind))
 
 
@@ -254,7 +255,7 @@ def visit_fire(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     """Fire. Pictures that may be measured are the visit's from then on."""
     row = visit_or_404(visit)
     uploads.require_open(row)
-    stand = cameras.stand_of(uploads.rig_of(row), row.calibration)
+    stand = cameras.stand_of(rig_of(row), row.calibration)
     uploads.ready_folder(row)
     try:
         require_replaceable(row.folder)

@@ -1,0 +1,82 @@
+"""Places of photographs: of which record each is, and its path below the record's folder."""
+
+import re
+from pathlib import Path
+
+from django.db.models import QuerySet
+
+from mammometry.base.errors import MammometryError
+from mammometry.clinic.models import Calibration, DailyCheck, Rig, Upload, Visit
+from mammometry.clinic.site import the_clinic
+
+Target = Visit | Calibration | DailyCheck
+_POSE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
+
+
+class UploadError(MammometryError):
+    """An upload cannot go on as it was asked for.
+
+    Args:
+        sentence: what and what to do.
+        status: of the HTTP answer.
+    """
+
+    exit_code = 4
+
+    def __init__(self, sentence: str, status: int = 409) -> None:
+        Exception.__init__(self, sentence)
+        self.status = status
+
+
+def target_of(upload: Upload) -> Target:
+    """The record that an upload belongs to."""
+    target = upload.visit or upload.calibration or upload.check_of_day
+    assert target is not None
+    return target
+
+
+def rig_of(target: Target) -> Rig:
+    """The rig whose cameras photograph.
+
+    Raises:
+        UploadError: the visit has a scan of another device, and no cameras.
+    """
+    if target.rig is None:
+        raise UploadError("This visit has a scan of another device. Begin a new visit for photographs.")
+    return target.rig
+
+
+def folder_of(target: Target) -> Path:
+    """Folder in which the photographs' places are."""
+    return target.folder if isinstance(target, Visit) else the_clinic().folder / target.folder
+
+
+def uploads_of(target: Target) -> QuerySet[Upload]:
+    """Uploads of a record, the oldest first."""
+    return Upload.objects.filter(**{field_of(target): target}).order_by("created")
+
+
+def field_of(target: Target) -> str:
+    """Name of the uploads' and jobs' column that points to a record."""
+    return {Visit: "visit", Calibration: "calibration", DailyCheck: "check_of_day"}[type(target)]
+
+
+def place_of(target: Target, pose: str, camera: str) -> str:
+    """Path of a camera's photograph below its target's folder, less the ending.
+
+    Raises:
+        UploadError: a calibration's photograph without a pose, or one that is no folder's name.
+    """
+    if isinstance(target, Visit):
+        return f"capture/{camera}"
+    if isinstance(target, DailyCheck):
+        return camera
+    if not _POSE.fullmatch(pose):
+        raise UploadError("Say which pose this is: letters and digits, such as 01.", 400)
+    return f"calibration/{pose}/{camera}"
+
+
+def pose_of(upload: Upload) -> str:
+    """Pose of a calibration's photograph, empty for others."""
+    parts = upload.name.split("/")
+    return parts[1] if len(parts) == 3 else ""
