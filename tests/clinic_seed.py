@@ -1,8 +1,15 @@
-"""Makes a small clinic in a process of its own: a rig, people by role, and a login for each, as JSON."""
+"""Makes a small clinic in a process of its own: a rig, people by role, and a login for each, as JSON.
+
+Under ``python -m tests.postgresql`` the clinic's rows are in a database of that server.
+"""
 
 import json
+import os
 import sys
+import uuid
 from pathlib import Path
+
+from tests.postgresql import VARIABLE
 
 PAIR = {"name": "front", "left": "front_left", "right": "front_right"}
 PASSWORD = "nine plain teaspoons"
@@ -45,10 +52,23 @@ def make(folder: Path) -> None:
     from mammometry.clinic.config import new_clinic
     from mammometry.clinic.web.server import migrate
 
-    migrate(new_clinic(folder, name="Test clinic", second_factor="offered"))
+    migrate(new_clinic(folder, name="Test clinic", second_factor="offered", database=_database()))
     from mammometry.clinic.models import Rig
 
     Rig.objects.create(name="Room 1", definition=DEFINITION)
+
+
+def _database() -> str:
+    """SQLite, or a new database of the tests' server, which ends with it."""
+    server = os.environ.get(VARIABLE)
+    if not server:
+        return "sqlite"
+    import psycopg
+
+    name = f"seed-{uuid.uuid4()}"
+    with psycopg.connect(server, autocommit=True) as connection:
+        connection.execute(f'CREATE DATABASE "{name}"')
+    return server.replace("/postgres?", f"/{name}?")
 
 
 if __name__ == "__main__":

@@ -6,6 +6,8 @@ UNREADABLE = "\ufffd"
 """What a reader puts where it cannot read a byte."""
 JOINERS = "\u200c\u200d"
 """Invisible letters that scripts need: zero-width non-joiner and joiner."""
+ISOLATE, END = "\u2068", "\u2069"
+"""Around letters whose direction concerns no others (FIRST STRONG ISOLATE and its end)."""
 _FILLERS = "\u115f\u1160\u3164\uffa0"  # letters of Hangul that show nothing
 _VIRAMA = 9  # combining class of marks that join consonants
 _FOUND = {
@@ -36,6 +38,16 @@ def name_fault(name: str) -> str | None:
             code = f"U+{ord(letter):04X} {unicodedata.name(letter, '')}".strip()
             return f"{_FOUND[category]} {code} at place {place + 1}"
     return None
+
+
+def isolated(name: str) -> str:
+    """A name for the middle of a sentence: from right to left by itself, so that it does not turn a date after it.
+
+    >>> isolated("Dr. B")
+    'Dr. B'
+    """
+    turns = any(unicodedata.bidirectional(letter) in ("R", "AL", "AN") for letter in name)
+    return f"{ISOLATE}{name}{END}" if turns else name
 
 
 def _joins(name: str, place: int) -> bool:

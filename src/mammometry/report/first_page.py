@@ -4,6 +4,7 @@ import datetime
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from mammometry.base.letters import isolated
 from mammometry.measure.volume.attribution import Attribution
 from mammometry.report.content import BreastReport, Clinical, LargeNumber, Picture, ReportContent, Signed
 from mammometry.report.figures.canvas import CYCLE
@@ -77,7 +78,7 @@ def first_page(
 
 def signature(signed: Signed) -> str:
     """Name and time: "Dr. B, 22 November 2026, 10:30"."""
-    return _joined(signed.by, moment_words(signed.at), between=", ")
+    return _joined(isolated(signed.by), moment_words(signed.at), between=", ")
 
 
 def moment_words(moment: datetime.datetime) -> str:
@@ -107,7 +108,9 @@ def _confirmation(
         seen = attributions.get(breast.name, Attribution()).confirmation
         holds = seen is not None and seen.curve == breast.curve
         words[breast.number.title] = (
-            (f"confirmed by {seen.by}, {seen.at[:10]}" if named else "confirmed") if seen and holds else NOT_CONFIRMED
+            (f"confirmed by {isolated(seen.by)}, {seen.at[:10]}" if named else "confirmed")
+            if seen and holds
+            else NOT_CONFIRMED
         )
     if len(set(words.values())) == 1:
         return next(iter(words.values()))

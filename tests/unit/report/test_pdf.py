@@ -195,6 +195,22 @@ def test_pictures_lie_inside_the_page_and_the_text_is_text() -> None:
     assert fonts
 
 
+@pytest.mark.requirement("R-NAME-1")
+def test_names_of_every_script_are_read_on_the_first_page() -> None:
+    """Patient, who confirmed, who concluded, and what: all that people enter."""
+    at = TAKEN.replace(hour=12)
+    known = replace(
+        CLINICAL,
+        patient="山田, 花子",
+        confirmed=Signed(by="Д-р Ґанна Їжакевич", at=at),
+        conclusions=(Signed(by="د. محمد عبد الله", at=at, text="क्षितिज\nالثديان متماثلان."),),
+    )
+    first, *rest = pages_of(rendered_with(page_content("left", "right"), known))
+    for name in (known.patient, known.confirmed.by, "محمد عبد الله", "الثديان متماثلان", "क्षितिज"):  # type: ignore[union-attr]
+        assert name in first
+    assert all("山田, 花子" in page for page in rest)  # at the foot of each
+
+
 def test_the_same_content_gives_the_same_bytes() -> None:
     assert rendered_with(page_content("left", "right")) == rendered("left", "right")
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mammometry.base.letters import isolated
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.measure.boundary import TO_BE_CONFIRMED
 
@@ -100,7 +101,7 @@ def confirmed_words(method: str, curve: str, confirmation: Confirmation | None, 
     """
     if confirmation is None:
         return method
-    who = f" by {confirmation.by} on {confirmation.at[:10]}" if named else ""
+    who = f" by {isolated(confirmation.by)} on {confirmation.at[:10]}" if named else ""
     if confirmation.curve == curve:
         return f"{seen_words(method)}{who}"
     return f"{method}; an earlier curve was confirmed by eye{who}, but not this one"

@@ -9,6 +9,7 @@ from xml.sax.saxutils import escape
 
 from PIL import Image
 
+from mammometry.base.letters import isolated
 from mammometry.report.content import DISCLAIMER, Fact, Picture
 from mammometry.report.figures.canvas import INK
 from mammometry.study.tables import Table
@@ -238,7 +239,7 @@ def _footer(title: str, margin: float) -> Callable[[Any, Any], None]:
         canvas.setFont("DejaVu", _FOOTER_SIZE)
         canvas.setFillColor(FAINT)
         canvas.drawString(margin, 0.55 * margin, DISCLAIMER)
-        named = in_order(pieces(f"{title} · {document.page}", "DejaVu", is_bold=False))
+        named = in_order(pieces(f"{isolated(title)} · {document.page}", "DejaVu", is_bold=False))
         left = document.pagesize[0] - margin - sum(piece.width(_FOOTER_SIZE) for piece in named)
         for piece in named:
             canvas.setFont(piece.font, _FOOTER_SIZE)

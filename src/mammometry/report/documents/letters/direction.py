@@ -1,12 +1,16 @@
 """Order of letters in text of both directions: Unicode's bidirectional algorithm.
 
-Without explicit embeddings, overrides and isolates, which our texts do not hold (`base/letters`): they count as absent.
+With isolates of the first strong direction, which our sentences have around names (`base/letters`). Other embeddings,
+overrides and isolates, which no name holds, count as absent.
 """
 
+import re
 import unicodedata
 from collections.abc import Sequence
 from itertools import groupby
 from typing import TypeAlias, TypeVar
+
+from mammometry.base.letters import END, ISOLATE
 
 _Item = TypeVar("_Item")
 _Kinds: TypeAlias = list[str]  # bidirectional class of each letter, changed rule by rule
@@ -28,12 +32,14 @@ _BRACKETS = {
 }
 MIRRORED = str.maketrans({**_BRACKETS, **{last: first for first, last in _BRACKETS.items()}})
 """Brackets as they look in text from right to left, for `str.translate`."""
+_ISOLATED = re.compile(f"{ISOLATE}([^{ISOLATE}{END}]*){END}")
+_OBJECT = "\ufffc"  # stands for what is isolated: it has no direction (rule BD9)
 _DEEPEST = 63  # open brackets at most, by rule BD16
 
 
 def is_right_to_left(text: str) -> bool:
-    """Whether the first letter with a direction runs from right to left (rules P2 and P3)."""
-    kinds = map(unicodedata.bidirectional, text)
+    """Whether the first letter with a direction, outside isolates, runs from right to left (rules P2 and P3)."""
+    kinds = map(unicodedata.bidirectional, _ISOLATED.sub("", text))
     return bool(next((_STRONG[kind] for kind in kinds if kind in _STRONG), 0))
 
 
@@ -44,6 +50,26 @@ def levels(line: str, base: int) -> list[int]:
         line: without line breaks, in the order of reading.
         base: level of the paragraph, 0 or 1.
     """
+    found = _with_isolates(line, base)
+    is_end = True  # L1: blanks at the end of the line, and separators, have the paragraph's level
+    for place in range(len(line) - 1, -1, -1):
+        kind = unicodedata.bidirectional(line[place])
+        is_end = kind in ("S", "B") or (is_end and (kind == "WS" or kind in _ABSENT))
+        if is_end:
+            found[place] = base
+    return found
+
+
+def _with_isolates(line: str, base: int) -> list[int]:
+    found = _without_isolates(_ISOLATED.sub(lambda isolate: _OBJECT * len(isolate[0]), line), base)
+    for isolate in _ISOLATED.finditer(line):
+        first, last = isolate.span(1)
+        above = found[first - 1] + 1
+        found[first:last] = _without_isolates(isolate[1], above + (above % 2 != is_right_to_left(isolate[1])))
+    return found
+
+
+def _without_isolates(line: str, base: int) -> list[int]:
     classes = [unicodedata.bidirectional(letter) or "L" for letter in line]
     shown = [place for place, kind in enumerate(classes) if kind not in _ABSENT]
     kinds = [classes[place] for place in shown]
@@ -53,7 +79,9 @@ def levels(line: str, base: int) -> list[int]:
     found = [base] * len(line)
     for place, kind in zip(shown, kinds, strict=True):
         found[place] = base + {"L": base % 2, "R": 1 - base % 2}.get(kind, 2 - base % 2)
-    _absent_and_trailing(found, classes, base)
+    for place, kind in enumerate(classes):
+        if kind in _ABSENT and place:
+            found[place] = found[place - 1]
     return found
 
 
@@ -77,7 +105,7 @@ def reordered(items: Sequence[_Item], at: Sequence[int]) -> list[_Item]:
 
 def _weak(kinds: _Kinds, base: int) -> None:
     """Rules W1 to W7: marks, numbers and what stands between and beside them."""
-    before = strong = "LR"[base]
+    before = strong = "LR"[base % 2]
     for place, kind in enumerate(kinds):  # W1, W2
         if kind == "NSM":
             kinds[place] = before
@@ -94,7 +122,7 @@ def _weak(kinds: _Kinds, base: int) -> None:
     for start, end in _runs(kinds, {"ET"}):  # W5
         if "EN" in (kinds[start - 1 : start] + kinds[end : end + 1]):
             kinds[start:end] = ["EN"] * (end - start)
-    strong = "LR"[base]
+    strong = "LR"[base % 2]
     for place, kind in enumerate(kinds):  # W6, W7
         if kind in ("ES", "ET", "CS"):
             kinds[place] = "ON"
@@ -108,7 +136,7 @@ def _brackets(kinds: _Kinds, letters: Sequence[str], classes: Sequence[str], bas
     """Rule N0: both brackets of a pair take one direction."""
     for first, last in _pairs(kinds, letters):
         inside = {_side(kind) for kind in kinds[first + 1 : last]} - {""}
-        ours, other = "LR"[base], "RL"[base]
+        ours, other = "LR"[base % 2], "RL"[base % 2]
         if ours in inside:
             side = ours
         elif inside:
@@ -146,28 +174,9 @@ def _pairs(kinds: Sequence[str], letters: Sequence[str]) -> list[tuple[int, int]
 def _neutral(kinds: _Kinds, base: int) -> None:
     """Rules N1 and N2: what has no direction takes that of both its sides, or the paragraph's."""
     for start, end in _runs(kinds, _NEUTRAL):
-        before = _side(kinds[start - 1]) if start else "LR"[base]
-        after = _side(kinds[end]) if end < len(kinds) else "LR"[base]
-        kinds[start:end] = [before if before == after else "LR"[base]] * (end - start)
-
-
-def _absent_and_trailing(found: list[int], classes: Sequence[str], base: int) -> None:
-    """Rule L1: blanks at the end of the line, and separators, have the paragraph's level.
-
-    What counts as absent has the level of the letter before it.
-    """
-    for place, kind in enumerate(classes):
-        if kind in _ABSENT:
-            found[place] = found[place - 1] if place else base
-    is_end = True
-    for place in range(len(classes) - 1, -1, -1):
-        kind = classes[place]
-        if kind in ("S", "B"):
-            is_end = True
-        elif kind != "WS" and kind not in _ABSENT:
-            is_end = False
-        if is_end:
-            found[place] = base
+        before = _side(kinds[start - 1]) if start else "LR"[base % 2]
+        after = _side(kinds[end]) if end < len(kinds) else "LR"[base % 2]
+        kinds[start:end] = [before if before == after else "LR"[base % 2]] * (end - start)
 
 
 def _side(kind: str) -> str:
