@@ -366,6 +366,9 @@ def test_a_conclusion_is_signed_amended_and_never_overwritten(
     page = client.get(reverse("visit", args=[visit.pk])).content.decode()
     assert "The visit was measured again since." in page
     assert "measured again since" not in sign("Of the new numbers.", again)
+    Person.objects.filter(pk=surgeon.pk).update(full_name="د. محمد")
+    page = client.get(reverse("visit", args=[visit.pk])).content.decode()
+    assert "Signed by \u2068د. محمد\u2069, " in page  # the date stays behind it
 
 
 def test_technicians_read_a_conclusion_and_write_none(visit: Visit, client_of: Callable[..., Client]) -> None:

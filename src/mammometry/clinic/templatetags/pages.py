@@ -14,6 +14,7 @@ from django.utils.html import format_html
 from django.utils.safestring import SafeString
 
 import mammometry
+from mammometry.base import letters
 from mammometry.base.rounding import at_95
 from mammometry.clinic.intake.photographs import thumbnail_path
 from mammometry.clinic.jobs import queue
@@ -54,6 +55,12 @@ def patient_facts(patient: Patient) -> dict[str, Any]:
 def camera_words(camera: str) -> str:
     """Name of a camera as a title: "Front left"."""
     return camera.replace("_", " ").capitalize()
+
+
+@register.filter
+def isolated(person: object) -> str:
+    """A person's name in the middle of a line: from right to left, it turns no date after it."""
+    return letters.isolated(str(person))
 
 
 @register.filter
