@@ -101,6 +101,7 @@ def match(options: Options, session: SessionFolder) -> Answer:
     job, table = _stage("match", session, options)
     from mammometry.matching.quality import assess, concerns
 
+    advice = _outline_advice(job)
     table |= {"matched_pixels": {}, "weak_percent": {}, "d_v_px": {}, "warnings": []}
     lines = []
     for pair, product in job.plan[disparity].items():
@@ -108,13 +109,23 @@ def match(options: Options, session: SessionFolder) -> Answer:
         table["matched_pixels"][pair] = quality.matched_pixels
         table["weak_percent"][pair] = round(quality.weak_percent, 2)
         table["d_v_px"][pair] = [round(quality.d_v_median_px, 4), round(quality.d_v_spread_px, 4)]
-        table["warnings"] += concerns(pair, quality)
+        table["warnings"] += concerns(pair, quality, advice[pair])
         lines.append(
             f"{pair}: {quality.matched_pixels} pixels matched, expected error {quality.sigma_median_px:.3f} px, "
             f"texture too weak on {quality.weak_percent:.1f} %, vertical disparity {quality.d_v_median_px:+.3f} ± "
             f"{quality.d_v_spread_px:.3f} px"
         )
     return Answer(table, [*lines, *(f"Warning: {words}" for words in table["warnings"]), _made(table)])
+
+
+def _outline_advice(job: Job) -> dict[str, str]:
+    """Pair → what to do before a disagreement is put down to moved cameras. Empty where outlines are known."""
+    from mammometry.job.stages.match import subjects
+    from mammometry.matching.foreground.outlines_first import outline_advice
+
+    found = job.plan.value(subjects)
+    doubts = {} if found is None else found.doubts
+    return {pair: outline_advice(cameras, doubts) for pair, cameras in job.inputs.pair_names.items()}
 
 
 @command(app, "mammometry surface SESSION", _SET.format("surface", "surface.repair.rho=2.0"))
@@ -138,7 +149,7 @@ def surface(options: Options, session: SessionFolder) -> Answer:
         "euler_number": mesh.euler_number(),
         "apart_mm": [round(value, 4) for value in stillness.distance_mm],
         "moved": stillness.moved,
-        "warnings": list(concerns(stillness)),
+        "warnings": list(concerns(stillness, _outline_advice(job))),
     }
     closed = "closed" if table["watertight"] else "open"
     remarks = [f"Cameras and body: {summary(stillness)}", *(f"Warning: {words}" for words in table["warnings"])]

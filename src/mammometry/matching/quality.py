@@ -42,7 +42,7 @@ class MatchQuality:
 
     @property
     def calibration_alarm(self) -> bool:
-        """Whether the vertical disparity says that a camera moved, or that the rig is another one."""
+        """Whether the vertical disparity shows that something else was matched than the calibration fits."""
         return self.d_v_smooth_px > max(ALARMING_D_V_PX, _CERTAIN_SIGMAS * self.d_v_smooth_std_px)
 
 
@@ -87,13 +87,18 @@ def _smooth_part(d_v_px: Float64[Array, "h w"], valid: Bool[Array, "h w"]) -> tu
     return float(np.sqrt(np.mean(smooth**2))), float(std)
 
 
-def concerns(pair: str, quality: MatchQuality) -> Iterator[str]:
-    """Sentences that a user must read before trusting the pair."""
+def concerns(pair: str, quality: MatchQuality, outline_advice: str = "") -> Iterator[str]:
+    """Sentences that a user must read before trusting the pair.
+
+    Args:
+        pair: its name.
+        quality: its figures.
+        outline_advice: of `outlines_first`. Without an outline the background may be what does not fit.
+    """
     if quality.calibration_alarm:
-        yield (
-            f"Pair {pair}: a vertical disparity of {quality.d_v_smooth_px:.2f} ± {quality.d_v_smooth_std_px:.2f} px "
-            "shows that a camera moved after the calibration, or that the photographs belong to another one."
-        )
+        found = f"a vertical disparity of {quality.d_v_smooth_px:.2f} ± {quality.d_v_smooth_std_px:.2f} px"
+        moved = "shows that a camera moved after the calibration, or that the photographs belong to another one."
+        yield f"Pair {pair}: {found}. {outline_advice}" if outline_advice else f"Pair {pair}: {found} {moved}"
     if quality.weak_percent > _MUCH_WEAK_PERCENT:
         yield (
             f"Pair {pair}: on {quality.weak_percent:.0f} % of the surface the texture is too weak to be matched; "

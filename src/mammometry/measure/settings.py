@@ -136,6 +136,9 @@ class MeasureSettings:
     size_confirmed: bool = field(default=False, metadata={SINCE: "1.1"})
     """Whether the body's lengths were checked and are right, though fewer than one adult in 1,000 has them. The body is
     then measured, with a warning."""
+    bare_confirmed: bool = field(default=False, metadata={SINCE: "1.1"})
+    """Whether both breasts were checked and are bare, though the skin inside a border has grooves, as a hand or an arm
+    on it leaves. Such a breast is then measured, with a warning."""
     surface_sigma_mm: float = 0.02
     """Standard uncertainty of a cast's whole surface along its normal, mm. Matching windows bias convex skin by .02 to
     .04 mm."""

@@ -22,7 +22,7 @@ from mammometry.job.stages import calibrate, match, measure, surface
 from mammometry.job.stages.report import PageInputs
 from mammometry.matching import quality as match_quality
 from mammometry.matching.foreground.foreground import Foreground
-from mammometry.matching.foreground.outlines_first import OF_PARTNER
+from mammometry.matching.foreground.outlines_first import OF_PARTNER, outline_advice
 from mammometry.matching.quality import MatchQuality
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.trunk.body import Body
@@ -90,6 +90,8 @@ class RunResults:
     """Breasts on which no nipple was seen."""
     unseparated: Mapping[str, str] = field(default_factory=dict)
     """Camera → why its silhouette was sought and is not used."""
+    outline_advice: Mapping[str, str] = field(default_factory=dict)
+    """Pair without an outline → what to do first."""
 
 
 def warnings(run: RunResults) -> Iterator[str]:
@@ -136,7 +138,7 @@ def run_concerns(run: RunResults) -> Iterator[str]:
     if not extent.is_usual():
         yield f"The surface is rare: {extent}. Check that the sizes of target or cameras are in millimetres."
     for name, judged in run.matching.items():
-        yield from match_quality.concerns(name, judged)
+        yield from match_quality.concerns(name, judged, run.outline_advice.get(name, ""))
     for name, share in run.shares.items():
         if share < _MATCHED:
             yield f"Pair {name} matched only {100 * share:.0f} % of the subject's silhouette."
@@ -245,6 +247,8 @@ def gather(
     lengths, lengths_note = planning_lengths(sizes, marks)
     progress(0.9)
 
+    unseparated = {} if (subjects := plan.value(match.subjects)) is None else subjects.doubts
+    advice = {pair: outline_advice(names, unseparated) for pair, names in rig.pair_names.items()}
     run = RunResults(
         quality=quality,
         calibration=calibration,
@@ -255,11 +259,12 @@ def gather(
         measurements=measurements,
         repaired=finished.repaired,
         blocked=plan[surface.occlusions](),
-        moved=tuple(concerns(stillness)),
+        moved=tuple(concerns(stillness, advice)),
         absent=absent,
         body=body,
         doubtful=without_nipple(measurements, marks, settings.measure),
-        unseparated={} if (subjects := plan.value(match.subjects)) is None else subjects.doubts,
+        unseparated=unseparated,
+        outline_advice=advice,
     )
     beside, of_body = tuple(run_cautions(run)), body_cautions(plan)
     breasts = [

@@ -7,6 +7,7 @@ import pytest
 from textured_pair import make_pair
 
 from mammometry.matching.dense.match import DisparityMap, match
+from mammometry.matching.foreground.outlines_first import OF_PARTNER, outline_advice
 from mammometry.matching.quality import assess, concerns
 from mammometry.matching.rectify import RectifiedPair
 from mammometry.report.figures.thinning import thinned_map
@@ -51,6 +52,21 @@ def test_the_vertical_disparity_is_the_calibrations_alarm(offset: float, spread:
     assert quality.d_v_spread_px == pytest.approx(spread, abs=0.05)  # three standard errors of 1700 pixels
     assert quality.calibration_alarm == alarm
     assert any("vertical disparity" in words for words in concerns("front", quality)) == alarm
+
+
+def test_a_missing_outline_comes_before_a_moved_camera() -> None:
+    """The background that was matched instead of the subject does not fit the calibration either."""
+    quality = assess(with_vertical(np.full((50, 60), -0.5)))
+    assert quality.calibration_alarm
+    doubts = {"front_l": "nothing stands out", "front_r": OF_PARTNER}
+    advice = outline_advice(("front_l", "front_r"), doubts)
+    (said,) = concerns("front", quality, advice)
+    assert "masks/front_l.png" in said
+    assert "masks/front_r.png" not in said
+    assert "moved" not in said
+    assert outline_advice(("left_l", "left_r"), doubts) == ""
+    (said,) = concerns("left", quality, "")
+    assert "a camera moved" in said
 
 
 def test_a_camera_that_rolled_leaves_no_median_but_a_slope() -> None:

@@ -57,8 +57,29 @@ def test_an_average_body_of_a_model_without_scale_is_noticed(factor: float) -> N
     assert size_of(*ORDINARY["average woman"], factor).is_rare
 
 
+@pytest.mark.parametrize("lengths", [(327, 327, 205), (280, 205, 369), (400, 180, 205)])
+@pytest.mark.requirement("R-UNIT-3")
+def test_one_length_that_is_too_large_is_warned_of_though_the_others_are_usual(
+    lengths: tuple[float, float, float],
+) -> None:
+    """Shared hanging scans × 1.5 have such nipples or such a notch, mm."""
+    size = size_of(*lengths)
+    assert abs(size.deviations) < 2.33
+    assert size.is_rare
+    assert not size.is_impossible
+    assert size.words == "large"
+    assert not size_of(280, 130, 240).is_rare  # a virtual woman with hanging breasts
+
+
+@pytest.mark.requirement("R-UNIT-3")
+def test_a_size_that_is_unknown_is_said() -> None:
+    unknown = BodySize(lengths_mm={})
+    assert not unknown.is_rare
+    assert unknown.warning.startswith("The size could not be checked")
+    assert not size_of(*ORDINARY["average woman"]).warning
+
+
 def test_one_length_alone_refuses_what_is_absurd_and_several_that_disagree_nothing() -> None:
-    assert not BodySize(lengths_mm={}).is_rare
     assert BodySize(lengths_mm={"trunk": 621.0}).is_impossible  # shared body 6, its centimetres read as inches
     alone = BodySize(lengths_mm={"trunk": 500.0})
     assert alone.is_rare

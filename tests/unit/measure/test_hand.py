@@ -8,6 +8,8 @@ import pytest
 
 from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.io.meshes.own import write_ply
+from mammometry.measure.settings import MeasureSettings
+from mammometry.settings import Settings
 from mammometry.simulate.disturbances.registry import disturbed
 from mammometry.simulate.recipe import parse_situation
 from mammometry.simulate.scan import QUALITIES, scan
@@ -17,17 +19,22 @@ from mammometry.simulate.subjects.registry import make_subject
 
 @pytest.mark.slow
 @pytest.mark.requirement("R-VOL-12")
-def test_a_hand_is_said_by_side_in_terminal_report_and_first_page(tmp_path: Path) -> None:
+def test_a_breast_under_a_hand_is_not_measured_unless_somebody_confirmed_that_it_is_bare(tmp_path: Path) -> None:
     reshape = partial(disturbed, stage="patient", situation=parse_situation("posture=standing"), seed=8001)
     bare = make_subject("torso_8001", 0, edge_mm=2.5, reshape=reshape)
     covered = with_hand(bare, "left", fingers_deg=135.0, shift_mm=(20.0, -20.0))
     assert covered.volumes_cc == bare.volumes_cc
     made = scan(covered, QUALITIES["telephone"], 1)
     write_ply(tmp_path / "a.ply", made.mesh, made.ply_colours)
-    results = MeshJob(MeshFiles(mesh=tmp_path / "a.ply", units="mm", automatic=True), tmp_path / "out").run()
-    assert results.volumes_cc["left"] > 1.2 * bare.volumes_cc["left"]  # what the warning is for
-    (said,) = (note for note in results.notes if "lies on the" in note)
-    assert "left breast" in said
+    files = MeshFiles(mesh=tmp_path / "a.ply", units="mm", automatic=True)
+    results = MeshJob(files, tmp_path / "out").run()
+    assert set(results.volumes_cc) == {"right"}
+    why = results.no_breast["left"]
+    assert "something on it, such as a hand" in why
     assert results.report is not None
     page = unescape(results.report.read_text(encoding="utf-8")).replace("\u00a0", " ")
-    assert page.index("do not use this volume: something lies on the breast") < page.index(said)
+    assert "something on it, such as a hand" in page
+    confirmed = Settings(measure=MeasureSettings(bare_confirmed=True))
+    results = MeshJob(files, tmp_path / "sure", confirmed).run(report=False)
+    assert results.volumes_cc["left"] > 1.2 * bare.volumes_cc["left"]  # what the refusal is for
+    assert any("bare_confirmed" in note for note in results.notes)

@@ -1,10 +1,17 @@
 """What lies on a breast leaves grooves inside its border. A bare breast, a nipple, a scar and noise do not."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 from tests.unit.measure.trunks import LEFT, RIGHT, edge_of, radius_mm, trunk_mesh
 
+from mammometry.api.mesh import MeshFiles, MeshJob
+from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.io.meshes.own import write_ply
+from mammometry.job.stages import measure
 from mammometry.measure import scanned
 from mammometry.measure.boundary.grooves import find_overlap
 
@@ -47,6 +54,21 @@ def test_a_hand_on_a_breast_is_found_on_its_side(thick_mm: float) -> None:
     left, right = (find_overlap(edge_of(breast, name), scanned.as_scanned(mesh)) for name, breast in SIDES.items())
     assert left.is_covered
     assert not right.is_covered
+
+
+@pytest.mark.requirement("R-VOL-12")
+def test_a_drawn_breast_under_a_hand_is_refused(tmp_path: Path) -> None:
+    inside = np.clip((55 - np.hypot(*around(LEFT))) / 10, 0, 1)  # the drawn border stays on the skin
+    mesh = lifted(hand_mm(25.0) * inside)
+    mesh = mesh.submesh(mesh.corners().mean(axis=1)[:, 2] > -40)
+    write_ply(tmp_path / "a.ply", mesh, {})
+    curves = {"left": {"points": edge_of(LEFT, "left").points_world.tolist()}}
+    (tmp_path / "b.json").write_text(json.dumps({"boundaries": curves}))
+    files = MeshFiles(mesh=tmp_path / "a.ply", units="mm", boundary=tmp_path / "b.json", head="y", ahead="z")
+    with pytest.raises(MeasureError, match="something on it") as refused:
+        MeshJob(files, tmp_path / "out").plan[measure.measurements]()
+    assert "left" in refused.value.subject
+    assert "bare_confirmed" in refused.value.remedy
 
 
 @pytest.mark.parametrize("what", ["bare", "noise", "nipple", "scar", "areola"])

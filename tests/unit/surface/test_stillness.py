@@ -201,6 +201,9 @@ def test_one_camera_that_turned_is_named():
     assert found.turns[0].turn_deg == pytest.approx(0.06, rel=0.35)
     assert found.displaced[0].pair == "left"
     assert "left_r" in " ".join(concerns(found))
+    drawn_first = " ".join(concerns(found, {"left": "Draw masks/left_r.png."}))
+    assert drawn_first.startswith("Draw masks/left_r.png. Pair left measured its points")
+    assert "Calibrate" not in drawn_first
     uncertain = replace(found, turns=())
     assert next(concerns(uncertain)).startswith("A camera turned after the calibration, probably left_r. Calibrate")
 

@@ -190,12 +190,13 @@ def evidence(
     )
 
 
-@product("measure", version=24, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
+@product("measure", version=25, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
 def measurements(
     repaired: RepairedSurface,
     boundaries: tuple[Boundary, ...],
     body: Body | None,
     size: BodySize | None,
+    overlaps: tuple[Overlap, ...] | None,
     evidence: Evidence,
     *,
     job: Context,
@@ -203,7 +204,8 @@ def measurements(
     """The volume of each breast with its interval: ``model``, or the patient's ``left`` and ``right``.
 
     Raises:
-        MeasureError: no breast can be measured, a drawn one cannot, or no adult is of this size.
+        MeasureError: no breast can be measured, a drawn one cannot (something lies on it, for example), or no adult is
+            of this size.
     """
     from mammometry.measure.shape.body_size import require_adult
     from mammometry.measure.volume.volumes import measured_or_refused
@@ -213,10 +215,14 @@ def measurements(
         require_adult(size, job.settings.measure)
     frame = None if body is None else body.frame
     breasts = open_breasts(boundaries, repaired, job.settings.measure, frame=frame, back=job.inputs.wall)
-    remark = "" if size is None else size.warning  # a wrong scale may be the reason
+    remark = size.warning if size is not None and size.is_rare else ""  # a wrong scale may be the reason
+    outcomes: dict[str, VolumeMeasurement | MeasureError] = {**_covered(overlaps, job)}
+    bare = [breast for breast in breasts if breast.boundary.name not in outcomes]
+    results = measured_or_refused(bare, evidence, progress=job.progress)
+    outcomes |= {breast.boundary.name: result for breast, result in zip(bare, results, strict=True)}
     measured, refusals = [], []
-    results = measured_or_refused(breasts, evidence, progress=job.progress)
-    for breast, result in zip(breasts, results, strict=True):
+    for breast in breasts:
+        result = outcomes[breast.boundary.name]
         if not isinstance(result, MeasureError):
             measured.append(result)
         elif breast.boundary.name in job.inputs.boundaries:
@@ -228,13 +234,21 @@ def measurements(
     return tuple(measured)
 
 
-@product("measure", version=3, settings="measure", inputs=("wall",), when=_torso, threads=1)
+def _covered(overlaps: tuple[Overlap, ...] | None, job: Context) -> dict[str, MeasureError]:
+    """Breast on which something lies → why it is not measured."""
+    if job.settings.measure.bare_confirmed:
+        return {}
+    return {found.name: found.refusal for found in overlaps or () if found.is_covered}
+
+
+@product("measure", version=4, settings="measure", inputs=("wall",), when=_torso, threads=1)
 def absent(
     repaired: RepairedSurface,
     sides: TorsoSides | None,
     boundaries: tuple[Boundary, ...],
     body: Body,
     measurements: tuple[VolumeMeasurement, ...],
+    overlaps: tuple[Overlap, ...],
     *,
     job: Context,
 ) -> tuple[NoBreast, ...]:
@@ -249,7 +263,9 @@ def absent(
     measured = {measurement.name for measurement in measurements}
     if any(curve.name not in measured for curve in boundaries):
         breasts = open_breasts(boundaries, repaired, job.settings.measure, frame=body.frame, back=inputs.wall)
-        absent += [refused_side(breast) for breast in breasts if breast.boundary.name not in measured]
+        covered = _covered(overlaps, job)
+        refused = [breast for breast in breasts if breast.boundary.name not in measured]
+        absent += [refused_side(breast, covered.get(breast.boundary.name)) for breast in refused]
     return tuple(absent)
 
 

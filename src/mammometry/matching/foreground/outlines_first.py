@@ -6,13 +6,30 @@ disagree, and a later check says that a camera has moved. The outline comes firs
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 from mammometry.base.errors import MatchingError, SurfaceError
 
 OF_PARTNER = "its partner's silhouette is not known"
 """Reason given for a camera whose partner has a wrong silhouette: both pictures of a pair are treated alike."""
+
+
+def outline_advice(cameras: Sequence[str], doubts: Mapping[str, str]) -> str:
+    """What to do before a disagreement is put down to moved cameras. Empty where all outlines are known.
+
+    Args:
+        cameras: those of the pair that disagrees.
+        doubts: camera → why its silhouette is not known.
+    """
+    missing = [name for name in cameras if doubts.get(name, OF_PARTNER) != OF_PARTNER]
+    if not missing:
+        return ""
+    return (
+        f"The subject's outline in the photograph of {' and of '.join(missing)} is not known, so the background may "
+        f"have been matched. Draw {' and '.join(f'masks/{name}.png' for name in missing)}, and run again before you "
+        "calibrate anew."
+    )
 
 
 @contextmanager

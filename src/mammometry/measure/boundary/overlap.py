@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from mammometry.base.errors import MeasureError
 from mammometry.base.value import value
 
 if TYPE_CHECKING:
@@ -28,3 +29,15 @@ class Overlap:
     def is_covered(self) -> bool:
         """Whether something lies on the breast."""
         return self.groove_cm2 > _LEAST_CM2
+
+    @property
+    def refusal(self) -> MeasureError:
+        """Why such a breast has no volume: what lies on it changes the volume by an unknown part."""
+        return MeasureError(
+            f"breast {self.name!r}",
+            found=f"something on it, such as a hand, an arm or a strap: {self.groove_cm2:.0f} cm² of the skin inside "
+            "its border is a groove",
+            expected="a bare breast, which has no grooves",
+            remedy="Capture it again, bare. If it is bare (a deep scar is a groove, too): --set "
+            "measure.bare_confirmed=true",
+        )

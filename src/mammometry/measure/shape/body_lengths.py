@@ -30,7 +30,8 @@ def size_remarked(surface: RepairedSurface, frame: Float64[Array, "3 3"]) -> Ite
     try:
         yield
     except MeasureError as error:
-        raise error.with_remark(BodySize(lengths_mm=_trunk(surface, frame, None)).warning) from None
+        size = BodySize(lengths_mm=_trunk(surface, frame, None))
+        raise error.with_remark(size.warning if size.is_rare else "") from None
 
 
 def find_body_size(

@@ -58,6 +58,12 @@ ADULTS: Mapping[str, AdultLength] = {
   before breast reductions (208 patients, PMID 28403022), which the spread above holds.
 """
 
+UNCHECKED = (
+    "The size could not be checked: neither the trunk's sides nor both nipples were found. Check the unit or the "
+    "printed board."
+)
+"""Warning about a body of which no length is known."""
+
 
 @value
 class BodySize:
@@ -78,8 +84,11 @@ class BodySize:
 
     @property
     def is_rare(self) -> bool:
-        """Whether fewer than 2 % of adults are so large or so small."""
-        return abs(self.deviations) > _RARE
+        """Whether fewer than 2 % of adults are so large or so small, or have one length that is so large.
+
+        One length that is small is no sign: nipples of hanging breasts are near to each other.
+        """
+        return abs(self.deviations) > _RARE or self._largest() > _RARE
 
     @property
     def is_impossible(self) -> bool:
@@ -100,6 +109,10 @@ class BodySize:
             found[name] = off / (ADULTS[name].above if off > 0 else ADULTS[name].below)
         return found
 
+    def _largest(self) -> float:
+        """Standard deviations of the length that is largest against an adult's."""
+        return max(self._each().values(), default=0.0)
+
     def _common(self) -> tuple[float, float]:
         """Logarithm of the scale that the lengths have in common (generalised least squares), and it in deviations."""
         if not self.lengths_mm:
@@ -115,7 +128,7 @@ class BodySize:
     @property
     def words(self) -> str:
         """Whether it is large or small."""
-        return "large" if self.deviations > 0 else "small"
+        return "small" if self.deviations < -_RARE or self._largest() < 0 else "large"
 
     def found(self) -> str:
         """The lengths in words."""
@@ -128,7 +141,9 @@ class BodySize:
 
     @property
     def warning(self) -> str:
-        """A sentence where the body is rare. Empty where it is not."""
+        """A sentence where the body is rare, or its size is unknown. Empty otherwise."""
+        if not self.lengths_mm:
+            return UNCHECKED
         if not self.is_rare:
             return ""
         return (

@@ -212,19 +212,23 @@ def _assumed(breast: OpenBreast, kind: str) -> bool:
 _ASIDE_MM = 80.0  # of the midline, where a removed breast is marked; a breast's middle lies so far aside
 
 
-def refused_side(breast: OpenBreast) -> NoBreast:
-    """Find by another attempt why a side of a torso has no volume.
+def refused_side(breast: OpenBreast, refusal: MeasureError | None = None) -> NoBreast:
+    """Say why a side of a torso has no volume.
 
     Args:
         breast: whose volume was refused.
+        refusal: the reason. None: it is found by another attempt.
     """
     points = breast.boundary.points_world
     vertices = breast.surface.mesh.vertices
     why = "The errors that the earlier stages left make its volume uncertain by more than half"
-    try:
-        measure_volume(breast)
-    except MeasureError as error:
-        why = f"{error.subject}: found {error.found}, expected {error.expected}"
+    if refusal is None:
+        try:
+            measure_volume(breast)
+        except MeasureError as error:
+            refusal = error
+    if refusal is not None:
+        why = f"{refusal.subject}: found {refusal.found}, expected {refusal.expected}"
     return NoBreast(
         name=cast(Literal["left", "right"], breast.boundary.name),
         place_world=vertices[np.linalg.norm(vertices - points.mean(axis=0), axis=1).argmin()],

@@ -9,31 +9,26 @@ from mammometry.job.stages import measure
 from mammometry.measure.settings import NOT_TO_BE_COMPARED
 
 _RARE_SIZE = "The body is {} for an adult. Check the unit, or the size of the printed board. See the warnings."
-_COVERED = "Do not use this volume: something lies on the breast, such as a hand or an arm. See the warnings."
 
 
 def body_doubts(plan: Plan) -> tuple[str, ...]:
     """Warnings about the body, the gravest first. They are made with the measurement, and empty before it."""
     size, overlaps = plan.value(measure.size), plan.value(measure.overlaps) or ()
+    measured = {measurement.name for measurement in plan.value(measure.measurements) or ()}
     covered = (
-        f"Something lies on the patient's {found.name} breast, such as a hand, an arm or a strap: "
-        f"{found.groove_cm2:.0f} cm² of the skin inside its border is a groove, which a bare breast does not have. Its "
-        "volume includes what lies on it. Capture the patient again with the breast bare."
+        f"{found.groove_cm2:.0f} cm² of the skin inside the border of the patient's {found.name} breast is a groove, "
+        "as a hand or a strap on it leaves. It is measured because measure.bare_confirmed is set."
         for found in overlaps
-        if found.is_covered
+        if found.is_covered and found.name in measured
     )
-    return (*covered, *([] if size is None or not size.is_rare else [size.warning]))
+    return (*covered, *([] if size is None or not size.warning else [size.warning]))
 
 
 def body_cautions(plan: Plan) -> Mapping[str, tuple[str, ...]]:
     """Breast → what to say of its volume on the first page."""
-    size, overlaps = plan.value(measure.size), plan.value(measure.overlaps) or ()
-    covered = {found.name for found in overlaps if found.is_covered}
+    size = plan.value(measure.size)
     common = () if size is None or not size.is_rare else (_RARE_SIZE.format(size.words),)
-    return {
-        measured.name: (*((_COVERED,) if measured.name in covered else ()), *common)
-        for measured in plan.value(measure.measurements) or ()
-    }
+    return {measured.name: common for measured in plan.value(measure.measurements) or ()}
 
 
 def posture_note(posture: str) -> str:

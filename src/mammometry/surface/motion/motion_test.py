@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from scipy import ndimage
@@ -388,8 +389,13 @@ _MOST_PART, _LITTLE = 0.7, 0.35
 _NAMED = 3  # cameras in a sentence, at most
 
 
-def concerns(found: Stillness) -> Iterator[str]:
-    """Sentences that a user must read beside the volume. None where nothing moved."""
+def concerns(found: Stillness, outline_advice: Mapping[str, str] = MappingProxyType({})) -> Iterator[str]:
+    """Sentences that a user must read beside the volume. None where nothing moved.
+
+    Args:
+        found: what moved.
+        outline_advice: pair → advice of `outlines_first`, which comes before any cause.
+    """
     if not found.moved:
         return
     before_mm, after_mm = found.distance_mm
@@ -399,8 +405,9 @@ def concerns(found: Stillness) -> Iterator[str]:
         if found.corrected
         else f"That was not corrected, and the pairs disagree by {before_mm:.2f} mm"
     )
+    reason = outline_advice.get(worst.pair) or cause(found)
     yield (
-        f"{cause(found)} Pair {worst.pair} measured its points {worst.effect_mm:.2f} ± {worst.std_mm:.2f} mm away from "
+        f"{reason} Pair {worst.pair} measured its points {worst.effect_mm:.2f} ± {worst.std_mm:.2f} mm away from "
         f"where the others do. {done}; the interval covers what is left."
     )
     if found.unexplained:
