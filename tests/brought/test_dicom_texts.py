@@ -38,6 +38,11 @@ REFUSED = [
     ("--accession", "A" * 17, "the accession number: found 17 letters"),
     ("--study-uid", "1.2.03", "the study's UID: found no unique identifier"),
     ("--study-uid", ".".join(["1"] * 33), "the study's UID: found 65 letters"),
+    (
+        "--patient-name",
+        "Moser\u202e^Anna",
+        "the patient's name: found the format character U+202E RIGHT-TO-LEFT OVERRIDE",
+    ),
     ("--referring", "House\\Gregory", "the referring physician's name: found a backslash"),
     ("--own-title", "MÜHLE", "--own-title: found letters beyond ASCII"),
     ("--own-title", "A" * 17, "--own-title: found 17 letters"),

@@ -41,7 +41,7 @@ pytestmark = [
     pytest.mark.skipif(not AXE.exists(), reason="no axe-core: the bundles are not built (hatch_build.py)"),
     pytest.mark.xdist_group("clinic-days"),
 ]
-MEASURED_MS = 300_000  # one small visit, on a busy machine
+MEASURED_MS = 1_200_000  # one small visit: 40 s alone, more than 5 min beside eight others
 PATIENCE_MS = 60_000
 WIDTHS = (390, 820, 1440)
 HANDLE_RGB = (213, 94, 0)  # of a boundary's points, as `viewer/src/stage.ts` draws them
