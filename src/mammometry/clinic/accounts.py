@@ -69,9 +69,10 @@ def find_person(username: str) -> Person:
     return person
 
 
+_NEW_CODES = "mfa/messages/recovery_codes_generated.txt"
 _MESSAGES = {
     "account/messages/password_changed.txt": "Your password is changed. Log in with the new one.",
-    "mfa/messages/recovery_codes_generated.txt": "New codes are made. The old ones do not work any more.",
+    _NEW_CODES: "New codes are made. The old ones do not work any more.",
     "mfa/messages/totp_activated.txt": "The second factor is set up.",
     "mfa/messages/totp_deactivated.txt": "The second factor is removed.",
 }
@@ -99,9 +100,10 @@ class Accounts(DefaultAccountAdapter):
     def add_message(
         self, request: HttpRequest, level: int, message_template: str | None = None, *args: Any, **kwargs: Any
     ) -> None:
-        """Show our sentence in place of allauth's."""
+        """Show our sentence in place of allauth's. The first codes come with the factor itself and replace none."""
         sentence = _MESSAGES.get(message_template or "")
-        if sentence is not None:
+        first = message_template == _NEW_CODES and request.path != reverse("mfa_generate_recovery_codes")
+        if sentence is not None and not first:
             super().add_message(request, level, message=sentence)
 
     def is_reauthentication_required(self, *, app: str, **kwargs: Any) -> bool:

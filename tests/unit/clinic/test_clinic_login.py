@@ -16,6 +16,7 @@ from mammometry.clinic.models import Person
 from mammometry.clinic.roles import Role
 
 PASSWORD = "three grey herons wade"
+PAGE_OF_ALL = "/account/password/"  # of every role, behind both factors
 
 
 @pytest.fixture
@@ -171,6 +172,37 @@ def test_the_second_factor_is_set_up_and_then_asked(anna: Person, client: Client
     assert not is_in(fresh)
     assert fresh.post(reverse("mfa_authenticate"), {"code": "000000"}).status_code == 200
     assert not is_in(fresh)
+
+
+@pytest.mark.requirement("R-SEC-2")
+@pytest.mark.parametrize("role", list(Role))
+@pytest.mark.parametrize("where", ["new browser", "waiting for the code", "logged in", "logged in long ago"])
+def test_a_reset_second_factor_is_set_up_anew_in_the_same_browser(
+    anna: Person, client: Client, settings: Settings, monkeypatch: pytest.MonkeyPatch, role: Role, where: str
+) -> None:
+    """The telephone is lost, and the administrator resets the factor: no cookie has to be deleted."""
+    people = settings.CLINIC.people.model_copy(update={"second_factor": "required"})
+    settings.CLINIC = settings.CLINIC.model_copy(update={"people": people})
+    Person.objects.filter(pk=anna.pk).update(roles=[role.value])
+    TOTP.activate(anna, "JBSWY3DPEHPK3PXP")
+    if where != "new browser":
+        login(client)
+    if where.startswith("logged in"):
+        client.post(reverse("mfa_authenticate"), {"code": code("JBSWY3DPEHPK3PXP")})
+        assert client.get(PAGE_OF_ALL).status_code == 200
+    if where == "logged in long ago":
+        monkeypatch.setattr("mammometry.clinic.accounts.FRESH_S", -1)
+        monkeypatch.setattr("allauth.account.app_settings.REAUTHENTICATION_TIMEOUT", -1, raising=False)
+    Authenticator.objects.filter(user=anna).delete()
+    page = client.get(PAGE_OF_ALL, follow=True)  # raises where it is sent back and forth for ever
+    if page.redirect_chain[-1][0].startswith(reverse("account_login")):
+        page = client.post(reverse("account_login"), {"login": "anna", "password": PASSWORD}, follow=True)
+    if page.redirect_chain[-1][0].startswith(reverse("account_reauthenticate")):
+        monkeypatch.undo()
+        page = client.post(page.redirect_chain[-1][0], {"password": PASSWORD}, follow=True)
+    assert page.redirect_chain[-1][0].startswith(reverse("mfa_activate_totp"))
+    assert client.post(reverse("mfa_activate_totp"), {"code": code(page.context["form"].secret)}).status_code == 302
+    assert client.get(PAGE_OF_ALL).status_code == 200
 
 
 def test_a_script_logs_in_with_both_factors(anna: Person, client: Client) -> None:

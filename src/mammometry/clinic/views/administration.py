@@ -8,7 +8,6 @@ import uuid
 from typing import Any
 from urllib.parse import urlencode
 
-from allauth.account.views import password_change
 from allauth.mfa.models import Authenticator
 from auditlog.models import LogEntry
 from axes.utils import reset
@@ -226,15 +225,6 @@ def let_in(request: HttpRequest, person: uuid.UUID) -> HttpResponse:
     reset(username=shown.username)
     messages.success(request, f"{shown} may try again.")
     return redirect("person", person=shown.pk)
-
-
-def own_password(request: HttpRequest) -> HttpResponse:
-    """Change one's own password, unless the hospital's own login keeps it."""
-    if not person_of(request).has_usable_password():
-        about = {"title": "No password here", "sentence": "You log in with the hospital’s own login. Change it there."}
-        return render(request, "clinic/refusal.html", about)
-    response: HttpResponse = password_change(request)
-    return response
 
 
 def _with_link(request: HttpRequest, person: Person) -> HttpResponse:

@@ -14,6 +14,7 @@ from mammometry.clinic.views import (
     corrections,
     hospital,
     jobs,
+    own_account,
     patients,
     responses,
     results,
@@ -138,7 +139,7 @@ ACCOUNTS = [
     route("account/token/", responses.token, "account-token", ANYONE, audited=False),
     route("account/logout/", account.logout, "account_logout", ANYONE),
     route("account/inactive/", account.account_inactive, "account_inactive", ANYONE),
-    route("account/code/", mfa.authenticate, "mfa_authenticate", ANYONE),
+    route("account/code/", own_account.enter_code, "mfa_authenticate", ANYONE),
     route(
         r"^account/invitation/(?P<uidb36>[0-9A-Za-z]+)-(?P<key>.+)/$",
         account.password_reset_from_key,
@@ -148,7 +149,7 @@ ACCOUNTS = [
     route(
         "account/invitation/done/", account.password_reset_from_key_done, "account_reset_password_from_key_done", ANYONE
     ),
-    route("account/password/", administration.own_password, "account_change_password", EVERYBODY),
+    route("account/password/", own_account.change_password, "account_change_password", EVERYBODY),
     route("account/again/", account.reauthenticate, "account_reauthenticate", EVERYBODY, first_factor=True),
     route("account/again/code/", mfa.reauthenticate, "mfa_reauthenticate", EVERYBODY, first_factor=True),
     route("account/second/", mfa.index, "mfa_index", EVERYBODY, first_factor=True),

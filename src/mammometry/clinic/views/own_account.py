@@ -1,0 +1,36 @@
+"""Pages of one's own account where the login library's own pages do not suffice."""
+
+from __future__ import annotations
+
+from allauth.account.stages import LoginStageController
+from allauth.account.views import password_change
+from allauth.mfa.base.views import authenticate
+from allauth.mfa.stages import AuthenticateStage
+from allauth.mfa.utils import is_mfa_enabled
+from django.http import HttpRequest, HttpResponse, HttpResponseBase
+from django.shortcuts import render
+
+from mammometry.clinic.views.responses import person_of
+
+
+def enter_code(request: HttpRequest) -> HttpResponseBase:
+    """Ask for the second factor's code at the login.
+
+    A login that waits for the code of a factor that was reset meanwhile is ended, and begins again with the password.
+    The library's page would send it to the login page, which sends it back, for ever.
+    """
+    stage = LoginStageController.enter(request, AuthenticateStage.key)
+    if stage is not None and not is_mfa_enabled(stage.login.user):
+        ended: HttpResponse = stage.abort()
+        return ended
+    response: HttpResponseBase = authenticate(request)
+    return response
+
+
+def change_password(request: HttpRequest) -> HttpResponse:
+    """Change one's own password, unless the hospital's own login keeps it."""
+    if not person_of(request).has_usable_password():
+        about = {"title": "No password here", "sentence": "You log in with the hospital’s own login. Change it there."}
+        return render(request, "clinic/refusal.html", about)
+    response: HttpResponse = password_change(request)
+    return response
