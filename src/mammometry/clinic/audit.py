@@ -57,6 +57,8 @@ _ABOUT = {
 }  # fmt: skip
 
 
+_BOTH_VERSIONS = 409
+"""Status of a page that shows a record as somebody else changed it."""
 _PATH = 300  # characters of an address that are kept; ours are shorter
 
 
@@ -160,7 +162,7 @@ def record_view(request: HttpRequest, response: HttpResponseBase, parameters: Ma
     """
     if request.method not in ("GET", "POST"):
         return
-    if response.status_code >= 300:
+    if response.status_code >= 300 and response.status_code != _BOTH_VERSIONS:
         return  # nothing was shown; what a POST changed is entered by its change
     _enter_page(request, OPENED, parameters)
 

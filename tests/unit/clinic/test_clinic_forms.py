@@ -1,5 +1,6 @@
 """Two people with one record, and one person who sends a form twice: nothing is lost, nothing is made twice."""
 
+import time
 import uuid
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -136,6 +137,9 @@ def test_a_stale_form_is_answered_with_both_versions_and_loses_nothing(
     answer = second.post(what.to, stale)
     assert answer.status_code == 409
     page = answer.content.decode()
+    assert LogEntry.objects.filter(additional_data__kind="opened").latest("pk").actor == Person.objects.get(
+        username="second"
+    )  # it showed the record
     for words in ("Keep mine", "Take theirs", "first saved it"):
         assert words in page
     for values in (what.mine, what.theirs):
@@ -443,6 +447,32 @@ def test_a_double_click_makes_one(
     assert len({(answer.get("Location"), answer.content) for answer in answers}) == 1
     assert what.model._base_manager.count() == before + 1
     assert FormToken.objects.count() == 1
+
+
+@pytest.mark.requirement("R-KEEP-7")
+def test_a_long_request_is_carried_out_once_too(
+    clinic: object, shared_database: None, client_of: Clients, commands: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that is no transaction: its token is taken first, and others wait for its answer."""
+    client, token = client_of(Role.ADMINISTRATOR), str(uuid.uuid4())
+    begin = commands.append
+    monkeypatch.setattr(
+        "mammometry.clinic.views.administration.begin_command", lambda command: (time.sleep(0.3), begin(command))
+    )
+    copies = [Client() for _ in range(3)]
+    for copy in copies:
+        copy.cookies = client.cookies
+    address = reverse("backup-make")
+    answers = at_once(lambda number: copies[number].post(address, {"form_token": token}), len(copies))
+    assert [(answer.status_code, answer["Location"]) for answer in answers] == [(302, reverse("backups"))] * 3
+    assert commands == ["backup"]
+    # One whose request died is carried out after a while; before, it is said that it is at work.
+    monkeypatch.setattr(once, "_WAIT_S", 0.5)
+    died = FormToken.objects.create(person=Person.objects.get(username="administrator"), token=uuid.uuid4())
+    assert client.post(address, {"form_token": str(died.token)}).status_code == 409
+    FormToken.objects.filter(pk=died.pk).update(at=timezone.now() - 2 * once._ABANDONED)
+    assert client.post(address, {"form_token": str(died.token)}).status_code == 302
+    assert commands == ["backup"] * 2
 
 
 @pytest.mark.requirement("R-KEEP-7")

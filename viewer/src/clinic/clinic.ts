@@ -3,7 +3,9 @@
 import htmx from "htmx.org";
 
 import { askFirst } from "./ask";
+import { keepDrafts } from "./drafts";
 import { closeMenus } from "./drop_down";
+import { sendForms } from "./forms";
 import { loggedIn } from "./login";
 import { postForms } from "./post";
 import { followJobs } from "./progress";
@@ -23,5 +25,7 @@ document.addEventListener("htmx:responseError", (event) => {
 askFirst();
 closeMenus();
 postForms();
+keepDrafts();
+sendForms();
 followJobs();
 takePhotographs();

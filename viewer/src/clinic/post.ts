@@ -1,5 +1,6 @@
 /** Buttons that ask the server for something and then show its page anew. */
 
+import { hold } from "./forms";
 import { Refused, request } from "./request";
 
 interface Made {
@@ -11,7 +12,11 @@ export function postForms(): void {
     const form = event.target as HTMLFormElement;
     if (form.dataset.post === undefined || event.defaultPrevented) return;
     event.preventDefault();
-    void post(form.action, form.querySelector<HTMLElement>("[data-said]"), form.dataset);
+    if (form.ariaBusy === "true") return;
+    const release = hold(form);
+    const token = form.querySelector<HTMLInputElement>("input[name=form_token]")?.value;
+    const said = form.querySelector<HTMLElement>("[data-said]");
+    void post(form.action, said, form.dataset, {}, token).then((status) => status === 200 || release());
   });
 }
 
@@ -21,9 +26,10 @@ export async function post(
   said: HTMLElement | null,
   then: { next?: string; open?: string } = {},
   body: object = {},
+  token?: string,
 ): Promise<number> {
   try {
-    const reply = await request<Made>(address, { json: body });
+    const reply = await request<Made>(address, { json: body, headers: token === undefined ? {} : { "Form-Token": token } });
     if (then.open !== undefined && reply.id !== undefined) window.location.assign(`${then.open}${reply.id}/`);
     else if (then.next !== undefined) window.location.assign(then.next);
     else window.location.reload();

@@ -22,7 +22,7 @@ from mammometry.base.extras import MissingLibraryError
 from mammometry.clinic.audit import record_refusal
 from mammometry.clinic.audit_entries import change_of
 from mammometry.clinic.intake.places import UploadError
-from mammometry.clinic.models import Comparison, Person, Visit
+from mammometry.clinic.models import Comparison, Patient, Person, Visit
 from mammometry.clinic.record_form import RecordForm
 from mammometry.clinic.roles import CARE
 from mammometry.clinic.site import the_clinic
@@ -123,8 +123,13 @@ def form_page(
 
 def stale_page(request: HttpRequest, form: RecordForm) -> HttpResponse:
     """409: somebody else changed the record meanwhile. Both versions, field by field, and what was typed."""
-    newest = change_of(form.instance)
-    return render(request, "clinic/stale.html", {"form": form, "newest": newest, "address": request.path}, status=409)
+    row: Any = form.instance
+    row = getattr(row, "visit", row)  # of a conclusion
+    about = {
+        "form": form, "newest": change_of(form.instance), "address": request.path,
+        "patient": row if isinstance(row, Patient) else getattr(row, "patient", None),
+    }  # fmt: skip
+    return render(request, "clinic/stale.html", about, status=409)
 
 
 def download(content: bytes | str, name: str, content_type: str) -> HttpResponse:

@@ -110,6 +110,8 @@ def _keep(request: HttpRequest, row: FormToken, response: HttpResponseBase) -> N
         row.delete()
         return
     row.save(update_fields=["answer"])
+    if not request.user.is_authenticated:  # it has logged the person out
+        return
     accepted: list[str] = request.session.get(ACCEPTED, [])
     request.session[ACCEPTED] = [*accepted, str(row.token)][-_ACCEPTED_MOST:]
 
