@@ -27,7 +27,7 @@ const FROM: Record<string, Vector> = { left: [0.5, 0.1, 0.85], right: [-0.5, 0.1
 const AHEAD: Vector = [0, 0.05, 1];
 const LOOK = "Does the line run around the breast where it ends? Turn the surface to look at all of it.";
 const DRAW = "Drag a point to move it. Click the surface to add one. Drag beside the points to turn the surface.";
-const MARK = "Choose a landmark, then click its place on the surface. None of them is required. Those with a question mark are proposed where a point is shown: take them over, and move each one that is wrong.";
+const MARK = "Choose a landmark, then click its place on the surface. None of them is required. Those with a question mark are proposed where a point is shown. To confirm accepts them as they are: if one is wrong, choose it and click its place.";
 
 const root = document.getElementById("mm-editor")!;
 
@@ -48,7 +48,7 @@ class Editor {
   private readonly late: HTMLElement;
   private readonly author: HTMLInputElement;
   private readonly acts: Record<"edit" | "right" | "save" | "measure" | "finish", HTMLButtonElement>;
-  private readonly buttons: Record<"undo" | "redo" | "remove" | "clear" | "propose", HTMLButtonElement>;
+  private readonly buttons: Record<"undo" | "redo" | "remove" | "clear", HTMLButtonElement>;
   /** Breast → digest of the curve that was looked at and found right. */
   private readonly right = new Map<string, string>();
   private readonly signed: boolean;
@@ -107,7 +107,6 @@ class Editor {
       redo: button(this.tools, "Redo", "Redo (Ctrl+Shift+Z)", () => this.step(() => this.drawing.redo())),
       remove: button(this.tools, "Remove point", "Remove the chosen point (Delete)", () => this.remove()),
       clear: button(this.tools, "Start anew", "Remove all points and draw from the beginning", () => this.clear()),
-      propose: button(this.tools, "Take over what is proposed", "Pick the landmarks where they are proposed; move each one that is wrong", () => this.step(() => this.drawing.takeProposed())),
     };
     // What changes its length stands over or under the picture, which stays where it is.
     const picture = element(root, "div", "mm-canvas");
@@ -344,8 +343,6 @@ class Editor {
     acts.finish.disabled = this.busy || this.missing !== "";
     for (const [own, main] of [[acts.save, dirty], [acts.right, !dirty], [acts.finish, true]] as const) own.classList.toggle("mm-main", main);
     this.tools.hidden = !active && !drawing.canUndo && !drawing.canRedo;
-    buttons.propose.hidden = breast !== null || !drawing.items.some((item) => drawing.proposed(item).length > 0);
-    buttons.propose.disabled = this.busy;
     buttons.undo.disabled = !drawing.canUndo || this.busy;
     buttons.redo.disabled = !drawing.canRedo || this.busy;
     buttons.remove.disabled = this.chosen === null || this.busy;

@@ -85,12 +85,16 @@ def finish(client: Client, visit: Visit, message: dict[str, Any] | None = None) 
     return client.post(reverse("draw-finish", args=[visit.pk]), sent, content_type="application/json")
 
 
-def test_one_step_confirms_everything_and_brings_the_next_visit(
+def test_one_step_confirms_everything_and_offers_conclusion_and_next_visit(
     client_of: Callable[..., Client], measured: Visit
 ) -> None:
     other = Visit.objects.create(patient=measured.patient, rig=measured.rig, taken_at=timezone.now(), state="measured")
     client = client_of(Role.CLINICIAN)
-    assert finish(client, measured).json() == {"next": reverse("draw", args=[other.pk])}
+    here = {"next": reverse("visit", args=[measured.pk])}
+    assert finish(client, measured).json() == here
+    page = client.get(here["next"]).content.decode()
+    assert 'href="#conclusion"' in page
+    assert f'href="{reverse("draw", args=[other.pk])}"' in page
     measured.refresh_from_db()
     assert measured.state == Visit.State.CONFIRMED
     confirmation = Confirmation.objects.get()
@@ -98,7 +102,8 @@ def test_one_step_confirms_everything_and_brings_the_next_visit(
     items = set(measured.drawings.filter(action="confirmed").values_list("item", "digest"))
     assert items == {("boundary left", LEFT), ("boundary right", RIGHT), ("landmarks", "")}
     Visit.objects.filter(pk=other.pk).update(state="confirmed")
-    assert finish(client, measured).json() == {"next": reverse("home")}  # pressed twice
+    assert finish(client, measured).json() == here  # pressed twice
+    assert reverse("draw", args=[other.pk]) not in client.get(here["next"]).content.decode()
     assert Confirmation.objects.count() == 1
 
 

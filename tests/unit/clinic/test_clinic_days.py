@@ -381,9 +381,8 @@ def test_a_surgeons_day(visit: str, opens: Opens, people: Hospital) -> None:
     expect(page.locator(".mm-about h2")).to_have_text("Landmarks")
     judge(page, "landmarks")
     page.get_by_role("button", name="Confirm and finish").click()
-    page.wait_for_url(f"{people.address}/", timeout=PATIENCE_MS)  # nothing else waits
-
-    page.goto(visit)
+    page.wait_for_url(visit, timeout=PATIENCE_MS)
+    expect(page.get_by_text("No other visit waits to be confirmed.")).to_be_visible()
     assert volumes_of(page) == [before[0], after]
     expect(page.get_by_text("✓ confirmed").first).to_be_visible()
     page.get_by_role("link", name="Write the conclusion").click()

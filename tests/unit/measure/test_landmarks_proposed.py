@@ -42,6 +42,13 @@ def test_notch_and_navel_are_found_by_their_hollows(noise_mm):
     assert all(mark.proposed and mark.sigma_mm > 0 for mark in found.values())
 
 
+def test_a_hollow_in_skin_that_no_camera_saw_is_not_proposed():
+    mesh = front((NOTCH, 7.0), (NAVEL, 4.0))
+    invented = np.hypot(*(mesh.vertices[:, :2] - NAVEL).T) < 15.0
+    found = propose_on_midline(mesh, np.eye(3), np.zeros(3), 0.2, LOWEST, HIGHEST, claimed=~invented)
+    assert {mark.name for mark in found} == {"sternal_notch", "midline"}
+
+
 def test_a_groove_and_noise_are_no_hollow():
     assert set(proposed(front(noise_mm=0.5))) == {"midline"}
 

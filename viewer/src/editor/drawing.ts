@@ -117,15 +117,6 @@ export class Drawing {
     return item.group === "boundaries" || this.handles(item).length > 0 ? [] : this.state.places[item.name]!.proposed;
   }
 
-  /** Pick all landmarks where they are proposed, in one step. */
-  takeProposed(): void {
-    this.step(this.sketches);
-    for (const item of this.items) {
-      const places = this.proposed(item);
-      if (places.length > 0) this.replace(item, places.map((point) => ({ point, at: null })));
-    }
-  }
-
   isChanged({ group, name }: Item): boolean {
     return JSON.stringify(this.sketches[group][name]) !== JSON.stringify(this.saved[group][name]);
   }

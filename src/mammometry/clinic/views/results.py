@@ -13,6 +13,8 @@ from django.contrib import messages
 from django.http import Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
 from django.shortcuts import get_object_or_404, redirect, render
 from django.urls import reverse
+from django.utils.html import format_html
+from django.utils.safestring import mark_safe
 from pydantic import ValidationError
 
 from mammometry.base.errors import MammometryError, StorageError
@@ -23,7 +25,7 @@ from mammometry.clinic.records import comparing, confirmations
 from mammometry.clinic.records.results import readable, rendered_report, report_file, scene_of, sides_doubtful
 from mammometry.clinic.rig_history import may_queue
 from mammometry.clinic.site import the_clinic
-from mammometry.clinic.templatetags.pages import queued
+from mammometry.clinic.templatetags.pages import isolated, queued
 from mammometry.clinic.views.responses import download, not_now, person_of, sealed_page, visit_or_404
 from mammometry.editor.messages import Base, Breast, Message
 from mammometry.editor.page import EditorPage, read, refusal
@@ -173,7 +175,7 @@ def save(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
 
 
 def finish(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
-    """Confirm all boundaries and landmarks in one step, and lead to the next visit."""
+    """Confirm all boundaries and landmarks in one step, and lead back to the visit, which offers what follows."""
     locked = get_object_or_404(Visit.objects.select_for_update(), pk=visit)
     kind: SubjectKind = "model" if locked.subject_kind == Visit.Subject.MODEL else "torso"
     try:
@@ -192,8 +194,16 @@ def finish(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
     if why is not None:
         return JsonResponse({"error": why}, status=409)
     confirmations.confirm(locked, person_of(request))
-    following = confirmations.next_to_confirm(locked)
-    return JsonResponse({"next": reverse("home") if following is None else reverse("draw", args=[following.pk])})
+    messages.success(request, _what_follows(confirmations.next_to_confirm(locked)))
+    return JsonResponse({"next": reverse("visit", args=[locked.pk])})
+
+
+def _what_follows(following: Visit | None) -> str:
+    conclude = mark_safe('Confirmed. <a href="#conclusion">Write the conclusion</a>')  # no part of it is typed
+    if following is None:
+        return format_html("{}. No other visit waits to be confirmed.", conclude)
+    where = reverse("draw", args=[following.pk])
+    return format_html('{} · <a href="{}">Next visit ({})</a>', conclude, where, isolated(following.patient))
 
 
 def _newest_job(visit: Visit) -> Job | None:

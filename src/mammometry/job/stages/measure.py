@@ -283,7 +283,7 @@ def lacking(
     return () if deficit is None else (deficit,)
 
 
-@product("measure", version=7, settings="measure", inputs=("landmarks",), when=_has_volume, threads=1)
+@product("measure", version=8, settings="measure", inputs=("landmarks",), when=_has_volume, threads=1)
 def landmarks(
     mesh: FinishedSurface,
     boundaries: tuple[Boundary, ...],
@@ -296,7 +296,10 @@ def landmarks(
     from mammometry.measure.shape.anthropometry import find_landmarks
 
     textured, picked, settings = mesh.textured, job.inputs.landmarks, job.settings.measure
-    return find_landmarks(textured.mesh, textured.colours, measurements, picked, body, settings, boundaries=boundaries)
+    return find_landmarks(
+        textured.mesh, textured.colours, measurements, picked, body, settings, boundaries=boundaries,
+        claimed=mesh.repaired.claimed,
+    )  # fmt: skip
 
 
 @product("measure", version=5, when=_has_volume, threads=1)

@@ -46,6 +46,8 @@ def propose_on_midline(
     plane_sigma_mm: float,
     lowest_mm: float,
     highest_mm: float,
+    *,
+    claimed: Bool[Array, " n"] | None = None,
 ) -> tuple[Landmark, ...]:
     """Propose midline, sternal notch and umbilicus, as far as they are seen.
 
@@ -56,8 +58,11 @@ def propose_on_midline(
         plane_sigma_mm: standard uncertainty of the plane's place, mm.
         lowest_mm: height of the boundaries' lowest point over `point_world`, along the frame's second row.
         highest_mm: height of their highest point.
+        claimed: vertices that are measured skin or right beside it. None: all of them. Nothing is proposed elsewhere.
     """
     ahead = mesh.vertex_normals() @ frame[2] > _FACING
+    if claimed is not None:
+        ahead &= claimed
     places = (mesh.vertices[ahead] - point_world) @ frame.T
     places = places[np.abs(places[:, 0]) < _ASIDE_MM]
     if not len(places):

@@ -184,6 +184,7 @@ def find_landmarks(
     settings: MeasureSettings = MeasureSettings(),
     *,
     boundaries: Sequence[Boundary] = (),
+    claimed: Bool[Array, " n"] | None = None,
 ) -> tuple[Landmark, ...]:
     """Picked landmarks, and proposed ones where none was picked.
 
@@ -198,6 +199,8 @@ def find_landmarks(
             proposed.
         settings: how well a drawn boundary is known.
         boundaries: of the breasts, with what is known of each of their points.
+        claimed: vertices that are measured skin or right beside it. None: all of them. No nipple, notch or umbilicus is
+            proposed elsewhere.
 
     Raises:
         MeasureError: a picked landmark lies off the surface or on the wrong side.
@@ -216,9 +219,10 @@ def find_landmarks(
         proposal = propose_nipple(name, skin, colours[nearest], measured.boundary_world)
         if proposal is not None:
             place = closest_on_mesh(proposal.points_world, mesh).points
-            found.append(replace(proposal, points_world=place))
+            if claimed is None or claimed[tree.query(place)[1]].all():
+                found.append(replace(proposal, points_world=place))
     if body is not None:
-        proposed = _of_torso(mesh, measurements, body, settings, boundaries)
+        proposed = _of_torso(mesh, measurements, body, settings, boundaries, claimed)
         found += [mark for mark in proposed if mark.name not in picked]
     return tuple(found)
 
@@ -229,6 +233,7 @@ def _of_torso(
     body: Body,
     settings: MeasureSettings,
     boundaries: Sequence[Boundary],
+    claimed: Bool[Array, " n"] | None,
 ) -> Iterator[Landmark]:
     """Yield the ends of the breasts, and what lies on the midline."""
     frame, plane = body.frame, body.plane
@@ -245,7 +250,7 @@ def _of_torso(
     if plane is not None and curves:
         heights = (np.concatenate(list(curves.values())) - plane.point_world) @ frame[1]
         lowest, highest = float(heights.min()), float(heights.max())
-        yield from propose_on_midline(mesh, frame, plane.point_world, plane.sigma_mm, lowest, highest)
+        yield from propose_on_midline(mesh, frame, plane.point_world, plane.sigma_mm, lowest, highest, claimed=claimed)
 
 
 def dimensions(
