@@ -182,10 +182,20 @@ def paper_table(outputs: Sequence[str]) -> str:
     return with_minus(table_1(outputs[-1]))
 
 
+_COUNTED = 6  # last lines of a benchmark that counts: its sums
+
+
+def lines(outputs: Sequence[str]) -> str:
+    """The last lines ``what: figures`` of each output as rows."""
+    rows = [line.partition(": ") for output in outputs for line in output.splitlines()[-_COUNTED:] if ": " in line]
+    return "\n".join(["| what | found |", "| --- | --- |", *(f"| {what} | {found} |" for what, _, found in rows)])
+
+
 FORMS: Mapping[str, Callable[[Sequence[str]], str]] = {
     "markdown": markdown,
     "from-first-table": from_first_table,
     "first-table": first_table,
+    "lines": lines,
     "demo": demo,
     "casts": casts,
     "paper-depth": paper_depth,

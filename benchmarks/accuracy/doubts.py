@@ -55,11 +55,11 @@ class Tally:
         kind = "covered" if covered_cm2 >= _COVERED_CM2 else "touched" if covered_cm2 > 0 else "bare"
         self.sides[kind, overlap.is_covered] += 1
 
-    def __str__(self) -> str:
-        return ", ".join(
-            f"{kind}: {self.sides[kind, True]} of {self.sides[kind, True] + self.sides[kind, False]} warned of"
-            for kind in ("covered", "touched", "bare")
-        )
+    def table(self) -> str:
+        """Rows of what lies on a side, and how many of these sides are warned of."""
+        counts = {kind: (self.sides[kind, True], self.sides[kind, False]) for kind in ("covered", "touched", "bare")}
+        rows = [f"| {kind} | {said} of {said + silent} |" for kind, (said, silent) in counts.items()]
+        return "\n".join(["| side | warned of |", "| --- | --- |", *rows])
 
 
 def found(
@@ -137,7 +137,7 @@ def main() -> None:
         for line in of_woman(number, tally, any_hand=arguments.any_hand):
             print(line, flush=True)
     if first:
-        print(f"sides {tally}")
+        print(tally.table())
 
 
 if __name__ == "__main__":
