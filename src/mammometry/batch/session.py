@@ -83,7 +83,7 @@ def _measured(session: Path, settings: Settings, progress: StageProgress) -> Rec
     Of what people brought it notes what it was like before: what they change meanwhile is looked at the next time.
     """
     before = stats_of(session)
-    job = open_session(session, settings, watch=lambda key: _watched(key, progress))
+    job = open_session(session, settings, watch=lambda key: watched(key, progress))
     made = _when_free(lambda: job.run().made)
     earlier = None if made else _earlier(session)
     row = _row_of(job, peak_memory_mb() if earlier is None else earlier.peak_memory_mb)
@@ -155,6 +155,7 @@ def _thumbnail(results: Path) -> str | None:
 
 
 @contextmanager
-def _watched(key: Key, progress: StageProgress) -> Iterator[Progress]:
+def watched(key: Key, progress: StageProgress) -> Iterator[Progress]:
+    """Report a product that is being made as a part of its stage."""
     progress(key.stage, 0.0)
     yield lambda fraction: progress(key.stage, fraction)

@@ -11,8 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,9 +19,9 @@ from typing import TYPE_CHECKING, Any
 import mammometry
 from mammometry.api.job import open_session
 from mammometry.base.errors import SessionError
-from mammometry.base.progress import Progress, StageProgress
+from mammometry.base.progress import StageProgress
 from mammometry.batch.record import Entry
-from mammometry.batch.session import measure_entry
+from mammometry.batch.session import measure_entry, watched
 from mammometry.calibration.judge.quality import assess
 from mammometry.capture.checks import KnownCamera, clocks
 from mammometry.capture.sessions import share_calibration, take_over
@@ -30,7 +29,6 @@ from mammometry.hospital.gather import quantities
 from mammometry.io import drift
 from mammometry.io.photographs.images import EXTENSIONS, read_header
 from mammometry.io.photographs.tags import read_exposure
-from mammometry.job.products import Key
 from mammometry.job.stages.calibrate import cameras as cameras_product
 from mammometry.job.stages.measure import boundaries
 from mammometry.measure.volume.attribution import curve_digest
@@ -103,7 +101,7 @@ def measure_scan(progress: StageProgress, folder: str, settings: str) -> dict[st
     from mammometry.api.scan_folders import open_scan
 
     progress("prepare", 0.0)
-    job = open_scan(Path(folder), Settings.from_toml(settings), watch=lambda key: _watched(key, progress))
+    job = open_scan(Path(folder), Settings.from_toml(settings), watch=lambda key: watched(key, progress))
     results = job.run()
     return {
         "digest": _digest([product.key.digest for product in job.plan.products()]),
@@ -113,12 +111,6 @@ def measure_scan(progress: StageProgress, folder: str, settings: str) -> dict[st
         **_numbers(results.measurements, job.plan, Settings.from_toml(settings), job.inputs.boundaries),
         "megapixels": 0.0,
     }
-
-
-@contextmanager
-def _watched(key: Key, progress: StageProgress) -> Iterator[Progress]:
-    progress(key.stage, 0.0)
-    yield lambda fraction: progress(key.stage, fraction)
 
 
 def _numbers(
