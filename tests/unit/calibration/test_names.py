@@ -186,3 +186,40 @@ def test_what_looks_alike_in_one_picture_alone_matches_nothing():
     )
     for one, other in ((many, single), (single, many)):
         assert len(matched(one, other)[0]) == len(unlike)
+
+
+def pair_seen(rig, right=(), strangers=0, seed=3):
+    """Features of the front pair: points of the subject, and as many others that match by chance alone."""
+    rng = np.random.default_rng(seed)
+    words = rng.normal(size=(len(right) + strangers, 128)).astype(np.float32)
+    seen = {}
+    for name in rig.pair_names["front"]:
+        uv = rig.cameras[name].project(right) if len(right) else np.empty((0, 2))
+        uv = uv + rng.normal(0.0, NOISE_PX, uv.shape)
+        other = rng.uniform((0, 0), rig.cameras[name].size_wh, (strangers, 2))
+        seen[name] = Keypoints(uv=np.concatenate([uv, other]), descriptors=words)
+    return seen
+
+
+@pytest.mark.parametrize(("right", "by_chance"), [(7, 23), (8, 30), (12, 80), (0, 34)])
+def test_few_matches_that_fit_among_many_by_chance_refuse_nothing(rig, right, by_chance):
+    """Seven of thirty are too many for chance (2e-8), and speak for the cameras; none of thirty-four says nothing."""
+    rng = np.random.default_rng(4)
+    skin = meeting_point(rig) + rng.normal(0.0, 45.0, (right, 3))
+    names = check_names(rig, pair_seen(rig, skin, by_chance))
+    assert names.pairs["front"].matches >= 30
+    assert names.pairs["front"].fitting < 0.25
+    assert names.right
+    assert names.unknown == ("front",)
+
+
+@pytest.mark.parametrize("by_chance", [0, 25])
+def test_photographs_that_show_the_same_from_elsewhere_are_refused(rig, by_chance):
+    """Also where a third of the matches is by chance: the others agree, but on cameras elsewhere."""
+    _, right = rig.pair_names["front"]
+    elsewhere = replace(rig, cameras={**rig.cameras, right: replace(rig.cameras["floor_right"], name=right)})
+    rng = np.random.default_rng(4)
+    skin = meeting_point(rig) + rng.normal(0.0, 45.0, (60, 3))
+    names = check_names(rig, pair_seen(elsewhere, skin, by_chance))
+    assert names.pairs["front"].fitting < 0.25
+    assert names.misfitting == ("front",)

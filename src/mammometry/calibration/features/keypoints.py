@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from scipy.special import bdtrc
 
 from mammometry.base.photograph import Photograph
 from mammometry.base.value import value
@@ -18,6 +19,11 @@ _MOST = 1000  # features of a picture, the strongest; more cost time and tell no
 _CONTRAST = 0.01  # of a feature; skin is weak: OpenCV's usual 0.04 leaves a tenth of them
 _COARSE_STEP = 4  # pixels to one of the reduced picture, from which on half of each row and column are left out
 _RATIO = 0.8  # of the nearest to the second nearest descriptor; Lowe 2004, section 7.1
+
+_DETERMINED_BY = 7  # matches that determine a fundamental matrix (up to three of them)
+_CONSENSUS = 0.006  # distance from an epipolar line up to which a match agrees, picture widths: as of known cameras
+_ATTEMPTS = 2000  # fundamental matrices that are tried
+_UNLIKELY = 1e-3  # probability below which matches do not agree by chance, in all attempts together
 
 
 @value(eq=False)
@@ -68,6 +74,25 @@ def matched(one: Keypoints, other: Keypoints) -> tuple[Float64[Array, "m 2"], Fl
     seconds = np.minimum.reduce([two[:, 1], _nearest_of_own(one), _nearest_of_own(other)[nearest]])
     good = (squares.argmin(axis=0)[nearest] == rows) & (two[:, 0] < _RATIO**2 * seconds)
     return one.uv[good], other.uv[nearest[good]]
+
+
+def show_the_same(uv_one: Float64[Array, "m 2"], uv_other: Float64[Array, "m 2"]) -> bool:
+    """Whether matches agree on where two cameras stand, wherever that is: more than chance explains.
+
+    So many must fit one fundamental matrix that matches by chance would not, in all the attempts at finding it
+    (Moisan and Stival 2004).
+    """
+    count = len(uv_one)
+    if count <= _DETERMINED_BY:
+        return False
+    extent = float(max(np.ptp(uv_one, axis=0).max(), np.ptp(uv_other, axis=0).max()))
+    cv2.setRNGSeed(0)
+    _, inside = cv2.findFundamentalMat(
+        uv_one, uv_other, cv2.FM_RANSAC, _CONSENSUS * extent, confidence=0.999, maxIters=_ATTEMPTS
+    )
+    agreeing = 0 if inside is None else int(inside.sum())
+    by_chance = float(bdtrc(agreeing - _DETERMINED_BY - 1, count - _DETERMINED_BY, 2 * _CONSENSUS))
+    return _ATTEMPTS * by_chance < _UNLIKELY
 
 
 def _squares(one: Keypoints, other: Keypoints) -> Float32[Array, "n m"]:

@@ -15,17 +15,21 @@ from itertools import combinations, permutations
 from typing import TypeAlias
 
 import numpy as np
+from scipy.special import bdtrc
 
 from mammometry.calibration.detection.detect import Detection
-from mammometry.calibration.features.keypoints import WIDTH_PX, Keypoints, matched
+from mammometry.calibration.features.keypoints import WIDTH_PX, Keypoints, matched, show_the_same
 from mammometry.geometry import Array, Camera, Float64, Rig
 
-_NEAR_PX = 2.0  # of the reduced pictures' pixels from the epipolar line: a match by chance is so near once in a hundred
+_NEAR_PX = 2.0  # of the reduced pictures' pixels from the epipolar line
+_BY_CHANCE_NEAR = 0.01  # share of matches by chance that are so near: the band's share of a picture
 _FAR_PX = 16.0  # likewise, within which something that moved still is; a patient's start moves 10 mm, some 8 px
 _DEPTH = (0.5, 2.0)  # of the distance to where the target was held, between which the subject is
 _FEWEST = 12  # matches of a pair, fewer tell nothing
 _RIGHT = 0.5  # share of a pair's matches that fits at least where the names are right (benchmarks.accuracy.exchanged)
 _FOREIGN = 0.25  # share up to which two photographs have nothing to do with one another, likewise; between: undecided
+_UNLIKELY = 1e-5  # probability below which matches do not fit by chance
+_UNLIKELY_NEARER = 1e-3  # the same, of lying on the lines rather than a little off them
 _MANY = 30  # matches of photographs that show the same; others have 5 to 24 by chance, likewise
 _RICH = 200  # features of a photograph, from which a sixteenth and more is found again in its partner, likewise
 _BY_CHANCE = 5  # fitting matches; photographs of different things have none to two, likewise
@@ -47,6 +51,8 @@ class PairAgreement:
     offset_mm: float
     """Median distance from the epipolar line of the matches that are not wild, with its sign, at the subject's depth,
     mm. NaN where there are none."""
+    supported: bool = False
+    """Whether more matches fit than chance explains, however few of all they are."""
 
     @property
     def tells(self) -> bool:
@@ -202,10 +208,10 @@ def check_names(rig: Rig, seen: Mapping[str, Keypoints]) -> Names:
         exchanged = _best_exchange(suspects, own, agreement) or _best_exchange(pairs, own, agreement)
     exchanged = exchanged or _mirrored_pairs(pairs, own, agreement)
     unsolved = {pair: both for pair, both in suspects.items() if not set(both) & set(exchanged)}
-    poor = {pair: both for pair, both in unsolved.items() if own[pair].fitting < _FOREIGN}
+    poor = {pair: both for pair, both in unsolved.items() if own[pair].fitting < _FOREIGN and not own[pair].supported}
     shared = [pair for pair in unsolved if own[pair].matches >= _MANY]
-    misfitting = tuple(pair for pair in shared if pair in poor)
-    astray = tuple(pair for pair in shared if pair in poor or abs(own[pair].offset_mm) > _ASTRAY_MM)
+    misfitting = tuple(pair for pair in shared if pair in poor and show_the_same(*correspondences(*pairs[pair])))
+    astray = tuple(pair for pair in shared if pair in misfitting or abs(own[pair].offset_mm) > _ASTRAY_MM)
     if len(astray) > max(1, len(pairs) / 2):  # one pair may have moved by so much, most have not
         misfitting = astray
     rich = {name for name, features in seen.items() if len(features.uv) >= _RICH}
@@ -405,9 +411,22 @@ def pair_agreement(
     tame = placed & (np.abs(distance) < _FAR_PX * unit)
     offset = float(np.median(distance[tame])) if tame.sum() >= _FEWEST else float("nan")
     # What moved as a whole is of the right camera all the same: distances are taken from their median.
-    near = np.abs(distance - np.nan_to_num(offset)) < _NEAR_PX * unit
+    near = placed & (np.abs(distance - np.nan_to_num(offset)) < _NEAR_PX * unit)
     return PairAgreement(
         matches=len(uv_left),
-        fitting=float((placed & near).mean()),
+        fitting=float(near.mean()),
         offset_mm=offset * float(away[1]) / float(right.matrix[1, 1]),
+        supported=_is_supported(
+            int((placed & (np.abs(distance) < _NEAR_PX * unit)).sum()), int(tame.sum()), len(uv_left)
+        ),
     )
+
+
+def _is_supported(near: int, tame: int, matches: int) -> bool:
+    """Whether matches speak for the cameras: more fit than chance explains.
+
+    Photographs of the same by other cameras have many matches in the lines' neighbourhood as well, but as many a
+    little off them as on them.
+    """
+    on_lines = float(bdtrc(near - 1, tame, _NEAR_PX / _FAR_PX))
+    return on_lines < _UNLIKELY_NEARER and float(bdtrc(near - 1, matches, _BY_CHANCE_NEAR)) < _UNLIKELY
