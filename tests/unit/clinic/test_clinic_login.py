@@ -205,6 +205,21 @@ def test_a_reset_second_factor_is_set_up_anew_in_the_same_browser(
     assert client.get(PAGE_OF_ALL).status_code == 200
 
 
+@pytest.mark.usefixtures("shared_database")
+def test_first_codes_replace_no_old_ones(anna: Person, client: Client, settings: Settings) -> None:
+    people = settings.CLINIC.people.model_copy(update={"second_factor": "required"})
+    settings.CLINIC = settings.CLINIC.model_copy(update={"people": people})
+    login(client)
+    secret = client.get("/", follow=True).context["form"].secret
+    client.post(reverse("mfa_activate_totp"), {"code": code(secret)})
+    first = client.get(reverse("mfa_index")).content.decode()
+    assert "The second factor is set up." in first
+    assert "The old ones do not work any more." not in first
+    client.post(reverse("account_reauthenticate"), {"password": PASSWORD})
+    client.post(reverse("mfa_generate_recovery_codes"))
+    assert "The old ones do not work any more." in client.get(reverse("mfa_index")).content.decode()
+
+
 def test_a_script_logs_in_with_both_factors(anna: Person, client: Client) -> None:
     """Answers that `viewer/src/clinic/login.ts` reads."""
     script = {"Accept": "application/json"}

@@ -113,14 +113,28 @@ class LoginDialog {
     const reply = (await response.json().catch(() => ({}))) as { location?: string; error?: string };
     if (await isBack()) return this.close(true);
     this.input.value = "";
+    if (this.place === CODE && new URL(response.url).pathname === LOGIN) {
+      this.askFor(LOGIN);
+      return "Your second factor was reset. Enter your password.";
+    }
     if (this.place === LOGIN && (reply.location ?? response.url).includes(CODE)) {
-      this.place = CODE;
-      this.words.textContent = "Code of your authenticator";
-      Object.assign(this.input, { type: "text", inputMode: "numeric", autocomplete: "one-time-code" });
+      this.askFor(CODE);
       return "Enter the code of your second factor.";
     }
     if (reply.error !== undefined) return reply.error;
     return this.place === LOGIN ? "This password is not right. Try again." : "This code is not right. Try again.";
+  }
+
+  private askFor(place: string): void {
+    const code = place === CODE;
+    this.place = place;
+    this.words.textContent = code ? "Code of your authenticator" : "Password";
+    Object.assign(
+      this.input,
+      code
+        ? { type: "text", inputMode: "numeric", autocomplete: "one-time-code" }
+        : { type: "password", inputMode: "text", autocomplete: "current-password" },
+    );
   }
 
   private tell(text: string): void {
