@@ -1,16 +1,12 @@
 """Forms of the clinic's pages."""
 
 import datetime
-import tomllib
 from collections.abc import Mapping
 from typing import Any, Protocol
 
 from django import forms
 from django.utils import timezone
 
-from mammometry.base.errors import MammometryError
-from mammometry.calibration.targets.table import target_from_table
-from mammometry.capture.sessions import manifest_text
 from mammometry.clinic.models import Conclusion, Consent, Operation, Patient, Person, Rig, Visit
 from mammometry.clinic.record_form import RecordForm
 from mammometry.clinic.records.comparability import is_between
@@ -18,10 +14,6 @@ from mammometry.clinic.records.search import Duplicates, date_questions, duplica
 from mammometry.clinic.roles import Role
 from mammometry.hospital.codes import Representation, text_fault
 from mammometry.hospital.exported import person_name
-
-_RIG_BYTES = 100_000  # a session.toml has a few kB
-_RIG_TABLES = ("rig", "target", "intrinsics")
-
 
 DAY_AND_TIME = forms.DateTimeInput(attrs={"type": "datetime-local"}, format="%Y-%m-%dT%H:%M")
 """Widget of a visit's day and time."""
@@ -153,53 +145,6 @@ def name_empty_choices(fields: Mapping[str, forms.Field]) -> None:
             continue
         assert isinstance(field, forms.ChoiceField)
         field.choices = [("", "not entered"), *choices]
-
-
-class RigForm(RecordForm):
-    """A rig, described by the tables of a session.toml."""
-
-    described_by = forms.FileField(
-        label="Description of the rig",
-        required=False,
-        help_text="A session.toml of this rig: its cameras, pairs and target are read. Its photographs are not needed.",
-    )
-
-    class Meta:
-        model = Rig
-        fields = ("name", "note", "active")
-        labels = {"active": "In use"}  # noqa: RUF012
-        widgets = {"note": forms.Textarea(attrs={"rows": 2})}  # noqa: RUF012
-
-    def clean_described_by(self) -> dict[str, Any] | None:
-        """Tables of the file. None without one."""
-        file = self.cleaned_data["described_by"]
-        if file is None:
-            if not self.instance.definition:
-                raise forms.ValidationError("A new rig needs its description.")
-            return None
-        if file.size > _RIG_BYTES:
-            raise forms.ValidationError("This file is too large for a session.toml.")
-        try:
-            table = tomllib.loads(file.read().decode("utf-8"))
-        except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError):
-            raise forms.ValidationError("This is not a session.toml: it cannot be read as TOML.") from None
-        kept = {name: table[name] for name in _RIG_TABLES if name in table}
-        if "rig" not in kept:
-            raise forms.ValidationError("This file has no table [rig], so it describes no rig.")
-        try:
-            manifest_text(kept, "torso")
-            if "target" in kept:
-                target_from_table(kept["target"])
-        except MammometryError as error:
-            raise forms.ValidationError(str(error)) from None
-        return kept
-
-    def save(self, commit: bool = True) -> Rig:
-        """Keep the description with the rig."""
-        if self.cleaned_data["described_by"] is not None:
-            self.instance.definition = self.cleaned_data["described_by"]
-        rig: Rig = super().save(commit)
-        return rig
 
 
 class PersonForm(RecordForm):

@@ -118,6 +118,9 @@ class ReportContent:
     """Of what the volumes rest on, the gravest first. Those of boundaries follow when the report is rendered."""
     concerns: tuple[str, ...] = ()
     """Warnings of calibration and matching."""
+    calibration_doubts: tuple[str, ...] = ()
+    """Warnings of single photographs of the calibration: for who keeps the rig, last of all. A clinic's reports omit
+    them."""
     breasts: tuple[BreastReport, ...]
     comparison: tuple[Fact, ...]
     """Differences between both sides. Empty where neither was measured."""

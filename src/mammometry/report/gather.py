@@ -47,6 +47,7 @@ from mammometry.report.words.anthropometry import (
     without_nipple,
 )
 from mammometry.report.words.doubts import body_cautions, body_doubts
+from mammometry.report.words.photographs import photograph_doubts, rig_doubts
 from mammometry.report.words.stage_facts import MatchingFacts, Shown, matching_facts, surface_facts
 from mammometry.study.tables import thousands
 from mammometry.surface.motion.motion_test import concerns
@@ -124,13 +125,9 @@ def warnings(run: RunResults) -> Iterator[str]:
 
 def run_concerns(run: RunResults) -> Iterator[str]:
     """Warn of what went less well in calibration and matching."""
-    if run.quality is not None and run.quality.verdict != "pass":
-        yield f"Check the calibration. {sentence(run.quality.reasons[0])}"
-    for away in run.calibration.set_aside if run.calibration is not None else ():
-        yield (
-            f"Pose {away.pose} of camera {away.camera} was left out of the calibration: it is "
-            f"{away.residual_px:.1f} px off the others."
-        )
+    of_rig = rig_doubts(run.quality, run.calibration)
+    if of_rig:
+        yield f"Check the calibration. {sentence(of_rig[0])}"
     if run.calibration is None:
         yield "The cameras were imported. Their errors are not known, and the interval does not cover them."
         yield from map(sentence, run.camera_doubts)
@@ -281,6 +278,7 @@ def gather(
         world=plan[calibrate.cameras]().world,
         warnings=(*body_doubts(plan), *warnings(run)),
         concerns=tuple(run_concerns(run)),
+        calibration_doubts=photograph_doubts(quality, calibration),
         breasts=tuple(sorted(breasts, key=lambda breast: breast.name)),
         comparison=comparison(measurements, absent=absent, lacking=less) + symmetry_facts(sides),
         difference=difference_number(measurements),

@@ -33,6 +33,7 @@ def page(tmp_path: Path) -> Iterator[Page]:
 def photograph(path: Path, seed: int) -> Path:
     """Something sharp enough to be looked at."""
     noise = np.random.default_rng(seed).integers(0, 255, (60, 90, 3), dtype=np.uint8)
+    path.parent.mkdir(exist_ok=True)
     Image.fromarray(noise).resize((900, 600), Image.Resampling.NEAREST).save(path, quality=90)
     return path
 

@@ -16,6 +16,7 @@ from mammometry.report.gather import RunResults, run_cautions, run_concerns, war
 from mammometry.report.words import describe
 from mammometry.report.words.anthropometry import comparison
 from mammometry.report.words.describe import skin_shares
+from mammometry.report.words.photographs import photograph_doubts
 from mammometry.report.words.volumes import MEANINGS, meaning_sentences, measured_words, volume_words
 from mammometry.settings import Settings
 from mammometry.surface.occlusion import Occlusion
@@ -152,17 +153,17 @@ def warned(rig, **changes) -> str:
         "repaired": synthetic.repaired(synthetic.ball()),
     }
     run = RunResults(**(values | changes))
-    return "\n".join([*warnings(run), *run_concerns(run)])
+    return "\n".join([*warnings(run), *run_concerns(run), *photograph_doubts(run.quality, run.calibration)])
 
 
 def test_a_clean_run_warns_of_nothing_but_what_the_calibration_says(rig) -> None:
     calibration = synthetic.calibration(rig)
-    quality = replace(assess(calibration), verdict="pass")
+    quality = replace(assess(calibration), verdict="pass", doubts=())
     assert warned(rig, quality=quality) == ""
 
 
 def test_each_fault_has_its_warning(rig) -> None:
-    quality = replace(assess(synthetic.calibration(rig)), verdict="warn", reasons=("camera one_left moved",))
+    quality = replace(assess(synthetic.calibration(rig)), verdict="warn", doubts=("camera one_left moved",))
     assert "Check the calibration. Camera one_left moved." in warned(rig, quality=quality)
     assert "cameras were imported" in warned(rig, calibration=None, quality=None)
     assert "vertical disparity of 0.50 ± 0.00 px" in warned(rig, matching=synthetic.matching(rig, d_v_px=0.5))
@@ -184,6 +185,18 @@ def test_each_fault_has_its_warning(rig) -> None:
 
     aside = replace(synthetic.calibration(rig), set_aside=(SetAside(camera="one_left", pose="02", residual_px=7.25),))
     assert "Pose 02 of camera one_left was left out" in warned(rig, calibration=aside)
+
+
+def test_a_poor_photograph_of_the_board_comes_last_and_the_rig_first(rig) -> None:
+    calibration = synthetic.calibration(rig)
+    view = calibration.observations.detections[0]
+    poor = f"pose {view.pose}: 9 of 50 points of {view.camera} were left out as outliers"
+    doubts = (poor, "the target was shown in only 9 % of the space")
+    said = warned(rig, quality=replace(assess(calibration), verdict="warn", doubts=doubts)).splitlines()
+    assert said[0] == "Check the calibration. The target was shown in only 9 % of the space."
+    assert said[-1] == f"P{poor[1:]}."
+    alone = warned(rig, quality=replace(assess(calibration), verdict="warn", doubts=doubts[:1]))
+    assert "Check the calibration" not in alone
 
 
 def test_sides_that_rest_on_the_mounting_alone_are_warned_of(rig) -> None:

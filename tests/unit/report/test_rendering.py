@@ -24,6 +24,14 @@ def automatic() -> ReportContent:
     return replace(made, breasts=found, scene="[]", concerns=("Look at pair one.",))
 
 
+def test_photographs_of_the_board_are_no_matter_of_a_clinics_report() -> None:
+    content = replace(automatic(), calibration_doubts=("Pose 01: 9 points of one_left were left out.",))
+    assert attributed_content(content, {}, None, named=True).warnings[-1] == content.calibration_doubts[0]
+    assert (
+        content.calibration_doubts[0] not in attributed_content(content, {}, Clinical(patient="M"), named=True).warnings
+    )
+
+
 def test_content_is_stored_and_read_back_whole() -> None:
     content = automatic()
     assert asdict(unpacked(packed(content))) == asdict(content)

@@ -3,6 +3,7 @@
 import htmx from "htmx.org";
 
 import { askFirst } from "./ask";
+import { drawBoard } from "./board";
 import { keepDrafts } from "./drafts";
 import { closeMenus } from "./drop_down";
 import { sendForms } from "./forms";
@@ -29,3 +30,4 @@ keepDrafts();
 sendForms();
 followJobs();
 takePhotographs();
+drawBoard();

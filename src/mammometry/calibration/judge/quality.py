@@ -62,6 +62,8 @@ class CalibrationQuality:
     """One sentence each, worst first. Good findings are listed too."""
     refusals: tuple[str, ...]
     """Those of the reasons for which the calibration is refused."""
+    doubts: tuple[str, ...]
+    """Those of the reasons that deserve a look."""
     rms_px: float
     rms_px_per_camera: Mapping[str, float]
     rms_px_per_pose: Mapping[str, float]
@@ -120,6 +122,7 @@ def assess(calibration: Calibration, settings: QualitySettings = QualitySettings
         verdict=findings[0][0],
         reasons=tuple(reason for _, reason in findings),
         refusals=tuple(reason for verdict, reason in findings if verdict == "refuse"),
+        doubts=tuple(reason for verdict, reason in findings if verdict == "warn"),
         rms_px=calibration.rms_px,
         rms_px_per_camera={name: pooled_rms([v for v in views if v.camera == name]) for name in coverage},
         rms_px_per_pose={

@@ -16,10 +16,12 @@ from django.db import IntegrityError, transaction
 from django.db.models import F, Q, QuerySet
 from django.utils import timezone
 
+from mammometry.capture.sessions import make_session, manifest_text
 from mammometry.clinic.jobs import results
 from mammometry.clinic.jobs.results import Target
 from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Job, Person, Visit
 from mammometry.clinic.records import comparing
+from mammometry.clinic.site import the_clinic
 from mammometry.io.subject import rename_subject
 
 LEASE_S = 45.0
@@ -79,6 +81,8 @@ def enqueue(target: Target, by: Person | None) -> Job:
         return open_one
     if isinstance(target, Visit):
         carry_subject(target)
+    if isinstance(target, Calibration) and "rig" in target.rig.definition:  # the board may have been measured meanwhile
+        make_session(the_clinic().folder / target.folder, manifest_text(target.rig.definition, "torso"))
     try:
         with transaction.atomic():
             job = Job.objects.create(**about, kind=kind, created_by=by)

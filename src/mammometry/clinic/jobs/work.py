@@ -190,6 +190,7 @@ def calibrate(progress: StageProgress, session: str, settings: str) -> dict[str,
     if result is not None:
         quality = assess(result, job.settings.calibration.quality)
         figures |= {
+            "doubts": list(quality.doubts),
             "rms_mm": quality.rms_mm,
             "rms_px_of": dict(quality.rms_px_per_camera),
             "coverage_of": dict(quality.coverage),

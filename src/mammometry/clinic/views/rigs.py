@@ -11,14 +11,20 @@ from django.urls import reverse
 
 from mammometry.base.errors import MammometryError, SettingsError
 from mammometry.calibration.targets.target import Target
-from mammometry.capture.sessions import cameras_of
+from mammometry.capture.sessions import cameras_of, manifest_text
 from mammometry.clinic import rig_history
-from mammometry.clinic.forms import RigForm
+from mammometry.clinic.intake import left_out
+from mammometry.clinic.intake.photographs import screen_picture
+from mammometry.clinic.intake.places import UploadError
+from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Calibration, DailyCheck, Rig
+from mammometry.clinic.rig_form import RigForm, board_of, board_svg, is_measured
 from mammometry.clinic.rig_history import drift_rows
 from mammometry.clinic.rig_history import today as verdict_of
 from mammometry.clinic.site import the_clinic
-from mammometry.clinic.views.responses import Refused, form_page, json_view
+from mammometry.clinic.views.responses import Refused, download, form_page, json_view, person_of
+from mammometry.io.manifest import MANIFEST
+from mammometry.io.photographs.images import read_photograph
 
 
 def rigs(request: HttpRequest) -> HttpResponse:
@@ -37,16 +43,49 @@ def rig(request: HttpRequest, rig: uuid.UUID) -> HttpResponse:
         "checks": shown.checks.select_related("by")[:30],
         "drift": list(drift_rows(shown)),
         "cameras": cameras_of(shown.definition),
+        "doubted": _doubted(shown),
+        "described": "rig" in shown.definition,
+        "measured": is_measured(shown.definition),
     }
     return render(request, "clinic/rig.html", context)
 
 
+def _doubted(rig: Rig) -> Calibration | None:
+    """The calibration in use, where photographs of it stand out."""
+    calibration = rig_history.current(rig)
+    return calibration if calibration is not None and left_out.doubts_of(calibration) else None
+
+
 def rig_form(request: HttpRequest, rig: uuid.UUID | None = None) -> HttpResponse:
-    """Enter a rig, or change its name, note or description."""
+    """Describe a rig, or change its name, note or description."""
     shown = None if rig is None else get_object_or_404(Rig, pk=rig)
     form = RigForm(request.POST or None, request.FILES or None, instance=shown)
-    saved = "The rig is saved."
-    return form_page(request, "clinic/rig_form.html", form, saved, lambda row: redirect("rig", rig=row.pk), rig=shown)
+
+    def goes_on(row: Rig) -> HttpResponse:
+        if form.is_described_otherwise and rig_history.current(row) is not None:
+            messages.warning(request, "Its cameras or its board are other ones now: calibrate it again.")
+        return redirect("rig", rig=row.pk)
+
+    return form_page(request, "clinic/rig_form.html", form, "The rig is saved.", goes_on, rig=shown)
+
+
+def board(request: HttpRequest) -> HttpResponse:
+    """A picture of the board that is being typed, SVG."""
+    try:
+        picture = board_svg(board_of(request.GET.dict()))
+    except MammometryError as error:
+        return HttpResponse(str(error), status=422, content_type="text/plain; charset=utf-8")
+    return HttpResponse(picture, content_type="image/svg+xml", headers={"Cache-Control": "private, no-store"})
+
+
+def session_toml(request: HttpRequest, rig: uuid.UUID) -> HttpResponse:
+    """The rig's description as a session.toml, which the commands open."""
+    shown = get_object_or_404(Rig, pk=rig)
+    try:
+        return download(manifest_text(shown.definition, "torso", posture="unknown"), MANIFEST, "application/toml")
+    except MammometryError as error:
+        messages.error(request, f"The rig is not described yet: {error}")
+        return redirect("rig", rig=shown.pk)
 
 
 def calibration(request: HttpRequest, calibration: uuid.UUID) -> HttpResponse:
@@ -56,9 +95,54 @@ def calibration(request: HttpRequest, calibration: uuid.UUID) -> HttpResponse:
         "calibration": shown,
         "rig": shown.rig,
         "job": shown.jobs.order_by("-created").first(),
+        "measured": is_measured(shown.rig.definition),
+        "doubts": left_out.doubts_of(shown) if shown.state == Calibration.State.DONE else [],
+        "left_out": left_out.left_out_of(shown) if shown.state == Calibration.State.DONE else [],
+        "same_day": shown.rig.calibrations.filter(taken_at=shown.taken_at, state="done").exclude(pk=shown.pk),
         **_figures(shown.figures),
     }
     return render(request, "clinic/calibration.html", context)
+
+
+def leave_out(request: HttpRequest, calibration: uuid.UUID) -> HttpResponse:
+    """Calibrate again without the photographs that are ticked."""
+    shown = get_object_or_404(Calibration.objects.select_related("rig"), pk=calibration)
+    if request.method != "POST":
+        return redirect("calibration", calibration=shown.pk)
+    try:
+        made = left_out.calibrate_without(shown, request.POST.getlist("photograph"), person_of(request))
+    except UploadError as error:
+        messages.error(request, str(error))
+        return redirect("calibration", calibration=shown.pk)
+    queue.enqueue(made, person_of(request))
+    messages.success(request, "The rig is being calibrated without what you ticked. Until then nothing changes.")
+    return redirect("calibration", calibration=made.pk)
+
+
+def use(request: HttpRequest, calibration: uuid.UUID) -> HttpResponse:
+    """Use an earlier calibration again."""
+    shown = get_object_or_404(Calibration.objects.select_related("rig"), pk=calibration)
+    if request.method == "POST":
+        try:
+            left_out.use(shown)
+        except UploadError as error:
+            messages.error(request, str(error))
+        else:
+            messages.success(request, "New visits use this calibration.")
+    return redirect("calibration", calibration=shown.pk)
+
+
+def board_picture(request: HttpRequest, calibration: uuid.UUID, pose: str, camera: str) -> HttpResponse:
+    """A photograph of the board that fills a screen."""
+    photographs = left_out.board_photographs(get_object_or_404(Calibration, pk=calibration))
+    photograph = photographs.get(f"{pose}/{camera}")
+    if photograph is None:
+        raise Http404
+    try:
+        picture = screen_picture(read_photograph(photograph.path, photograph.key))
+    except MammometryError:
+        raise Http404 from None
+    return HttpResponse(picture, content_type="image/webp", headers={"Cache-Control": "private, no-store"})
 
 
 def check(request: HttpRequest, check: uuid.UUID) -> HttpResponse:

@@ -3,7 +3,6 @@
 Pictures, style and 3D viewer are inside. It needs no network.
 """
 
-import re
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
@@ -11,6 +10,7 @@ from mammometry.report.content import DISCLAIMER, Picture, ReportContent
 from mammometry.report.documents import pages
 from mammometry.report.documents.pages import breast_pictures, stage_pictures, whole_pictures
 from mammometry.report.first_page import FirstPage, signature
+from mammometry.report.words.photographs import named_photographs
 from mammometry.report.words.volumes import MEANINGS_INTRODUCTION
 
 PAGE = "report.html"
@@ -40,21 +40,6 @@ def render(content: ReportContent, first: FirstPage, photographs: Mapping[str, s
         viewer=Markup(pages.viewer_program()) if content.scene else None,
         pictures=_arranged(content, first),
     )
-
-
-def named_photographs(warning: str, photographs: Mapping[str, str]) -> dict[str, str]:
-    """Those photographs that a sentence names, by pose and camera, or as a camera's photograph."""
-
-    def names(word: str) -> bool:
-        return re.search(rf"(?<![\w.-]){re.escape(word)}(?![\w-])", warning, re.IGNORECASE) is not None
-
-    found = {}
-    for name, address in photographs.items():
-        place, *pose, camera = name.split("/")
-        matches = names(f"pose {pose[0]}") if pose else " photograph" in warning and not names("pose")
-        if place in ("capture", "calibration") and matches and names(camera):
-            found[name] = address
-    return found
 
 
 def _arranged(content: ReportContent, first: FirstPage) -> Mapping[str, object]:

@@ -65,7 +65,9 @@ def attributed_content(
             words = attributed_words(breast.boundary, breast.curve, attribution, named=named)
             breast = replace(breast, boundary=words)
         breasts.append(breast)
-    warnings = (*content.warnings, *_boundary_warnings(breasts, in_clinic=clinical is not None), *content.concerns)
+    doubts = content.calibration_doubts if clinical is None else ()  # a clinic's technician has them on the rig's page
+    of_boundaries = _boundary_warnings(breasts, in_clinic=clinical is not None)
+    warnings = (*content.warnings, *of_boundaries, *content.concerns, *doubts)
     return replace(
         content,
         breasts=tuple(replace(breast, boundary=sentence(breast.boundary)) for breast in breasts),

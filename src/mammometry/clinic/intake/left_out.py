@@ -1,0 +1,152 @@
+"""Photographs of the board that stand out, and a calibration without some of them.
+
+The calibration that is in use is never changed: visits were measured with it. Another one is made of the same
+photographs less those that are left out, which are kept as set aside. The former one can be used again.
+"""
+
+import uuid
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from django.db import transaction
+
+from mammometry.capture.sessions import cameras_of, share_calibration
+from mammometry.clinic.intake.photographs import poses_needed, set_aside, thumbnail_path
+from mammometry.clinic.intake.places import UploadError
+from mammometry.clinic.models import Calibration, Person, Upload
+from mammometry.clinic.rig_history import new_calibration
+from mammometry.clinic.site import the_clinic
+from mammometry.io.photographs.images import EXTENSIONS
+from mammometry.io.write import disk_errors, file_digest
+from mammometry.report.words.photographs import named_photographs
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoardPhotograph:
+    """A calibration's photograph of one pose by one camera."""
+
+    pose: str
+    camera: str
+    path: Path
+
+    @property
+    def key(self) -> str:
+        """Pose and camera, as forms and addresses have them."""
+        return f"{self.pose}/{self.camera}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Doubt:
+    """A warning of a calibration, and the photographs that it names."""
+
+    sentence: str
+    photographs: Sequence[BoardPhotograph]
+
+
+def board_photographs(calibration: Calibration) -> dict[str, BoardPhotograph]:
+    """Pose and camera → the photograph, in their order."""
+    folder = the_clinic().folder / calibration.folder / "calibration"
+    found = [
+        BoardPhotograph(pose=path.parent.name, camera=path.stem, path=path)
+        for path in sorted(folder.glob("*/*"))
+        if path.suffix.lower() in EXTENSIONS
+    ]
+    return {photograph.key: photograph for photograph in found}
+
+
+def doubts_of(calibration: Calibration) -> list[Doubt]:
+    """Warnings of a calibration that name photographs of the board, the worst first."""
+    photographs = board_photographs(calibration)
+    names = {f"calibration/{key}": key for key in photographs}
+    figures = calibration.figures
+    reasons = figures.get("reasons", [])[:1] if figures.get("verdict") == "warn" else []  # of version 1.0
+    doubts = []
+    for reason in figures.get("doubts", reasons):
+        named = named_photographs(reason, names)
+        if named:
+            sentence = f"{reason[0].upper()}{reason[1:].rstrip('.')}."
+            doubts.append(Doubt(sentence=sentence, photographs=[photographs[key] for key in named.values()]))
+    return doubts
+
+
+def calibrate_without(calibration: Calibration, left_out: Collection[str], by: Person | None) -> Calibration:
+    """Make another calibration of the same photographs, less some of them.
+
+    Args:
+        calibration: done.
+        left_out: pose and camera of each, as `BoardPhotograph.key`.
+        by: who leaves them out.
+
+    Raises:
+        UploadError: it is not done, has no such photograph, or a camera would have too few left.
+        StorageError: the disk is full or refuses.
+    """
+    if calibration.state != Calibration.State.DONE:
+        raise UploadError("This calibration has no result yet. Wait for it.")
+    photographs = board_photographs(calibration)
+    out = [photographs[key] for key in left_out if key in photographs]
+    if not out or len(out) != len(set(left_out)):
+        raise UploadError("Tick a photograph of this calibration.")
+    kept = [(photograph.pose, photograph.camera) for photograph in photographs.values() if photograph not in out]
+    definition = calibration.rig.definition
+    if needed := poses_needed(definition, cameras_of(definition), kept):
+        raise UploadError(f"Too few photographs would be left. {needed} Photograph the board again instead.")
+    folder = the_clinic().folder
+    with transaction.atomic():
+        made = new_calibration(calibration.rig, by)
+        made.taken_at = calibration.taken_at  # its photographs are no newer
+        made.save(update_fields=["taken_at"])
+        share_calibration(folder / calibration.folder, folder / made.folder)
+        known = {
+            Path(row.name).with_suffix("").as_posix(): row
+            for row in calibration.uploads.filter(state=Upload.State.PLACED)
+        }
+        for photograph in photographs.values():
+            row = _copied(known.get(f"calibration/{photograph.key}"), photograph, made, by)
+            if photograph in out:
+                set_aside(row, folder / made.folder)
+    return made
+
+
+def _copied(known: Upload | None, photograph: BoardPhotograph, made: Calibration, by: Person | None) -> Upload:
+    """The row of a photograph in another calibration."""
+    size_bytes = photograph.path.stat().st_size
+    row = Upload.objects.create(
+        pk=uuid.uuid4(),
+        calibration=made,
+        camera=photograph.camera,
+        name=f"calibration/{photograph.pose}/{photograph.path.name}",
+        size_bytes=size_bytes,
+        received_bytes=size_bytes,
+        sha256=file_digest(photograph.path) if known is None else known.sha256,
+        state=Upload.State.PLACED,
+        checks=[] if known is None else known.checks,
+        created_by=by,
+    )
+    if known is not None and thumbnail_path(known).is_file():
+        with disk_errors(thumbnail_path(row)):
+            thumbnail_path(row).write_bytes(thumbnail_path(known).read_bytes())
+    return row
+
+
+def left_out_of(calibration: Calibration) -> list[str]:
+    """Photographs that were left out of a calibration, in words."""
+    rows = calibration.uploads.filter(state=Upload.State.SET_ASIDE).order_by("name")
+    return [f"pose {Path(row.name).parent.name}, {row.camera.replace('_', ' ')}" for row in rows]
+
+
+@transaction.atomic
+def use(calibration: Calibration) -> None:
+    """Let new visits use a calibration again, in place of the one that they use now.
+
+    Raises:
+        UploadError: it has no result.
+    """
+    if calibration.state != Calibration.State.DONE:
+        raise UploadError("This calibration has no result. Choose one that has.")
+    for other in Calibration.objects.select_for_update().filter(rig=calibration.rig, current=True):
+        other.current = False
+        other.save(update_fields=["current"])
+    calibration.current = True
+    calibration.save(update_fields=["current"])
