@@ -193,7 +193,7 @@ class MeshJob(Reported):
             )
         self.kind: SubjectKind = "model" if "model" in curves else "torso"
         places = {} if files.landmarks is None else landmarks_in(files.landmarks, self.kind)
-        scan = repair_scan(foreign.mesh, largest=files.largest)
+        scan = repair_scan(foreign.mesh, largest=files.largest, skin_alone=self.kind == "torso")
         by_axes = self.kind == "torso" and (files.automatic or files.head is not None)
         frame = None
         if by_axes:

@@ -232,7 +232,7 @@ def _on_one(
     progress: Progress,
 ) -> tuple[DrawnSurface, list[Drawing]]:
     foreign = read_foreign(path, units)
-    scan = repair_scan(foreign.mesh)
+    scan = repair_scan(foreign.mesh, skin_alone=True)
     files = []
     for drawing in drawn:
         curves = boundaries_in(drawing.boundary, _SIDES).curves

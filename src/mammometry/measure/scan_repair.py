@@ -18,6 +18,7 @@ from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Float64, Int32, Int64, mesh_kernels
 from mammometry.geometry.mesh import TriangleMesh, edge_table, split_edges
 from mammometry.geometry.nearest import point_tree
+from mammometry.measure.scan_planes import planar_faces
 from mammometry.measure.solid.cut import opening_loops
 from mammometry.measure.solid.patch import fill, harmonic
 
@@ -57,12 +58,13 @@ class RepairedScan:
     """Whether most of its faces looked inwards, as those of a mirror image do."""
 
 
-def repair_scan(mesh: TriangleMesh, *, largest: bool = False) -> RepairedScan:
+def repair_scan(mesh: TriangleMesh, *, largest: bool = False, skin_alone: bool = False) -> RepairedScan:
     """Join seams, leave out crumbs, turn what is inside out, close small holes.
 
     Args:
         mesh: as its file has it, mm. Vertices in one place are one.
         largest: whether to take the largest piece alone, however large the others are.
+        skin_alone: whether to leave out planes, which are lids of another program and no skin.
 
     Raises:
         MeasureError: it has hardly any triangles, or two pieces of which either may be the body.
@@ -82,6 +84,8 @@ def repair_scan(mesh: TriangleMesh, *, largest: bool = False) -> RepairedScan:
     if turned is None:  # `scanned.check_mesh` names what is wrong
         return RepairedScan(mesh=mesh, invented=np.zeros(len(mesh.vertices), dtype=bool), notes=tuple(notes))
     out, inside_out = turned
+    if skin_alone:
+        out = _without_lids(out, notes)
     mesh, invented = _filled(_without_loose_triangles(out), notes)
     return RepairedScan(mesh=mesh, invented=invented, notes=tuple(notes), inside_out=inside_out)
 
@@ -123,6 +127,19 @@ def _without_fins(mesh: TriangleMesh) -> TriangleMesh:
         return mesh
     left = mesh.submesh(~crowded.reshape(-1, 3).any(axis=1))  # of each crowded edge all faces: no edge is crowded now
     return left if len(left.faces) >= (1 - _FEW_FINS) * len(mesh.faces) else mesh
+
+
+def _without_lids(mesh: TriangleMesh, notes: list[str]) -> TriangleMesh:
+    """Leave out flat lids, where the rest is most of the mesh."""
+    planar = planar_faces(mesh)
+    if not planar.any() or planar.all():
+        return mesh
+    skin = largest_part(mesh.submesh(~planar))
+    lids_mm2, whole_mm2 = mesh.submesh(planar).area_mm2(), mesh.area_mm2()
+    if skin.area_mm2() < (1 - _BESIDE) * (whole_mm2 - lids_mm2):
+        return mesh
+    notes.append(f"{lids_mm2 / 100:.0f} cm² of flat lids were left out: a plane is no skin.")
+    return skin
 
 
 def _without_loose_triangles(mesh: TriangleMesh) -> TriangleMesh:

@@ -16,12 +16,12 @@ from mammometry.geometry import Array, Bool, Camera, Float64, Rig, Transform
 from mammometry.geometry.mesh import TriangleMesh, edge_table, split_edges
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.boundary.boundary import Boundary
-from mammometry.measure.boundary.breasts import roundest_side_per_mm
+from mammometry.measure.boundary.breasts import breasts_per_mm
 from mammometry.measure.boundary.trace import BANDS_MM, check_beside_holes, edge_loop
 from mammometry.measure.scan_front import ahead_by_feet, front_of_body
 from mammometry.measure.scan_repair import RepairedScan
 from mammometry.measure.solid.cut import check_whole, inside_curve
-from mammometry.measure.trunk.thorax import frame_from_sides, orthonormal, seen_skin
+from mammometry.measure.trunk.thorax import frame_from_sides, level_axis, orthonormal, seen_skin
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _EDGE_MM = 3.0  # longest edge near a boundary, so that it can be cut along it: 2 mm change a volume by .1 % at most
@@ -29,8 +29,12 @@ _MARGIN_MM = BANDS_MM[-2]  # around the boundaries in which edges are made short
 _FACES_AT_MOST = 4_000_000  # of a refined mesh; chosen for memory
 _VIEWER_MM, _EYES_MM = 1500.0, 200.0  # distance and eye distance of the viewer; only directions matter
 _VIEWER_PX = 1000  # size and focal length of the viewer's pictures; they are never rendered
-_ONE_SIDED = 0.05  # mean of the normals of a mesh that shows one side; chosen by eye
-_ROUNDER = 2.0  # times that a torso's front is as round as its back at least, to be told from it; chosen by eye
+_ONE_SIDED = 0.2
+"""Mean of the level part of the normals from which a mesh shows one side: fronts of bodies have .47 and more, a half
+tube .64, tubes that are open on one side at most as much as the opening's share of the skin, .13 (a torso's arm)."""
+_ROUNDER = 2.0  # times that a torso's front is as round as its other sides at least, to be told from them
+_STANDS = np.cos(np.deg2rad(45.0))  # of the trunk's axis with the file's axis along which it stands
+_AXIS_SAMPLES = 20_000  # faces whose normals show along which axis the trunk stands; chosen for speed
 _ALONG_AXIS = np.cos(np.deg2rad(20.0))  # a front that looks this near to an axis stands along it; chosen by eye
 _SQUARE = 1e-6  # cosine of the angle between head and straight ahead
 _ON_MESH_MM = 15.0  # median distance from the vertices at which a curve lies on a mesh, however coarse; chosen by eye
@@ -185,65 +189,85 @@ def frame_from_axes(mesh: TriangleMesh, head: str | None = None, ahead: str | No
 
     Args:
         mesh: the torso, mm.
-        head: the file's axis towards the head: ``x``, ``-x``, ``y`` … None: ``y``, or ``z`` where that is ahead.
-        ahead: the axis straight ahead. None: where an open mesh's skin looks on average, an axis or between two.
+        head: the file's axis towards the head: ``x``, ``-x``, ``y`` … None: ``y``, or ``z`` where that is ahead or the
+            trunk stands along it.
+        ahead: the axis straight ahead. None: where an open mesh's skin looks on average, an axis or between two. Where
+            a mesh looks to all sides, the side on which a trunk with breasts is seen.
 
     Raises:
-        MeasureError: no such axis, both along one line, or a mesh that looks to all sides alike.
+        MeasureError: no such axis, both along one line, or a mesh that shows no front.
     """
-    if ahead is None:
-        looks = mesh.face_vectors().sum(axis=0)
-        if np.linalg.norm(looks) < _ONE_SIDED * mesh.area_mm2():
-            up = _axis(head or ("z" if np.argmin(np.ptp(mesh.vertices, axis=0)) == 1 else "y"), "--head")
-            forward = ahead_by_feet(mesh, up)
-            if forward is None:
-                forward = _ahead_by_breasts(mesh, up)
-            if forward is not None:
-                return orthonormal(up, _along_axis(forward))
-            raise MeasureError(
-                "mesh",
-                found="a mesh that looks to all sides alike",
-                expected="the side that is the patient's front",
-                remedy="Say which of the file's axes points straight ahead: --ahead z, for example",
-            )
-        up = _axis(head or ("z" if np.argmax(np.abs(looks)) == 1 else "y"), "--head")
-        forward = looks - up * (looks @ up)
-        forward = _along_axis(forward / max(float(np.linalg.norm(forward)), 1e-12))
-    else:
+    if ahead is not None:
         forward = _axis(ahead, "--ahead")
         up = _axis(head or ("z" if abs(forward[1]) > 0 else "y"), "--head")
-    if abs(up @ forward) > _SQUARE:
+        if abs(up @ forward) > _SQUARE:
+            raise MeasureError(
+                "mesh",
+                found="the head and straight ahead along one axis",
+                expected="two axes at a right angle",
+                remedy="Correct --head or --ahead",
+            )
+        return orthonormal(up, forward)
+    looks = mesh.face_vectors().sum(axis=0) / mesh.area_mm2()
+    up = _axis(head or _upright(mesh, looks), "--head")
+    level = looks - up * (looks @ up)
+    if np.linalg.norm(level) > _ONE_SIDED:
+        return orthonormal(up, _along_axis(level / np.linalg.norm(level)))
+    found = ahead_by_feet(mesh, up)
+    if found is None:
+        found = _ahead_by_breasts(mesh, up)
+    if found is None:
+        stands = int(np.argmax(np.abs(up)))
+        sides = [f"{sign}{letter}" for letter in "zyx" if letter != "xyz"[stands] for sign in ("", "-")]
         raise MeasureError(
             "mesh",
-            found="the head and straight ahead along one axis",
-            expected="two axes at a right angle",
-            remedy="Correct --head or --ahead",
+            found="a mesh that looks to all sides alike, without clear breasts on one side, where the head is taken "
+            f"to be at {'' if up[stands] > 0 else '-'}{'xyz'[stands]}",
+            expected="the side that is the patient's front",
+            remedy=f"Say which of the file's axes points straight ahead: --ahead {', '.join(sides[:-1])} or "
+            f"{sides[-1]}; and which to the head, if another does: --head",
         )
-    return orthonormal(up, forward)
+    return orthonormal(up, _along_axis(found))
+
+
+def _upright(mesh: TriangleMesh, looks: Float64[Array, 3]) -> str:
+    """The file's axis towards the head where nobody says it: y, else z.
+
+    It is z where the skin looks along y, unless the trunk stands along it: an open tube looks along itself.
+    """
+    vectors = mesh.face_vectors()
+    area = np.linalg.norm(vectors, axis=1)
+    normals = (vectors / np.maximum(area, 1e-12)[:, None])[:: max(1, len(vectors) // _AXIS_SAMPLES)]
+    axis, _ = max((level_axis(normals, start) for start in np.eye(3)), key=lambda found: found[1])
+    if abs(axis[1]) > _STANDS:
+        return "y"
+    along_y = np.argmax(np.abs(looks)) == 1 and abs(looks[1]) > _ONE_SIDED
+    return "z" if along_y or (abs(axis[2]) > _STANDS and np.hypot(looks[0], looks[1]) > abs(looks[2])) else "y"
 
 
 def _ahead_by_breasts(mesh: TriangleMesh, up: Float64[Array, 3]) -> Float64[Array, 3] | None:
-    """Find straight ahead of a closed torso by its breasts. None if both sides are as round.
+    """Find straight ahead of a torso with its back by its breasts. None if no side clearly has them.
 
-    It is the direction across its width on whose side the surface is as round as breasts are.
+    The directions across its width are tried first, then those along it.
 
     Args:
         mesh: mm.
         up: towards the head.
     """
     level = mesh.vertices - np.outer(mesh.vertices @ up, up)
-    across = np.linalg.eigh(np.cov(level.T) + np.outer(up, up) * np.ptp(level) ** 2)[1][:, 0]
+    across, aside = np.linalg.eigh(np.cov(level.T) + np.outer(up, up) * np.ptp(level) ** 2)[1].T[:2]
     whole = RepairedScan(mesh=mesh, invented=np.zeros(len(mesh.vertices), dtype=bool), notes=())
-    roundness = []
-    for forward in (across, -across):
-        frame = orthonormal(up, forward)
-        try:
-            roundness.append(roundest_side_per_mm(as_scanned(front_of_body(whole, frame).mesh), frame))
-        except MeasureError:
-            roundness.append(0.0)
-    if max(roundness) < _ROUNDER * min(roundness) or max(roundness) == 0:
-        return None
-    return across if roundness[0] > roundness[1] else -across
+    for line in (across, aside):
+        worth = []
+        for forward in (line, -line):
+            frame = orthonormal(up, forward)
+            try:
+                worth.append(breasts_per_mm(as_scanned(front_of_body(whole, frame).mesh), frame))
+            except MeasureError:
+                worth.append(0.0)
+        if max(worth) > _ROUNDER * min(worth):
+            return line if worth[0] > worth[1] else -line
+    return None
 
 
 def _along_axis(direction: Float64[Array, 3]) -> Float64[Array, 3]:

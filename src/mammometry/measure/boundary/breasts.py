@@ -148,15 +148,18 @@ def find_breasts(surface: RepairedSurface, frame: Float64[Array, "3 3"], *, head
     return Breasts(left=results["left"], right=results["right"], thorax=thorax, body=body, head=head)
 
 
-def roundest_side_per_mm(surface: RepairedSurface, frame: Float64[Array, "3 3"]) -> float:
-    """Roundness of the dome on either side that is most like a breast, 1/mm. 0 where there is none.
+def breasts_per_mm(surface: RepairedSurface, frame: Float64[Array, "3 3"]) -> float:
+    """Roundness of both sides' domes together, 1/mm: how much a trunk with breasts is seen in a frame.
+
+    0 where nothing is a dome, or no trunk is seen between two sides, as from aside.
 
     Raises:
-        MeasureError: the trunk is not seen.
+        MeasureError: no skin of a trunk is seen.
     """
     skin = seen_skin(surface)
-    _, _, middles = _trunk_beside(surface, skin, find_body(surface, frame, skin=skin, stated=True))
-    return max(0.0 if middle is None else middle.roundness_per_mm for middle in middles.values())
+    thorax, _, middles = _trunk_beside(surface, skin, find_body(surface, frame, skin=skin, stated=True))
+    domes = (0.0 if middle is None else middle.roundness_per_mm for middle in middles.values())
+    return 0.0 if thorax.trunk.assumed else sum(domes)
 
 
 def _lie_level(surface: RepairedSurface, skin: Skin, frame: Float64[Array, "3 3"]) -> bool:

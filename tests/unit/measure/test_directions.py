@@ -1,0 +1,57 @@
+"""Which way a scanned body faces, where its skin looks to all sides or a lid closes it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from trunks import trunk_mesh
+
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.io.meshes.foreign import read_foreign
+from mammometry.measure.scan_planes import planar_faces
+from mammometry.measure.scan_repair import repair_scan
+from mammometry.measure.scanned import frame_from_axes
+from mammometry.measure.solid.cut import above, opening_loops
+
+BODY = trunk_mesh(6.0)
+"""Closed by flat ends."""
+SKIN = BODY.submesh(np.abs(BODY.face_vectors()[:, 1]) < 0.9 * np.linalg.norm(BODY.face_vectors(), axis=1))
+
+
+def front(mesh: TriangleMesh) -> TriangleMesh:
+    """What lies before a plane."""
+    return above(mesh, lambda points: points[:, 2] + 20.0).mesh
+
+
+def lidded(mesh: TriangleMesh) -> TriangleMesh:
+    """The same with a fan of triangles in each opening."""
+    vertices, faces = [mesh.vertices], [mesh.faces]
+    for number, loop in enumerate(opening_loops(mesh.faces.astype(np.int64), len(mesh.vertices))):
+        vertices.append(mesh.vertices[loop].mean(axis=0)[None])
+        middle = np.full(len(loop), len(mesh.vertices) + number)
+        faces.append(np.stack([middle, np.roll(loop, -1), loop], axis=1).astype(np.int32))
+    return TriangleMesh(vertices=np.concatenate(vertices), faces=np.concatenate(faces))
+
+
+@pytest.mark.requirement("R-FRONT-1")
+def test_a_flat_lid_is_no_skin() -> None:
+    closed, skin = lidded(front(BODY)), front(SKIN)
+    planar = planar_faces(closed)
+    assert planar.sum() == len(closed.faces) - len(skin.faces)
+    scan = repair_scan(closed, skin_alone=True)
+    assert scan.mesh.area_mm2() == pytest.approx(skin.area_mm2(), rel=1e-6)
+    assert any("flat lids" in note for note in scan.notes)
+    assert np.allclose(frame_from_axes(scan.mesh), np.eye(3))
+
+
+def test_skin_is_no_lid() -> None:
+    assert not planar_faces(SKIN).any()
+
+
+@pytest.mark.slow
+@pytest.mark.requirement("R-FRONT-1")
+@pytest.mark.parametrize("head", [None, "y"])
+def test_an_open_tube_faces_where_its_breasts_are(shared_data: Path, head: str | None) -> None:
+    """Its skin looks along its axis on average, by what one unequal arm and the open ends leave."""
+    mesh = repair_scan(read_foreign(shared_data / "scans" / "torso_open.ply", "mm").mesh, skin_alone=True).mesh
+    assert np.allclose(frame_from_axes(mesh, head), np.eye(3), atol=1e-6)
