@@ -51,7 +51,9 @@ NAMELESS = Identity(name="De-identified case")
 def shown_name(path: Path) -> str:
     r"""Name of a file or folder as printable text. Bytes that are not UTF-8 appear as ``\xfc``."""
     return "".join(
-        character if character.isprintable() else character.encode("unicode_escape").decode("ascii")
+        character
+        if character.isprintable() or character in JOINERS
+        else character.encode("unicode_escape").decode("ascii")
         for character in as_utf_8(path.resolve().name)
     )
 

@@ -17,6 +17,8 @@ from mammometry.base.identity import Identity, one_subject, shown_name, subject_
         ("Müller A", "Müller A"),
         (os.fsdecode(b"M\xfcller"), "M\\xfcller"),
         ("two\nlines", "two\\nlines"),
+        ("نیک\u200cپور", "نیک\u200cپور"),
+        ("a\u202eb", "a\\u202eb"),
     ],
 )
 def test_any_folder_has_a_name_that_can_be_written(tmp_path: Path, name: str, shown: str) -> None:
