@@ -459,37 +459,6 @@ def test_two_dates_are_compared(visit: str, opens: Opens, people: Hospital) -> N
     judge(page, "compared")
 
 
-@pytest.mark.requirement("R-NAME-1")
-def test_names_in_other_scripts_are_read_back_from_the_document(visit: str, opens: Opens) -> None:
-    """A technician enters them as the patient has them; the surgeon's PDF has them, and a reader of PDF finds them."""
-    technician, surgeon = opens("technician"), opens("clinician")
-    technician.goto(visit)
-    technician.locator(".banner-name a").click()
-    patient = technician.url
-
-    def enter(family: str, given: str) -> None:
-        technician.goto(patient)
-        technician.get_by_text("Correct …", exact=True).click()
-        technician.get_by_role("link", name="Change the entry").click()
-        technician.get_by_label("Family name").fill(family)
-        technician.get_by_label("Given name").fill(given)
-        technician.get_by_role("button", name="Save").click()
-
-    for family, given in (("山田", "花子"), ("عبد الله", "فاطمة"), ("Їжакевич", "Ґанна"), ("शर्मा", "क्षितिज")):
-        enter(family, given)
-        expect(technician.get_by_role("heading", name=f"{family}, {given}")).to_be_visible()
-        judge(technician, f"name-{family}")
-        answer = surgeon.request.get(f"{visit}report.pdf")
-        assert answer.status == 200, answer.text()
-        first = words(pypdf.PdfReader(io.BytesIO(answer.body())).pages[0].extract_text())
-        assert family in first
-        assert given in first
-    enter("Moser\u202e", "Anna")
-    expect(technician.get_by_text("U+202E RIGHT-TO-LEFT OVERRIDE at place 6")).to_be_visible()
-    enter("Müller", "Siobhán")
-    expect(technician.get_by_role("heading", name="Müller, Siobhán")).to_be_visible()
-
-
 def test_two_people_at_once_on_one_visit(visit: str, opens: Opens) -> None:
     first, second = opens("clinician"), opens("clinician")
     for page, share in ((first, 0.6), (second, 0.62)):  # of the width: two opinions of one place
