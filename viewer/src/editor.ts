@@ -5,6 +5,7 @@ import { Matrix4, Vector3 } from "three";
 import { Refused, request } from "./clinic/request";
 import { Drawing, type Group, type Handle, type Item, type Job, type LiveVolume, type Page, type State, cheapestPlace, points } from "./editor/drawing";
 import { rememberName, rememberedName } from "./editor/author";
+import { fillWindow } from "./editor/layout";
 import { followPointer } from "./editor/pointer";
 import { volumeNote, volumeWords } from "./editor/volume_words";
 import { type Vector, unpackModel } from "./format";
@@ -75,17 +76,22 @@ class Editor {
     this.mark = this.drawing.items.find(({ group }) => group === "landmarks") ?? null;
 
     root.replaceChildren();
-    const list = element(root, "ol", "mm-steps");
+    const work = element(root, "div", "mm-work");
+    const list = element(work, "ol", "mm-steps");
     this.stepButtons = this.steps.map(({ title }, k) =>
       button(element(list, "li", ""), title, "", () => this.go(k)),
     );
-    const head = element(root, "div", "mm-head");
-    const about = element(head, "div", "mm-about");
+    const about = element(work, "div", "mm-about");
     this.heading = element(about, "h2", "");
     this.volume = element(about, "p", "mm-volume");
     this.origin = element(about, "p", "mm-origin");
-    this.marks = element(about, "div", "mm-marks mm-bar-row");
-    const acts = element(head, "div", "mm-acts mm-bar-row");
+    // What changes its length stands beside or under the picture, which stays where it is.
+    const picture = element(work, "div", "mm-canvas");
+    this.problem = element(picture, "p", "mm-problem");
+    this.problem.setAttribute("role", "alert");
+    // What a button caused is said beside it.
+    const bar = element(work, "div", "mm-do");
+    const acts = element(bar, "div", "mm-acts mm-bar-row");
     const label = element(acts, "label", "");
     element(label, "span", "").textContent = "Your name";
     this.author = element(label, "input", "");
@@ -101,22 +107,20 @@ class Editor {
       right: button(acts, "Looks right", "Go on to the next step", () => this.approve()),
       finish: button(acts, "Confirm and finish", "Say that you looked at every line and found it right", () => void this.finish()),
     };
-    this.tools = element(root, "div", "mm-bar-row");
+    this.readout = element(bar, "p", "mm-readout");
+    this.readout.setAttribute("role", "status");
+    this.late = element(bar, "div", "mm-bar-row");
+    this.marks = element(work, "div", "mm-marks mm-bar-row");
+    this.tools = element(work, "div", "mm-tools mm-bar-row");
     this.buttons = {
       undo: button(this.tools, "Undo", "Undo (Ctrl+Z)", () => this.step(() => this.drawing.undo())),
       redo: button(this.tools, "Redo", "Redo (Ctrl+Shift+Z)", () => this.step(() => this.drawing.redo())),
       remove: button(this.tools, "Remove point", "Remove the chosen point (Delete)", () => this.remove()),
       clear: button(this.tools, "Start anew", "Remove all points and draw from the beginning", () => this.clear()),
     };
-    // What changes its length stands over or under the picture, which stays where it is.
-    const picture = element(root, "div", "mm-canvas");
-    this.problem = element(picture, "p", "mm-problem");
-    this.problem.setAttribute("role", "alert");
+    fillWindow(picture);
     this.stage = stage(picture);
-    this.readout = element(root, "p", "mm-readout");
-    this.readout.setAttribute("role", "status");
-    this.late = element(root, "div", "mm-bar-row");
-    const views = element(root, "div", "mm-bar-row");
+    const views = element(work, "div", "mm-views mm-bar-row");
     for (const name of Object.keys(DIRECTIONS))
       button(views, directionTitle(name, page.scene.ofPatient), "Look from there", () => this.stage.face(name));
     const looks = choose(views, "Colour", [
@@ -154,11 +158,17 @@ class Editor {
     this.at = to;
     this.editing = false;
     this.chosen = null;
+    this.show3d();
+    this.say("");
+    this.show();
+  }
+
+  /** Bring the picture into the window, and this step's line into the picture. */
+  private show3d(): void {
     const curve = this.place.breast === null ? [] : this.curve(this.place.breast.name);
     if (curve.length > 2) this.stage.approach(curve.map((point) => this.seen(point)), this.place.from);
     else this.stage.face("front");
-    this.say("");
-    this.show();
+    if (!this.stage.isInWindow([])) this.stage.canvas.parentElement!.scrollIntoView({ block: "nearest" });
   }
 
   private edit(on: boolean): void {
@@ -168,9 +178,15 @@ class Editor {
     this.show();
   }
 
-  /** The line of this step was looked at. */
+  /** The line of this step was looked at. One that is not wholly in view is shown first. */
   private approve(): void {
     const { breast } = this.place;
+    const curve = breast === null ? [] : this.curve(breast.name).map((point) => this.seen(point));
+    if (!this.stage.isInWindow(curve)) {
+      this.show3d();
+      this.say("It was not wholly in view. Look at it now, then press “Looks right” again.");
+      return;
+    }
     if (breast !== null) this.right.set(breast.name, this.stored(breast.name).of ?? "");
     this.go(Math.min(this.at + 1, this.steps.length - 1));
   }

@@ -75,6 +75,7 @@ const OTHER: ColorRepresentation = "#56b4e9";
 const CHOSEN: ColorRepresentation = "#f0e442";
 const MARGIN = 1.08;
 const SEEN_MM = 4;
+const IN_WINDOW = 0.9; // share of the picture's height that is seen, where no point is asked for: its rim shows no skin
 const WRONG: ColorRepresentation = "#d4001a";
 const LIFT_MM = 2; // lines and points stand before the skin that they lie on
 const DASH_MM = 4;
@@ -337,6 +338,18 @@ export class Stage {
     return hit === null || hit.point.distanceTo(point) < SEEN_MM;
   }
 
+  /** Whether the picture and these points of the model are in the window, and nothing that sticks there is before them. */
+  isInWindow(points: Vector[]): boolean {
+    const { left, top, right, bottom } = this.canvas.getBoundingClientRect();
+    const head = document.querySelector("header.top")?.getBoundingClientRect().bottom ?? 0;
+    const foot = stuckBelow(this.canvas);
+    const low = Math.max(top, head);
+    const high = Math.min(bottom, foot);
+    if (points.length === 0) return high - low > IN_WINDOW * (bottom - top);
+    const places = points.map((point) => this.onScreen(new Vector3(...point)));
+    return places.every(([x, y]) => x >= left && x <= right && x <= window.innerWidth && y >= low && y <= high);
+  }
+
   /** Keep the model where it is while something on it is dragged. */
   holdStill(still: boolean): void {
     this.controls.enabled = !still;
@@ -450,6 +463,13 @@ export class Stage {
     this.lines.push(drawn);
     return drawn;
   }
+}
+
+/** Where the window ends below a picture: at its lower edge, or at buttons that stick there. */
+function stuckBelow(canvas: HTMLElement): number {
+  const bar = canvas.parentElement!.parentElement!.querySelector(".mm-do");
+  if (bar === null || getComputedStyle(bar).position !== "sticky") return window.innerHeight;
+  return Math.min(window.innerHeight, bar.getBoundingClientRect().top);
 }
 
 function geometryOf(surface: Surface): BufferGeometry {

@@ -637,12 +637,12 @@ def test_a_line_is_drawn_anew_dragged_undone_and_saved(tab: Callable[[], Page], 
     canvas = page.locator("canvas").bounding_box()
     assert canvas is not None
     middle = middle_of(page)
-    radius_px = 0.42 * canvas["height"]
+    radius_px = 0.42 * min(canvas["width"], canvas["height"])
     for angle in 2 * np.pi * np.arange(12) / 12:
         page.mouse.click(middle[0] + radius_px * np.cos(angle), middle[1] + radius_px * np.sin(angle))
     page.wait_for_timeout(2500)
     # The ball fills the canvas but for a margin of 8 %: the circle's radius in mm, then its cap's volume.
-    radius_mm = radius_px * 1.08 * 2 * test_drawing.RADIUS_MM / canvas["height"]
+    radius_mm = radius_px * 1.08 * 2 * test_drawing.RADIUS_MM / min(canvas["width"], canvas["height"])
     tall = test_drawing.RADIUS_MM - np.sqrt(test_drawing.RADIUS_MM**2 - radius_mm**2)
     cap_cc = np.pi * tall**2 * (test_drawing.RADIUS_MM - tall / 3) / 1000
     drawn_cc = volume_cc(page)
@@ -712,7 +712,7 @@ def test_a_changed_line_is_saved_measured_and_confirmed(tab: Callable[[], Page],
     assert canvas is not None
     x, y = middle_of(page)
     first = test_drawing.wavy()[0]  # the first handle, to the right of the middle
-    px_per_mm = canvas["height"] / (1.08 * 2 * test_drawing.RADIUS_MM)
+    px_per_mm = min(canvas["width"], canvas["height"]) / (1.08 * 2 * test_drawing.RADIUS_MM)
     drag(page, (x + first[0] * px_per_mm, y), (x + (first[0] - 8.0) * px_per_mm, y))
     expect(page.locator(".mm-origin")).to_contain_text("Changed, not saved.")
     expect(page.get_by_role("button", name="Looks right")).to_be_hidden()
@@ -820,3 +820,39 @@ def test_the_printed_address_takes_its_key_out_of_the_address_bar(
         page.go_back()
         assert key not in page.url
         page.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("width", "height"), [(1366, 768), (1920, 1080), (1024, 768), (390, 844)])
+def test_the_picture_fills_the_window_and_only_what_is_in_view_looks_right(
+    tab: Callable[[], Page], width: int, height: int
+) -> None:
+    page = tab()
+    page.set_viewport_size({"width": width, "height": height})
+    page.wait_for_timeout(500)  # it is laid out anew
+    canvas = page.locator("#mm-editor canvas").bounding_box()
+    assert canvas is not None
+    wide = width >= 900
+    assert canvas["height"] > (0.6 if wide else 0.5) * height
+    assert canvas["width"] > (0.6 if wide else 0.8) * width
+    right, heading = page.get_by_role("button", name="Looks right"), page.locator(".mm-about h2")
+    if wide:  # picture and button are seen together without scrolling
+        assert canvas["y"] + canvas["height"] <= height
+        press = right.bounding_box()
+        assert press is not None
+        assert press["y"] + press["height"] < height
+    # The line is turned or zoomed out of the picture: the first press shows it.
+    page.mouse.move(canvas["x"] + canvas["width"] / 2, canvas["y"] + 0.3 * canvas["height"])
+    for _ in range(30):
+        page.mouse.wheel(0, -400)
+    page.wait_for_timeout(300)
+    right.click()
+    expect(page.locator(".mm-readout")).to_contain_text("not wholly in view")
+    expect(heading).to_have_text("Boundary")
+    right.click()
+    expect(heading).to_have_text("Landmarks")
+    # What a button caused is said beside it.
+    said, pressed = page.locator(".mm-readout").bounding_box(), page.locator(".mm-acts").bounding_box()
+    assert said is not None
+    assert pressed is not None
+    assert 0 <= said["y"] - pressed["y"] - pressed["height"] < 20
