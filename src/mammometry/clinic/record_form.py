@@ -101,6 +101,11 @@ class RecordForm(forms.ModelForm):  # type: ignore[type-arg]
         return [(name, str(value)) for name in names for value in self._sent_back.getlist(name)]
 
     @property
+    def sent_files(self) -> list[str]:
+        """Labels of the fields with a file, which no page can send again."""
+        return [str(self[name].label) for name in self.fields if self.add_prefix(name) in self.files]
+
+    @property
     def _sent_back(self) -> QueryDict:
         return cast(QueryDict, self.data)
 

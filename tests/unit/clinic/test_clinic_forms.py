@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from auditlog.models import LogEntry
+from django.core.files.uploadedfile import SimpleUploadedFile
 from django.db import connections
 from django.db.models import Model
 from django.test import Client
@@ -252,6 +253,17 @@ def test_a_record_that_was_changed_is_not_removed_moved_or_binned_unseen(visit: 
     assert "Quitte, Berta" in answer.content.decode()
     assert "Taken twice" in answer.content.decode()
     assert not Correction.objects.exists()
+
+
+@pytest.mark.requirement("R-KEEP-6")
+def test_a_file_that_came_with_a_stale_form_is_asked_for_again(visit: Visit, client_of: Clients) -> None:
+    what, client = edited("rig", visit), client_of(Role.TECHNICIAN)
+    stale = filled(client, what.page, **what.mine)
+    Rig.objects.filter(pk=what.row.pk).update(name="Room 10")
+    file = SimpleUploadedFile("session.toml", b"[rig]")
+    page = client.post(what.page, {**stale, "described_by": file}).content.decode()
+    assert "the file that you chose is not kept" in page
+    assert "the file that you chose" not in client.post(what.page, stale).content.decode()
 
 
 @pytest.mark.requirement("R-KEEP-6")

@@ -65,7 +65,7 @@ client = Client()
 client.force_login(careful, backend="allauth.account.auth_backends.AuthenticationBackend")
 print(json.dumps({"keys": keys, "careful": client.cookies["clinic-session"].value}))
 """
-NAMES = ("stale", "ended", "draft", "double")
+NAMES = ("stale", "notes", "ended", "draft", "double", "other")
 """A patient with all records for each test, so that none sees what another did."""
 
 
@@ -195,6 +195,39 @@ def test_a_stale_form_shows_both_versions(clinic_served: Served) -> None:
             page.context.close()
 
 
+@pytest.mark.requirement("R-KEEP-8")
+@pytest.mark.parametrize("role", ["technician", "clinician", "researcher", "administrator"])
+def test_earlier_notes_are_for_those_who_care_for_patients(clinic_served: Served, role: str) -> None:
+    address = f"/patients/{clinic_served.keys['notes']['patient']}/"
+    writer = clinic_served.page("technician")
+    for text in ("allergic to latex", "allergic to iodine"):
+        writer.goto(f"{address}edit/")
+        writer.get_by_label("Note").fill(f"{text}, for the {role}")
+        writer.get_by_role("button", name="Save").click()
+        expect(writer.get_by_text("The patient's entry is changed.")).to_be_visible()
+    page = clinic_served.page(role, width=390)
+    if role in ("technician", "clinician"):
+        page.goto(address)
+        page.get_by_text("Correct …").click()
+        page.get_by_role("link", name="Earlier notes").click()
+        expect(page.get_by_text(f"allergic to latex, for the {role}").first).to_be_visible()
+        expect(page.get_by_text("Technician One").first).to_be_visible()
+        require_accessible(page)
+        require_fitting(page)
+        picture(page, "earlier-notes")
+    else:
+        page.goto(f"{address}notes/")
+        expect(page.get_by_role("heading", name="Not for your role")).to_be_visible()
+    if role == "administrator":
+        page.goto("/audit/?kind=changed")
+        page.get_by_role("cell").get_by_text("Patient changed").first.click(trial=True)
+        page.locator("tbody tr").first.get_by_role("link").click()
+        expect(page.get_by_role("cell", name="•••").first).to_be_visible()
+        expect(page.get_by_text("allergic")).to_have_count(0)
+        require_accessible(page)
+    assert page.wrong == []  # type: ignore[attr-defined]
+
+
 @pytest.mark.requirement("R-KEEP-6")
 def test_two_conclusions_of_one_visit_are_both_kept(clinic_served: Served) -> None:
     address = f"/visits/{clinic_served.keys['stale']['visit']}/"
@@ -243,6 +276,8 @@ TEXTS = [
     ("administrator", "/archives/new/", "", "Save", {"Name": "Archive E", "Address": "PACS@10.0.0.5:104"}),
     ("administrator", "/archives/{archive}/", "", "Save", {"Name": "Archive of E"}),
     ("technician", "/visits/{visit}/bin/", "", "Put into the bin", {"Reason": "Taken twice"}),
+    ("clinician", "/visits/{other_visit}/move/?patient={patient}", "", "Move the visit", {"Reason": "Wrong patient"}),
+    ("technician", "/patients/{patient}/merge/?patient={other_patient}", "", "Merge the records", {"Reason": "The same"}),
 ]  # fmt: skip
 """Role, page, the fold to open, the button, and what is typed: every form with text."""
 
@@ -275,7 +310,8 @@ def log_in_again(page: Page, role: str) -> None:
 
 @pytest.mark.requirement("R-KEEP-9")
 def test_no_text_is_lost_when_the_session_has_ended(clinic_served: Served) -> None:
-    keys = clinic_served.keys["ended"]
+    others = {f"other_{what}": key for what, key in clinic_served.keys["other"].items()}
+    keys = {**clinic_served.keys["ended"], **others}
     seen_code = 0.0
     for role, where, summary, save, texts in TEXTS:
         if role == "careful":  # a code is accepted once
