@@ -49,7 +49,7 @@ def require_accessible(page: Page) -> None:
     )
     session.detach()
     page.wrong[:] = wrong  # type: ignore[attr-defined] # axe itself tries inline styles on some pages
-    assert found == [], page.url
+    assert found == [], f"{page.url}: {found}"
 
 
 def require_fitting(page: Page) -> None:

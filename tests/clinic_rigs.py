@@ -9,6 +9,50 @@ CAMERAS = ("front_left", "front_right")
 POOR = "pose 02: 9 of 88 points of front_left were left out as outliers"
 
 
+def rendered_visits(folder: Path, captures: Path) -> list[str]:
+    """Two visits before a rig whose cameras are those of an independent renderer's captures."""
+    import numpy as np
+    from benchmarks.rendered import make_session
+    from django.utils import timezone
+
+    from mammometry.api.job import open_session
+    from mammometry.capture.sessions import definition_of
+    from mammometry.clinic import rig_history
+    from mammometry.clinic.models import Patient, Rig, Visit
+    from mammometry.clinic.site import the_clinic
+    from mammometry.geometry.camera import Camera
+    from mammometry.geometry.transform import Transform
+    from mammometry.io.cameras.own import cameras_table
+    from mammometry.io.manifest import read_manifest
+
+    session = make_session(captures, "torso", folder.parent / "rendered")
+    rig = Rig.objects.create(name="Room 8", definition=definition_of(read_manifest(session / "session.toml")))
+    calibration = rig_history.new_calibration(rig, None)
+    true = json.loads((captures / "truth" / "cameras.json").read_text())["cameras"]
+    cameras = {
+        name: Camera(
+            name=name,
+            matrix=np.array(about["K"]),
+            distortion=np.array(about["dist"]),
+            size_wh=(1126, 750),
+            camera_from_world=Transform(rotation=np.array(about["R"]), translation_mm=np.array(about["t"])),
+        )
+        for name, about in true.items()
+    }
+    place = the_clinic().folder / calibration.folder
+    (place / "cameras.json").write_text(json.dumps(cameras_table(cameras)))
+    open_session(place, the_clinic().measuring()).calibrate()
+    calibration.state, calibration.current = "done", True
+    calibration.figures = {"verdict": "pass", "reasons": [], "cameras": {name: {} for name in cameras}}
+    calibration.save()
+    patient = Patient.objects.create(family_name="Meier", given_name="Eva", record_number="C-1")
+    visits = [
+        Visit.objects.create(patient=patient, rig=rig, calibration=calibration, taken_at=timezone.now())
+        for _ in range(2)
+    ]
+    return [str(visit.pk) for visit in visits]
+
+
 def main(folder: Path) -> dict[str, str]:
     """Make it, as far as it is not there. Role → login."""
     from tests import clinic_seed
@@ -35,6 +79,8 @@ def main(folder: Path) -> dict[str, str]:
             place.mkdir(parents=True)
             for number, camera in enumerate(CAMERAS):
                 board_picture(place / f"{camera}.jpg", 10 * pose + number)
+    if len(sys.argv) > 2:
+        logins["visits"] = ",".join(rendered_visits(folder, Path(sys.argv[2])))
     return logins
 
 

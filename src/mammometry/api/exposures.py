@@ -50,7 +50,7 @@ def require_later(
         if entry.image_set == str(image_set):
             continue
         for shot, digest in digests.items():
-            if digest in entry.photographs:
+            if digest in entry.photographs.values():
                 raise _refusal(files[shot], f"a photograph of the check of {entry.when} ({entry.image_set})")
     return {"/".join(shot): digest for shot, digest in digests.items()}
 

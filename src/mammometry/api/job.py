@@ -198,7 +198,7 @@ class Job(Reported):
                 when=datetime.now().astimezone().isoformat(timespec="seconds"),
                 image_set=str(image_set),
                 calibration=digest,
-                photographs=pixels.values(),
+                photographs=pixels,
             ),
         )
         history = drift.read_history(self.session.path).entries

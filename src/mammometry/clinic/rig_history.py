@@ -61,6 +61,8 @@ class Checked:
     reasons: tuple[str, ...] = ()
     unseen: tuple[str, ...] = ()
     """Cameras that did not see the board."""
+    exchanged: bool = False
+    """Whether the photographs of two cameras are exchanged, so that it says nothing of movements."""
 
     @classmethod
     def of(cls, on: datetime.date, figures: Mapping[str, Any]) -> Checked:
@@ -71,6 +73,7 @@ class Checked:
             effect_mm=float(figures.get("effect_mm") or 0.0),
             reasons=tuple(figures.get("reasons", ())),
             unseen=tuple(figures.get("unseen", ())),
+            exchanged=bool(figures.get("exchanged")),
         )
 
 
@@ -87,6 +90,12 @@ def judge(day: datetime.date, calibrated: Calibrated | None, checked: Checked | 
             verdict="no",
             sentence="No: this rig is not calibrated.",
             remedy="Photograph the board in several poses and calibrate.",
+        )
+    if checked is not None and checked.exchanged:
+        return Today(
+            verdict="no",
+            sentence="No: photographs of the last check are exchanged.",
+            remedy="Open the check and press “Put them right”, or check again.",
         )
     if checked is not None and checked.verdict == "refuse":
         return Today(

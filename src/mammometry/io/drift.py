@@ -7,8 +7,8 @@ import json
 import logging
 import math
 import os
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -55,8 +55,8 @@ class Entry:
     """RMS displacement of measured points by the worst pair."""
     reasons: tuple[str, ...]
     cameras: Mapping[str, CameraDrift]
-    photographs: frozenset[str] = frozenset()
-    """Digests of the photographs' pixels. Empty in entries of version 1.0."""
+    photographs: Mapping[str, str] = field(default_factory=dict)
+    """Exposure and camera → digest of the photograph's pixels. Empty in entries of version 1.0."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,9 +69,7 @@ class History:
     """One sentence a line that cannot be read."""
 
 
-def entry_of(
-    result: RigCheck, *, when: str, image_set: str, calibration: str, photographs: Iterable[str] = ()
-) -> Entry:
+def entry_of(result: RigCheck, *, when: str, image_set: str, calibration: str, photographs: Mapping[str, str]) -> Entry:
     """A check's entry in the history."""
     return Entry(
         when=when,
@@ -81,7 +79,7 @@ def entry_of(
         effect_mm=result.effect_mm,
         reasons=result.reasons,
         cameras={name: _drift(camera) for name, camera in result.cameras.items()},
-        photographs=frozenset(photographs),
+        photographs=dict(photographs),
     )
 
 
@@ -117,7 +115,7 @@ def entry_table(entry: Entry) -> dict[str, Any]:
         "effect_mm": round(entry.effect_mm, 5),
         "reasons": list(entry.reasons),
         "cameras": cameras,
-        **({"photographs": sorted(entry.photographs)} if entry.photographs else {}),
+        **({"photographs": dict(entry.photographs)} if entry.photographs else {}),
     }
 
 
@@ -190,5 +188,5 @@ def _entry(table: dict[str, Any]) -> Entry:
             )
             for name, drift in table["cameras"].items()
         },
-        photographs=frozenset(map(str, table.get("photographs", ()))),
+        photographs={str(shot): str(digest) for shot, digest in table.get("photographs", {}).items()},
     )

@@ -76,6 +76,24 @@ def test_check_names_the_camera_that_moved_and_keeps_a_history(
 
 
 @pytest.mark.slow
+def test_a_check_names_exchanged_pictures(
+    rig_session: tuple[Path, Rig, dict[str, Transform]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session, rig, placed = rig_session
+    expose(tmp_path / "swapped", rig.cameras, placed[list(placed)[POSES + 2]], 52)
+    ending = next((tmp_path / "swapped").iterdir()).suffix
+    one, other, between = (tmp_path / "swapped" / f"{name}{ending}" for name in ("front_left", "floor_right", "x"))
+    one.rename(between)
+    other.rename(one)
+    between.rename(other)
+    code, table = answer(capsys, "check", str(session), "--image-set", str(tmp_path / "swapped"))
+    assert (code, table["verdict"]) == (10, "refuse")
+    assert "seem to be exchanged" in table["reasons"][0]
+    assert "front_left" in table["reasons"][0]
+    assert "floor_right" in table["reasons"][0]
+
+
+@pytest.mark.slow
 def test_check_refuses_what_it_cannot_use(
     rig_session: tuple[Path, Rig, dict[str, Transform]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -2,6 +2,7 @@
 
 import { type Dropped, type Gathered, ofDrop, ofFiles } from "./dropped";
 import { post } from "./post";
+import { exchangedPart, suggested, suggestedForAll } from "./put_right";
 import { Refused, type Reply, request } from "./request";
 
 interface Check {
@@ -22,6 +23,10 @@ interface Upload {
   state: "receiving" | "checked" | "placed" | "refused" | "set aside";
   checks: Check[];
   thumbnail: string | null;
+  /** Name that a camera gave the file. */
+  file: string | null;
+  /** Its camera may be changed by hand: no serial number says it. */
+  by_hand: boolean;
 }
 
 interface State {
@@ -35,6 +40,10 @@ interface State {
   /** Of a calibration: its cameras, and what is still needed. */
   known?: string[];
   needed?: string;
+  /** Of a visit: camera → camera in whose place its photograph is. */
+  exchanged?: Record<string, string>;
+  /** Of a visit: photograph without a camera → its camera by the calibration. */
+  by_geometry?: Record<string, string>;
 }
 
 interface Waiting {
@@ -103,6 +112,10 @@ class Photographs {
       if (away !== null) void this.act(() => request(away.dataset.away!, { method: "DELETE" }));
       const back = (event.target as HTMLElement).closest<HTMLElement>("[data-back]");
       if (back !== null) void this.act(() => request(`${back.dataset.back!}back/`, { method: "POST" }));
+      const right = (event.target as HTMLElement).closest<HTMLElement>("[data-put-right]");
+      if (right !== null) void this.act(() => request(`/visits/${this.root.dataset.id!}/put-right/`, { json: { exchanged: JSON.parse(right.dataset.putRight!) as object } }));
+      const put = (event.target as HTMLElement).closest<HTMLElement>("[data-put]");
+      if (put !== null) void this.act(() => this.put(JSON.parse(put.dataset.put!) as Record<string, string>));
       const go = (event.target as HTMLElement).closest<HTMLElement>("[data-go]");
       if (go !== null) void this.go(go);
     });
@@ -249,21 +262,28 @@ class Photographs {
     await this.refresh();
   }
 
+  /** Put photographs into the places of their cameras, by their addresses. */
+  private async put(cameras: Record<string, string>): Promise<void> {
+    for (const [address, camera] of Object.entries(cameras)) await request(`${address}place/`, { json: { camera } });
+  }
+
   /** Show what the server has. */
   private async refresh(): Promise<void> {
     const state = await request<State>(this.root.dataset.uploads!);
     const list = this.root.querySelector<HTMLElement>("[data-places]")!;
     const cameras = state.known ?? (state.cameras ?? []).map(({ camera }) => camera);
     this.advance(state, cameras);
-    const places = state.cameras?.map(({ camera, upload }) => this.place(camera, camera, upload)) ?? [];
+    const places = state.cameras?.map(({ camera, upload }) => this.place(camera, camera, upload, cameras)) ?? [];
     for (const [pose, shots] of Object.entries(state.poses ?? {}))
-      for (const [camera, upload] of Object.entries(shots)) places.push(this.place(`Pose ${pose}, ${camera}`, null, upload));
-    for (const upload of state.unplaced) places.push(this.place("Which camera took this?", null, upload, cameras));
-    list.replaceChildren(...places);
+      for (const [camera, upload] of Object.entries(shots)) places.push(this.place(`Pose ${pose}, ${camera}`, null, upload, cameras));
+    const told = state.by_geometry ?? {};
+    for (const upload of state.unplaced) places.push(this.place("Which camera took this?", null, upload, cameras, told[upload.id]));
+    list.replaceChildren(...suggestedForAll(state.unplaced, told), ...places);
     const together = this.root.querySelector<HTMLElement>("[data-together]");
     if (together !== null) {
       const warnings = state.together.filter(({ level }) => level === "warn" || level === "refuse");
-      together.replaceChildren(...warnings.map(warned));
+      const shots = Object.fromEntries((state.cameras ?? []).map(({ camera, upload }) => [camera, upload?.thumbnail ?? null]));
+      together.replaceChildren(...warnings.map(warned), ...exchangedPart(state.exchanged ?? {}, shots));
       together.hidden = warnings.length === 0;
     }
     const aside = this.root.querySelector<HTMLElement>("[data-aside]");
@@ -294,7 +314,7 @@ class Photographs {
     if (whole && this.queue.length === 0 && !this.typed) this.poseInput.value = this.nextPose();
   }
 
-  private place(name: string, camera: string | null, upload: Upload | null, cameras: string[] = []): HTMLElement {
+  private place(name: string, camera: string | null, upload: Upload | null, cameras: string[], told?: string): HTMLElement {
     const level = upload === null ? "" : worst(upload);
     const item = made("li", `place ${level === "" ? "" : { ok: "good", warn: "care", refuse: "bad" }[level]}`);
     const head = made("h3", "", title(name));
@@ -309,7 +329,9 @@ class Photographs {
         item.append(list);
       }
     }
-    if (upload?.state === "checked") item.append(chooser(upload, cameras));
+    if (upload?.file && upload.state === "checked") item.append(made("p", "small faint", upload.file));
+    if (upload?.state === "checked") item.append(...(told === undefined ? [] : suggested(upload.url, told)), chooser(upload, cameras, "Choose the camera"));
+    if (upload?.by_hand === true) item.append(chooser(upload, cameras.filter((camera) => camera !== upload.camera), "Another camera took it"));
     if (camera !== null) item.append(picker(camera, upload === null ? "Choose photograph" : "Another photograph"));
     if (upload !== null) {
       const words = upload.state === "placed" ? "Set aside" : "Take away";
@@ -436,11 +458,12 @@ function button(words: string, label: string): HTMLButtonElement {
   return element;
 }
 
-function chooser(upload: Upload, cameras: string[]): HTMLElement {
+function chooser(upload: Upload, cameras: string[], words: string): HTMLElement {
   const select = made("select", "") as HTMLSelectElement;
   select.dataset.place = upload.url;
-  select.setAttribute("aria-label", "Which camera took this photograph?");
-  select.append(new Option("Choose the camera", ""), ...cameras.map((camera) => new Option(title(camera), camera)));
+  const which = upload.camera === null ? "" : `: the photograph of ${title(upload.camera)}`;
+  select.setAttribute("aria-label", upload.state === "checked" ? "Which camera took this photograph?" : `${words}${which}`);
+  select.append(new Option(words, ""), ...cameras.map((camera) => new Option(title(camera), camera)));
   return select;
 }
 

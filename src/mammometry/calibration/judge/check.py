@@ -20,6 +20,7 @@ from mammometry.calibration.adjust.calibrated import Calibration, ParameterCovar
 from mammometry.calibration.adjust.initialise import resect
 from mammometry.calibration.adjust.projection import intrinsics_of
 from mammometry.calibration.detection.detect import Detection, Observations
+from mammometry.calibration.judge.camera_names import check_board_names
 from mammometry.calibration.judge.moved_cameras import Agreement, Motion
 from mammometry.calibration.judge.reconstruction import MovedPair, moved_pair
 from mammometry.calibration.judge.sighting import (
@@ -121,6 +122,8 @@ class RigCheck:
     """Pair of a moved camera → effect on the points it measures. Read-only."""
     world_from_target: Mapping[str, Transform]
     """Exposure → where the cameras that stood still see the target. Read-only."""
+    exchanged: tuple[str, ...] = ()
+    """Two cameras whose pictures, exchanged, agree with the calibration. Empty where none do."""
 
     @property
     def effect_mm(self) -> float:
@@ -186,9 +189,11 @@ def check(reference: Reference, observations: Observations, settings: CheckSetti
         )
     lenses = list(_about_lenses(checks, reference))
     unseen = tuple(name for name in reference.rig.cameras if name not in cameras)
+    exchanged = _exchanged(reference.rig, observations) if lenses or verdict == "refuse" else ()
     return RigCheck(
         verdict="refuse" if lenses else verdict,
         reasons=(
+            *_about_exchange(exchanged),
             *lenses,
             *_about_moves(checks, candidates, pairs, settings),
             *_about_unseen(unseen),
@@ -199,7 +204,26 @@ def check(reference: Reference, observations: Observations, settings: CheckSetti
         alternatives=tuple(candidates) if chosen else (),
         pairs=pairs,
         world_from_target=agreement.placed,
+        exchanged=exchanged,
     )
+
+
+def _exchanged(rig: Rig, observations: Observations) -> tuple[str, ...]:
+    """Two cameras whose pictures are exchanged in every exposure that shows it."""
+    exposures: dict[str, dict[str, Detection]] = {}
+    for detection in observations.detections:
+        exposures.setdefault(detection.pose, {})[detection.camera] = detection
+    found = {check_board_names(rig, seen) for seen in exposures.values()}
+    both = found.pop() if len(found) == 1 else None
+    return () if both is None else both
+
+
+def _about_exchange(exchanged: tuple[str, ...]) -> Iterator[str]:
+    if exchanged:
+        yield (
+            f"the pictures of {' and '.join(exchanged)} seem to be exchanged: by the calibration, each shows the "
+            "other's view. Give each the name of the camera that took it, and check again"
+        )
 
 
 def _check_sizes(rig: Rig, observations: Observations) -> None:

@@ -6,6 +6,7 @@ import os
 import shutil
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -79,26 +80,39 @@ def note(sha256: str, photograph: Photograph) -> None:
         _features.pop(old, None)
 
 
-def check(visit: Visit, photographs: tuple[tuple[str, str, Path], ...]) -> list[Finding]:
+Placed = tuple[tuple[str, str, Path], ...]
+"""Camera, digest and place of each photograph."""
+
+
+@dataclass(frozen=True, slots=True)
+class NamesChecked:
+    """What the photographs say together of their cameras."""
+
+    findings: tuple[Finding, ...] = ()
+    exchanged: Mapping[str, str] = field(default_factory=dict)
+    """Camera → camera in whose place its photograph is."""
+
+
+def check(visit: Visit, photographs: Placed) -> NamesChecked:
     """Say which photographs are exchanged, or do not belong to the others.
 
     Args:
         visit: with its calibration, if it has one.
-        photographs: camera, digest and place of each.
+        photographs: those in place.
     """
     calibration = visit.calibration
     if calibration is None or not calibration.figures:
-        return []
-    return list(_checked(str(the_clinic().folder / calibration.folder), photographs))
+        return NamesChecked()
+    return _checked(str(the_clinic().folder / calibration.folder), photographs)
 
 
 @lru_cache(maxsize=32)
-def _checked(calibration: str, photographs: tuple[tuple[str, str, Path], ...]) -> tuple[Finding, ...]:
+def _checked(calibration: str, photographs: Placed) -> NamesChecked:
     try:
         rig = _rig(calibration)
         seen = {camera: _seen(sha256, path) for camera, sha256, path in photographs if camera in rig.cameras}
     except MammometryError:  # the job says what is wrong with the calibration, or with a photograph
-        return ()
+        return NamesChecked()
     names = check_names(rig, seen)
     wrong = wrong_photographs(names, rig.pair_names)
     findings = [
@@ -108,7 +122,46 @@ def _checked(calibration: str, photographs: tuple[tuple[str, str, Path], ...]) -
         pairs = ", ".join(names.unknown)
         sentence = f"Too little texture to tell whether the photographs of pair {pairs} belong to their cameras."
         findings.append(Finding("names", "unknown", sentence))
-    return tuple(findings)
+    return NamesChecked(tuple(findings), dict(names.exchanged))
+
+
+def cameras_by_geometry(visit: Visit, placed: Placed, unnamed: Placed) -> dict[str, str]:
+    """Digest of each photograph whose camera nobody said → the camera that took it, by the calibration.
+
+    Args:
+        visit: with its calibration, if it has one.
+        placed: photographs in place.
+        unnamed: those without; of each the camera is any one that has no photograph yet, each once.
+
+    Returns:
+        Empty where it cannot be told of all.
+    """
+    calibration = visit.calibration
+    if calibration is None or not calibration.figures or not unnamed:
+        return {}
+    return dict(_by_geometry(str(the_clinic().folder / calibration.folder), placed, unnamed))
+
+
+@lru_cache(maxsize=32)
+def _by_geometry(calibration: str, placed: Placed, unnamed: Placed) -> tuple[tuple[str, str], ...]:
+    try:
+        rig = _rig(calibration)
+        seen = {camera: _seen(sha256, path) for camera, sha256, path in (*placed, *unnamed)}
+    except MammometryError:
+        return ()
+    if set(seen) != set(rig.cameras):
+        return ()
+    moves = check_names(rig, seen).exchanged
+    if set(moves) & {camera for camera, *_ in placed}:
+        return ()  # one that is in place seems to be wrong
+    right = {camera: moves.get(camera, camera) for camera in rig.cameras}
+    after = check_names(rig, {camera: seen[source] for camera, source in right.items()})
+    asked = {camera for camera, *_ in unnamed}
+    told = all(after.pairs[pair].sure for pair, both in rig.pair_names.items() if asked & set(both))
+    if not (after.right and told):
+        return ()
+    digests = {camera: sha256 for camera, sha256, _ in unnamed}
+    return tuple((digests[right[camera]], camera) for camera in sorted(asked))
 
 
 @lru_cache(maxsize=8)
@@ -145,6 +198,7 @@ def look(upload: Upload, target: Target) -> tuple[list[Finding], dict[str, Any]]
     exposure = read_exposure(upload.path)
     known = known_cameras(target)
     named = next((check.get("named") for check in upload.checks if check.get("named")), None)
+    file = next((check.get("file") for check in upload.checks if check.get("file")), None)
     if not upload.camera:
         upload.camera = checks.camera_of_serial(exposure.serial, known) or ""
     megapixels = header.stored_wh[0] * header.stored_wh[1] / 1e6
@@ -162,7 +216,8 @@ def look(upload: Upload, target: Target) -> tuple[list[Finding], dict[str, Any]]
     if isinstance(target, DailyCheck):
         findings += known_photograph(upload, target, pixels, exposure.taken_s)
     small_picture(_roughly(photograph, _LONGEST_PX), thumbnail_path(upload))
-    return findings, {"serial": exposure.serial, "taken_s": exposure.taken_s, "named": named, "pixels": pixels}
+    seen = {"serial": exposure.serial, "taken_s": exposure.taken_s, "named": named, "pixels": pixels}
+    return findings, seen if file is None else {**seen, "file": file}
 
 
 def known_cameras(target: Target) -> dict[str, KnownCamera]:

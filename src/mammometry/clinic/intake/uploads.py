@@ -7,7 +7,7 @@ session in one step: a session never holds half a photograph, or one that was re
 
 import re
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,6 +41,7 @@ from mammometry.clinic.intake.places import (
     target_of,
     uploads_of,
 )
+from mammometry.clinic.intake.reassign import reassign
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Upload, Visit
 from mammometry.clinic.site import the_clinic
@@ -48,6 +49,8 @@ from mammometry.io.write import disk_errors, file_digest, sync_folder
 
 CHUNK_BYTES = 4 << 20
 """Largest piece: a second on a slow line, and little enough to hold in memory."""
+_BY_A_CAMERA = re.compile(r"[A-Za-z]{0,4}[_-]?\d{2,8}\.[A-Za-z]{3,4}")
+"""Names that cameras give their files, such as IMG_0001.JPG, DSC01234.JPG, P1010001.JPG."""
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _ENDINGS = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png", b"II*\x00": ".tif", b"MM\x00*": ".tif"}
 _LOCK_S = 5.0  # that one piece waits for another of the same photograph
@@ -63,7 +66,7 @@ class Announced:
     """A sender's announcement of a file, before its bytes come in."""
 
     name: str
-    """The sender's name of it. Only whether it names a camera is kept."""
+    """The sender's name of it. Kept is whether it names a camera, and a name that a camera gave (IMG_0001.JPG)."""
     camera: str | None
     """In whose place it is put. None: its name or its EXIF says so."""
     pose: str = ""
@@ -111,6 +114,8 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
             f"{f'Pose {pose}' if of_pose else 'This'} has another photograph of {camera or named} already."
         )
     named_by = [Finding("name", "ok", f"The file is called {named}.").as_table()] if named else []
+    if not named and _BY_A_CAMERA.fullmatch(file.name):  # any other name may be a patient's, and is not kept
+        named_by = [{**Finding("name", "unknown", f"The file is called {file.name}.").as_table(), "file": file.name}]
     with transaction.atomic():
         upload = Upload.objects.create(
             **{field_of(target): target},
@@ -179,21 +184,49 @@ def resumed(upload: Upload) -> Upload:
 
 
 def place(upload: Upload, camera: str) -> Upload:
-    """Say by hand which camera took a photograph. For files whose name and EXIF do not say it.
+    """Say by hand which camera took a photograph, or change that.
+
+    The photograph in that camera's place, if there is one, takes the former place of one that is in place already.
 
     Raises:
-        UploadError: it has a place already, or the rig has no such camera.
+        UploadError: it has not arrived, the rig has no such camera, or it cannot be this camera's.
+        StorageError: the disk is full or refuses.
     """
     target = target_of(upload)
     require_open(target)
-    if upload.state != Upload.State.CHECKED:
-        raise UploadError("This photograph has a place already, or has not arrived.")
+    if upload.state not in (Upload.State.CHECKED, Upload.State.PLACED):
+        raise UploadError("This photograph is not here, or has not arrived.")
     if camera not in cameras_of(rig_of(target).definition):
         raise UploadError(f"This rig has no camera {camera[:40]!r}.", 400)
-    upload.camera, upload.name = camera, place_of(target, pose_of(upload), camera)
-    _judge_and_place(upload)
+    if upload.state == Upload.State.PLACED:
+        if camera != upload.camera:
+            taken = _has_photograph(target, pose_of(upload), camera)
+            back = {upload.camera: camera} if taken else {}
+            reassign(target, {camera: upload.camera, **back}, "Its camera was chosen by hand.", pose_of(upload))
+            note_ready(target, changed=True)
+    else:
+        upload.camera, upload.name = camera, place_of(target, pose_of(upload), camera)
+        _judge_and_place(upload)
     upload.refresh_from_db()
     return upload
+
+
+def put_right(visit: Visit, exchanged: Mapping[str, str]) -> None:
+    """Give exchanged photographs to the cameras that took them, by the calibration.
+
+    Args:
+        visit: whose.
+        exchanged: camera → camera in whose place its photograph is, as the page showed it.
+
+    Raises:
+        UploadError: the visit is being measured, or something else is exchanged now.
+        StorageError: the disk is full or refuses.
+    """
+    require_open(visit)
+    if not exchanged or dict(exchanged) != _exchanged(visit):
+        raise UploadError("The photographs were changed meanwhile. Load the page again.")
+    reassign(visit, exchanged, "By the calibration, this camera took it.")
+    note_ready(visit, changed=True)
 
 
 def remove(upload: Upload) -> None:
@@ -264,6 +297,8 @@ def table_of(upload: Upload) -> dict[str, Any]:
         "state": upload.state,
         "checks": [{name: check[name] for name in ("check", "ok", "level", "sentence")} for check in upload.checks],
         "has_thumbnail": thumbnail_path(upload).is_file(),
+        "file": _facts(upload)[1].get("file"),
+        "by_hand": upload.state == Upload.State.PLACED and not _facts(upload)[1].get("serial"),
     }
 
 
@@ -304,6 +339,8 @@ def state_of(target: Target) -> dict[str, Any]:
         "cameras": rows,
         "missing": missing,
         "together": [finding.as_table() for finding in together],
+        "exchanged": _exchanged(target) if isinstance(target, Visit) and refuses(together) else {},
+        "by_geometry": _by_geometry(target, placed.values(), missing) if isinstance(target, Visit) else {},
         "ready": ready,
         **common,
     }
@@ -392,15 +429,33 @@ def _together(target: Target, placed: Sequence[Upload]) -> list[Finding]:
     same = {camera: table.get("pixels") or upload.sha256 for upload in placed for camera, table in [_facts(upload)]}
     findings = [checks.together(taken, clock_s), *checks.twice(same)]
     if isinstance(target, Visit) and not refuses(findings):
-        folder = folder_of(target)
-        findings += photographs.check(
-            target, tuple((upload.camera, upload.sha256, folder / upload.name) for upload in placed)
-        )
+        findings += photographs.check(target, _shots(target, placed)).findings
     if isinstance(target, DailyCheck) and not target.figures:  # another check may have been judged since they came
         for upload in placed:
             _, table = _facts(upload)
             findings += known_photograph(upload, target, table.get("pixels", ""), table.get("taken_s"))
     return findings
+
+
+def _shots(visit: Visit, placed: Iterable[Upload]) -> photographs.Placed:
+    return tuple((upload.camera, upload.sha256, visit.folder / upload.name) for upload in placed)
+
+
+def _exchanged(visit: Visit) -> dict[str, str]:
+    """Camera → camera in whose place its photograph is, by the calibration."""
+    placed = uploads_of(visit).filter(state=Upload.State.PLACED)
+    newest = {upload.camera: upload for upload in placed if upload.camera}
+    return dict(photographs.check(visit, _shots(visit, newest.values())).exchanged)
+
+
+def _by_geometry(visit: Visit, placed: Iterable[Upload], missing: Sequence[str]) -> dict[str, str]:
+    """Upload without a camera → its camera by the calibration, where it can be told of all."""
+    unnamed = list(uploads_of(visit).filter(state=Upload.State.CHECKED, camera=""))
+    if len(unnamed) != len(missing):
+        return {}
+    shots = tuple((camera, row.sha256, row.path) for camera, row in zip(missing, unnamed, strict=True))
+    told = photographs.cameras_by_geometry(visit, _shots(visit, placed), shots)
+    return {str(row.pk): told[row.sha256] for row in unnamed if row.sha256 in told}
 
 
 def _facts(upload: Upload) -> tuple[str, dict[str, Any]]:

@@ -137,7 +137,9 @@ def _checked(check: DailyCheck, figures: Mapping[str, Any]) -> None:
     reasons = [str(reason).removeprefix("no camera moved: ") for reason in figures.get("reasons") or [""]]
     unseen = [str(name) for name in figures.get("unseen") or ()]
     words = f"{_VERDICTS.get(verdict, verdict)} {_sentence(reasons[0])}".strip()
-    if unseen:
+    if exchanged := [str(name).replace("_", " ") for name in figures.get("exchanged") or ()]:
+        words = f"The photographs of {' and '.join(exchanged)} are exchanged: put them right, and check again."
+    elif unseen:
         which = f"Camera {unseen[0]}" if len(unseen) == 1 else f"Cameras {', '.join(unseen)}"
         words = f"{which} saw no board: photograph it again, where every camera sees it. {words}"
     check.verdict = words[:_LONGEST]

@@ -28,7 +28,9 @@ from mammometry.capture.sessions import share_calibration, take_over
 from mammometry.hospital.gather import quantities
 from mammometry.io import drift
 from mammometry.io.photographs.images import EXTENSIONS, read_header
+from mammometry.io.photographs.same_pixels import pixels_digest
 from mammometry.io.photographs.tags import read_exposure
+from mammometry.io.session import Session
 from mammometry.job.stages.calibrate import cameras as cameras_product
 from mammometry.job.stages.measure import boundaries
 from mammometry.measure.volume.attribution import curve_digest
@@ -243,17 +245,28 @@ def check(progress: StageProgress, calibration: str, folder: str, settings: str)
     progress("check", 0.0)
     now = job.plan[cameras_product].key.digest[:12]
     entries = drift.read_history(Path(calibration)).entries
-    entry = next((entry for entry in entries if entry.image_set == folder and entry.calibration == now), None)
+    same = [entry for entry in entries if entry.image_set == folder and entry.calibration == now]
+    pixels = _pixels(job.session, Path(folder)) if same else {}  # two of them may have been exchanged meanwhile
+    entry = next((entry for entry in same if entry.photographs in ({}, pixels)), None)
     unseen: list[str] = []
+    exchanged: tuple[str, ...] = ()
     if entry is None:
         result = job.check(folder, progress=lambda fraction: progress("check", fraction))
-        unseen = list(result.unseen)
-        entry = next(entry for entry in drift.read_history(Path(calibration)).entries if entry.image_set == folder)
+        unseen, exchanged = list(result.unseen), result.exchanged
+        history = drift.read_history(Path(calibration)).entries
+        entry = next(entry for entry in reversed(history) if entry.image_set == folder)
     else:
         unseen = sorted(set(job.session.cameras) - set(entry.cameras))
     figures = {**drift.entry_table(entry), "image_set": Path(folder).name, "unseen": unseen}
+    figures["exchanged"] = list(exchanged)
     figures["limit_mm"] = job.settings.calibration.check.refuse_mm
     return {"digest": _digest(figures), "figures": _finite(figures)}
+
+
+def _pixels(session: Session, folder: Path) -> dict[str, str]:
+    """Exposure and camera → digest of the photograph's pixels."""
+    photographs, _ = session.image_set(folder)
+    return {"/".join(shot): pixels_digest(photograph) for shot, photograph in photographs.items()}
 
 
 def compare(

@@ -16,6 +16,7 @@ from mammometry.clinic import rig_history
 from mammometry.clinic.intake import left_out
 from mammometry.clinic.intake.photographs import screen_picture
 from mammometry.clinic.intake.places import UploadError
+from mammometry.clinic.intake.reassign import exchange_of_check, put_check_right
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Calibration, DailyCheck, Rig
 from mammometry.clinic.rig_form import RigForm, board_of, board_svg, is_measured
@@ -152,9 +153,25 @@ def check(request: HttpRequest, check: uuid.UUID) -> HttpResponse:
         "check": shown,
         "rig": shown.rig,
         "job": shown.jobs.order_by("-created").first(),
+        "exchange": exchange_of_check(shown),
         **_figures(shown.figures),
     }
     return render(request, "clinic/check.html", context)
+
+
+def check_put_right(request: HttpRequest, check: uuid.UUID) -> HttpResponse:
+    """Exchange the photographs of a check that are exchanged, and judge it again."""
+    shown = get_object_or_404(DailyCheck.objects.select_related("rig", "calibration"), pk=check)
+    if request.method == "POST" and shown.jobs.filter(state__in=queue.OPEN).exists():
+        messages.error(request, "This is being judged. Wait until it is done.")
+    elif request.method == "POST":
+        try:
+            put_check_right(shown)
+        except UploadError as error:
+            messages.error(request, str(error))
+        else:
+            queue.enqueue(shown, person_of(request))
+    return redirect("check", check=shown.pk)
 
 
 _SINGLE = (

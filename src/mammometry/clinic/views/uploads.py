@@ -92,6 +92,17 @@ def place(request: HttpRequest, upload: UUID) -> HttpResponseBase:
 
 
 @json_view("POST")
+def put_right(request: HttpRequest, visit: UUID) -> HttpResponseBase:
+    """Give exchanged photographs to the cameras that took them."""
+    row = visit_or_404(visit)
+    exchanged = json_body(request).get("exchanged")
+    if not isinstance(exchanged, dict):
+        raise Refused("Say which photographs are exchanged.", 400)
+    uploads.put_right(row, exchanged)
+    return _state(row)
+
+
+@json_view("POST")
 def back(request: HttpRequest, upload: UUID) -> HttpResponseBase:
     """Bring a photograph back that was set aside."""
     row = _find(request, upload)

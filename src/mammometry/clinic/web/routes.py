@@ -111,6 +111,7 @@ PAGES = [
         audited=False,
     ),
     route("checks/<uuid:check>/", rigs.check, "check", _SEES_RIGS),
+    route("checks/<uuid:check>/put-right/", rigs.check_put_right, "check-put-right", RIGS),
     route("study/", study.study, "study", STUDY),
     route("study/cohort.csv", study.study_csv, "study-csv", STUDY),
     route("study/redcap.zip", study.study_redcap, "study-redcap", STUDY),
@@ -196,6 +197,7 @@ WORK = [
         "uploads/<uuid:upload>/thumbnail/", uploads.thumbnail, "upload-thumbnail", PHOTOGRAPHS, audited=False
     ),  # the page that shows it is an entry
     route("uploads/<uuid:upload>/screen/", uploads.screen, "upload-screen", CARE),
+    route("visits/<uuid:visit>/put-right/", uploads.put_right, "visit-put-right", CARE, atomic=False),
     route("visits/<uuid:visit>/uploads/", uploads.of_visit, "visit-uploads", CARE, audited=False),
     route(
         "calibrations/<uuid:calibration>/uploads/", uploads.of_calibration, "calibration-uploads", RIGS, audited=False
