@@ -156,12 +156,12 @@ def _by_geometry(calibration: str, placed: Placed, unnamed: Placed) -> tuple[tup
         return ()  # one that is in place seems to be wrong
     right = {camera: moves.get(camera, camera) for camera in rig.cameras}
     after = check_names(rig, {camera: seen[source] for camera, source in right.items()})
-    asked = {camera for camera, *_ in unnamed}
-    told = all(after.pairs[pair].sure for pair, both in rig.pair_names.items() if asked & set(both))
-    if not (after.right and told):
+    without_names = {camera for camera, *_ in unnamed}
+    is_sure = all(after.pairs[pair].sure for pair, both in rig.pair_names.items() if without_names & set(both))
+    if not (after.right and is_sure):
         return ()
     digests = {camera: sha256 for camera, sha256, _ in unnamed}
-    return tuple((digests[right[camera]], camera) for camera in sorted(asked))
+    return tuple((digests[right[camera]], camera) for camera in sorted(without_names))
 
 
 @lru_cache(maxsize=8)

@@ -97,7 +97,7 @@ def _move_files(goals: Mapping[Path, Path]) -> None:
 
 
 def exchange_of_check(check: DailyCheck) -> list[tuple[Upload, Upload]]:
-    """Of a judged check whose photographs are exchanged: what is in each camera's place, and what belongs there."""
+    """What is in each exchanged camera's place of a check, and what belongs there."""
     cameras = check.figures.get("exchanged") or ()
     placed = {row.camera: row for row in uploads_of(check).filter(state=Upload.State.PLACED)}
     if len(cameras) != 2 or not set(cameras) <= set(placed):

@@ -454,8 +454,8 @@ def _by_geometry(visit: Visit, placed: Iterable[Upload], missing: Sequence[str])
     if len(unnamed) != len(missing):
         return {}
     shots = tuple((camera, row.sha256, row.path) for camera, row in zip(missing, unnamed, strict=True))
-    told = photographs.cameras_by_geometry(visit, _shots(visit, placed), shots)
-    return {str(row.pk): told[row.sha256] for row in unnamed if row.sha256 in told}
+    cameras = photographs.cameras_by_geometry(visit, _shots(visit, placed), shots)
+    return {str(row.pk): cameras[row.sha256] for row in unnamed if row.sha256 in cameras}
 
 
 def _facts(upload: Upload) -> tuple[str, dict[str, Any]]:
