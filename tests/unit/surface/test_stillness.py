@@ -8,13 +8,15 @@ import pytest
 from moving_rig import RADII, calibrated_rig, measured, standing
 
 from mammometry.base.errors import MammometryError, MatchingError, SurfaceError
+from mammometry.base.photograph import Photograph
 from mammometry.calibration.judge.pose_motion import shifts
 from mammometry.job.stages import surface as stages
 from mammometry.matching.foreground.outlines_first import OF_PARTNER
 from mammometry.surface.motion import motion_test as stillness
 from mammometry.surface.motion import rigid_motion as motions
 from mammometry.surface.motion.agreement import differences
-from mammometry.surface.motion.motion_test import concerns, find, retriangulated, summary
+from mammometry.surface.motion.motion_test import concerns, find, summary
+from mammometry.surface.motion.moved_images import retriangulated
 from mammometry.surface.motion.rigid_motion import Observed, most_probable, motion_parameters, rigid_motions
 from mammometry.surface.settings import StillnessSettings
 
@@ -271,11 +273,18 @@ def test_missing_outlines_are_named_before_cameras_are_said_to_have_moved():
     _, images, rows = capture({"right_l": np.array([0.0, np.radians(0.3), 0.0])})
     ranges, cameras = {image.name: image for image in images}, SimpleNamespace(rig=RIG)
     stopping = SimpleNamespace(surface=SimpleNamespace(stillness=StillnessSettings(most_mm=1.0)))
+    plain = Photograph(name="a", pixels=np.full((150, 150), 90, np.uint8))
+    inputs = SimpleNamespace(photographs=dict.fromkeys(RIG.cameras, plain))
 
     def refusal(doubts):
         with pytest.raises(MammometryError) as refused:
             stages.stillness.function(
-                cameras, None, ranges, rows, SimpleNamespace(doubts=doubts), job=SimpleNamespace(settings=stopping)
+                cameras,
+                None,
+                ranges,
+                rows,
+                SimpleNamespace(doubts=doubts),
+                job=SimpleNamespace(settings=stopping, inputs=inputs),
             )
         return refused.value
 

@@ -15,7 +15,8 @@ from mammometry.geometry.arrays import Array, Float32, Float64
 
 WIDTH_PX = 450
 """Columns, about, of the reduced picture: hundreds still match, as many as of 600, in three quarters of the time."""
-_MOST = 1000  # features of a picture, the strongest; more cost time and tell nothing new
+MOST = 1000
+"""Features of a picture, the strongest: more cost time and tell no more of where it was taken."""
 _CONTRAST = 0.01  # of a feature; skin is weak: OpenCV's usual 0.04 leaves a tenth of them
 _COARSE_STEP = 4  # pixels to one of the reduced picture, from which on half of each row and column are left out
 _RATIO = 0.8  # of the nearest to the second nearest descriptor; Lowe 2004, section 7.1
@@ -35,10 +36,10 @@ class Keypoints:
     descriptors: Float32[Array, "n 128"]
 
 
-def keypoints(photograph: Photograph) -> Keypoints:
-    """Find features in a picture reduced to about `WIDTH_PX` columns."""
+def keypoints(photograph: Photograph, width_px: int = WIDTH_PX, most: int = MOST) -> Keypoints:
+    """Find features in a picture reduced to about `width_px` columns, the strongest `most`."""
     pixels = photograph.pixels
-    step = max(1, round(pixels.shape[1] / WIDTH_PX))
+    step = max(1, round(pixels.shape[1] / width_px))
     if pixels.dtype == np.uint16:
         pixels = (pixels >> 8).astype(np.uint8)
     # Green alone: 13.5 million pixels of three colours take ten times as long to reduce.
@@ -51,7 +52,7 @@ def keypoints(photograph: Photograph) -> Keypoints:
     inside = grey[: height * step // thin, : width * step // thin]
     small = cv2.resize(inside, (width, height), interpolation=cv2.INTER_AREA)
     small = cv2.createCLAHE(clipLimit=4.0, tileGridSize=(8, 8)).apply(small)
-    found, descriptors = cv2.SIFT.create(nfeatures=_MOST, contrastThreshold=_CONTRAST).detectAndCompute(small, None)
+    found, descriptors = cv2.SIFT.create(nfeatures=most, contrastThreshold=_CONTRAST).detectAndCompute(small, None)
     if not found:
         return Keypoints(uv=np.empty((0, 2)), descriptors=np.empty((0, 128), np.float32))
     uv = np.array([point.pt for point in found], dtype=np.float64)

@@ -84,6 +84,9 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "surface.agreement:RowErrors": "mammometry.surface.motion.agreement:RowErrors",
         "surface.atlas:Atlas": "mammometry.surface.texture.texture_atlas:Atlas",
         "surface.occluders:Blocked": "mammometry.surface.occlusion:Occlusion",
+        "surface.feature_evidence:CorrectionEvidence": (
+            "mammometry.surface.motion.feature_evidence:CorrectionEvidence"
+        ),
         "surface.dents:Kept": "mammometry.surface.ranges.dents:KeepMasks",
         "surface.dents:ValidPatches": "mammometry.surface.ranges.dents:ValidPatches",
         "surface.motions:Unknowns": "mammometry.surface.motion.rigid_motion:MotionParameters",

@@ -36,7 +36,7 @@ def range_image(disparity: DisparityMap, *, job: Context) -> RangeImage:
     return triangulate(disparity, job.settings.surface.triangulate)
 
 
-@product("surface", version=5, settings="surface.stillness")
+@product("surface", version=6, settings="surface.stillness")
 def stillness(
     cameras: CameraSet,
     calibration: Calibration | None,
@@ -48,12 +48,20 @@ def stillness(
 ) -> Stillness:
     """Motion between calibration and exposures, by pairs that see the same skin."""
     from mammometry.matching.foreground.outlines_first import outlines_first
+    from mammometry.surface.motion import feature_evidence
     from mammometry.surface.motion import motion_test as stillness
 
     covariance = None if calibration is None else calibration.covariance
     images = tuple(range_images.values())
     with outlines_first({} if subjects is None else subjects.doubts):
-        return stillness.find(cameras.rig, images, vertical_residuals, covariance, job.settings.surface.stillness)
+        return stillness.find(
+            cameras.rig,
+            images,
+            vertical_residuals,
+            covariance,
+            job.settings.surface.stillness,
+            shared=lambda: feature_evidence.shared_features(cameras.rig, job.inputs.photographs),
+        )
 
 
 @product("surface", version=2, name="stood")

@@ -8,18 +8,19 @@ apart, as when the chest breathes, their points are moved smoothly as well (docs
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
-from scipy import ndimage
 
 from mammometry.base.errors import SurfaceError
 from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import ParameterCovariance
-from mammometry.geometry import Array, Camera, Float64, Rig, StereoPair, Transform
+from mammometry.geometry import Array, Camera, Float64, Rig, Transform
 from mammometry.surface.motion.agreement import RowErrors, differences
+from mammometry.surface.motion.feature_evidence import CorrectionEvidence, SharedFeatures, weigh_correction
+from mammometry.surface.motion.moved_images import displaced, retriangulated
 from mammometry.surface.motion.rigid_motion import (
     BREATHS_MM,
     LEAST_EVIDENCE,
@@ -36,7 +37,6 @@ from mammometry.surface.motion.rigid_motion import (
     without_outliers,
 )
 from mammometry.surface.ranges.range_image import SIGMAS, RangeImage
-from mammometry.surface.ranges.visibility import JUMP_MM
 from mammometry.surface.settings import StillnessSettings
 
 LEAST_MM = 0.06
@@ -103,6 +103,13 @@ class Stillness:
     """Of cameras that certainly turned, the largest first."""
     displaced: tuple[Displaced, ...] = ()
     """Each pair, the most displaced first."""
+    confirmation: CorrectionEvidence | None = None
+    """What features that pairs share say of the motions, which were not found from them. None: they were not asked."""
+
+    @property
+    def refuted(self) -> bool:
+        """Whether features show that nothing moved, though pairs disagree."""
+        return self.confirmation is not None and self.confirmation.verdict == "refuted"
 
     @property
     def breathed(self) -> bool:
@@ -124,8 +131,11 @@ def find(
     rows: Mapping[str, RowErrors],
     covariance: ParameterCovariance | None = None,
     settings: StillnessSettings = StillnessSettings(),
+    shared: Callable[[], Sequence[SharedFeatures]] | None = None,
 ) -> Stillness:
     """Find what moved since the calibration, from the pairs' disagreement.
+
+    What was found is corrected only where independent evidence confirms it.
 
     Args:
         rig: as calibrated.
@@ -133,6 +143,8 @@ def find(
         rows: pair → its vertical disparity.
         covariance: of the calibration; None where the cameras came ready-made.
         settings: limits.
+        shared: gives the features that cameras of different pairs share; called where something seems to have moved.
+            None: there are no photographs, and no confirmation is asked for.
 
     Raises:
         SurfaceError: pairs disagree by more than motions of cameras explain, or than is put right.
@@ -181,10 +193,42 @@ def find(
     )
     if not (matters or found.unexplained):
         return _nothing(parameters, distance_mm=before_mm, evidence=evidence)
+    if shared is not None and evidence >= LEAST_EVIDENCE:
+        found = replace(found, confirmation=_confirmed(rig, found, shared()))
+    if found.refuted:
+        return _matched_badly(found, moved.still.rest_mm, before_mm)
     _refuse(found, settings, honest_mm)
-    if evidence >= LEAST_EVIDENCE:
+    if evidence >= LEAST_EVIDENCE and (found.confirmation is None or found.confirmation.verdict == "confirmed"):
         return replace(found, corrected=True)
     return replace(found, covariance=found.covariance + np.outer(found.motions, found.motions))
+
+
+def _confirmed(rig: Rig, found: Stillness, shared: Sequence[SharedFeatures]) -> CorrectionEvidence:
+    """What features that pairs share say of motions."""
+    parameters, motions = found.parameters, found.motions
+
+    def breathed_mm(camera: str, points: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
+        pair = next(pair for pair in rig.pair_names if camera in rig.pair_names[pair])
+        if not (found.breathed and _within(parameters, pair)):
+            return np.zeros_like(points)
+        along_mm = parameters.breath_mm(pair, points) @ motions[parameters.of_breath]
+        return along_mm[:, None] * parameters.breath_direction
+
+    return weigh_correction(rig, _moved_rig(rig, parameters, motions), breathed_mm, shared)
+
+
+def _matched_badly(found: Stillness, rest_mm: float, before_mm: float) -> Stillness:
+    """Cameras stood still, and the pairs' disagreement is matching's own. The interval covers it."""
+    return replace(
+        found,
+        motions=np.zeros_like(found.motions),
+        covariance=np.zeros_like(found.covariance),
+        rest_mm=rest_mm,
+        distance_mm=(before_mm, before_mm),
+        alone=None,
+        turns=(),
+        unexplained=True,
+    )
 
 
 def _nothing(
@@ -309,79 +353,11 @@ def _refuse(found: Stillness, settings: StillnessSettings, honest_mm: float) -> 
             f"pair {worst.pair}",
             found=f"points {worst.effect_mm:.1f} mm off the other pairs'" + (f" ({names})" if names else ""),
             expected=f"at most {settings.most_mm:g} mm, which can be corrected",
-            remedy="A camera has moved since the calibration: calibrate again",
+            remedy="A camera has moved since the calibration: calibrate again"
+            if found.confirmation is None or found.confirmation.verdict == "confirmed"
+            else "A camera has moved since the calibration, or pairs were matched badly, as on skin without texture: "
+            "calibrate again, or give the subject texture and light",
         )
-
-
-_WHOLE = 0.999  # of four neighbours' weight: all are data
-
-
-def retriangulated(image: RangeImage, before: StereoPair, after: StereoPair) -> RangeImage:
-    """Triangulate a range image again with cameras in other poses.
-
-    Each datum keeps its ray in the left camera and its ray in the right one; it is the point of the left ray nearest
-    to the right one. Rays that no longer meet in front of the camera are not valid.
-
-    Args:
-        image: as measured with `before`.
-        before: its pair.
-        after: the same cameras, posed otherwise.
-    """
-    left, right = (motion(a, b) for a, b in ((before.left, after.left), (before.right, after.right)))
-    points = image.valid_points_world()
-    rays = points - before.left.centre_world
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    rays_right = points - before.right.centre_world
-    rays_right /= np.linalg.norm(rays_right, axis=1, keepdims=True)
-    centre = left.apply(before.left.centre_world)
-    distance = _nearest(left.rotate(rays), right.rotate(rays_right), right.apply(before.right.centre_world) - centre)
-    range_mm = np.zeros_like(image.range_mm)
-    range_mm[image.valid] = distance
-    good = np.isfinite(range_mm) & (range_mm > 0)
-    moved = replace(image.camera, camera_from_world=image.camera.camera_from_world @ left.inverse())
-    return replace(image, camera=moved, range_mm=np.where(good, range_mm, np.float32(0))).keeping(good)
-
-
-def displaced(image: RangeImage, shift_world: Float64[Array, "n 3"]) -> RangeImage:
-    """Move the points of a range image by small, smooth shifts, and look at them from the same place.
-
-    What a pixel sees then is interpolated between the moved neighbours of the point that comes to lie there.
-
-    Args:
-        image: the data.
-        shift_world: of each valid datum, in row order, mm.
-    """
-    points = image.valid_points_world()
-    rows, columns = np.nonzero(image.valid)
-    come_from = 2 * np.stack([columns, rows], axis=1) - image.camera.project(points + shift_world)
-    ray = points - image.camera.centre_world
-    further_mm = np.linalg.norm(ray + shift_world, axis=1) - np.linalg.norm(ray, axis=1)
-    known = np.zeros((2, *image.valid.shape), dtype=np.float32)
-    known[0], known[1][image.valid] = image.range_mm, further_mm
-    at = come_from[:, ::-1].T
-    range_mm = sum(ndimage.map_coordinates(part, at, order=1, mode="nearest") for part in known)
-    nearest = tuple(np.clip(np.rint(at).astype(np.intp), 0, np.array(image.valid.shape)[:, None] - 1))
-    whole = ndimage.map_coordinates(image.valid.astype(np.float32), at, order=1, mode="constant") > _WHOLE
-    whole &= np.abs(range_mm - image.range_mm[nearest]) < JUMP_MM
-    moved, kept = np.zeros_like(image.range_mm), np.zeros_like(image.valid)
-    moved[image.valid], kept[image.valid] = np.where(whole, range_mm, 0.0), whole
-    return replace(image, range_mm=moved, valid=kept).keeping(kept)
-
-
-def motion(before: Camera, after: Camera) -> Transform:
-    """Motion between two poses of a camera, world frame."""
-    found: Transform = after.camera_from_world.inverse() @ before.camera_from_world
-    return found
-
-
-def _nearest(
-    rays: Float64[Array, "n 3"], others: Float64[Array, "n 3"], baseline: Float64[Array, 3]
-) -> Float64[Array, " n"]:
-    """Distance along each ray to the point nearest the other ray, mm."""
-    cosine = np.einsum("ij,ij->i", rays, others)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        distance: Float64[Array, " n"] = (rays @ baseline - cosine * (others @ baseline)) / (1 - cosine**2)
-    return distance
 
 
 _MOST_PART, _LITTLE = 0.7, 0.35
@@ -399,11 +375,19 @@ def concerns(found: Stillness, outline_advice: Mapping[str, str] = MappingProxyT
     if not found.moved:
         return
     before_mm, after_mm = found.distance_mm
+    if found.refuted:
+        yield (
+            f"Pairs measured the same skin {before_mm:.2f} mm apart (RMS), as if something had moved. What pairs share "
+            "shows that nothing did: they were matched less well, as where they see the skin aslant. Nothing was "
+            "corrected; the interval covers it. More overlap of neighbouring pairs, or more texture, helps."
+        )
+        return
     worst = found.displaced[0]
+    unconfirmed = "" if found.confirmation is None else ", since nothing else that pairs share confirms it"
     done = (
         f"That was corrected: the pairs now agree to {after_mm:.2f} mm ({before_mm:.2f} mm before)"
         if found.corrected
-        else f"That was not corrected, and the pairs disagree by {before_mm:.2f} mm"
+        else f"That was not corrected{unconfirmed}, and the pairs disagree by {before_mm:.2f} mm"
     )
     reason = outline_advice.get(worst.pair) or cause(found)
     yield (
@@ -445,6 +429,8 @@ def summary(found: Stillness) -> str:
         return "not compared: no two pairs see the same skin"
     if not found.moved:
         return f"nothing moved; pairs agree to {found.distance_mm[0]:.3f} mm (RMS)"
+    if found.refuted:
+        return f"nothing moved, though pairs agree to {found.distance_mm[0]:.3f} mm (RMS) only"
     pairs = ", ".join(
         f"{displacement.pair} {displacement.effect_mm:.2f} ± {displacement.std_mm:.2f} mm"
         for displacement in found.displaced
