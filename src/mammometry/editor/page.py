@@ -109,7 +109,7 @@ def refusal(error: MammometryError | ValidationError) -> tuple[int, dict[str, An
     if isinstance(error, ValidationError):
         return 422, {"error": sentence([dict(item) for item in error.errors(include_url=False)])}
     if isinstance(error, LateError):
-        return 409, {"error": str(error), "late": [list(item) for item in error.items]}
+        return 409, {"error": error.on_page, "late": [list(item) for item in error.items]}
     if isinstance(error, StorageError):
         _LOG.error("%s", error)
         return (507 if error.is_full else 503), {"error": str(error)}

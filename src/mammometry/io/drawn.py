@@ -256,6 +256,11 @@ class LateError(SessionError):
             "replace it by yours",
         )
         self.items = tuple(items)
+        self.on_page = (
+            f"{names.replace('_', ' ')}: a change by somebody else meanwhile ({theirs}). Both are kept: load theirs, "
+            "or replace it by yours."
+        )
+        """The same for a page, without the file's name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

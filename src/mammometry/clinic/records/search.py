@@ -1,17 +1,20 @@
 """The one search for patients, and what may be in the clinic already."""
 
 import datetime
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from django.db.models import Count, Max, Q, QuerySet
 from django.utils import timezone
 
+from mammometry.base.letters import isolated
 from mammometry.clinic.models import Patient, Rig, Upload, Visit
 from mammometry.clinic.records.search_words import plain, plain_name, read_query
 
 MANY = 50
 """Rows that a search shows; more are not read."""
+_YEAR = re.compile(r"(?:19|20)\d\d")
 _NEWEST = 8  # patients that are offered before anything is typed
 
 
@@ -28,14 +31,18 @@ def search(text: str) -> QuerySet[Patient]:
     """Patients who match every word and day that was typed.
 
     Words are parts of names, record numbers and pseudonyms, in any order. Case, accents and hyphens do not matter.
-    A day finds who was born or photographed on it.
+    A day, or a year, finds who was born or photographed on it.
     """
     query = read_query(text)
     patients = Patient.objects.all()
     if text.strip() and not query.days and not query.words:
         return patients.none()
     for word in query.words:
-        patients = patients.filter(search_words__contains=word)
+        found = Q(search_words__contains=word)
+        if _YEAR.fullmatch(word):
+            photographed = Visit.objects.filter(taken_at__year=int(word)).values("patient")
+            found |= Q(born__year=int(word)) | Q(pk__in=photographed)
+        patients = patients.filter(found)
     for days, typed in query.days:
         photographed = Visit.objects.filter(_on(days)).values("patient")
         patients = patients.filter(Q(born__in=days) | Q(pk__in=photographed) | Q(search_words__contains=typed))
@@ -135,7 +142,7 @@ def same_photographs(visit: Visit) -> list[tuple[Visit, list[str]]]:
 def elsewhere(other: Visit, cameras: Sequence[str]) -> str:
     """That photographs are in another visit too, in a sentence."""
     names = ", ".join(sorted(camera.replace("_", " ") for camera in cameras))
-    which = f"the visit of {_day(other.taken_at)} of {other.patient.pseudonym}"
+    which = f"the visit of {_day(other.taken_at)} of {isolated(other.patient.name)}"
     return f"The same photograph{'s are' if len(cameras) > 1 else ' is'} in {which}, too: {names}."
 
 

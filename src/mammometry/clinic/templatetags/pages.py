@@ -24,7 +24,7 @@ from mammometry.clinic.records.charts import Event, Reading, time_line
 from mammometry.clinic.records.comparing import Verdict
 from mammometry.clinic.records.confirmations import CHANGED
 from mammometry.clinic.records.operations import sides_of
-from mammometry.clinic.records.results import age
+from mammometry.clinic.records.results import VisitResult, age
 from mammometry.clinic.roles import Role
 from mammometry.clinic.web.once import FIELD
 from mammometry.report.words.anthropometry import Length, length_words
@@ -177,6 +177,7 @@ _ADMINISTRATION = (
 _CHIPS = {
     "new": ("", "photographs missing"),
     "uploading": ("", "photographs missing"),
+    "collecting": ("", "not calibrated yet"),
     "ready": ("care", "ready to measure"),
     "queued": ("busy", "being measured"),
     "running": ("busy", "running"),
@@ -248,6 +249,16 @@ def cc(value: float | None) -> str:
 def signed_cc(value: float | None) -> str:
     """A change of a volume in cc, with its sign."""
     return "–" if value is None else f"{value:+.0f} cc".replace("-", "−")
+
+
+@register.simple_tag
+def rounding_note(result: VisitResult) -> str:
+    """Why the printed difference is not that of the printed volumes. Empty: it is."""
+    values = [side.volume_cc for side in (*result.sides, result.difference) if side is not None]
+    if len(values) != 3 or None in values:
+        return ""
+    left, right, apart = (int(f"{value:.0f}") for value in values if value is not None)
+    return "" if left - right == apart else "Of the volumes before they are rounded."
 
 
 @register.filter

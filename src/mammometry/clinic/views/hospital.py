@@ -16,13 +16,14 @@ from django.utils import timezone
 from mammometry.base.errors import MammometryError
 from mammometry.clinic import deliveries
 from mammometry.clinic.deliveries import connection, require_libraries
-from mammometry.clinic.forms import require_dicom_text
+from mammometry.clinic.forms import FIRST_DAY, require_dicom_text
 from mammometry.clinic.models import Calibration, Delivery, Destination, Patient, Rig, Visit, VisitOrder
 from mammometry.clinic.record_form import RecordForm
 from mammometry.clinic.records.confirmations import CHANGED_SENTENCE, valid_confirmation
 from mammometry.clinic.records.results import report_file
 from mammometry.clinic.records.search import duplicates
 from mammometry.clinic.records.search_words import plain_name
+from mammometry.clinic.templatetags.pages import day
 from mammometry.clinic.views.responses import form_page, person_of
 from mammometry.hospital.peers import Peer, web_address
 
@@ -212,6 +213,13 @@ def _begun(request: HttpRequest) -> HttpResponse:
         return redirect("worklist")
     (entry,) = begun
     patient = _patient(entry)
+    if patient.born is not None and not FIRST_DAY <= patient.born <= timezone.localdate():
+        messages.error(
+            request,
+            f"The worklist says {day(patient.born)} as date of birth. It must be between 1900 and "
+            "today. Have it corrected in the hospital’s system, then choose again.",
+        )
+        return redirect("worklist")
     alike = duplicates(patient)
     if alike.same_number is not None:
         known = alike.same_number

@@ -22,9 +22,9 @@ from mammometry.base.extras import MissingLibraryError
 from mammometry.clinic.audit import record_refusal
 from mammometry.clinic.audit_entries import change_of
 from mammometry.clinic.intake.places import UploadError
-from mammometry.clinic.models import Comparison, Patient, Person, Visit
+from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Patient, Person, Visit
 from mammometry.clinic.record_form import RecordForm
-from mammometry.clinic.roles import CARE
+from mammometry.clinic.roles import CARE, RIGS
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.web.access import is_program
 from mammometry.clinic.web.security import report_policy
@@ -104,6 +104,18 @@ def require_care(request: HttpRequest, target: object) -> None:
         raise Http404
 
 
+def require_photographer(request: HttpRequest, target: object) -> None:
+    """Refuse to change photographs of the board to those who do not keep rigs, and as `require_care` does.
+
+    Raises:
+        PermissionDenied: it is of a calibration or daily check, and this person keeps no rigs.
+        Http404: it is a visit in the bin.
+    """
+    require_care(request, target)
+    if isinstance(target, Calibration | DailyCheck) and not request.user.has_role(*RIGS):  # type: ignore[union-attr]  # logged in
+        raise PermissionDenied
+
+
 def visit_or_404(key: UUID) -> Visit:
     """A visit that is not in the bin, with its patient, rig and calibration."""
     visit: Visit = get_object_or_404(Visit.objects.select_related("patient", "rig", "calibration"), pk=key)
@@ -168,8 +180,23 @@ def forbidden(request: HttpRequest, exception: Exception | None = None) -> HttpR
 
 
 def missing(request: HttpRequest, exception: Exception | None = None) -> HttpResponse:
-    """Page for 404: there is nothing at this address."""
+    """Page for 404: there is nothing at this address, or what it shows is in the bin."""
+    if _is_in_bin(request):
+        sentence = "This is in the bin. For 30 days it can be taken out again, under Corrections and bin."
+        return _page(request, 404, "In the bin", sentence)
     return _page(request, 404, "Not here", "There is no such page. It may have been erased.")
+
+
+def _is_in_bin(request: HttpRequest) -> bool:
+    """Whether the address is that of a visit or patient in the bin, and this person may know it."""
+    match = request.resolver_match
+    if match is None or not request.user.is_authenticated or not request.user.has_role(*CARE):
+        return False
+    return any(
+        model.everything.filter(pk=match.kwargs[name], binned_at__isnull=False).exists()
+        for name, model in (("visit", Visit), ("patient", Patient))
+        if name in match.kwargs
+    )
 
 
 def not_now(request: HttpRequest, error: MammometryError) -> HttpResponse:

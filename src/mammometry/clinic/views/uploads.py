@@ -13,7 +13,15 @@ from mammometry.clinic.intake.photographs import screen_picture, thumbnail_path
 from mammometry.clinic.intake.places import UploadError, target_of
 from mammometry.clinic.models import Calibration, DailyCheck, Upload, Visit
 from mammometry.clinic.records.search import elsewhere, same_photographs
-from mammometry.clinic.views.responses import Refused, json_body, json_view, require_care, text_of, visit_or_404
+from mammometry.clinic.views.responses import (
+    Refused,
+    json_body,
+    json_view,
+    require_care,
+    require_photographer,
+    text_of,
+    visit_or_404,
+)
 from mammometry.io.photographs.images import read_photograph
 
 BODY_BYTES = uploads.CHUNK_BYTES + 4096
@@ -40,7 +48,7 @@ def new(request: HttpRequest) -> HttpResponseBase:
     if model is None:
         raise Refused("Say what it is for: visit, calibration or check, and its id.", 400)
     target = get_object_or_404(model, pk=key)
-    require_care(request, target)
+    require_photographer(request, target)
     size = table.get("size_bytes")
     if not isinstance(size, int) or isinstance(size, bool):
         raise Refused("size_bytes is no whole number.", 400)
@@ -155,7 +163,10 @@ def _find(request: HttpRequest, key: UUID) -> Upload:
     related = ("visit__rig", "visit__calibration", "visit__patient", "calibration__rig", "check_of_day__rig")
     rows = Upload.objects.select_related(*related, "check_of_day__calibration")
     row: Upload = get_object_or_404(rows, pk=key)
-    require_care(request, target_of(row))
+    if request.method in ("GET", "HEAD"):
+        require_care(request, target_of(row))
+    else:
+        require_photographer(request, target_of(row))
     return row
 
 
