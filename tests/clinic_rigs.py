@@ -4,9 +4,39 @@ import datetime
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 CAMERAS = ("front_left", "front_right")
 POOR = "pose 02: 9 of 88 points of front_left were left out as outliers"
+
+
+def exchanged_check(rig: Any) -> str:
+    """A daily check that was judged: the photographs of its two cameras are exchanged."""
+    from PIL import Image
+    from tests.board_pictures import board_picture
+
+    from mammometry.clinic import rig_history
+    from mammometry.clinic.intake.photographs import small_picture, thumbnail_path
+    from mammometry.clinic.models import Upload
+    from mammometry.clinic.site import the_clinic
+    from mammometry.io.write import file_digest
+
+    check = rig_history.new_check(rig, None)
+    assert check is not None
+    folder = the_clinic().folder / check.folder
+    folder.mkdir(parents=True)
+    for number, camera in enumerate(CAMERAS):
+        path = board_picture(folder / f"{camera}.jpg", 90 + number)
+        row = Upload.objects.create(
+            check_of_day=check, camera=camera, name=path.name, size_bytes=path.stat().st_size,
+            sha256=file_digest(path), state="placed",
+        )  # fmt: skip
+        with Image.open(path) as opened:
+            small_picture(opened, thumbnail_path(row))
+    check.figures = {"verdict": "refuse", "reasons": [], "cameras": {}, "unseen": [], "exchanged": list(CAMERAS)}
+    check.verdict, check.passed = "The photographs are exchanged: put them right, and check again.", False
+    check.save()
+    return str(check.pk)
 
 
 def rendered_visits(folder: Path, captures: Path) -> list[str]:
@@ -79,6 +109,7 @@ def main(folder: Path) -> dict[str, str]:
             place.mkdir(parents=True)
             for number, camera in enumerate(CAMERAS):
                 board_picture(place / f"{camera}.jpg", 10 * pose + number)
+    logins["check"] = exchanged_check(rig)
     if len(sys.argv) > 2:
         logins["visits"] = ",".join(rendered_visits(folder, Path(sys.argv[2])))
     return logins
