@@ -236,7 +236,9 @@ def study_rows(visits: QuerySet[Visit], reference: Basis | None = None) -> Itera
                     confirmed=at is not None, confirmed_on=None if at is None else timezone.localtime(at).date(),
                     rig=rig or scanner or "", software=software, posture=posture, settings=rests_on.settings,
                     wall=rests_on.wall, boundary=rests_on.boundary,
-                    apart="" if reference is None else why_apart(rests_on, reference),
+                    apart=(
+                        "" if reference is None or changed or volume_cc is None else why_apart(rests_on, reference)
+                    ),
                     repeat_of=None if repeated is None else timezone.localtime(repeated).date(),
                 )  # fmt: skip
 
