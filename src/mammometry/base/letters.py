@@ -41,7 +41,9 @@ def name_fault(name: str) -> str | None:
 
 
 def isolated(name: str) -> str:
-    """A name for the middle of a sentence: from right to left by itself, so that it does not turn a date after it.
+    """Isolate a name's direction for the middle of a sentence.
+
+    One written from right to left would else turn a date after it.
 
     >>> isolated("Dr. B")
     'Dr. B'

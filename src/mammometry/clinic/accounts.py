@@ -100,7 +100,10 @@ class Accounts(DefaultAccountAdapter):
     def add_message(
         self, request: HttpRequest, level: int, message_template: str | None = None, *args: Any, **kwargs: Any
     ) -> None:
-        """Show our sentence in place of allauth's. The first codes come with the factor itself and replace none."""
+        """Show our sentence in place of allauth's.
+
+        The first codes come with the factor itself and replace none.
+        """
         sentence = _MESSAGES.get(message_template or "")
         first = message_template == _NEW_CODES and request.path != reverse("mfa_generate_recovery_codes")
         if sentence is not None and not first:

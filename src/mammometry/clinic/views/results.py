@@ -175,7 +175,10 @@ def save(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
 
 
 def finish(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
-    """Confirm all boundaries and landmarks in one step, and lead back to the visit, which offers what follows."""
+    """Confirm all boundaries and landmarks in one step.
+
+    The visit's page then offers the conclusion and the next visit.
+    """
     locked = get_object_or_404(Visit.objects.select_for_update(), pk=visit)
     kind: SubjectKind = "model" if locked.subject_kind == Visit.Subject.MODEL else "torso"
     try:

@@ -38,7 +38,10 @@ _DEEPEST = 63  # open brackets at most, by rule BD16
 
 
 def is_right_to_left(text: str) -> bool:
-    """Whether the first letter with a direction, outside isolates, runs from right to left (rules P2 and P3)."""
+    """Whether a text runs from right to left (rules P2 and P3).
+
+    By its first letter with a direction, outside isolates.
+    """
     kinds = map(unicodedata.bidirectional, _ISOLATED.sub("", text))
     return bool(next((_STRONG[kind] for kind in kinds if kind in _STRONG), 0))
 
