@@ -148,7 +148,7 @@ def surface(options: Options, session: SessionFolder) -> Answer:
         "watertight": mesh.is_watertight(),
         "euler_number": mesh.euler_number(),
         "apart_mm": [round(value, 4) for value in stillness.distance_mm],
-        "moved": stillness.moved,
+        "moved": stillness.moved and not stillness.refuted,
         "warnings": list(concerns(stillness, _outline_advice(job))),
     }
     closed = "closed" if table["watertight"] else "open"

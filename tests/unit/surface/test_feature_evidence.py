@@ -101,6 +101,16 @@ def test_a_correction_that_features_confirm_is_made(disagreeing):
     assert found.confirmation.verdict == "confirmed"
 
 
+@pytest.mark.parametrize(("left", "made"), [(0.5, True), (0.0, False)])
+def test_where_features_are_silent_a_correction_must_explain_the_disagreement(disagreeing, left, made, monkeypatch):
+    monkeypatch.setattr("mammometry.surface.motion.motion_test._EXPLAINED_SHARE", left)
+    _, images, rows = disagreeing
+    found = find(RIG, images, rows, shared=list)
+    assert found.confirmation.verdict == "silent"
+    assert found.corrected == made
+    assert ("was not corrected, since" in next(concerns(found))) != made
+
+
 @pytest.mark.requirement("R-CAL-2")
 def test_a_correction_that_features_refute_is_not_made_and_said(disagreeing):
     """Pairs disagree as if cameras had turned, but all that they share lies where it should."""

@@ -36,7 +36,7 @@ def range_image(disparity: DisparityMap, *, job: Context) -> RangeImage:
     return triangulate(disparity, job.settings.surface.triangulate)
 
 
-@product("surface", version=6, settings="surface.stillness")
+@product("surface", version=7, settings="surface.stillness")
 def stillness(
     cameras: CameraSet,
     calibration: Calibration | None,

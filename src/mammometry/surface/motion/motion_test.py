@@ -47,6 +47,9 @@ _FIRST_OTHER_SKIN_MM = 12.0
 """`OTHER_SKIN_MM` of the first round, mm: a camera of the reference rig turned by .1° moves skin so far."""
 _LEAST_SIGMAS = 2.0  # of a displacement, before anything is done: small, noisy pictures show rows that are none
 _SURE = 5.0  # times the least evidence: something moved, even if what it did to each pair is not certain
+_EXPLAINED_SHARE = 0.5
+"""Share of the distance between pairs that may be left by motions of which features say nothing. True motions leave a
+seventh; what was taken for motion on matte plaster two thirds."""
 _UNEXPLAINED_MM = 0.12
 """Rest above which something moved that is not rigid, mm. Clean captures leave .05 at most (docs/decisions/0027)."""
 
@@ -198,7 +201,7 @@ def find(
     if found.refuted:
         return _matched_badly(found, moved.still.rest_mm, before_mm)
     _refuse(found, settings, honest_mm)
-    if evidence >= LEAST_EVIDENCE and (found.confirmation is None or found.confirmation.verdict == "confirmed"):
+    if evidence >= LEAST_EVIDENCE and _is_trusted(found):
         return replace(found, corrected=True)
     return replace(found, covariance=found.covariance + np.outer(found.motions, found.motions))
 
@@ -215,6 +218,14 @@ def _confirmed(rig: Rig, found: Stillness, shared: Sequence[SharedFeatures]) -> 
         return along_mm[:, None] * parameters.breath_direction
 
     return weigh_correction(rig, _moved_rig(rig, parameters, motions), breathed_mm, shared)
+
+
+def _is_trusted(found: Stillness) -> bool:
+    """Whether to correct motions: features confirm them, or are silent and the motions explain the disagreement."""
+    if found.confirmation is None or found.confirmation.verdict == "confirmed":
+        return True
+    before_mm, after_mm = found.distance_mm
+    return not found.unexplained and after_mm < _EXPLAINED_SHARE * before_mm
 
 
 def _matched_badly(found: Stillness, rest_mm: float, before_mm: float) -> Stillness:
