@@ -44,6 +44,7 @@ from mammometry.io.drawn import (
     landmarks_in,
 )
 from mammometry.io.meshes.foreign import ForeignMesh, read_foreign, unit_remark
+from mammometry.io.meshes.merged import merge_scans, sigma_mm, stored_sources
 from mammometry.io.meshes.scans import SIDES_DOUBTFUL, Scan, skin_colours
 from mammometry.io.outputs import require_apart, require_own_folder, take_folder
 from mammometry.io.results.store import Store, Watch, unwatched
@@ -112,6 +113,8 @@ class MeshFiles:
     """Whether a person has confirmed that left and right of the mesh are the patient's."""
     scan: Scan | None = None
     """What an imported scan's folder says. None: the mesh was not imported."""
+    also: tuple[Path, ...] = ()
+    """Further scans of the same visit and posture, in the same unit, which are merged with `mesh`."""
 
 
 class MeshJob(Reported):
@@ -148,11 +151,12 @@ class MeshJob(Reported):
         from mammometry.measure.scan_front import front_of_body
         from mammometry.measure.scan_repair import repair_scan
 
-        require_apart(folder, (files.mesh, files.boundary, files.landmarks, files.back))
+        require_apart(folder, (files.mesh, *files.also, files.boundary, files.landmarks, files.back))
         require_own_folder(folder, command=_COMMAND)
         check_mesh(files.mesh, (files.boundary, files.landmarks), folder, files.subject)
         drawn = DrawnBoundaries() if files.boundary is None else boundaries_in(files.boundary, _NAMES)
-        foreign = read_foreign(files.mesh, files.units, of_torso="model" not in drawn.curves)
+        of_torso = "model" not in drawn.curves
+        foreign = read_foreign(files.mesh, files.units, of_torso=of_torso)
         self._assumed = foreign.assumed if files.scan is None else unit_remark(files.scan.units, imported=True)
         if files.boundary is None and files.landmarks is None and not files.automatic:
             remedy = "Add --boundary b.json, or --landmarks l.json with the protocol's landmarks, or --automatic"
@@ -166,7 +170,13 @@ class MeshJob(Reported):
             raise SessionError(
                 str(files.boundary), found="a boundary file together with --automatic", expected=expected, remedy=remedy
             )
-        own = replace(settings.measure, surface_sigma_mm=files.surface_std_mm)
+        merged = None
+        if files.also:
+            others = [(path, read_foreign(path, files.units, of_torso=of_torso)) for path in files.also]
+            merged = merge_scans(foreign, others, largest=files.largest)
+            foreign = merged.foreign
+        self.also = merged.also if merged is not None else files.scan.also if files.scan is not None else ()
+        own = replace(settings.measure, surface_sigma_mm=float(np.hypot(files.surface_std_mm, sigma_mm(self.also))))
         if files.boundary is None and not files.automatic:
             own = replace(own, boundary="landmarks")
         self.settings = replace(settings, measure=own)
@@ -226,6 +236,10 @@ class MeshJob(Reported):
         self.inputs = _inputs(files, self.kind, drawn, places)
         by_drawing = {} if self.kind == "torso" and files.automatic else _drawn(self.inputs)
         self._lay_out(repaired, foreign, by_drawing)
+        self._sources = None
+        if self.also:
+            skin = repaired.mesh.vertices
+            self._sources = stored_sources(files.mesh, skin) if merged is None else merged.sources_at(skin)
 
     def surface(self) -> FinishedSurface:
         """The surface with its colours."""
@@ -324,6 +338,7 @@ class MeshJob(Reported):
             report=self.page if report else None,
             no_breast=no_breast,
             notes=(*self.notes, *torso_notes(self.plan, self.posture if self.kind == "torso" else None)),
+            merged=tuple(scan.as_table() for scan in self.also),
             made=tuple(self.store.made[before:]),
             made_at=self.store.made_at(
                 [*(product.key for product in self.plan.products()), *([self.content_key] if report else [])]
@@ -340,7 +355,7 @@ class MeshJob(Reported):
         from mammometry.report.gather import drawn_mesh, mesh_result
 
         def draw() -> Mapping[str, Picture]:
-            shown = mesh_result(self.plan, self.rig, self.finished.textured)
+            shown = mesh_result(self.plan, self.rig, self.finished.textured, self._sources)
             try:
                 return child.call(drawn_mesh, shown)
             except Ended:
@@ -402,6 +417,8 @@ class MeshJob(Reported):
             notes=self.notes,
             posture=self.posture,
             sides_doubtful=self.sides_doubtful,
+            sources=self._sources,
+            also=tuple(scan.words for scan in self.also),
         )
         return gather_mesh(
             self.plan,
@@ -443,7 +460,15 @@ def _inputs(
         wall=back,
         scale_std=files.scale_std,
         digests={
-            "mesh": _digest(files.mesh, files.units, files.largest, files.automatic, files.head, files.ahead),
+            "mesh": _digest(
+                files.mesh,
+                files.units,
+                files.largest,
+                files.automatic,
+                files.head,
+                files.ahead,
+                *(_digest(path) for path in files.also),
+            ),
             "subject": kind,
             "boundaries": boundaries_digest(drawn),
             "landmarks": landmarks_digest(places),

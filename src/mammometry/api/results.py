@@ -49,6 +49,8 @@ class Results:
     posture that they belong to, one sentence each."""
     lacking: Mapping[str, VolumeDeficit] = field(default_factory=dict)
     """Side of a torso → what it lacks compared with the mirrored other side."""
+    merged: tuple[Mapping[str, Any], ...] = ()
+    """Further scans that were merged with the first one, as `AlsoScan.as_table`."""
     made: tuple[str, ...] = ()
     """``stage/product`` of everything that this run made. Empty if everything existed already."""
     made_at: str | None = None
@@ -113,6 +115,7 @@ class Results:
             "difference_interval_cc": None if interval_cc is None else [round(bound, 3) for bound in interval_cc],
             "no_breast": dict(self.no_breast),
             "notes": list(self.notes),
+            **({"merged_scans": [dict(scan) for scan in self.merged]} if self.merged else {}),
             "lacking_cc": {name: round(deficit.volume_cc, 3) for name, deficit in self.lacking.items()},
             "lacking_interval_cc": {
                 name: None if deficit.interval_cc is None else [round(bound, 3) for bound in deficit.interval_cc]

@@ -24,6 +24,12 @@ def _mesh_option(*names: str, help: str, show_default: bool | str = False) -> An
     return typer.Option(*names, help=help, show_default=show_default, rich_help_panel="For a scanner's mesh")
 
 
+_ALSO = (
+    "Another scan of the same visit and posture, such as from below: it is merged with the first one. "
+    "Several may be given."
+)
+
+
 @value
 class MeshOptions:
     """Options of `measure` that are for meshes only."""
@@ -62,6 +68,7 @@ class MeshOptions:
     sides_checked: Annotated[
         bool, _mesh_option("--sides-checked", help="Left and right of the mesh were compared with the patient.")
     ] = False
+    also: Annotated[list[Path] | None, _mesh_option("--also", help=_ALSO)] = None
 
     def given(self) -> str | None:
         """Name of the first option that was given. None if none was."""
@@ -109,8 +116,11 @@ def measure_mesh(
         if boundary is None:
             boundary, automatic = own.boundary, True
         landmarks = landmarks or own.landmarks
+    if scan is not None and given.also:
+        raise typer.BadParameter("--also: import the scans together: mammometry import mesh FIRST --also SECOND")
     files = MeshFiles(
         mesh=mesh,
+        also=_further(given.also),
         units=units,
         boundary=boundary,
         landmarks=landmarks,
@@ -136,7 +146,8 @@ def measure_mesh(
         keys = [product.key for product in job.plan.products()]
         bars.expect("measure", sum(state != "current" for state in job.store.states(keys)))
         results = job.run()
-    remarks = [f"Standard uncertainty: scale {100 * files.scale_std:g} %, surface {files.surface_std_mm:g} mm"]
+    surface_mm = job.settings.measure.surface_sigma_mm
+    remarks = [f"Standard uncertainty: scale {100 * files.scale_std:g} %, surface {surface_mm:.3g} mm"]
     if scan is not None and given.boundary is None and boundary is not None:
         remarks += [
             f"Boundary {name}, from {boundary}: {about.origin or 'author unknown'}"
@@ -145,6 +156,15 @@ def measure_mesh(
     if scan is not None and given.landmarks is None and landmarks is not None:
         remarks.append(f"Landmarks, from {landmarks}: {', '.join(job.inputs.landmarks)}")
     return results, remarks
+
+
+def _further(also: Sequence[Path] | None) -> tuple[Path, ...]:
+    """Further scans as `--also` gives them."""
+    from mammometry.io.meshes.merged import MOST_ALSO
+
+    if len(also or ()) > MOST_ALSO:
+        raise typer.BadParameter(f"--also may be given {MOST_ALSO} times, found {len(also or ())}")
+    return tuple(also or ())
 
 
 def named_subject(text: str | None) -> str | None:
@@ -164,6 +184,7 @@ _COMMAND = "import mesh"
 @command(
     app,
     "mammometry import mesh scan.obj --scanner 'Vectra M5' --units mm --out anna",
+    "mammometry import mesh front.ply --also below.ply --scanner iPhone --out anna",
     "mammometry measure anna/scan.ply --automatic",
 )
 def mesh(
@@ -195,25 +216,30 @@ def mesh(
     without_texture: Annotated[
         bool, typer.Option("--without-texture", help="Take the shape alone, without material file and pictures.")
     ] = False,
+    also: Annotated[list[Path] | None, typer.Option("--also", help=_ALSO, show_default=False)] = None,
 ) -> Answer:
     """Take over another scanner's mesh with its texture.
 
     Writes scan.ply (mm, with colours), scan.toml with the scanner's name and unit, and the OBJ with its material and
-    pictures. Their own names are not kept: they may hold a patient's name.
+    pictures. Their own names are not kept: they may hold a patient's name. Scans merged with --also become one
+    scan.ply, whose vertices have the property source: 1 the first scan, 2 the second, 3 both.
     """
     from mammometry.io.meshes.scans import FILES, MESH, Scan, import_scan, read_scan
     from mammometry.io.outputs import require_apart, require_free, write_outputs
 
-    require_apart(out, [file])
+    further = _further(also)
+    require_apart(out, [file, *further])
     require_free(out, FILES, command=_COMMAND)
     about = Scan(
         scanner=scanner, units="", head=head, ahead=ahead, subject=named_subject(subject), posture=posture,
         sides="checked" if sides_checked else "",
     )  # fmt: skip
-    made = import_scan(file, about, units=units, texture=not without_texture)
+    made = import_scan(file, about, units=units, texture=not without_texture, also=further)
     write_outputs(out, made, command=_COMMAND)
     pictures = sum(name.startswith("texture-") for name in made)
     sentence = f"{out / MESH}: with {pictures} pictures" if pictures else f"{out / MESH}: without pictures"
-    notes = list(read_scan(out).remarks)
-    table = {"folder": str(out), "mesh": str(out / MESH), "files": sorted(made), "notes": notes}
+    taken = read_scan(out)
+    notes = list(taken.remarks)
+    table: dict[str, Any] = {"folder": str(out), "mesh": str(out / MESH), "files": sorted(made), "notes": notes}
+    table |= {"merged_scans": [scan.as_table() for scan in taken.also]} if taken.also else {}
     return Answer(table, [sentence, *(f"note: {note}" for note in notes)])

@@ -58,13 +58,16 @@ class RepairedScan:
     """Whether most of its faces looked inwards, as those of a mirror image do."""
 
 
-def repair_scan(mesh: TriangleMesh, *, largest: bool = False, skin_alone: bool = False) -> RepairedScan:
+def repair_scan(
+    mesh: TriangleMesh, *, largest: bool = False, skin_alone: bool = False, holes: bool = True
+) -> RepairedScan:
     """Join seams, leave out crumbs, turn what is inside out, close small holes.
 
     Args:
         mesh: as its file has it, mm. Vertices in one place are one.
         largest: whether to take the largest piece alone, however large the others are.
         skin_alone: whether to leave out planes, which are lids of another program and no skin.
+        holes: whether small holes are closed.
 
     Raises:
         MeasureError: it has hardly any triangles, or two pieces of which either may be the body.
@@ -86,7 +89,8 @@ def repair_scan(mesh: TriangleMesh, *, largest: bool = False, skin_alone: bool =
     out, inside_out = turned
     if skin_alone:
         out = _without_lids(out, notes)
-    mesh, invented = _filled(_without_loose_triangles(out), notes)
+    mesh = _without_loose_triangles(out)
+    mesh, invented = _filled(mesh, notes) if holes else (mesh, np.zeros(len(mesh.vertices), dtype=bool))
     return RepairedScan(mesh=mesh, invented=invented, notes=tuple(notes), inside_out=inside_out)
 
 

@@ -14,6 +14,7 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.base.sizes import subject_extent
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.judge.quality import CalibrationQuality, assess
+from mammometry.geometry import Array, UInt8
 from mammometry.geometry.camera import Rig
 from mammometry.job.graph import Plan
 from mammometry.job.inputs import FinishedSurface, Inputs, SubjectKind
@@ -346,6 +347,10 @@ class MeshOrigin:
     """What was changed in the mesh, and what was taken for granted, one sentence each."""
     sides_doubtful: bool = False
     """Whether left and right may be exchanged. The notes say why."""
+    sources: UInt8[Array, " n"] | None = None
+    """Scans that show each vertex, as bits, where several were merged."""
+    also: tuple[str, ...] = ()
+    """How each further scan lies on the first one, one line each."""
 
 
 def gather_mesh(
@@ -392,7 +397,7 @@ def gather_mesh(
     scene = scene if sizes is None else with_lengths(scene, sizes.lengths)
     packed = to_json(scene)
     progress(0.5)
-    pictures = drawn_mesh(mesh_result(plan, viewer, textured)) if drawn is None else drawn()
+    pictures = drawn_mesh(mesh_result(plan, viewer, textured, origin.sources)) if drawn is None else drawn()
     progress(0.9)
     return ReportContent(
         identity=page.identity,
@@ -433,8 +438,17 @@ def gather_mesh(
     )
 
 
-def mesh_result(plan: Plan, viewer: Rig, textured: TexturedMesh) -> MeasureResult:
-    """Result that the pictures of a measured mesh are drawn from."""
+def mesh_result(
+    plan: Plan, viewer: Rig, textured: TexturedMesh, sources: UInt8[Array, " n"] | None = None
+) -> MeasureResult:
+    """Result that the pictures of a measured mesh are drawn from.
+
+    Args:
+        plan: of its measurement.
+        viewer: who looks at it in the pictures.
+        textured: the mesh in the colours to be shown.
+        sources: scans that show each vertex, as bits, where several were merged.
+    """
     return MeasureResult(
         rig=viewer,
         measurements=plan.value(measure.measurements) or (),
@@ -444,6 +458,7 @@ def mesh_result(plan: Plan, viewer: Rig, textured: TexturedMesh) -> MeasureResul
         body=plan.value(measure.body),
         absent=plan.value(measure.absent) or (),
         lacking=plan.value(measure.lacking) or (),
+        sources=sources,
     )
 
 
@@ -479,6 +494,7 @@ def _mesh_facts(finished: FinishedSurface, origin: MeshOrigin) -> StageReport:
         *([Fact("Scanner", origin.scanner)] if origin.scanner else []),
         *([describe.posture_fact(origin.posture)] if origin.kind == "torso" else []),
         Fact("Unit in the file", origin.units),
+        *(Fact(f"Merged scan {number}", words) for number, words in enumerate(origin.also, 2)),
         Fact(
             "Mesh",
             f"{thousands(len(mesh.vertices))} vertices, {thousands(len(mesh.faces))} triangles, "

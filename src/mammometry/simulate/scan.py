@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Literal, TypeAlias
 
 import numpy as np
 from scipy import ndimage
@@ -26,11 +27,18 @@ from mammometry.surface.fusion.marching import march
 
 _FIELD_RAD = math.radians(50.0)  # of view, across; as of the front cameras of telephones
 _DISTANCE_MM = (480.0, 620.0)  # from the chest
-_WALK_DEG = (
+_FRONT_DEG = (
     *((-65, 0), (-45, 0), (-22, 0), (0, 0), (22, 0), (45, 0), (65, 0)),
     *((50, -32), (18, -35), (-18, -35), (-50, -32)),
     *((-45, 28), (-15, 30), (15, 30), (45, 28)),
 )  # azimuths and elevations of a walk around the front: below the breasts as well as above; chosen by eye
+_BELOW_DEG = (
+    *((-78, -22), (-50, -20), (-18, -12), (18, -12), (50, -20), (78, -22)),
+    *((-70, -45), (-35, -45), (0, -45), (35, -45), (70, -45)),
+    *((-35, -66), (-12, -68), (12, -68), (35, -66)),
+)  # of a second walk at the height of the hips, looking up; chosen by eye
+Walk: TypeAlias = Literal["front", "below"]
+_WALKS: Mapping[Walk, Sequence[tuple[int, int]]] = MappingProxyType({"front": _FRONT_DEG, "below": _BELOW_DEG})
 _STEP_MM = 20.0  # of depth between neighbouring pixels: an edge of the body
 _BLUR_PX = 1.1  # standard deviation of the surroundings that one pixel sees
 _SHARED_PX, _SHARED = 2.5, 0.15  # pixels over which noise is alike, and this part's share of its variance
@@ -55,9 +63,15 @@ class DepthPicture:
 
 
 def depth_pictures(
-    scene: RayScene, target: Float64[Array, 3], *, noise_mm: float, width_px: int, rng: np.random.Generator
+    scene: RayScene,
+    target: Float64[Array, 3],
+    *,
+    noise_mm: float,
+    width_px: int,
+    rng: np.random.Generator,
+    walk: Walk = "front",
 ) -> Iterator[DepthPicture]:
-    """Take fifteen depth pictures around a body's front.
+    """Take fifteen depth pictures around a body's front, or from below.
 
     Args:
         scene: the body, y to the head and z ahead, mm.
@@ -65,8 +79,9 @@ def depth_pictures(
         noise_mm: standard deviation of one pixel's depth at half a metre.
         width_px: of a picture; its height is three quarters.
         rng: of noise, places and lost pixels.
+        walk: where the telephone is carried.
     """
-    for azimuth, elevation in _WALK_DEG:
+    for azimuth, elevation in _WALKS[walk]:
         a, e = np.radians(np.array([azimuth, elevation]) + rng.normal(0.0, 3.0, 2))
         away = np.array([math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e)])
         centre = target + rng.uniform(*_DISTANCE_MM) * away
@@ -266,20 +281,22 @@ def clean_front(solid: Solid) -> VirtualScan:
     return VirtualScan(mesh=mesh, colours=_colours(solid, mesh))
 
 
-def scan(solid: Solid, quality: ScanQuality, seed: int) -> VirtualScan:
+def scan(solid: Solid, quality: ScanQuality, seed: int, walk: Walk = "front") -> VirtualScan:
     """Scan a body with a virtual telephone.
 
     Args:
         solid: the body.
         quality: of the depth pictures and of their fusion.
         seed: of everything random. Another seed scans the same body anew.
+        walk: ``front``: around her. ``below``: with the telephone at the height of the hips, looking up, as for the
+            fold of a hanging breast.
     """
     rng = np.random.default_rng([seed, 101])
     low, high = _box(solid)
     target = np.append((low + high)[:2] / 2, high[2] - 60.0)
     pictures = list(
         depth_pictures(
-            RayScene(solid.mesh), target, noise_mm=quality.noise_mm, width_px=quality.width_px, rng=rng
+            RayScene(solid.mesh), target, noise_mm=quality.noise_mm, width_px=quality.width_px, rng=rng, walk=walk
         )
     )  # fmt: skip
     shift = rng.uniform(0.0, quality.cube_mm, 3)

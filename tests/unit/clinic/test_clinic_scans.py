@@ -17,6 +17,7 @@ from django.urls import reverse
 from django.utils import timezone
 from pytest_django import Settings
 from tests.unit.io.scan_files import scanned, texture
+from tests.unit.measure.two_scans import part
 
 from mammometry.api.results import show_refusal
 from mammometry.base.errors import MeasureError
@@ -26,6 +27,9 @@ from mammometry.clinic.jobs import queue, work
 from mammometry.clinic.models import Consent, Job, Patient, Scan, Visit
 from mammometry.clinic.roles import Role
 from mammometry.clinic.templatetags.pages import on_pages
+from mammometry.geometry import TriangleMesh
+from mammometry.io.meshes.own import write_ply
+from mammometry.io.meshes.scans import read_scan
 from mammometry.report.figures.canvas import Caption, encode
 
 
@@ -95,6 +99,33 @@ def test_the_shape_alone_is_enough(client_of: Callable[..., Client], patient: Pa
     mesh = {name: content for name, content in files.items() if name.endswith(".obj")}
     send(client_of(Role.TECHNICIAN), patient, mesh, shape_alone="on")
     assert not Scan.objects.get().textured
+
+
+@pytest.mark.requirement("R-MERGE-4")
+def test_a_second_scan_of_the_visit_is_merged_and_another_body_is_refused(
+    client_of: Callable[..., Client], patient: Patient, tmp_path: Path, clinic: ClinicConfig
+) -> None:
+    def ply(name: str, mesh: TriangleMesh) -> SimpleUploadedFile:
+        write_ply(tmp_path / name, mesh, comments=("units: mm",))
+        return SimpleUploadedFile(name, (tmp_path / name).read_bytes())
+
+    first, below = part(-150.0, 90.0, seed=1), part(-90.0, 150.0, seed=2)
+    client = client_of(Role.TECHNICIAN)
+    told = {
+        "patient": str(patient.pk), "taken_at": f"{timezone.localtime():%Y-%m-%dT%H:%M}", "scanner": "Vectra M5",
+        "units": "mm", "head": "y", "ahead": "z",
+    }  # fmt: skip
+    larger = below.mapped(lambda points: 1.02 * points)
+    sent = {"sent": [ply("Muster.ply", first)], "second": [ply("Muster-2.ply", larger)]}
+    page = client.post(reverse("scan-new"), told | sent).content.decode()
+    assert "2.0 % larger than those of the first scan" in page
+    assert nothing_is_left(clinic)
+    sent = {"sent": [ply("Muster.ply", first)], "second": [ply("Muster.ply", below)]}
+    client.post(reverse("scan-new"), told | sent, follow=True)
+    (visit,) = Visit.objects.all()
+    (also,) = read_scan(visit.folder).also
+    assert also.within_mm < 0.2
+    assert not [path for path in visit.folder.rglob("*") if path.is_file() and b"Muster" in path.read_bytes()]
 
 
 def bomb() -> dict[str, bytes]:

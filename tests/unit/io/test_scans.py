@@ -1,5 +1,6 @@
 """Scans of other devices: what is kept, what is left out, and files that are none."""
 
+import hashlib
 import io
 import json
 from pathlib import Path
@@ -9,12 +10,15 @@ import pytest
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 from tests.unit.io.scan_files import DARK, SKIN, scanned, texture
+from tests.unit.measure.two_scans import part
 
 from mammometry.base.errors import ImageError, MammometryError, SessionError
 from mammometry.base.parse import LimitSettings
 from mammometry.cli import main
 from mammometry.geometry.mesh_files.mesh_file import read_triangles
 from mammometry.io.meshes.foreign import read_foreign
+from mammometry.io.meshes.merged import stored_sources
+from mammometry.io.meshes.own import read_ply, write_ply
 from mammometry.io.meshes.scans import ABOUT, MESH, MTL, OBJ, Scan, import_scan, is_scan, read_scan, skin_colours
 
 ABOUT_IT = Scan(scanner="Vectra M5", units="", subject="P-1")
@@ -28,6 +32,16 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def taken(mesh: Path, **changed: object) -> dict[str, bytes]:
     return import_scan(mesh, ABOUT_IT, **{"units": "cm", **changed})  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scan from the front with one from below, imported together."""
+    folder = tmp_path_factory.mktemp("two")
+    for name, mesh in (("first", part(-150.0, 90.0, seed=1)), ("below", part(-90.0, 150.0, seed=2))):
+        write_ply(folder / f"{name}.ply", mesh, comments=("units: mm",))
+    about = Scan(scanner="A", units="", head="y", ahead="z")
+    return put(import_scan(folder / "first.ply", about, also=[folder / "below.ply"]), folder / "out")
 
 
 def put(files: dict[str, bytes], folder: Path) -> Path:
@@ -54,6 +68,37 @@ def test_every_vertex_has_its_colour_of_the_picture(scan: Path, tmp_path: Path) 
     height = vertices[:, 1] - (vertices[:, 1].min() + vertices[:, 1].max()) / 2
     for rows, colour in ((height > 20, SKIN), (height < -20, DARK)):
         assert np.abs(colours[rows].astype(int) - colour).max() <= 6  # JPEG
+
+
+@pytest.mark.requirement("R-MERGE-4")
+def test_two_scans_are_one_mesh_that_says_who_showed_what_and_how_they_fit(two: Path) -> None:
+    assert {path.name for path in two.iterdir()} == {ABOUT, MESH}
+    read = read_scan(two)
+    (also,) = read.also
+    assert also.sha256 == hashlib.sha256((two.parent / "below.ply").read_bytes()).hexdigest()
+    assert also.within_mm < 0.2
+    assert abs(also.scale) < 1e-3
+    assert np.allclose(np.reshape(also.first_from_this, (4, 4)), np.eye(4), atol=0.05)
+    assert "merged with the first one" in read.remarks[-1]
+    mesh, properties, _ = read_ply(two / MESH)
+    assert set(properties["source"][mesh.vertices[:, 1] < -100]) == {1}
+    assert set(properties["source"][mesh.vertices[:, 1] > 100]) == {2}
+    assert set(stored_sources(two / MESH, np.array([[0.0, -120.0, 0.0], [0.0, 0.0, 0.0], [0.0, 120.0, 0.0]]))) == {
+        1,
+        2,
+        3,
+    }
+
+
+@pytest.mark.parametrize(
+    "changed", ["within_mm = 1", "scale = true", "first_from_this = [1.0]", "sha256 = 3", "overlap = nan", "more = 1"]
+)
+def test_a_merged_scans_table_that_is_not_as_documented_is_refused(two: Path, tmp_path: Path, changed: str) -> None:
+    name = changed.partition(" ")[0]
+    lines = [line for line in (two / ABOUT).read_text().splitlines() if not line.startswith(name)]
+    (tmp_path / ABOUT).write_text("\n".join([*lines, changed] if name != "within_mm" else lines))
+    with pytest.raises(SessionError, match="also"):
+        read_scan(tmp_path)
 
 
 def test_the_pictures_show_finer_colours_than_the_vertices(scan: Path, tmp_path: Path) -> None:

@@ -34,11 +34,19 @@ _AT_ONCE = threading.BoundedSemaphore(1)  # a scan of 200 MB takes about 2 GB as
 _MB = 10**6  # bytes
 
 
-def taken_in(files: Sequence[UploadedFile[Any]], about: Scan, *, units: str | None, texture: bool) -> dict[str, bytes]:
+def taken_in(
+    files: Sequence[UploadedFile[Any]],
+    about: Scan,
+    *,
+    units: str | None,
+    texture: bool,
+    second: Sequence[UploadedFile[Any]] = (),
+) -> dict[str, bytes]:
     """Read what was sent, and return the files of a scan's folder.
 
     Args:
         files: the mesh and what belongs to it, or one ZIP.
+        second: another scan of the same visit, in the same way, which is merged with the first.
         about: scanner, axes and pseudonym.
         units: of the mesh. None: its file states it.
         texture: whether pictures are taken, too.
@@ -54,20 +62,27 @@ def taken_in(files: Sequence[UploadedFile[Any]], about: Scan, *, units: str | No
         tempfile.TemporaryDirectory(prefix="scan-", dir=place, ignore_cleanup_errors=True) as scratch,
         disk_errors(place),
     ):
-        folder = Path(scratch)
-        if sum(sent.size or 0 for sent in files) > most:
+        if sum(sent.size or 0 for sent in (*files, *second)) > most:
             raise _too_large(most)
-        if len(files) == 1 and _suffix(files[0].name) == ".zip":
-            _unpack(files[0], folder, most)
-        else:
-            for sent in (sent for sent in files if not is_hidden(sent.name or "")):
-                with _new(folder, sent.name or "").open("xb") as file:
-                    for chunk in sent.chunks():
-                        file.write(chunk)
-        (mesh,) = _meshes(folder)
-        _check_pictures(folder)
+        folders = [Path(scratch) / name for name in ("first", "second")][: 2 if second else 1]
+        meshes = [_put(sent, folder, most) for sent, folder in zip((files, second), folders, strict=False)]
         limits = LimitSettings(megapixels=float(the_clinic().limits.photograph_megapixels))
-        return import_scan(mesh, about, units=units, texture=texture, limits=limits)
+        return import_scan(meshes[0], about, units=units, texture=texture, limits=limits, also=meshes[1:])
+
+
+def _put(files: Sequence[UploadedFile[Any]], folder: Path, most: int) -> Path:
+    """Put the files of one scan into a new folder, and return its mesh."""
+    folder.mkdir()
+    if len(files) == 1 and _suffix(files[0].name) == ".zip":
+        _unpack(files[0], folder, most)
+    else:
+        for sent in (sent for sent in files if not is_hidden(sent.name or "")):
+            with _new(folder, sent.name or "").open("xb") as file:
+                for chunk in sent.chunks():
+                    file.write(chunk)
+    (mesh,) = _meshes(folder)
+    _check_pictures(folder)
+    return mesh
 
 
 def _unpack(packed: UploadedFile[Any], folder: Path, most: int) -> None:

@@ -30,7 +30,7 @@ from mammometry.io.outputs import write_outputs
 
 BODY_BYTES = 520 * 10**6
 """Largest request: the largest `scan_mb` that a clinic may set, and the form."""
-_SCRATCH = re.compile(r"uploads/scan-[^/]+/")  # into which the sent files are unpacked
+_SCRATCH = re.compile(r"uploads/scan-[^/]+/(?:first|second)/")  # into which the sent files are unpacked
 _AXIS_WORDS = {axis: f"{'minus ' if axis.startswith('-') else ''}{axis.strip('-').upper()}" for axis in AXES}
 
 
@@ -57,6 +57,10 @@ class ScanForm(RecordForm):
         label="Files of the scan",
         help_text="All together: OBJ, MTL and picture. Or one ZIP. GLB and USDZ hold pictures; PLY and STL none.",
     )
+    second = _FilesField(
+        label="Another scan of the same visit", required=False,
+        help_text="Such as from below, where the fold is hidden. In the same posture. Both are merged into one.",
+    )  # fmt: skip
     units = forms.ChoiceField(
         label="Unit of the mesh", required=False, help_text="The device’s export settings say it.",
         choices=[("", "As the body’s size shows"), *((unit, words.title()) for unit, words in UNIT_TITLES.items())],
@@ -81,7 +85,9 @@ class ScanForm(RecordForm):
             "note": forms.Textarea(attrs={"rows": 2}),
         }
 
-    field_order = ("patient", "scanner", "sent", "units", "head", "ahead", "shape_alone", "taken_at", "posture", "note")
+    field_order = (
+        "patient", "scanner", "sent", "second", "units", "head", "ahead", "shape_alone", "taken_at", "posture", "note",
+    )  # fmt: skip
 
     questions: tuple[str, ...] = ()
 
@@ -139,7 +145,8 @@ def _entered(request: HttpRequest, form: ScanForm, about: ScanFacts) -> Visit:
     given = form.cleaned_data
     patient: Patient = given["patient"]
     about = replace(about, subject=patient.pseudonym)
-    made = taken_in(given["sent"], about, units=given["units"] or None, texture=not given["shape_alone"])
+    second = [sent for sent in given["second"] if sent is not None]
+    made = taken_in(given["sent"], about, units=given["units"] or None, texture=not given["shape_alone"], second=second)
     visit: Visit = form.save(commit=False)
     visit.created_by, visit.state = person_of(request), Visit.State.READY
     visit.folder.mkdir(mode=0o700, parents=True)

@@ -6,15 +6,15 @@ An OBJ comes with a material file and pictures. Their names are not kept, as the
 
 from __future__ import annotations
 
-import hashlib
 import io
 import json
 import re
 import tempfile
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,7 @@ from mammometry.base.units import mm_of_unit
 from mammometry.geometry import Array, Float64, TriangleMesh, UInt8
 from mammometry.geometry.mesh_files.obj import parse_obj
 from mammometry.io.meshes.foreign import ForeignMesh, read_foreign, unit_remark
+from mammometry.io.meshes.merged import SOURCE, AlsoScan, also_in, also_text, merge_scans, sha256_of
 from mammometry.io.meshes.own import read_ply, write_ply
 from mammometry.io.meshes.textures import CoveredObj, covered_parts, read_covered_obj, texture_at
 from mammometry.io.photographs.images import read_photograph, read_plain_picture
@@ -55,7 +56,7 @@ _MOST_OBJ_MIB = 1024  # as `obj_texture`
 _ON_SKIN_MM = 1.0  # from the scanner's surface; seams are joined within 0.05 mm
 _SAME_AREA = 1e-3  # by which the area of what was written may differ: faces without area are left out
 _LONGEST = 100  # characters of a scanner's name
-_KEYS = {"format", "scanner", "units", "head", "ahead", "subject", "posture", "sha256", "sides", "remarks"}
+_KEYS = {"format", "scanner", "units", "head", "ahead", "subject", "posture", "sha256", "sides", "remarks", "also"}
 _CHECKED = "checked"
 _MAP_OPTION = re.compile(r"-(?:blendu|blendv|cc|clamp|texres|bm|boost|type|imfchan|mm|o|s|t)(?=\s)", re.IGNORECASE)
 """An option before the name of a map's picture (the format's specification, "Texture map statements")."""
@@ -86,10 +87,18 @@ class Scan:
     """``checked``: a person confirmed that left and right are the patient's. Empty: not checked."""
     remarks: tuple[str, ...] = ()
     """What was left out or taken for granted as the scanner's file was read, one sentence each."""
+    also: tuple[AlsoScan, ...] = ()
+    """Further scans of the visit that are merged into the folder's mesh."""
 
 
 def import_scan(
-    mesh: Path, about: Scan, *, units: str | None = None, texture: bool = True, limits: LimitSettings = LimitSettings()
+    mesh: Path,
+    about: Scan,
+    *,
+    units: str | None = None,
+    texture: bool = True,
+    limits: LimitSettings = LimitSettings(),
+    also: Sequence[Path] = (),
 ) -> dict[str, bytes]:
     """Read a scanner's files, and return the files of a scan's folder.
 
@@ -99,15 +108,34 @@ def import_scan(
         units: ``mm``, ``cm`` or ``m``. None where the file states it.
         texture: whether the pictures of an OBJ, a GLB or a USDZ are taken too.
         limits: size that a picture may have.
+        also: further scans of the same visit and posture, which are merged with the first. The merged mesh has the
+            pictures' colours at its vertices, and no pictures.
 
     Raises:
         SessionError: a file is missing or unreadable, nobody says the unit, or the scanner has no name.
         ImageError: a picture cannot be read or is too large.
+        MeasureError: the mesh is no surface that can be measured, or a further scan cannot be registered with it.
     """
     _check(about)
+    files, foreign = _read(mesh, units, limits, texture=texture)
+    if also:
+        others = [(path, _read(path, units, limits, texture=texture)[1]) for path in also]
+        merged = merge_scans(foreign, others)
+        foreign, about = merged.foreign, replace(about, also=merged.also)
+        files = {MESH: _ply(foreign, {SOURCE: merged.sources})}
+    _check_written(mesh, files, foreign)
+    assumed = (unit_remark(foreign.units, imported=True), foreign.lengths)
+    remarks = (*filter(None, assumed), *foreign.remarks)
+    files[ABOUT] = scan_text(replace(about, units=foreign.units, sha256=sha256_of(mesh), remarks=remarks)).encode()
+    return files
+
+
+def _read(
+    mesh: Path, units: str | None, limits: LimitSettings, *, texture: bool
+) -> tuple[dict[str, bytes], ForeignMesh]:
+    """Files of a folder that come from a scanner's files, and the mesh in the colours of its pictures."""
     foreign = read_foreign(mesh, units, of_torso=True)
     files: dict[str, bytes] = {}
-    colours = foreign.colours
     with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
         source: Path | None = mesh
         if mesh.suffix.lower() in (".glb", ".usdz"):
@@ -115,15 +143,11 @@ def import_scan(
         covered = read_covered_obj(source) if source is not None and source.suffix.lower() == ".obj" else None
         if source is not None and covered is not None and texture and covered.libraries:
             files, colours = _covered(source, covered, foreign, limits)
+            foreign = replace(foreign, colours=colours)
         elif covered is not None:
             files[OBJ] = covered.text(None).encode()
-    files[MESH] = _ply(foreign, colours)
-    _check_written(mesh, files, foreign)
-    digest = hashlib.sha256(mesh.read_bytes()).hexdigest()
-    assumed = (unit_remark(foreign.units, imported=True), foreign.lengths)
-    remarks = (*filter(None, assumed), *foreign.remarks)
-    files[ABOUT] = scan_text(replace(about, units=foreign.units, sha256=digest, remarks=remarks)).encode()
-    return files
+    files[MESH] = _ply(foreign)
+    return files, foreign
 
 
 def scan_text(scan: Scan) -> str:
@@ -135,7 +159,7 @@ def scan_text(scan: Scan) -> str:
         **({"remarks": list(scan.remarks)} if scan.remarks else {}),
     }  # fmt: skip
     lines = [f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in made.items()]
-    return "# A scan of another device. scan.ply is in mm.\n" + "\n".join(lines) + "\n"
+    return "# A scan of another device. scan.ply is in mm.\n" + "\n".join(lines) + "\n" + also_text(scan.also)
 
 
 def _check_written(mesh: Path, files: Mapping[str, bytes], foreign: ForeignMesh) -> None:
@@ -213,7 +237,13 @@ def read_scan(folder: Path) -> Scan:
         )  # fmt: skip
     read = {name: value for name, value in table.items() if name != "format" and isinstance(value, str)}
     remarks = table.get("remarks", [])
-    made = Scan(**read, remarks=tuple(map(str, remarks)) if isinstance(remarks, list) else ())
+    also = also_in(table.get("also", []))
+    if also is None:
+        raise SessionError(
+            str(path), found="other tables under also", expected="a table for each further scan, as import writes it",
+            remedy="Import the meshes again: mammometry import mesh --also",
+        )  # fmt: skip
+    made = Scan(**read, remarks=tuple(map(str, remarks)) if isinstance(remarks, list) else (), also=also)
     _check(made)
     return made
 
@@ -383,9 +413,10 @@ def _png(pixels: UInt8[Array, "h w 3"]) -> bytes:
     return buffer.getvalue()
 
 
-def _ply(foreign: ForeignMesh, colours: UInt8[Array, "n 3"]) -> bytes:
+def _ply(foreign: ForeignMesh, others: Mapping[str, Array] = MappingProxyType({})) -> bytes:
     properties: Mapping[str, Any] = {
-        name: np.ascontiguousarray(colours[:, place]) for place, name in enumerate(("red", "green", "blue"))
+        **{name: np.ascontiguousarray(foreign.colours[:, k]) for k, name in enumerate(("red", "green", "blue"))},
+        **others,
     }
     with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
         path = Path(folder) / MESH

@@ -10,7 +10,7 @@ from typing import ClassVar, TypeAlias
 
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.adjust.calibrated import Calibration
-from mammometry.geometry import Array, Float64, Rig, TriangleMesh
+from mammometry.geometry import Array, Float64, Rig, TriangleMesh, UInt8
 from mammometry.job.graph import Plan
 from mammometry.job.inputs import Inputs
 from mammometry.job.products import Stage, Uncached
@@ -139,6 +139,8 @@ class MeasureResult:
     """Sides without a breast."""
     lacking: Sequence[VolumeDeficit] = ()
     """What a side lacks to the other one."""
+    sources: UInt8[Array, " n"] | None = None
+    """Scans that show each vertex, as bits, where several were merged."""
 
     @cached_property
     def scene(self) -> Scene:

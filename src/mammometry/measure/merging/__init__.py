@@ -1,0 +1,1 @@
+"""Two scans of one visit as one: registration, then fusion."""
