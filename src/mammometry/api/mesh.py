@@ -173,7 +173,7 @@ class MeshJob(Reported):
         merged = None
         if files.also:
             others = [(path, read_foreign(path, files.units, of_torso=of_torso)) for path in files.also]
-            merged = merge_scans(foreign, others, largest=files.largest)
+            merged = merge_scans(foreign, others, largest=files.largest, of_torso=of_torso)
             foreign = merged.foreign
         self.also = merged.also if merged is not None else files.scan.also if files.scan is not None else ()
         own = replace(settings.measure, surface_sigma_mm=float(np.hypot(files.surface_std_mm, sigma_mm(self.also))))
@@ -407,7 +407,8 @@ class MeshJob(Reported):
         privacy: Privacy | None = None,
         drawn: Callable[[], Mapping[str, Picture]] | None = None,
     ) -> ReportContent:
-        from mammometry.report.gather import MeshOrigin, gather_mesh
+        from mammometry.report.gather import gather_mesh
+        from mammometry.report.words.mesh_facts import MeshOrigin
 
         origin = MeshOrigin(
             kind=self.kind,

@@ -17,7 +17,7 @@ from mammometry.calibration.judge.quality import CalibrationQuality, assess
 from mammometry.geometry import Array, UInt8
 from mammometry.geometry.camera import Rig
 from mammometry.job.graph import Plan
-from mammometry.job.inputs import FinishedSurface, Inputs, SubjectKind
+from mammometry.job.inputs import Inputs
 from mammometry.job.products import Stage
 from mammometry.job.stages import calibrate, match, measure, surface
 from mammometry.job.stages.report import PageInputs
@@ -30,7 +30,7 @@ from mammometry.measure.trunk.body import Body
 from mammometry.measure.trunk.head import HEAD_NOT_SHOWN
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report import content
-from mammometry.report.content import Fact, Picture, ReportContent, StageReport, sentence
+from mammometry.report.content import Picture, ReportContent, sentence
 from mammometry.report.figures import stage_results
 from mammometry.report.figures.shading import NAMES, front_of
 from mammometry.report.figures.stage_results import MeasureResult, draw_stage
@@ -48,9 +48,9 @@ from mammometry.report.words.anthropometry import (
     without_nipple,
 )
 from mammometry.report.words.doubts import body_cautions, body_doubts
+from mammometry.report.words.mesh_facts import MeshOrigin, mesh_facts
 from mammometry.report.words.photographs import photograph_doubts, rig_doubts
 from mammometry.report.words.stage_facts import MatchingFacts, Shown, matching_facts, surface_facts
-from mammometry.study.tables import thousands
 from mammometry.surface.motion.motion_test import concerns
 from mammometry.surface.occlusion import Occlusion
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
@@ -329,30 +329,6 @@ virtual bodies had .05 to .6 below it; mounds, which are alike at both ends, hav
 _SIDES_DOUBTFUL = "Left and right may be exchanged: compare a mole or the operated side. See the warnings."
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MeshOrigin:
-    """Facts about a mesh that the file's measurements do not tell."""
-
-    kind: SubjectKind
-    """A cast or a torso."""
-    units: str
-    """The file's unit and who says so."""
-    world: str
-    """What the frame is, one sentence."""
-    scanner: str = ""
-    """Name of the device. Empty: not given."""
-    posture: str = ""
-    """How the patient held herself, as was said. Empty: nobody said."""
-    notes: tuple[str, ...] = ()
-    """What was changed in the mesh, and what was taken for granted, one sentence each."""
-    sides_doubtful: bool = False
-    """Whether left and right may be exchanged. The notes say why."""
-    sources: UInt8[Array, " n"] | None = None
-    """Scans that show each vertex, as bits, where several were merged."""
-    also: tuple[str, ...] = ()
-    """How each further scan lies on the first one, one line each."""
-
-
 def gather_mesh(
     plan: Plan,
     viewer: Rig,
@@ -427,7 +403,7 @@ def gather_mesh(
         meanings=describe.meanings(measurements),
         lengths=lengths,
         lengths_note=lengths_note,
-        stages=(_mesh_facts(finished, origin), replace(words, tables=words.tables + dimension_tables(sizes, marks))),
+        stages=(mesh_facts(finished, origin), replace(words, tables=words.tables + dimension_tables(sizes, marks))),
         timings=(),
         changed_settings=changed,
         all_settings=everything,
@@ -485,22 +461,3 @@ def _warnings(measurements: Sequence[VolumeMeasurement], body: Body | None) -> I
     for measurement in measurements:
         if not measurement.watertight:
             yield f"The closed solid of the {NAMES[measurement.name]} is not watertight. Do not use its volume."
-
-
-def _mesh_facts(finished: FinishedSurface, origin: MeshOrigin) -> StageReport:
-    mesh = finished.repaired.mesh
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    facts = (
-        *([Fact("Scanner", origin.scanner)] if origin.scanner else []),
-        *([describe.posture_fact(origin.posture)] if origin.kind == "torso" else []),
-        Fact("Unit in the file", origin.units),
-        *(Fact(f"Merged scan {number}", words) for number, words in enumerate(origin.also, 2)),
-        Fact(
-            "Mesh",
-            f"{thousands(len(mesh.vertices))} vertices, {thousands(len(mesh.faces))} triangles, "
-            f"{mesh.area_mm2() / 100:.0f} cm²; edges near the boundary were split, which does not change the shape",
-        ),
-        Fact("Extent", " × ".join(f"{size:.0f}" for size in high - low) + " mm"),
-        Fact("Topology", "watertight" if mesh.is_watertight() else "open"),
-    )
-    return StageReport(stage="surface", title="Mesh", facts=facts)

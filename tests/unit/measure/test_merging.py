@@ -85,7 +85,7 @@ def test_both_scans_become_one_surface_that_says_who_showed_what() -> None:
     assert y.max() > 140
     assert set(fused.sources[y < -100]) == {1}
     assert set(fused.sources[y > 100]) == {2}
-    assert set(fused.sources[np.abs(y) < 50]) == {3}
+    assert set(fused.sources[(np.abs(y) < 50) & (np.abs(x) < 130)]) == {3}
     assert fused.colours[y < -100].max() == 0
     assert fused.colours[y > 100].min() == 200
     assert np.abs(fused.colours[np.abs(y) < 20].mean() - 100) < 15

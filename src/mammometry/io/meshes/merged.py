@@ -1,4 +1,7 @@
-"""Several scans of one visit as one mesh, and the facts of their registration as a scan's folder keeps them."""
+"""Scans of one visit merged into one mesh.
+
+The facts of their registration are kept as a scan's folder has them.
+"""
 
 from __future__ import annotations
 
@@ -45,9 +48,10 @@ class AlsoScan:
     @property
     def words(self) -> str:
         """One line on its fit."""
+        longer = round(100 * self.scale, 1) + 0.0
         return (
             f"{100 * self.overlap:.0f} % of its skin is in the first scan too; 95 % of that within "
-            f"{self.within_mm:.1f} mm; lengths {100 * self.scale:+.2f} %; standard uncertainty {self.sigma_mm:.2f} mm"
+            f"{self.within_mm:.1f} mm; lengths {longer:+.1f} %; standard uncertainty {self.sigma_mm:.2f} mm"
         )
 
     def as_table(self) -> dict[str, Any]:
@@ -81,18 +85,22 @@ def sha256_of(path: Path) -> str:
 
 
 def sigma_mm(also: Sequence[AlsoScan]) -> float:
-    """What merging adds to the standard uncertainty of the surface along its normal, mm. 0 for a single scan."""
+    """What merging adds to the surface's standard uncertainty.
+
+    Along its normal, mm. 0 for a single scan.
+    """
     return max((scan.sigma_mm for scan in also), default=0.0)
 
 
 def merge_scans(
-    first: ForeignMesh, others: Sequence[tuple[Path, ForeignMesh]], *, largest: bool = False
+    first: ForeignMesh, others: Sequence[tuple[Path, ForeignMesh]], *, largest: bool = False, of_torso: bool = True
 ) -> MergedScans:
     """Register scans of one visit with the first one and fuse them.
 
     Args:
         first: the scan that gives frame and unit.
         others: file and mesh of each further one.
+        of_torso: whether planes are lids of another program and no skin.
         largest: whether only the largest piece of each scan counts, however large the others are.
 
     Raises:
@@ -104,7 +112,7 @@ def merge_scans(
     from mammometry.measure.scanned import check_mesh
 
     def repaired(scan: ForeignMesh) -> tuple[ColouredMesh, tuple[str, ...], bool]:
-        made = repair_scan(scan.mesh, largest=largest, holes=False)
+        made = repair_scan(scan.mesh, largest=largest, skin_alone=of_torso, holes=False)
         check_mesh(made.mesh)
         return (
             ColouredMesh(mesh=made.mesh, colours=scan.colours[_nearest(made.mesh.vertices, scan.mesh.vertices)]),
