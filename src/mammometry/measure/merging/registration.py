@@ -15,11 +15,11 @@ from mammometry.geometry.nearest import closest_on_mesh, point_tree
 from mammometry.measure.trunk.mirror_plane import Registration, mirror, register
 
 LEAST_OVERLAP = 0.35
-"""Share of the smaller scan that the other must show too. Scans of one woman from the front and from below have 0.7 to
-0.9 (docs/decisions)."""
+"""Share of the smaller scan that the other must show too. Scans of one woman from the front and from below have 0.9
+(decision 50)."""
 DOUBT_MM, REFUSE_MM = 2.5, 4.0
 """Residual (`ScanFit.within_mm`) above which one posture is doubted, and above which it is refused, mm. Pairs of one
-woman in one posture have 0.4 to 1.2 (docs/decisions)."""
+woman in one posture have 0.4 to 0.5 (decision 50)."""
 LARGEST_SCALE = 0.006
 """Relative difference of lengths above which scans are refused. Virtual telephones differ by 0.001."""
 _BORDER_MM = 8.0  # skin this near to a mesh's edge is not compared: scanners lose and bend it there
