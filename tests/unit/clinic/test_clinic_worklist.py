@@ -57,6 +57,17 @@ def test_a_record_number_of_somebody_else_makes_no_visit(
     assert not Visit.objects.exists()
 
 
+@pytest.mark.parametrize("born", [datetime.date(1899, 12, 31), datetime.date(2999, 1, 1)])
+def test_a_birthday_that_cannot_be_makes_no_visit(
+    client_of: Callable[..., Client], asked: dict[str, str], monkeypatch: pytest.MonkeyPatch, born: datetime.date
+) -> None:
+    entry = replace(ENTRY, patient=replace(ENTRY.patient, born=born))
+    monkeypatch.setattr(hospital, "_asked", lambda source, **_: Worklist(entries=(entry,)))
+    answer = client_of(Role.TECHNICIAN).post(reverse("worklist"), asked, follow=True)
+    assert "between 1900 and today" in answer.content.decode()
+    assert not Patient.objects.exists()
+
+
 def test_an_entry_that_cannot_be_used_is_named_beside_the_others(
     client_of: Callable[..., Client], asked: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
