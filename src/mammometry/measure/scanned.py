@@ -242,7 +242,8 @@ def _upright(mesh: TriangleMesh, looks: Float64[Array, 3]) -> str:
     if abs(axis[1]) > _STANDS:
         return "y"
     along_y = np.argmax(np.abs(looks)) == 1 and abs(looks[1]) > _ONE_SIDED
-    return "z" if along_y or (abs(axis[2]) > _STANDS and np.hypot(looks[0], looks[1]) > abs(looks[2])) else "y"
+    along_z = abs(axis[2]) > _STANDS and abs(looks[2]) < _ONE_SIDED  # a front that leans far looks along z, too
+    return "z" if along_y or along_z else "y"
 
 
 def _ahead_by_breasts(mesh: TriangleMesh, up: Float64[Array, 3]) -> Float64[Array, 3] | None:

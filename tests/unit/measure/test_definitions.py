@@ -79,3 +79,12 @@ def test_a_negative_thickness_is_refused() -> None:
 def test_an_interval_does_not_go_below_zero() -> None:
     chest = defined(volume_cc=50.0)[0]
     assert chest.interval_cc[0] == 0.0
+
+
+@pytest.mark.requirement("R-FRONT-2")
+def test_an_assumed_layer_is_not_added_to_a_flat_chest() -> None:
+    """17.8 mm over 170 cm² are 303 cc: twice what stands out, or more."""
+    assert [each.meaning for each in defined(volume_cc=140.0, cylinder=(140.0, 170.0))] == ["flat chest", "named wall"]
+    assert len(defined(volume_cc=160.0, cylinder=(160.0, 170.0))) == 3
+    measured = LayerSettings(left_lateral_mm=27.0, left_upper_mm=21.0, left_medial_mm=15.0, left_lower_mm=19.0)
+    assert len(defined(volume_cc=140.0, cylinder=(140.0, 170.0), settings=measured)) == 3

@@ -64,6 +64,14 @@ def test_a_side_without_a_breast_is_a_result_and_the_other_one_is_as_with_two() 
     assert "No fold is seen" in left.method
 
 
+@pytest.mark.requirement("R-FRONT-2")
+def test_a_low_dome_on_one_side_does_not_show_that_the_other_lost_its_breast() -> None:
+    """A man's chest, or a child's: 21 mm on one side, nothing on the other."""
+    found = outline_torso(torso_with((*LEFT[:3], 21.0), flat=FLAT), np.eye(3))
+    assert [each.name for each in found.boundaries] == ["left"]
+    assert [(each.name, each.unclear) for each in found.absent] == [("right", True)]
+
+
 @pytest.mark.slow
 @pytest.mark.requirement("R-SIDE-1")
 def test_the_feet_are_not_taken_for_the_head() -> None:

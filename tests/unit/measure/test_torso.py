@@ -182,7 +182,7 @@ def test_frames_agree_from_rig_and_from_sides() -> None:
 
 
 @pytest.mark.slow
-def test_a_flat_chest_has_no_breast_on_either_side() -> None:
+def test_a_flat_chest_has_no_outline_and_does_not_show_that_a_breast_is_missing() -> None:
     mesh = trunk_mesh(4.0)
     flat = mesh.vertices.copy()
     side = np.hypot(flat[:, 0], flat[:, 2])
@@ -191,7 +191,7 @@ def test_a_flat_chest_has_no_breast_on_either_side() -> None:
     found = outline_torso(surface, rig_frame(RIG))
     assert found.boundaries == ()
     assert [side.name for side in found.absent] == ["left", "right"]
-    assert all("stands out" in side.why and not side.unclear for side in found.absent)
+    assert all("stands out" in side.why and side.unclear for side in found.absent)
 
 
 def test_a_torso_without_sides_has_an_axis_behind_its_breastbone() -> None:

@@ -71,7 +71,7 @@ def _boundary_inputs(job: Context) -> dict[str, str]:
     return job.inputs.key_part("subject", "boundaries", "mounting", "rim", *picked)
 
 
-@product("measure", version=16, settings="measure", inputs=_boundary_inputs, when=_has_volume)
+@product("measure", version=17, settings="measure", inputs=_boundary_inputs, when=_has_volume)
 def boundaries(
     corrected_cameras: CameraSet,
     repaired: RepairedSurface,
@@ -190,7 +190,7 @@ def evidence(
     )
 
 
-@product("measure", version=25, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
+@product("measure", version=26, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
 def measurements(
     repaired: RepairedSurface,
     boundaries: tuple[Boundary, ...],
@@ -283,7 +283,7 @@ def lacking(
     return () if deficit is None else (deficit,)
 
 
-@product("measure", version=8, settings="measure", inputs=("landmarks",), when=_has_volume, threads=1)
+@product("measure", version=9, settings="measure", inputs=("landmarks",), when=_has_volume, threads=1)
 def landmarks(
     mesh: FinishedSurface,
     boundaries: tuple[Boundary, ...],
@@ -322,13 +322,14 @@ def symmetry(
         return None
 
 
-@product("measure", version=7, settings="measure", inputs=("mounting",), when=_has_volume, threads=1)
+@product("measure", version=8, settings="measure", inputs=("mounting",), when=_has_volume, threads=1)
 def dimensions(
     corrected_cameras: CameraSet,
     mesh: FinishedSurface,
     measurements: tuple[VolumeMeasurement, ...],
     body: Body | None,
     landmarks: tuple[Landmark, ...],
+    boundaries: tuple[Boundary, ...],
     *,
     job: Context,
 ) -> Dimensions:
@@ -337,4 +338,5 @@ def dimensions(
 
     frame, plane = _frame(corrected_cameras, job, body), None if body is None else body.plane
     surface, settings = mesh.repaired.mesh, job.settings.measure
-    return dimensions(surface, measurements, landmarks, frame, settings, plane=plane)
+    hidden = [boundary.name for boundary in boundaries if boundary.hidden_fold_cm2]
+    return dimensions(surface, measurements, landmarks, frame, settings, plane=plane, hidden_folds=hidden)

@@ -90,6 +90,8 @@ class Boundary:
     across_mm: Float64[Array, " n"] | None = None
     """Standard uncertainty of each point across a torso's curve beyond what any drawn curve has, mm: how little the
     skin shows of the border there. None: nothing beyond."""
+    hidden_fold_cm2: float = 0.0
+    """Area of skin that closes a scan's hole where the fold is, cm². 0: the fold is seen."""
 
     def __post_init__(self) -> None:
         if len(self.points_world) < 3 or not np.isfinite(self.points_world).all():
@@ -300,7 +302,11 @@ def outline_torso(surface: RepairedSurface, frame: Float64[Array, "3 3"], *, hea
 
 def _creased(name: BreastName, outline: Outline, head: str) -> Boundary:
     fold = (
-        "" if outline.folded > _FOLDED else "No fold is seen below the breast: its edge is where its curve runs out. "
+        "The fold below the breast is not seen: the border runs along skin that closes a hole. "
+        if outline.hidden_fold_cm2
+        else ""
+        if outline.folded > _FOLDED
+        else "No fold is seen below the breast: its edge is where its curve runs out. "
     )
     elsewhere = "" if outline.creased > _ALL_AROUND else "; elsewhere the shape of real women's breasts decided"
     surest, vaguest = np.quantile(outline.sigma_mm, _SURE_TO_VAGUE)
@@ -311,7 +317,13 @@ def _creased(name: BreastName, outline: Outline, head: str) -> Boundary:
         f"{100 * outline.seen:.0f} % of it lies on measured or bridged skin. "
         f"{fold}{head[:1].upper()}{head[1:]}; {TO_BE_CONFIRMED}"
     )
-    return Boundary(name=name, points_world=outline.points_world, method=method, across_mm=outline.sigma_mm)
+    return Boundary(
+        name=name,
+        points_world=outline.points_world,
+        method=method,
+        across_mm=outline.sigma_mm,
+        hidden_fold_cm2=outline.hidden_fold_cm2,
+    )
 
 
 def landmark_boundaries(

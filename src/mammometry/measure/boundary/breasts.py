@@ -12,11 +12,14 @@ from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Float64, TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.crease import CREASE_PER_MM, Crease, follow_crease
+from mammometry.measure.boundary.hidden_fold import hidden_fold_cm2
 from mammometry.measure.boundary.prominence import (
     DOME_MM,
     LEAST_CREASED,
     LOW_CREASED,
     MIDLINE_MM,
+    MIN_PROMINENCE_MM,
+    SURE_PROMINENCE_MM,
     Middle,
     Prominence,
     SideName,
@@ -48,6 +51,9 @@ _HIGHEST_SIGMA_MM = 8.0  # the relief is smoothed over this to look for the high
 _BESIDE_MM = 25.0  # the highest place of a side lies this far from the midline; chosen by eye
 _OUTSIDE_MM = 2 * PIXEL_MM  # outside a curve at a fold the innermost skin is the trunk's, and not the breast's
 _NEAR_MM = 20.0  # surface around an outline onto which it is laid; chosen by eye
+_LACKS = 1 / 3
+"""Share of the other breast's volume that stands out at its mirrored place, below which a side clearly has none: nearer
+to an empty side, 0, than to an equal one, 1, since a chest's own form stands out, too."""
 _SHEET_TURN = 0.15  # of a turn, over which an outline's running median is taken: 60 to 80 mm; chosen by eye
 _LEAP_MM = 10.0  # off the running median: another layer of skin. On whole captures no outline has any; chosen by eye
 _FRONT_RAD, _FRONT_MM = np.deg2rad(60.0), 90.0  # of the trunk's front, where the highest place of a side is named
@@ -75,6 +81,8 @@ class Outline:
     """Share of the curve that lies on visible skin."""
     sigma_mm: Float64[Array, " n"]
     """Standard uncertainty of each point across the curve, mm: small along a fold, large where nothing shows it."""
+    hidden_fold_cm2: float = 0.0
+    """Area of skin that closes a hole where the fold is, cm². 0: the fold is seen."""
 
 
 @value(eq=False)
@@ -264,7 +272,23 @@ def _sides(relief: Relief, trunk: Trunk, middles: dict[SideName, Middle | None])
         if side.verdict == "unclear" and side.prominence is not None and other.verdict == "breast":
             astray_mm = float(np.linalg.norm(side.middle - other.middle * [-1.0, 1.0]))
             sides[name] = replace(side, verdict=side.prominence.verdict(astray_mm))
-    return sides
+    return {
+        name: replace(side, verdict="unclear")
+        if side.verdict == "none" and not _is_lacking(sides[_OTHER[name]], relief)
+        else side
+        for name, side in sides.items()
+    }
+
+
+def _is_lacking(other: _Side, relief: Relief) -> bool:
+    """Whether the other side clearly has a breast, and little stands out where it is mirrored.
+
+    That a breast is missing is a statement about surgery, which a flat chest with a low dome on one side does not show.
+    """
+    if other.verdict != "breast" or other.prominence is None or other.prominence.top_mm < SURE_PROMINENCE_MM:
+        return False
+    mirrored = prominence_within(relief, _pixels_within(relief, other.crease.flat * [-1.0, 1.0]), creased=0.0)
+    return mirrored.volume_cc < _LACKS * other.prominence.volume_cc
 
 
 def _pixels_within(relief: Relief, outline: Float64[Array, "k 2"]) -> Bool[Array, "h w"]:
@@ -311,7 +335,10 @@ def _result(
         place = _on_skin(side.middle[None], relief, thorax, surface.mesh)[0]
         return NoBreast(name=name, place_world=place, prominence=side.prominence, why=_why_none(side.prominence))
     crease = side.crease
-    assert side.prominence is not None  # else it is none
+    if side.verdict == "unclear" and (side.prominence is None or side.prominence.top_mm < MIN_PROMINENCE_MM):
+        place = _on_skin(side.middle[None], relief, thorax, surface.mesh)[0]
+        why = f"{_why_none(side.prominence)}. Whether a breast is missing there is not clear"
+        return NoBreast(name=name, place_world=place, prominence=side.prominence, why=why, unclear=True)
     creased = creased_share(crease, name)
     if side.verdict == "unclear":
         raise _no_crease(creased, name, LOW_CREASED)
@@ -319,12 +346,14 @@ def _result(
     flat = crease.flat
     below = np.arange(len(flat)) / len(flat)  # of a turn, from the patient's left by the head
     lower = (below > _LOWER_QUARTER[0]) & (below < _LOWER_QUARTER[1])
+    points = _on_skin(flat, relief, thorax, surface.mesh)
     return Outline(
-        points_world=_on_skin(flat, relief, thorax, surface.mesh),
+        points_world=points,
         creased=creased,
         folded=float((crease.concavity_per_mm[lower] > _FOLD_PER_MM).mean()),
         seen=float(crease.seen.mean()),
         sigma_mm=crease.sigma_mm,
+        hidden_fold_cm2=hidden_fold_cm2(points[lower], surface),
     )
 
 

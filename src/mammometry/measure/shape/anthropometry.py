@@ -7,7 +7,7 @@ faces make tetrahedra without volume: they need not be built.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -246,7 +246,10 @@ def _of_torso(
         sigmas = EndSigmas(
             lower_mm=scatter.lower_mm, medial_mm=scatter.medial_mm, lateral_mm=scatter.lateral_mm, across_mm=across
         )
-        yield from propose_ends(side, curve, frame, sigmas)
+        hidden = any(boundary.hidden_fold_cm2 for boundary in boundaries if boundary.name == side)
+        for mark in propose_ends(side, curve, frame, sigmas):
+            if not (hidden and mark.name == f"inframammary_fold_{side}"):
+                yield mark
     if plane is not None and curves:
         heights = (np.concatenate(list(curves.values())) - plane.point_world) @ frame[1]
         lowest, highest = float(heights.min()), float(heights.max())
@@ -261,6 +264,7 @@ def dimensions(
     settings: MeasureSettings = MeasureSettings(),
     *,
     plane: MirrorPlane | None = None,
+    hidden_folds: Collection[str] = (),
 ) -> Dimensions:
     """Measure shape, lengths and ptosis.
 
@@ -271,6 +275,7 @@ def dimensions(
         frame: rows: the patient's left, the head, straight ahead; world frame.
         settings: uncertainty of the boundary.
         plane: the mid-sagittal plane, which replaces a midline that was not picked.
+        hidden_folds: breasts whose fold is not seen: their ptosis is measured from a picked fold alone.
 
     Raises:
         MeasureError: landmarks on parts of the surface that are not connected.
@@ -287,7 +292,9 @@ def dimensions(
             boundary_sigma_mm=sigma,
         )
         for measured in measurements
-        if measured.name != "model" and f"nipple_{measured.name}" in named
+        if measured.name != "model"
+        and f"nipple_{measured.name}" in named
+        and (measured.name not in hidden_folds or _picked(named.get(f"inframammary_fold_{measured.name}")))
     ]
     return Dimensions(
         frame=frame,

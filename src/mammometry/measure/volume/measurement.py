@@ -44,6 +44,8 @@ DENSITY_G_PER_CC, DENSITY_SD = 0.97, 0.04
 """Density of breast tissue and its standard deviation between women, g/cc. Specimens of 31 women had .94 ± .02
 (doi 10.1055/a-2253-8442), of 108 women .96 ± .04 above and 1.01 ± .08 below 50 years (Arch Aesthetic Plast Surg 25(4),
 2019). Taken between both, with a scatter that holds both."""
+LEAST_OF_LAYER = 0.5
+"""Least share of an assumed layer's volume that must stand out before it, for the layer to be added."""
 MUSCLE_WALL = "cylinder-membrane"
 """The wall from which the layer before the muscle is counted."""
 
@@ -131,6 +133,9 @@ def define(
         errors: how far the volume may be off, by source.
         cylinder: volume before the cylinder membrane, cc, and its base, cm²; None where that wall does not fit.
         settings: what is known of the layer before the muscle.
+
+    Down to the muscle only where the layer was measured, or less of it is assumed than twice what stands out: other
+    women's layer says little of a flat chest's or a man's.
     """
     if measured_wall:
         sentence = "All that lies before the wall that was measured by itself."
@@ -149,9 +154,9 @@ def define(
             f"What lies before the {wall}, wherever the chest is: to compare measurements by.",
         ),
     ]
-    if cylinder is not None:
+    mean_mm, u95_mm, count = layer_before_muscle_mm(side, settings)
+    if cylinder is not None and (count or volume_cc >= LEAST_OF_LAYER * mean_mm * cylinder[1] / 10):
         before_cc, base_cm2 = cylinder
-        mean_mm, u95_mm, count = layer_before_muscle_mm(side, settings)
         basis = (
             f"by {count} thicknesses measured at the boundary"
             if count

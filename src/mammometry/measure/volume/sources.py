@@ -5,6 +5,7 @@ Nothing is computed here: a difference of two stored volumes needs no surface.
 
 MOVEMENT = "movement"
 AXIS = "trunk's axis"
+HIDDEN_FOLD = "hidden fold"
 SCALE, WALL, BOUNDARY = "scale", "chest wall", "boundary"
 """Names of sources, as results state them."""
 WALL_ACROSS_POSES_U95_MM = 2.5

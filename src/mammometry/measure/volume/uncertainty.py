@@ -24,6 +24,7 @@ from mammometry.measure.volume.sources import (
     AXIS,
     BOUNDARY,
     BOUNDARY_CORRELATION,
+    HIDDEN_FOLD,
     MOVEMENT,
     SCALE,
     WALL,
@@ -129,6 +130,9 @@ REPAIRED_SIGMA_MM = 0.1
 were off by .08 mm on average and .8 mm at worst (99 %), in both directions."""
 INVENTED_SIGMA_MM = 0.4
 """Standard uncertainty of skin that no camera measured and no neighbour supports, mm. Common to all of it."""
+_HIDDEN_FOLD_U95_MM = 40.0
+"""Half-width of the depth that a hidden fold's bridged skin leaves out or adds, mm. Five breasts scanned by a telephone
+lack 6 to 37 mm of their clean meshes' volume over that skin (docs/decisions/0051)."""
 AXIS_U95_SHARE = 0.025
 """Share of the volume that a trunk's axis of assumed depth adds: ± 2.5 % from 80 to 170 mm, on the same breasts."""
 WALL_MEASURED_U95_MM = 1.0
@@ -207,6 +211,7 @@ def interval(
     - *base*, of a cast: scatter of the rim, silhouettes off by a fraction of a pixel, and how the rim is rounded.
     - *boundary*, of a torso: drawn again (`boundary_jitter`).
     - *chest wall*, of a torso: a height over the base, in proportion to the base's width.
+    - *hidden fold*: a depth over the skin that closes a hole below a hanging breast.
     - *trunk's axis*, where it is assumed: a share of the volume.
 
     A torso's interval is about what stands out of a flat chest, which no photograph shows behind the breast. What
@@ -267,6 +272,8 @@ def interval(
         terms[WALL] = height_mm * area_cm2 / 10
         if not model.measured:
             common[WALL] = (WALL_CORRELATION**0.5 * terms[WALL],)
+        if boundary.hidden_fold_cm2:
+            terms[HIDDEN_FOLD] = _HIDDEN_FOLD_U95_MM * boundary.hidden_fold_cm2 / 10
         if evidence.axis_assumed:
             terms[AXIS] = AXIS_U95_SHARE * volume_cc
     if torso and not model.sees_the_chest:

@@ -8,6 +8,10 @@ from mammometry.job.graph import Plan
 from mammometry.job.stages import measure
 from mammometry.measure.settings import NOT_TO_BE_COMPARED
 
+_FOLD_NOT_SEEN = (
+    "The fold is not seen, for the breast hangs over it. The volume's interval is wider for it, and no ptosis is "
+    "stated. Lift the breast, let the patient lean forward, or scan from below as well."
+)
 _RARE_SIZE = "The body is {} for an adult. Check the unit, or the size of the printed board. See the warnings."
 
 
@@ -21,14 +25,23 @@ def body_doubts(plan: Plan) -> tuple[str, ...]:
         for found in overlaps
         if found.is_covered and found.name in measured
     )
-    return (*covered, *([] if size is None or not size.warning else [size.warning]))
+    hidden = (
+        f"The patient's {curve.name} breast: {_FOLD_NOT_SEEN}"
+        for curve in plan.value(measure.boundaries) or ()
+        if curve.hidden_fold_cm2 and curve.name in measured
+    )
+    return (*covered, *hidden, *([] if size is None or not size.warning else [size.warning]))
 
 
 def body_cautions(plan: Plan) -> Mapping[str, tuple[str, ...]]:
     """Breast → what to say of its volume on the first page."""
     size = plan.value(measure.size)
     common = () if size is None or not size.is_rare else (_RARE_SIZE.format(size.words),)
-    return {measured.name: common for measured in plan.value(measure.measurements) or ()}
+    hidden = {curve.name for curve in plan.value(measure.boundaries) or () if curve.hidden_fold_cm2}
+    return {
+        measured.name: (*common, *([_FOLD_NOT_SEEN] if measured.name in hidden else []))
+        for measured in plan.value(measure.measurements) or ()
+    }
 
 
 def posture_note(posture: str) -> str:
