@@ -44,7 +44,7 @@ def found_on(areolae: tuple[str, ...]) -> tuple[tuple[Landmark, ...], Dimensions
         "inframammary_fold_left": on_trunk(LEFT[0], LEFT[1] - LEFT[2]),
         "inframammary_fold_right": on_trunk(RIGHT[0], RIGHT[1] - RIGHT[2]),
     }
-    marks = find_landmarks(surface.mesh, colours, measured, picked, BODY)
+    marks = find_landmarks(surface, colours, measured, picked, BODY)
     return marks, dimensions(surface.mesh, measured, marks, FRAME, plane=MIDDLE)
 
 

@@ -295,11 +295,8 @@ def landmarks(
     """Picked landmarks and proposed nipples."""
     from mammometry.measure.shape.anthropometry import find_landmarks
 
-    textured, picked, settings = mesh.textured, job.inputs.landmarks, job.settings.measure
-    return find_landmarks(
-        textured.mesh, textured.colours, measurements, picked, body, settings, boundaries=boundaries,
-        claimed=mesh.repaired.claimed,
-    )  # fmt: skip
+    colours, picked, settings = mesh.textured.colours, job.inputs.landmarks, job.settings.measure
+    return find_landmarks(mesh.repaired, colours, measurements, picked, body, settings, boundaries=boundaries)
 
 
 @product("measure", version=5, when=_has_volume, threads=1)

@@ -23,6 +23,7 @@ from mammometry.measure.shape.lengths import LinearMeasure, Ptosis, by_name, lin
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.trunk.mirror_plane import MirrorPlane
 from mammometry.measure.volume.measurement import VolumeMeasurement
+from mammometry.surface.repair.repair import RepairedSurface
 
 
 def volume_within_mm3(solid: TriangleMesh, origin: Float64[Array, 3], normals: Sequence[Float64[Array, 3]]) -> float:
@@ -176,7 +177,7 @@ class Dimensions:
 
 
 def find_landmarks(
-    mesh: TriangleMesh,
+    surface: RepairedSurface,
     colours: UInt8[Array, "n 3"],
     measurements: Sequence[VolumeMeasurement],
     picked: Mapping[str, Float64[Array, "k 3"]],
@@ -184,14 +185,14 @@ def find_landmarks(
     settings: MeasureSettings = MeasureSettings(),
     *,
     boundaries: Sequence[Boundary] = (),
-    claimed: Bool[Array, " n"] | None = None,
 ) -> tuple[Landmark, ...]:
     """Picked landmarks, and proposed ones where none was picked.
 
-    Proposed are nipples, the ends of the boundaries, and what the trunk shows on its mid-sagittal plane.
+    Proposed are nipples, the ends of the boundaries, and what the trunk shows on its mid-sagittal plane. No nipple,
+    notch or umbilicus is proposed on skin that nobody measured.
 
     Args:
-        mesh: the whole surface, mm, world frame.
+        surface: all of it, mm, world frame.
         colours: colour of each vertex, sRGB.
         measurements: one for each breast.
         picked: landmark → its points, mm.
@@ -199,8 +200,6 @@ def find_landmarks(
             proposed.
         settings: how well a drawn boundary is known.
         boundaries: of the breasts, with what is known of each of their points.
-        claimed: vertices that are measured skin or right beside it. None: all of them. No nipple, notch or umbilicus is
-            proposed elsewhere.
 
     Raises:
         MeasureError: a picked landmark lies off the surface or on the wrong side.
@@ -208,6 +207,7 @@ def find_landmarks(
     middles = [measured.boundary_world.mean(axis=0) for measured in measurements if measured.name != "model"]
     middle = np.mean(middles, axis=0) if len(middles) == 2 else None
     frame = None if body is None else body.frame
+    mesh = surface.mesh
     found = list(picked_landmarks(picked, mesh, frame, sigma_mm=PICKED_SIGMA_MM, middle_world=middle))
     tree = point_tree(mesh.vertices)
     for measured in measurements:
@@ -219,21 +219,20 @@ def find_landmarks(
         proposal = propose_nipple(name, skin, colours[nearest], measured.boundary_world)
         if proposal is not None:
             place = closest_on_mesh(proposal.points_world, mesh).points
-            if claimed is None or claimed[tree.query(place)[1]].all():
+            if surface.claimed[tree.query(place)[1]].all():
                 found.append(replace(proposal, points_world=place))
     if body is not None:
-        proposed = _of_torso(mesh, measurements, body, settings, boundaries, claimed)
+        proposed = _of_torso(surface, measurements, body, settings, boundaries)
         found += [mark for mark in proposed if mark.name not in picked]
     return tuple(found)
 
 
 def _of_torso(
-    mesh: TriangleMesh,
+    surface: RepairedSurface,
     measurements: Sequence[VolumeMeasurement],
     body: Body,
     settings: MeasureSettings,
     boundaries: Sequence[Boundary],
-    claimed: Bool[Array, " n"] | None,
 ) -> Iterator[Landmark]:
     """Yield the ends of the breasts, and what lies on the midline."""
     frame, plane = body.frame, body.plane
@@ -253,7 +252,9 @@ def _of_torso(
     if plane is not None and curves:
         heights = (np.concatenate(list(curves.values())) - plane.point_world) @ frame[1]
         lowest, highest = float(heights.min()), float(heights.max())
-        yield from propose_on_midline(mesh, frame, plane.point_world, plane.sigma_mm, lowest, highest, claimed=claimed)
+        yield from propose_on_midline(
+            surface.mesh, frame, plane.point_world, plane.sigma_mm, lowest, highest, claimed=surface.claimed
+        )
 
 
 def dimensions(
