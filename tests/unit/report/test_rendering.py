@@ -11,9 +11,10 @@ from mammometry.api.stored_report import packed, unpacked
 from mammometry.base.errors import StorageError
 from mammometry.measure.boundary import TO_BE_CONFIRMED
 from mammometry.measure.volume.attribution import Attribution, Confirmation
-from mammometry.report.content import Clinical, ReportContent, Signed
+from mammometry.report.content import Clinical, Fact, ReportContent, Signed, StageReport
 from mammometry.report.documents.rendering import attributed_content, render
 from mammometry.report.first_page import first_page
+from mammometry.report.words.describe import posture_fact
 
 SEEN = datetime.datetime(2026, 11, 22, 10, 0, tzinfo=datetime.UTC)
 
@@ -30,6 +31,14 @@ def test_photographs_of_the_board_are_no_matter_of_a_clinics_report() -> None:
     assert (
         content.calibration_doubts[0] not in attributed_content(content, {}, Clinical(patient="M"), named=True).warnings
     )
+
+
+@pytest.mark.parametrize(("known", "said"), [("standing", "standing"), ("", "not given")])
+def test_the_posture_that_the_clinic_knows_is_that_of_the_report(known: str, said: str) -> None:
+    stage = StageReport(stage="surface", title="Mesh", facts=(Fact("Scanner", "X"), posture_fact("")))
+    content = replace(automatic(), stages=(stage,))
+    (shown,) = attributed_content(content, {}, Clinical(patient="M", posture=known), named=True).stages
+    assert shown.facts == (Fact("Scanner", "X"), posture_fact("" if said == "not given" else said))
 
 
 def test_content_is_stored_and_read_back_whole() -> None:

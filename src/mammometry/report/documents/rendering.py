@@ -6,9 +6,10 @@ from types import MappingProxyType
 
 from mammometry.measure.boundary import TO_BE_CONFIRMED
 from mammometry.measure.volume.attribution import Attribution, Confirmation, attributed_words
-from mammometry.report.content import BreastReport, Clinical, ReportContent, sentence
+from mammometry.report.content import BreastReport, Clinical, ReportContent, StageReport, sentence
 from mammometry.report.figures.shading import NAMES
 from mammometry.report.first_page import first_page
+from mammometry.report.words.describe import posture_fact
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,6 +50,15 @@ def render(
     )
 
 
+def _in_posture(stages: Sequence[StageReport], posture: str) -> tuple[StageReport, ...]:
+    """The stages with the posture that the clinic knows, which may be entered after the measurement."""
+    known = posture_fact(posture)
+    return tuple(
+        replace(stage, facts=tuple(known if fact.label == known.label else fact for fact in stage.facts))
+        for stage in stages
+    )
+
+
 def attributed_content(
     content: ReportContent, attributions: Mapping[str, Attribution], clinical: Clinical | None, *, named: bool
 ) -> ReportContent:
@@ -68,8 +78,10 @@ def attributed_content(
     doubts = content.calibration_doubts if clinical is None else ()  # a clinic's technician has them on the rig's page
     of_boundaries = _boundary_warnings(breasts, in_clinic=clinical is not None)
     warnings = (*content.warnings, *of_boundaries, *content.concerns, *doubts)
+    posture = "" if clinical is None else clinical.posture
     return replace(
         content,
+        stages=_in_posture(content.stages, posture) if posture else content.stages,
         breasts=tuple(replace(breast, boundary=sentence(breast.boundary)) for breast in breasts),
         warnings=warnings,
     )
