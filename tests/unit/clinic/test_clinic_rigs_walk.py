@@ -105,6 +105,29 @@ def test_a_rig_is_described_by_clicks_and_opens_as_a_session(rigs: Rigs, tmp_pat
     assert page.wrong == []  # type: ignore[attr-defined]
 
 
+def test_a_checks_exchanged_photographs_are_put_right_by_clicks(rigs: Rigs) -> None:
+    looker = rigs.page("clinician")
+    looker.goto(f"/checks/{rigs.check}/")
+    expect(looker.get_by_role("heading", name="Daily check")).to_be_visible()
+    expect(looker.get_by_role("button", name="Put them right and check again")).to_have_count(0)
+    page = rigs.page("administrator")
+    page.goto("/rigs/")
+    expect(page.get_by_text("No: photographs of the last check are exchanged.")).to_be_visible()
+    page.goto(f"/checks/{rigs.check}/")
+    for name in ("Front left now", "Front left after it is put right"):
+        expect(page.get_by_role("img", name=name)).to_be_visible()
+    picture(page, "check-exchanged")
+    require_accessible(page)
+    require_fitting(page)
+    (folder,) = (rigs.folder / "rigs").glob(f"*/checks/{rigs.check}")
+    before = {path.stem: path.read_bytes() for path in folder.iterdir()}
+    page.get_by_role("button", name="Put them right and check again").click()
+    expect(page.get_by_role("heading", name="Checking")).to_be_visible()
+    after = {path.stem: path.read_bytes() for path in folder.iterdir()}
+    assert after == {"front_left": before["front_right"], "front_right": before["front_left"]}
+    assert page.wrong == []  # type: ignore[attr-defined]
+
+
 def test_a_check_takes_new_photographs_alone(rigs: Rigs, tmp_path: Path) -> None:
     page = rigs.page("technician")
     page.goto("/rigs/")
@@ -126,29 +149,6 @@ def test_a_check_takes_new_photographs_alone(rigs: Rigs, tmp_path: Path) -> None
     choose.set_input_files(photograph(tmp_path / "new" / "front_left.jpg", 73))
     expect(page.get_by_text("Everything is here.")).to_be_visible(timeout=PATIENCE_MS)
     expect(page.get_by_role("button", name="Check", exact=True)).to_be_enabled()
-    assert page.wrong == []  # type: ignore[attr-defined]
-
-
-def test_a_checks_exchanged_photographs_are_put_right_by_clicks(rigs: Rigs) -> None:
-    looker = rigs.page("clinician")
-    looker.goto(f"/checks/{rigs.check}/")
-    expect(looker.get_by_role("heading", name="Daily check")).to_be_visible()
-    expect(looker.get_by_role("button", name="Put them right and check again")).to_have_count(0)
-    page = rigs.page("administrator")
-    page.goto("/rigs/")
-    expect(page.get_by_text("No: photographs of the last check are exchanged.")).to_be_visible()
-    page.goto(f"/checks/{rigs.check}/")
-    for name in ("Front left now", "Front left after it is put right"):
-        expect(page.get_by_role("img", name=name)).to_be_visible()
-    picture(page, "check-exchanged")
-    require_accessible(page)
-    require_fitting(page)
-    (folder,) = (rigs.folder / "rigs").glob(f"*/checks/{rigs.check}")
-    before = {path.stem: path.read_bytes() for path in folder.iterdir()}
-    page.get_by_role("button", name="Put them right and check again").click()
-    expect(page.get_by_role("heading", name="Checking")).to_be_visible()
-    after = {path.stem: path.read_bytes() for path in folder.iterdir()}
-    assert after == {"front_left": before["front_right"], "front_right": before["front_left"]}
     assert page.wrong == []  # type: ignore[attr-defined]
 
 
