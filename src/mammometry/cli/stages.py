@@ -265,7 +265,7 @@ def volume_lines(results: Results) -> list[Any]:
             lines.append(f"    {MEANINGS[defined.meaning]}: {definition_words(defined)}")
     if (apart := results.difference) is not None:
         words = measured_words(apart.difference_cc, apart.difference_interval_cc, sign=True)
-        lines.append(f"left less right: {words}: {verdict_words(apart.beyond_error)}")
+        lines.append(f"left minus right: {words}: {verdict_words(apart.beyond_error)}")
     for name, why in results.no_breast.items():
         lines.append(f"{name}: no breast measured. {why}.")
     for name, deficit in results.lacking.items():

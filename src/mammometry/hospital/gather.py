@@ -249,7 +249,7 @@ def _difference(measured: Sequence[VolumeMeasurement]) -> Iterator[Quantity]:
     if {"left", "right"} <= sides.keys():
         apart = difference(sides["left"], sides["right"], "sides")
         yield Quantity(
-            code="volume_left_less_right", title="Volume, left less right", side="", value=apart.difference_cc,
+            code="volume_left_less_right", title="Volume, left minus right", side="", value=apart.difference_cc,
             unit="cm3", interval_95=apart.difference_interval_cc, note=apart.note, method="difference",
         )  # fmt: skip
 

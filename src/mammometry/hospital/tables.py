@@ -220,7 +220,7 @@ def _numbers() -> dict[str, tuple[str, str]]:
         for code, unit in (*ways, *extents, ("upper_pole", "cm3"), ("lower_pole", "cm3"), ("nipple_below_fold", "mm")):
             fields[f"{code}_{side}"] = (f"{side.capitalize()} {code.replace('_', ' ')}", unit)
             fields[f"{code}_{side}_sd"] = (f"{side.capitalize()} {code.replace('_', ' ')}, standard uncertainty", unit)
-    apart = "Volume, left less right"
+    apart = "Volume, left minus right"
     fields["volume_left_less_right"] = (apart, "cm3")
     fields["volume_left_less_right_low"] = (f"{apart}, lower limit of the 95 % interval", "cm3")
     fields["volume_left_less_right_high"] = (f"{apart}, upper limit of the 95 % interval", "cm3")

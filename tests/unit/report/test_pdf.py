@@ -28,7 +28,7 @@ from mammometry.study.tables import Table
 
 LENGTHS = Table(
     title="Lengths",
-    columns=("Lengths in mm, ± 95 %", "Left", "Right", "Left less right"),
+    columns=("Lengths in mm, ± 95 %", "Left", "Right", "Left minus right"),
     rows=(("Sternal notch to nipple", "212.3 ± 4.1", "208.0 ± 4.0", "+4 ± 6"),),
 )
 TAKEN = datetime.datetime(2026, 11, 24, 10, 12, tzinfo=datetime.UTC)

@@ -48,7 +48,7 @@ class LengthRow:
 
     @property
     def difference(self) -> Length | None:
-        """Left less right. None without both."""
+        """Left minus right. None without both."""
         left, right = self.sides
         if left is None or right is None:
             return None
@@ -195,7 +195,7 @@ def comparison(
         gap = signed(only.volume_cc if only.name == "left" else -only.volume_cc, 0)
         facts = (
             Fact(
-                "Left less right",
+                "Left minus right",
                 f"{gap} cc: the {only.name} breast in front of its own chest wall. There is no breast on the "
                 f"{absent[0].name} side. Its interval is that of the {only.name} breast",
             ),
@@ -239,7 +239,7 @@ def planning_lengths(dimensions: Dimensions | None, landmarks: Sequence[Landmark
     if grades:
         rows.append(("Ptosis, grade after Regnault", grades.get("left", "–"), grades.get("right", "–"), ""))
     table = Table(
-        title="Lengths", columns=("Lengths in mm, ± 95 %", "Left", "Right", "Left less right"), rows=tuple(rows)
+        title="Lengths", columns=("Lengths in mm, ± 95 %", "Left", "Right", "Left minus right"), rows=tuple(rows)
     )
     lacking = [row.title[0].lower() + row.title[1:] for row in laid_out.rows if row.sides == (None, None)]
     note = [] if laid_out.nipples is None else [f"Nipple to nipple: {length_words(laid_out.nipples)} mm."]
