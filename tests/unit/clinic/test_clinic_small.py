@@ -9,10 +9,11 @@ from django.test import Client
 from django.urls import reverse
 from django.utils import timezone
 
+from mammometry.base.errors import SessionError
 from mammometry.clinic.models import Calibration, Job, Rig, Visit
 from mammometry.clinic.records.search import search
 from mammometry.clinic.roles import Role
-from mammometry.clinic.templatetags.pages import rounding_note
+from mammometry.clinic.templatetags.pages import on_pages, rounding_note
 
 
 def test_a_year_finds_who_was_born_or_photographed_in_it(visit: Visit) -> None:
@@ -79,3 +80,10 @@ def test_a_calibration_that_is_begun_does_not_miss_photographs_that_are_here(
         page = client_of(Role.TECHNICIAN).get(reverse(name, args=[key])).content.decode()
         assert "photographs missing" not in page
         assert "not calibrated yet" in page
+
+
+def test_refusals_on_pages_are_said_as_people_speak() -> None:
+    error = SessionError("capture", found="no photograph", expected="one of each camera", remedy="Add it")
+    assert on_pages(str(error)) == "capture: no photograph. Expected: one of each camera. Add it."
+    plain = "The visit was found. It is expected today."
+    assert on_pages(plain) == plain

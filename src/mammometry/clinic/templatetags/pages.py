@@ -128,6 +128,7 @@ def form_token() -> SafeString:
 
 
 _INSTEAD = (
+    (r": found (.+?), expected (.+?)\. (?=[A-Z])", r": \1. Expected: \2. "),
     (r"with `mammometry edit`", "(a clinician, on the page of boundaries)"),
     (r"; compare\.refuse_mm sets the limit", ""),
     (r": --(?:head|ahead) -?[xyz], for example", ""),
@@ -141,9 +142,13 @@ _INSTEAD = (
 )
 
 
-@register.filter
+@register.filter(is_safe=True)
 def on_pages(sentence: str) -> str:
-    """A sentence with the clinic's pages and fields in place of commands and their options."""
+    """A sentence as people say it, with the clinic's pages and fields in place of commands and their options.
+
+    >>> on_pages("front_left.jpg: found a truncated image, expected the whole file. Copy it again.")
+    'front_left.jpg: a truncated image. Expected: the whole file. Copy it again.'
+    """
     for pattern, words in _INSTEAD:
         sentence = re.sub(pattern, words, sentence)
     return sentence

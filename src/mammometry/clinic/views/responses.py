@@ -26,6 +26,7 @@ from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Patien
 from mammometry.clinic.record_form import RecordForm
 from mammometry.clinic.roles import CARE, RIGS
 from mammometry.clinic.site import the_clinic
+from mammometry.clinic.templatetags.pages import on_pages
 from mammometry.clinic.web.access import is_program
 from mammometry.clinic.web.security import report_policy
 
@@ -53,7 +54,7 @@ def json_view(*methods: str) -> Callable[[Callable[..., HttpResponseBase]], Call
             except (Refused, UploadError) as error:
                 return JsonResponse({"error": str(error)}, status=error.status)
             except MammometryError as error:
-                return JsonResponse({"error": str(error)}, status=409 if error.exit_code != 9 else 507)
+                return JsonResponse({"error": on_pages(str(error))}, status=409 if error.exit_code != 9 else 507)
 
         return answer
 
@@ -203,7 +204,7 @@ def not_now(request: HttpRequest, error: MammometryError) -> HttpResponse:
     """409: the visit stands in its own way, or 503: the disk does."""
     if isinstance(error, StorageError):
         _LOG.error("%s", error)
-    words = str(error).replace(f"{the_clinic().folder}/", "")
+    words = on_pages(str(error).replace(f"{the_clinic().folder}/", ""))
     return _page(request, 503 if isinstance(error, StorageError) else 409, "Not now", words)
 
 
