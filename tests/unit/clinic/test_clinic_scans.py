@@ -151,7 +151,7 @@ def without(files: dict[str, bytes], ending: str) -> dict[str, bytes]:
         (lambda files: {**files, "x": b"MZ"}, "a file without an ending is not for a scan"),
         (lambda files: {**files, "Muster Anna.jpg": b"<html>"}, "is no picture"),
         (lambda files: {**files, "Muster Anna.jpg": files["Muster Anna.jpg"] + b"<script>"}, "as well as a picture"),
-        (lambda files: {**files, "Muster Anna.obj": b"nothing"}, "found"),
+        (lambda files: {**files, "Muster Anna.obj": b"nothing"}, "Expected: "),
         (lambda files: {"scan.zip": b"PK\x03\x04 no archive"}, "ZIP cannot be read"),
         (lambda files: {"scan.zip": packed(files)["scan.zip"][:-40]}, "ZIP cannot be read"),
         (lambda files: packed({f"{n}.png": b"" for n in range(50)}), "too many files"),

@@ -74,7 +74,7 @@ def test_an_entry_that_cannot_be_used_is_named_beside_the_others(
     refused = ArchiveError("RIS, entry A7", found="the patient's id with a backslash", expected="none", remedy="Ask")
     monkeypatch.setattr(hospital, "_asked", lambda source, **_: Worklist(entries=(ENTRY,), refused=(refused,)))
     page = client_of(Role.TECHNICIAN).get(reverse("worklist")).content.decode()
-    assert "RIS, entry A7: found the patient&#x27;s id with a backslash" in page
+    assert "RIS, entry A7: the patient&#x27;s id with a backslash" in page
     assert "Muster, Anna" in page
 
 
