@@ -194,6 +194,17 @@ def test_regnault(below_mm: float, grade: str, certain: bool) -> None:
     assert found.nipple_above_lowest_mm == pytest.approx(LEFT[2], abs=3.0)  # 3 mm edges along the boundary
 
 
+def test_a_nipple_about_5_mm_over_the_contour_may_be_of_either_grade() -> None:
+    left, _ = measured()
+    up = FRAME[1]
+    lowest = left.skin.vertices[np.argmin(left.skin.vertices @ up)]
+    nipple = Landmark(name="nipple_left", points_world=(lowest + 6.0 * up)[None], method="known", sigma_mm=2.0)
+    fold = (lowest + 26.0 * up)[None]
+    mark = Landmark(name="inframammary_fold_left", points_world=fold, method="known", sigma_mm=1.0)
+    found = ptosis(left, up, nipple, mark, boundary_sigma_mm=3.0)
+    assert (found.grade, set(found.likely)) == ("II", {"II", "III"})
+
+
 def test_landmarks_of_the_wrong_side_and_off_the_surface_are_named() -> None:
     mesh = trunk().mesh
     notch = {"sternal_notch": on_trunk(0.0, 150.0)[None]}

@@ -59,7 +59,8 @@ class Ptosis:
     than 3 cm below, or more than 1 cm below and within 5 mm of the breast's lowest contour. pseudoptosis: above the
     fold, while the breast reaches more than 2 cm below it."""
     likely: tuple[PtosisGrade, ...]
-    """All grades that the 95 % interval of the nipple's height touches. One if the grade is certain."""
+    """All grades that the 95 % intervals of the nipple's height touch, over the fold and over the lowest contour. One
+    if the grade is certain."""
     nipple_below_fold_mm: float
     """Height of the fold over the nipple, mm. Negative if the nipple is above."""
     sigma_mm: float
@@ -150,8 +151,10 @@ def ptosis(
     place = float(nipple.points_world[0] @ up_world)
     lowest = float((measured.skin.vertices @ up_world).min())
     below, sigma = level - place, float(np.hypot(nipple.sigma_mm, boundary_sigma_mm if fold is None else fold.sigma_mm))
-    heights = np.array([below, *(below + COVERAGE_95 * sigma * np.linspace(-1, 1, _HEIGHTS))])
-    grades = [_grade(float(height), place - lowest, level - lowest) for height in heights]
+    spread = COVERAGE_95 * np.linspace(-1, 1, _HEIGHTS)
+    heights, above = below + sigma * spread, place - lowest + nipple.sigma_mm * spread
+    grades = [_grade(below, place - lowest, level - lowest)]
+    grades += [_grade(float(height), float(over), level - lowest) for height in heights for over in above]
     return Ptosis(
         name=measured.name,
         grade=grades[0],
