@@ -144,7 +144,9 @@ _INSTEAD = (
 
 @register.filter(is_safe=True)
 def on_pages(sentence: str) -> str:
-    """A sentence as people say it, with the clinic's pages and fields in place of commands and their options.
+    """A sentence as people say it.
+
+    The clinic's pages and fields stand in place of commands and their options.
 
     >>> on_pages("front_left.jpg: found a truncated image, expected the whole file. Copy it again.")
     'front_left.jpg: a truncated image. Expected: the whole file. Copy it again.'
