@@ -156,7 +156,7 @@ class Job(Reported):
             progress: fraction of the photographs that are searched.
 
         Raises:
-            MammometryError: whatever stands in the way, in one sentence: also photographs of the calibration itself,
+            MammometryError: the first problem, in one sentence: also photographs of the calibration itself,
                 of an earlier check in another folder, or older than the calibration's by their time stamps.
         """
         from mammometry.api.exposures import require_later

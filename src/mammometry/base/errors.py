@@ -49,7 +49,7 @@ class MammometryError(Exception):
         return made
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Parts to copy or unpickle the error from; without them a refusal breaks a pool of processes."""
+        """Return the parts for pickling, so that the error survives a process pool."""
         return _copied, (type(self), self.args), self.__dict__
 
 
@@ -135,7 +135,7 @@ class MeasureError(MammometryError):
         return made
 
     def of_mesh(self) -> MeasureError:
-        """The same error in words of a mesh, which has no session and no cameras."""
+        """Return the error in terms of a mesh, without session and cameras."""
         return type(self)(self.subject, found=self.found, expected=self.expected, remedy=self._mesh_remedy)
 
 

@@ -65,7 +65,7 @@ def info(options: Options, session: SessionOrScan) -> Answer:
 
 
 def _scan_info(folder: Path, options: Options) -> Answer:
-    """What an imported scan holds, which results are current, and what to do next."""
+    """Contents of an imported scan, its current results, and the next step."""
     from mammometry.api.scan_folders import open_scan
 
     scan = open_scan(folder, options.settings())
@@ -192,7 +192,7 @@ def _stages_table(stages: dict[str, Any]) -> Any:
 
 
 def _changed_lines(stages: dict[str, Any]) -> list[str]:
-    """What was changed since each stage's results were made."""
+    """Inputs and settings changed since each stage's results were made."""
     lines = []
     for stage, about in stages.items():
         changed = about["changed"]
@@ -216,7 +216,7 @@ def _products_table(stages: dict[str, Any]) -> Any:
 
 
 def _next(table: dict[str, Any], session: Path, options: Options) -> str:
-    """What to do next: a command that can be pasted, where there is one."""
+    """The next step: a command that can be pasted, if there is one."""
     if table["missing"]:
         return f"put the missing photographs into {session.absolute() / 'capture'}"
     states = [about["state"] for about in table["stages"].values()]

@@ -58,7 +58,7 @@ _ABOUT = {
 
 
 _BOTH_VERSIONS = 409
-"""Status of a page that shows a record as somebody else changed it."""
+"""Status of the page that shows a record that a colleague changed."""
 _PATH = 300  # characters of an address that are kept; ours are shorter
 
 

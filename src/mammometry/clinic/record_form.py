@@ -28,7 +28,7 @@ _Sent = tuple[str, ...]
 
 
 class StaleRecord(Exception):  # an answer, as Http404 is
-    """Somebody else saved the record since the page was opened."""
+    """A colleague saved the record since the page was opened."""
 
     def __init__(self, form: "RecordForm") -> None:
         super().__init__("the record was changed meanwhile")
@@ -45,13 +45,13 @@ class Difference:
     """In words. None: the form does not show this field, so there is nothing to choose."""
     theirs: str
     proposed: str
-    """`MINE` or `THEIRS`; empty: both people changed it, so somebody has to choose."""
+    """`MINE` or `THEIRS`; empty: both changed it, so the user must choose."""
     joinable: bool
     """Whether both texts can be kept, one below the other."""
 
 
 class RecordForm(forms.ModelForm):  # type: ignore[type-arg]
-    """A form of one record, new or known, that refuses to overwrite what somebody else saved meanwhile.
+    """A form of one record, new or known, that refuses to overwrite a colleague's change.
 
     A known record is read again and locked when the form comes back, so a view is in a transaction and saves
     `instance`, not the row that it handed in.
@@ -87,7 +87,7 @@ class RecordForm(forms.ModelForm):  # type: ignore[type-arg]
         """Whether the form can be saved.
 
         Raises:
-            StaleRecord: somebody else saved the record meanwhile, and the two differ.
+            StaleRecord: a colleague saved the record meanwhile, and the two differ.
         """
         if self.differences:
             raise StaleRecord(self)
@@ -174,7 +174,7 @@ class RecordForm(forms.ModelForm):  # type: ignore[type-arg]
 
 
 def _locked(instance: Model) -> Model:
-    """The record as it is now. Nobody else changes it before the transaction ends.
+    """The record as it is now, locked until the transaction ends.
 
     Raises:
         Http404: it is gone.

@@ -313,7 +313,7 @@ def _require_rig(definition: Mapping[str, Any]) -> None:
 
 
 def _plain(sentence: str) -> str:
-    """A reader's sentence without the file that nobody wrote."""
+    """Remove the name of session.toml from a sentence: the user typed a form, not a file."""
     return sentence.replace("session.toml: ", "").replace(" in session.toml", "").replace("[target] ", "")
 
 

@@ -263,7 +263,7 @@ def test_a_clinician_sends_and_the_audit_says_so(
     address = reverse("visit-send", args=[visit.pk])
     assert "Send to PACS" in client.get(address).content.decode()
     answer = client.post(address, {"destination": str(archive.pk)}, follow=True)
-    assert "Nobody has confirmed the boundaries of this visit" in answer.content.decode()
+    assert "The boundaries of this visit are not confirmed" in answer.content.decode()
     assert not Delivery.objects.exists()  # one press alone sends nothing that nobody confirmed
     answer = client.post(address, {"destination": str(archive.pk), "anyway": "1"}, follow=True)
     assert "on their way to PACS" in answer.content.decode()

@@ -60,7 +60,7 @@ export function keep(form: HTMLFormElement): void {
   }
 }
 
-/** Somebody logs out: nothing of what was typed stays, in no tab. */
+/** After a log-out no draft stays, in any tab. */
 export function forgetEverywhere(): void {
   forget();
   channel?.postMessage(LOGGED_OUT);

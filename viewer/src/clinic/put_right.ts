@@ -51,7 +51,7 @@ export function exchangedPart(exchanged: Record<string, string>, shots: Record<s
   return [list, acts];
 }
 
-/** What the calibration says of a photograph whose camera nobody said. */
+/** The camera that took a photograph of an unknown camera, by the calibration. */
 export function suggested(address: string, camera: string): HTMLElement[] {
   return [element("p", "", `By the calibration: ${named(camera)}.`), pressed(`It is of ${named(camera)}`, "put", { [address]: camera })];
 }

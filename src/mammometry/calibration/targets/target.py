@@ -48,7 +48,7 @@ class Target(ABC):
 
     @property
     def stated_size(self) -> tuple[str, float]:
-        """That key, and its value, mm. Of a list of points the longest side of what it spans."""
+        """That key, and its value in mm: for a list of points, the longest side of their extent."""
         value = getattr(self, self.size_key, None)
         return self.size_key, value if isinstance(value, float) else float(np.ptp(self.points_target, axis=0).max())
 

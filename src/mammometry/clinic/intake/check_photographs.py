@@ -68,7 +68,7 @@ def _age(upload: Upload, check: DailyCheck, others: QuerySet[Upload], taken_s: f
 
 
 def _described(upload: Upload) -> str:
-    """What a photograph was sent for. Of a visit no more than its day: whoever checks a rig need not see patients."""
+    """Where a photograph belongs. Of a visit, its day only: people who check rigs may not see patients."""
     camera = upload.camera.replace("_", " ")
     if upload.calibration is not None:
         pose = upload.name.split("/")[1]

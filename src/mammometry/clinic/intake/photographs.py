@@ -126,7 +126,7 @@ def _checked(calibration: str, photographs: Placed) -> NamesChecked:
 
 
 def cameras_by_geometry(visit: Visit, placed: Placed, unnamed: Placed) -> dict[str, str]:
-    """Digest of each photograph whose camera nobody said → the camera that took it, by the calibration.
+    """Digest of each photograph of an unknown camera → the camera that took it, by the calibration.
 
     Args:
         visit: with its calibration, if it has one.
@@ -134,7 +134,7 @@ def cameras_by_geometry(visit: Visit, placed: Placed, unnamed: Placed) -> dict[s
         unnamed: those without; of each the camera is any one that has no photograph yet, each once.
 
     Returns:
-        Empty where it cannot be told of all.
+        Empty if any of them is undecided.
     """
     calibration = visit.calibration
     if calibration is None or not calibration.figures or not unnamed:

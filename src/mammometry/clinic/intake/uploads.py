@@ -449,7 +449,7 @@ def _exchanged(visit: Visit) -> dict[str, str]:
 
 
 def _by_geometry(visit: Visit, placed: Iterable[Upload], missing: Sequence[str]) -> dict[str, str]:
-    """Upload without a camera → its camera by the calibration, where it can be told of all."""
+    """Upload without a camera → its camera by the calibration. Empty if any is undecided."""
     unnamed = list(uploads_of(visit).filter(state=Upload.State.CHECKED, camera=""))
     if len(unnamed) != len(missing):
         return {}

@@ -179,7 +179,7 @@ class AuditLink(models.Model):
 
 
 class FormToken(models.Model):
-    """The token of a form that somebody sent, and how it was answered (`web.once`)."""
+    """The token of a submitted form, and its answer (`web.once`)."""
 
     person = models.ForeignKey(Person, on_delete=models.CASCADE, related_name="+")
     token = models.UUIDField()

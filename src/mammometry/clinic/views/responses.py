@@ -135,7 +135,7 @@ def form_page(
 
 
 def stale_page(request: HttpRequest, form: RecordForm) -> HttpResponse:
-    """409: somebody else changed the record meanwhile. Both versions, field by field, and what was typed."""
+    """Answer 409: a colleague changed the record. Both versions, field by field, and what was typed."""
     row: Any = form.instance
     row = getattr(row, "visit", row)  # of a conclusion
     about = {

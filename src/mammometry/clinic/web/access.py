@@ -1,7 +1,7 @@
 """Access to pages. A view is mounted with its roles, or not at all.
 
 `guarded` wraps a view: it refuses who may not, requires the second factor, makes each change and its audit entry one
-transaction, carries a form that is sent twice out once, answers a form whose record somebody else changed meanwhile,
+transaction, carries out a form once even if it is sent twice, answers a form whose record a colleague changed,
 and enters into the audit who saw which patient's, visit's or rig's page.
 """
 

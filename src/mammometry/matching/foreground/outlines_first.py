@@ -28,7 +28,7 @@ def outline_advice(cameras: Sequence[str], doubts: Mapping[str, str]) -> str:
     return (
         f"The subject's outline in the photograph of {' and of '.join(missing)} is not known, so the background may "
         f"have been matched. Draw {' and '.join(f'masks/{name}.png' for name in missing)}, and run again before you "
-        "calibrate anew."
+        "calibrate again."
     )
 
 

@@ -189,7 +189,7 @@ def find_landmarks(
     """Picked landmarks, and proposed ones where none was picked.
 
     Proposed are nipples, the ends of the boundaries, and what the trunk shows on its mid-sagittal plane. No nipple,
-    notch or umbilicus is proposed on skin that nobody measured.
+    notch or umbilicus is proposed on unmeasured skin.
 
     Args:
         surface: all of it, mm, world frame.

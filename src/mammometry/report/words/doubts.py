@@ -9,7 +9,7 @@ from mammometry.job.stages import measure
 from mammometry.measure.settings import NOT_TO_BE_COMPARED
 
 _FOLD_NOT_SEEN = (
-    "The fold is not seen, for the breast hangs over it. The volume's interval is wider for it, and no ptosis is "
+    "The fold is not seen because the breast hangs over it. The interval is therefore wider, and no ptosis is "
     "stated. Lift the breast, let the patient lean forward, or scan from below as well."
 )
 _RARE_SIZE = "The body is {} for an adult. Check the unit, or the size of the printed board. See the warnings."

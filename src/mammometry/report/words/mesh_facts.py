@@ -24,7 +24,7 @@ class MeshOrigin:
     scanner: str = ""
     """Name of the device. Empty: not given."""
     posture: str = ""
-    """How the patient held herself, as was said. Empty: nobody said."""
+    """The patient's posture. Empty if unknown."""
     notes: tuple[str, ...] = ()
     """What was changed in the mesh, and what was taken for granted, one sentence each."""
     sides_doubtful: bool = False

@@ -34,11 +34,11 @@ _FEATURE_PX = 0.5
 _ON_LINE = 3.0
 """Standard deviations within which a match lies on its line."""
 _ASTRAY_PX = 16.0
-"""Distances from the lines that are weighed, likewise: matches by chance are as frequent anywhere within."""
+"""Distances from the lines that are used, in the same pixels: matches by chance are spread evenly within."""
 _BY_CHANCE = 0.3
-"""Share of the weighed matches that are by chance, a half at worst."""
+"""Share of those matches that are by chance; up to a half."""
 _SHARES = np.linspace(-1.0, 2.0, 61)
-"""Shares of a correction that are weighed: 0 is none of it, 1 all."""
+"""Shares of a correction that are compared: 0 is none of it, 1 all."""
 _SURE = 2.0
 """Standard deviations by which the share must differ from none, or from all."""
 _PARALLEL = 1e-6
@@ -117,7 +117,7 @@ def weigh_correction(
 
     Args:
         rig: as calibrated.
-        corrected: the same cameras where they are said to have stood.
+        corrected: the same cameras at their corrected places.
         breathed_mm: camera and points that it saw → their displacement to where a body is that did not breathe.
         shared: features of two cameras each.
     """

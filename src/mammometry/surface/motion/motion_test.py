@@ -229,7 +229,7 @@ def _is_trusted(found: Stillness) -> bool:
 
 
 def _matched_badly(found: Stillness, rest_mm: float, before_mm: float) -> Stillness:
-    """Cameras stood still, and the pairs' disagreement is matching's own. The interval covers it."""
+    """The cameras did not move: the pairs disagree because of matching errors, which the interval covers."""
     return replace(
         found,
         motions=np.zeros_like(found.motions),
