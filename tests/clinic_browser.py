@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from playwright.sync_api import Browser, Page
+from tests.patience import patient
 
 AXE = Path(__file__).resolve().parents[1] / "build" / "axe.min.js"
 """axe-core, as `hatch_build.py` puts it there."""
@@ -27,7 +28,7 @@ def cookies(folder: Path) -> dict[str, str]:
 
 def opened(browser: Browser, address: str, login: str, *, width: int, height: int = 900) -> Page:
     """A window of somebody who is logged in; ``page.wrong`` holds what goes wrong in its scripts."""
-    context = browser.new_context(viewport={"width": width, "height": height}, base_url=address)
+    context = patient(browser.new_context(viewport={"width": width, "height": height}, base_url=address))
     context.add_cookies([{"name": "clinic-session", "value": login, "url": address}])
     page = context.new_page()
     wrong: list[str] = []

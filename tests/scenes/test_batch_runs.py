@@ -18,6 +18,7 @@ from pathlib import Path
 import psutil
 import pytest
 from playwright.sync_api import sync_playwright
+from tests.patience import patient
 
 from mammometry.cli import main
 from mammometry.io.results.verify import verify
@@ -115,7 +116,7 @@ def test_the_page_sorts_and_shows_agreement(place: Path, tiny_finished_original:
         browser = playwright.chromium.launch(
             executable_path=CHROMIUM, args=["--no-sandbox", "--disable-background-networking"]
         )
-        page = browser.new_page()
+        page = patient(browser.new_page())
         page.goto((place / "out" / "batch.html").as_uri())
         names = "[...document.querySelectorAll('#sessions tbody th')].map(each => each.dataset.key)"
         first = page.evaluate(names)

@@ -11,6 +11,7 @@ import trimesh
 from benchmarks.accuracy.dates import TrueVisit, grown, true_visit
 from dated_session import put_results, write_session
 from playwright.sync_api import sync_playwright
+from tests.patience import patient
 
 import mammometry
 from mammometry.api import dates
@@ -147,11 +148,11 @@ def test_the_page_is_led_by_the_change_and_needs_nothing_else(found: Comparison)
 def test_the_page_opens_on_both_dates_coloured_by_the_change(found: Comparison) -> None:
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        page = browser.new_page(viewport={"width": 360, "height": 740})
+        page = patient(browser.new_page(viewport={"width": 360, "height": 740}))
         asked: list[str] = []
         page.on("request", lambda request: asked.append(request.url))
         page.goto(found.page.as_uri())
-        page.wait_for_function("document.getElementById('mm-viewer').dataset.ready === '2'", timeout=60_000)
+        page.wait_for_function("document.getElementById('mm-viewer').dataset.ready === '2'")
         assert page.evaluate("document.documentElement.scrollWidth") == 360
         assert page.locator("#mm-viewer canvas").count() == 2
         assert page.locator("#mm-viewer figcaption").all_inner_texts() == ["Before", "After"]

@@ -70,6 +70,7 @@ def test_a_technician_aims_and_fires_in_the_browser(place, monkeypatch):
     if CHROMIUM is None:
         pytest.skip("no chromium")
     import uvicorn
+    from tests.patience import patient
 
     servers = []
     monkeypatch.setattr(uvicorn.Server, "capture_signals", quietly)
@@ -94,13 +95,13 @@ def test_a_technician_aims_and_fires_in_the_browser(place, monkeypatch):
     try:
         with playwright.sync_playwright() as driver:
             browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-            shown = browser.new_page()
+            shown = patient(browser.new_page())
             shown.goto(addresses[0])
-            shown.wait_for_selector(".cap-said.cap-good", timeout=30_000)
+            shown.wait_for_selector(".cap-said.cap-good")
             assert shown.locator("figure").count() == 8
-            shown.get_by_text("The subject is whole in every view.").wait_for(timeout=30_000)
+            shown.get_by_text("The subject is whole in every view.").wait_for()
             shown.get_by_role("button", name="Fire").click()
-            shown.wait_for_selector(".cap-verdict.good", timeout=30_000)
+            shown.wait_for_selector(".cap-verdict.good")
             assert "All names are right" in shown.inner_text(".cap-verdict")
             browser.close()
     finally:

@@ -42,7 +42,6 @@ pytestmark = [
     pytest.mark.xdist_group("clinic-days"),
 ]
 MEASURED_MS = 1_200_000  # one small visit: 40 s alone, more than 5 min beside eight others
-PATIENCE_MS = 60_000
 WIDTHS = (390, 820, 1440)
 HANDLE_RGB = (213, 94, 0)  # of a boundary's points, as `viewer/src/stage.ts` draws them
 PEOPLE = {
@@ -233,7 +232,7 @@ def check_rig(page: Page, photographs: Path) -> None:
     page.get_by_role("link", name="Room 1").first.click()
     page.get_by_role("button", name="Daily check").click()
     drop(page, sorted((photographs / "calibration" / "00").glob("*.jpg")))
-    page.get_by_role("button", name="Check", exact=True).click(timeout=PATIENCE_MS)
+    page.get_by_role("button", name="Check", exact=True).click()
     expect(page.get_by_text("✓ Passed")).to_be_visible(timeout=MEASURED_MS)
     judge(page, "check")
     page.goto("/rigs/")
@@ -304,10 +303,10 @@ def photograph(page: Page, photographs: Path) -> str:
     page.get_by_role("button", name="Go on to the photographs").click()
     expect(page.get_by_role("button", name="Measure")).to_be_disabled()
     drop(page, sorted((photographs / "capture").glob("*.jpg")))
-    expect(page.get_by_text("Everything is here.")).to_be_visible(timeout=PATIENCE_MS)
+    expect(page.get_by_text("Everything is here.")).to_be_visible()
     judge(page, "photographs")
     page.get_by_role("button", name="Measure").click()
-    expect(page.get_by_role("heading", name="Being measured")).to_be_visible(timeout=PATIENCE_MS)
+    expect(page.get_by_role("heading", name="Being measured")).to_be_visible()
     expect(page.get_by_role("heading", name="Left breast")).to_be_visible(timeout=MEASURED_MS)
     return urlsplit(page.url).path
 
@@ -367,7 +366,7 @@ def test_a_surgeons_day(visit: str, opens: Opens, people: Hospital) -> None:
     # The right one is drawn better. The session ends meanwhile: the password is asked for here, and nothing is lost.
     page.get_by_role("button", name="Change the line").click()
     drag_highest_point(page)
-    expect(page.locator(".mm-origin")).to_contain_text("Changed, not saved.", timeout=PATIENCE_MS)
+    expect(page.locator(".mm-origin")).to_contain_text("Changed, not saved.")
     page.context.clear_cookies(name="clinic-session")
     page.get_by_role("button", name="Save").click()
     dialog = page.get_by_role("dialog", name="Log in again, luchs")
@@ -383,7 +382,7 @@ def test_a_surgeons_day(visit: str, opens: Opens, people: Hospital) -> None:
     expect(page.locator(".mm-about h2")).to_have_text("Landmarks")
     judge(page, "landmarks")
     page.get_by_role("button", name="Confirm and finish").click()
-    page.wait_for_url(visit, timeout=PATIENCE_MS)
+    page.wait_for_url(visit)
     expect(page.get_by_text("No other visit waits to be confirmed.")).to_be_visible()
     assert volumes_of(page) == [before[0], after]
     expect(page.get_by_text("✓ confirmed").first).to_be_visible()
@@ -476,11 +475,11 @@ def test_two_people_at_once_on_one_visit(visit: str, opens: Opens) -> None:
         page.mouse.click(box["x"] + share * box["width"], box["y"] + box["height"] / 2)
         expect(page.get_by_role("button", name="Save")).to_be_visible()
     first.get_by_role("button", name="Save").click()
-    expect(first.locator(".mm-readout")).to_contain_text("Saved", timeout=PATIENCE_MS)
+    expect(first.locator(".mm-readout")).to_contain_text("Saved")
     second.get_by_role("button", name="Save").click()
-    expect(second.locator(".mm-readout")).to_contain_text("a change by somebody else meanwhile", timeout=PATIENCE_MS)
+    expect(second.locator(".mm-readout")).to_contain_text("a change by somebody else meanwhile")
     second.get_by_role("button", name="Replace it by mine").click()
-    expect(second.locator(".mm-readout")).to_contain_text("Saved", timeout=PATIENCE_MS)
+    expect(second.locator(".mm-readout")).to_contain_text("Saved")
     second.goto(visit)  # which is measured again
     expect(second.get_by_role("heading", name="Left breast")).to_be_visible(timeout=MEASURED_MS)
     second.get_by_text("History of drawing").click()

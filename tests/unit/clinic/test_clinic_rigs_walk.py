@@ -22,7 +22,6 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine: apt-get install chromium"),
     pytest.mark.skipif(not AXE.exists(), reason="no axe-core: the bundles are not built (hatch_build.py)"),
 ]
-PATIENCE_MS = 30_000
 
 
 class Rigs:
@@ -136,18 +135,18 @@ def test_a_check_takes_new_photographs_alone(rigs: Rigs, tmp_path: Path) -> None
     choose = page.get_by_label("Choose photographs")
     expect(page.get_by_text("How large is the printed board?")).to_be_visible()
     choose.set_input_files(photograph(tmp_path / "front_left.jpg", 71))
-    expect(page.get_by_role("img", name="Photograph: Pose 01, front left")).to_be_visible(timeout=PATIENCE_MS)
+    expect(page.get_by_role("img", name="Photograph: Pose 01, front left")).to_be_visible()
     page.goto("/rigs/")
     page.get_by_role("link", name="Room 1").click()
     page.get_by_role("button", name="Daily check").click()
     choose.set_input_files([tmp_path / "front_left.jpg", photograph(tmp_path / "front_right.jpg", 72)])
     said = "front_left.jpg: This photograph is the photograph of front left in pose 01 of the calibration of"
-    expect(page.get_by_text(said)).to_be_visible(timeout=PATIENCE_MS)
+    expect(page.get_by_text(said)).to_be_visible()
     expect(page.get_by_role("img", name="Photograph: Front right")).to_be_visible()
     picture(page, "check-refused")
     require_accessible(page)
     choose.set_input_files(photograph(tmp_path / "new" / "front_left.jpg", 73))
-    expect(page.get_by_text("Everything is here.")).to_be_visible(timeout=PATIENCE_MS)
+    expect(page.get_by_text("Everything is here.")).to_be_visible()
     expect(page.get_by_role("button", name="Check", exact=True)).to_be_enabled()
     assert page.wrong == []  # type: ignore[attr-defined]
 
@@ -195,7 +194,7 @@ def test_exchanged_photographs_are_put_right_by_clicks(rigs: Rigs, taken: dict[s
     exchanged = {"front_left": "right_left", "right_left": "front_left"}
     files = [shutil.copy(path, tmp_path / f"{exchanged.get(camera, camera)}.jpg") for camera, path in taken.items()]
     page.get_by_label("Choose photographs").set_input_files(files)
-    expect(page.get_by_role("button", name="Put them right")).to_be_visible(timeout=4 * PATIENCE_MS)
+    expect(page.get_by_role("button", name="Put them right")).to_be_visible()
     expect(page.get_by_text("photographs that seem to be exchanged")).to_be_visible()
     for name in ("Front left now", "Front left after it is put right", "Right left now"):
         expect(page.get_by_role("img", name=name)).to_be_visible()
@@ -204,15 +203,15 @@ def test_exchanged_photographs_are_put_right_by_clicks(rigs: Rigs, taken: dict[s
     require_accessible(page)
     require_fitting(page)
     page.get_by_role("button", name="Put them right").click()
-    expect(page.get_by_role("button", name="Put them right")).to_be_hidden(timeout=PATIENCE_MS)
+    expect(page.get_by_role("button", name="Put them right")).to_be_hidden()
     expect(page.get_by_role("button", name="Measure", exact=True)).to_be_enabled()
     placed = rigs.placed(rigs.visits[0])
     assert placed == {camera: path.read_bytes() for camera, path in taken.items()}
     # A choice is changed by hand, and found again.
     page.get_by_label("Another camera took it: the photograph of Floor left").select_option("left_left")
-    expect(page.get_by_role("button", name="Put them right")).to_be_visible(timeout=PATIENCE_MS)
+    expect(page.get_by_role("button", name="Put them right")).to_be_visible()
     page.get_by_role("button", name="Put them right").click()
-    expect(page.get_by_role("button", name="Measure", exact=True)).to_be_enabled(timeout=PATIENCE_MS)
+    expect(page.get_by_role("button", name="Measure", exact=True)).to_be_enabled()
     assert page.wrong == []  # type: ignore[attr-defined]
 
 
@@ -226,16 +225,16 @@ def test_unnamed_photographs_are_put_where_the_calibration_says(
         for number, (_, path) in enumerate(reversed(taken.items()), start=1)
     ]
     page.get_by_label("Choose photographs").set_input_files(files)
-    expect(page.get_by_text("IMG_0001.JPG")).to_be_visible(timeout=PATIENCE_MS)
-    expect(page.get_by_role("button", name="Put all in their places")).to_be_visible(timeout=6 * PATIENCE_MS)
+    expect(page.get_by_text("IMG_0001.JPG")).to_be_visible()
+    expect(page.get_by_role("button", name="Put all in their places")).to_be_visible()
     expect(page.get_by_text("By the calibration: Front left.")).to_be_visible()
     picture(page, "unnamed")
     require_accessible(page)
     require_fitting(page)
     page.get_by_role("button", name="It is of Front left").click()
-    expect(page.get_by_role("img", name="Photograph: Front left")).to_be_visible(timeout=PATIENCE_MS)
+    expect(page.get_by_role("img", name="Photograph: Front left")).to_be_visible()
     page.get_by_role("button", name="Put all in their places").click()
-    expect(page.get_by_role("button", name="Measure", exact=True)).to_be_enabled(timeout=2 * PATIENCE_MS)
+    expect(page.get_by_role("button", name="Measure", exact=True)).to_be_enabled()
     placed = rigs.placed(rigs.visits[1])
     assert placed == {camera: path.read_bytes() for camera, path in taken.items()}
     assert page.wrong == []  # type: ignore[attr-defined]

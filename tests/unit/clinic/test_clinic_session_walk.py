@@ -61,11 +61,11 @@ def test_a_photograph_waits_for_the_password(page: Page, tmp_path: Path) -> None
     expect(dialog.get_by_text("This password is not right.")).to_be_visible()
     dialog.get_by_label("Password").fill(PASSWORD)
     dialog.get_by_role("button", name="Log in").click()
-    expect(page.get_by_role("img", name="Photograph: Front left")).to_be_visible(timeout=20_000)
+    expect(page.get_by_role("img", name="Photograph: Front left")).to_be_visible()
     expect(dialog).to_be_hidden()
     # The login made a new token; the page goes on with it.
     page.get_by_label("Choose photographs").set_input_files(photograph(tmp_path / "front_right.jpg", 2))
-    expect(page.get_by_text("Everything is here.")).to_be_visible(timeout=20_000)
+    expect(page.get_by_text("Everything is here.")).to_be_visible()
 
 
 def test_who_logs_in_in_another_tab_goes_on_here(page: Page, tmp_path: Path) -> None:
@@ -80,7 +80,7 @@ def test_who_logs_in_in_another_tab_goes_on_here(page: Page, tmp_path: Path) -> 
     other.get_by_role("button", name="Log in").click()
     expect(other.get_by_role("heading", name="Today", exact=True)).to_be_visible()
     page.evaluate("window.dispatchEvent(new Event('focus'))")  # no window manager tells a headless tab
-    expect(page.get_by_role("img", name="Photograph: Front left")).to_be_visible(timeout=20_000)
+    expect(page.get_by_role("img", name="Photograph: Front left")).to_be_visible()
 
 
 def test_who_does_not_log_in_is_told_what_was_not_sent(page: Page, tmp_path: Path) -> None:

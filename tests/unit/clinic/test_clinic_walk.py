@@ -69,9 +69,9 @@ def test_a_visit_is_begun_on_a_phone(page: Page, tmp_path: Path) -> None:
     with page.expect_file_chooser() as choosing:
         page.get_by_text("Choose photograph", exact=True).first.click()
     choosing.value.set_files(photograph(tmp_path / "IMG_0001.jpg", 1))
-    expect(page.get_by_role("img", name="Photograph: Front left")).to_be_visible(timeout=20_000)
+    expect(page.get_by_role("img", name="Photograph: Front left")).to_be_visible()
     page.get_by_label("Choose photographs").set_input_files(photograph(tmp_path / "front_right.jpg", 2))
-    expect(page.get_by_role("img", name="Photograph: Front right")).to_be_visible(timeout=20_000)
+    expect(page.get_by_role("img", name="Photograph: Front right")).to_be_visible()
     assert len(list((tmp_path / "clinic" / "sessions").glob("*/capture/front_*.jpg"))) == 2
     require_accessible(page)
     require_fitting(page)

@@ -22,6 +22,7 @@ import test_drawing
 import uvicorn
 from django.conf import settings
 from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
+from tests.patience import patient
 
 from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.identity import Identity
@@ -552,7 +553,7 @@ def tab(door: Door, browser: Browser, tmp_path: Path) -> Iterator[Callable[[], P
         return measured(fresh, HALF_BALL_CC) if not (tmp_path / "boundaries.json").exists() else fresh
 
     with running(editor_app(opened_job, door)) as address:  # type: ignore[arg-type]
-        context: BrowserContext = browser.new_context(viewport={"width": 1000, "height": 1100})
+        context: BrowserContext = patient(browser.new_context(viewport={"width": 1000, "height": 1100}))
 
         def opened() -> Page:
             page = context.new_page()
@@ -812,7 +813,7 @@ def test_the_printed_address_takes_its_key_out_of_the_address_bar(
     app: Application, door: Door, browser: Browser
 ) -> None:
     with running(app) as address:
-        page = browser.new_page()
+        page = patient(browser.new_page())
         key = door.new_key()
         page.goto(f"{address}/enter#{key}")
         page.wait_for_selector("#mm-editor[data-ready]")

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 import synthetic
 from playwright.sync_api import Browser, Page, sync_playwright
+from tests.patience import patient
 
 from mammometry.base.identity import Identity
 from mammometry.calibration.judge.quality import assess
@@ -141,7 +142,7 @@ def browser() -> Iterator[Browser]:
 
 
 def opened(browser: Browser, address: str, width: int, scheme: str) -> Page:
-    page = browser.new_page(viewport={"width": width, "height": 800}, color_scheme=scheme)
+    page = patient(browser.new_page(viewport={"width": width, "height": 800}, color_scheme=scheme))
     page.goto(address)
     page.wait_for_function("document.getElementById('mm-viewer').dataset.ready !== undefined")
     return page

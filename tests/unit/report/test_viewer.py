@@ -13,6 +13,7 @@ import synthetic
 import trimesh
 from PIL import Image
 from playwright.sync_api import Locator, Page, expect, sync_playwright
+from tests.patience import patient
 
 from mammometry.base.identity import Identity
 from mammometry.geometry.mesh import TriangleMesh
@@ -86,7 +87,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
 def page(address: str) -> Iterator[Page]:
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        page = browser.new_page(viewport={"width": 1000, "height": 800})
+        page = patient(browser.new_page(viewport={"width": 1000, "height": 800}))
         asked: list[str] = []
         wrong: list[str] = []
         page.on("request", lambda request: asked.append(request.url))
@@ -161,7 +162,7 @@ def measured_distances(viewer: Locator) -> tuple[float, float]:
     """Straight and along the skin, mm, as the readout says once both are known."""
     said = re.compile(r"Straight distance: ([\d.]+) mm; along the skin: ([\d.]+) mm \(at most 0\.5 % too long\)\.")
     readout = viewer.locator(".mm-readout")
-    expect(readout).to_have_text(said, timeout=20_000)
+    expect(readout).to_have_text(said)
     found = said.fullmatch(readout.inner_text())
     assert found
     return float(found[1]), float(found[2])
