@@ -7,6 +7,7 @@ import threading
 import time
 
 import pytest
+from django.conf import settings
 from tests.unit.capture.virtual_capture import rig_file
 
 from mammometry.base.errors import SessionError
@@ -72,6 +73,8 @@ def test_a_technician_aims_and_fires_in_the_browser(place, monkeypatch):
     import uvicorn
     from tests.patience import patient
 
+    if settings.configured:  # by the clinic's tests, where they are collected in the same process
+        monkeypatch.setattr(settings, "MIDDLEWARE", [])
     servers = []
     monkeypatch.setattr(uvicorn.Server, "capture_signals", quietly)
     started = uvicorn.Server.__init__
