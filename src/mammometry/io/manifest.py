@@ -111,6 +111,25 @@ class IntrinsicsEntry(BaseModel):
     target: dict[str, Any]
 
 
+class WalkEntry(BaseModel):
+    """What `mammometry photos` found of a walk with one telephone, whose photographs are the cameras."""
+
+    model_config = _STRICT
+
+    region_mm: Annotated[list[Annotated[list[float], Field(min_length=3, max_length=3)]], Field(min_length=2, max_length=2)]
+    """Lowest and highest corner of the box in which the body is, world frame, mm."""
+    scale_std: Annotated[float, Field(gt=0, le=0.1)]
+    """Relative standard uncertainty of all lengths: how well the printed board's size is known."""
+    point_std_mm: Annotated[float, Field(ge=0, le=10)]
+    """Standard uncertainty of a reconstructed point from the telephone's places and lens, mm."""
+
+    @model_validator(mode="after")
+    def _is_a_box(self) -> WalkEntry:
+        if not all(low < high for low, high in zip(*self.region_mm, strict=True)):
+            raise ValueError("region_mm of a lowest and a highest corner")
+        return self
+
+
 class Manifest(BaseModel):
     """The whole of session.toml, format 1."""
 
@@ -125,6 +144,8 @@ class Manifest(BaseModel):
     target: dict[str, Any] | None = None
     """Its keys depend on its kind: `calibration.targets.table.target_from_table`."""
     intrinsics: IntrinsicsEntry | None = None
+    walk: WalkEntry | None = None
+    """Only in a session that `mammometry photos` made."""
 
 
 _MODELS: dict[tuple[str, ...], type[BaseModel]] = {
@@ -133,6 +154,7 @@ _MODELS: dict[tuple[str, ...], type[BaseModel]] = {
     ("rig", "pairs"): PairEntry,
     ("subject",): SubjectEntry,
     ("intrinsics",): IntrinsicsEntry,
+    ("walk",): WalkEntry,
 }
 
 

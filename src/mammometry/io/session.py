@@ -48,8 +48,9 @@ from mammometry.io.photographs.images import (
     read_photograph,
 )
 from mammometry.io.subject import check_session
-from mammometry.job.inputs import MISSING, Inputs
+from mammometry.job.inputs import MISSING, Inputs, Walk
 from mammometry.job.products import Stage
+from mammometry.walk.region import Region
 
 if TYPE_CHECKING:
     from mammometry.base.photograph import MeasuredPoints
@@ -251,7 +252,16 @@ class Session:
             landmarks=landmarks,
             wall=read_wall(wall) if wall.is_file() else None,
             digests=digests,
+            walk=self._walk(),
         )
+
+    def _walk(self) -> Walk | None:
+        entry = self.manifest.walk
+        if entry is None:
+            return None
+        low, high = np.array(entry.region_mm)
+        region = Region(low_world=low, high_world=high)
+        return Walk(region=region, scale_std=entry.scale_std, point_std_mm=entry.point_std_mm)
 
     # --- files ---
 

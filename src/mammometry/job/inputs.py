@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from mammometry.measure.volume.uncertainty import EarlierErrors
     from mammometry.surface.repair.repair import RepairedSurface
     from mammometry.surface.texture.texture import TexturedMesh
+    from mammometry.walk.region import Region
 
 
 SubjectKind: TypeAlias = Literal["model", "torso", "surface"]
@@ -28,6 +29,24 @@ ItemKind: TypeAlias = Literal["pose", "lens", "camera", "pair"]
 
 MISSING = "missing"
 """Digest of a photograph that the pairs name but that does not exist yet."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Walk:
+    """What is known of photographs by one telephone on a walk around the patient."""
+
+    region: Region
+    """In which the body is, world frame."""
+    scale_std: float
+    """Relative standard uncertainty of all lengths."""
+    point_std_mm: float
+    """Standard uncertainty of a reconstructed point from the telephone's places and lens, mm."""
+
+    @property
+    def key(self) -> str:
+        """Its region, for keys of products."""
+        corners = (self.region.low_world, self.region.high_world)
+        return repr([corner.tolist() for corner in corners])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,6 +97,8 @@ class Inputs:
     """Landmark (`measure.landmarks.landmarks`) → point or line picked by the user, world frame, mm."""
     scale_std: float | None = None
     """Relative standard uncertainty of all lengths of a scanner's mesh. None if a calibration gives it."""
+    walk: Walk | None = None
+    """How the cameras came about, where they are one telephone's. None: a rig."""
     wall: TriangleMesh | None = None
     """Measured wall behind the breast, or back of a cast, world frame, mm. None: not measured."""
     digests: Mapping[str, str] = field(default_factory=dict)
@@ -117,7 +138,8 @@ class Inputs:
         """Digests of some inputs, for a product's key. What the session lacks is left out.
 
         Args:
-            names: as in `digests`; or ``capture`` and ``masks`` for all of them, ``mounting``, ``rim``, ``scale``.
+            names: as in `digests`; or ``capture`` and ``masks`` for all of them, ``mounting``, ``rim``, ``scale``,
+                ``region``, ``walk-errors``.
         """
         part: dict[str, str] = {}
         for name in names:
@@ -134,7 +156,13 @@ class Inputs:
     @property
     def _plain(self) -> Mapping[str, object]:
         """Inputs that are short enough to stand in a key as they are."""
-        return {"mounting": sorted(self.mounting.items()) or None, "rim": self.rim_radius_mm, "scale": self.scale_std}
+        return {
+            "mounting": sorted(self.mounting.items()) or None,
+            "rim": self.rim_radius_mm,
+            "scale": self.scale_std,
+            "region": None if self.walk is None else self.walk.key,
+            "walk-errors": None if self.walk is None else (self.walk.scale_std, self.walk.point_std_mm),
+        }
 
     def _lacks(self, name: str) -> bool:
         folder, _, item = name.partition("/")

@@ -182,15 +182,21 @@ def evidence(
     """
     from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence, movement_of
 
-    scale_std = job.inputs.scale_std
+    scale_std, walk = job.inputs.scale_std, job.inputs.walk
+    if walk is not None:
+        earlier = EarlierErrors(scale_std=walk.scale_std, point_std_mm=walk.point_std_mm)
+    elif scale_std is not None:
+        earlier = EarlierErrors(scale_std=scale_std)
+    else:
+        earlier = earlier_errors(calibration)
     return Evidence(
         views=views or (),
-        earlier=earlier_errors(calibration) if scale_std is None else EarlierErrors(scale_std=scale_std),
+        earlier=earlier,
         movement=None if stillness is None else movement_of(stillness, corrected_cameras.rig),
     )
 
 
-@product("measure", version=26, name="measurement", settings="measure", inputs=("wall", "scale"), when=_has_volume)
+@product("measure", version=26, name="measurement", settings="measure", inputs=("wall", "scale", "walk-errors"), when=_has_volume)
 def measurements(
     repaired: RepairedSurface,
     boundaries: tuple[Boundary, ...],

@@ -27,13 +27,25 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
 
 
 @product_of_each(
-    "pair", "surface", version=3, name="range/{item}", settings="surface.triangulate", large=True, threads=1
+    "pair",
+    "surface",
+    version=3,
+    name="range/{item}",
+    settings="surface.triangulate",
+    inputs=("region",),
+    large=True,
+    threads=1,
 )
 def range_image(disparity: DisparityMap, *, job: Context) -> RangeImage:
     """The range image of a pair, with the cameras as calibrated. Paper 2.4."""
     from mammometry.surface.ranges.range_image import triangulate
 
-    return triangulate(disparity, job.settings.surface.triangulate)
+    image = triangulate(disparity, job.settings.surface.triangulate)
+    if job.inputs.walk is None:
+        return image
+    inside = image.valid.copy()
+    inside[image.valid] = job.inputs.walk.region.contains(image.valid_points_world())
+    return image.keeping(inside)
 
 
 @product("surface", version=7, settings="surface.stillness")
@@ -51,6 +63,8 @@ def stillness(
     from mammometry.surface.motion import feature_evidence
     from mammometry.surface.motion import motion_test as stillness
 
+    if job.inputs.walk is not None:
+        return stillness.assumed_still(cameras.rig)
     covariance = None if calibration is None else calibration.covariance
     images = tuple(range_images.values())
     with outlines_first({} if subjects is None else subjects.doubts):

@@ -206,6 +206,17 @@ def find(
     return replace(found, covariance=found.covariance + np.outer(found.motions, found.motions))
 
 
+def assumed_still(rig: Rig, distance_mm: float = 0.0) -> Stillness:
+    """No motion, where none is looked for.
+
+    Args:
+        rig: as calibrated.
+        distance_mm: RMS distance between the pairs' surfaces.
+    """
+    parameters = motion_parameters(rig, list(rig.pair_names), np.zeros(3))
+    return _nothing(parameters, compared=False, distance_mm=distance_mm)
+
+
 def _confirmed(rig: Rig, found: Stillness, shared: Sequence[SharedFeatures]) -> CorrectionEvidence:
     """What features that pairs share say of motions."""
     parameters, motions = found.parameters, found.motions

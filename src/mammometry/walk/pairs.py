@@ -1,0 +1,101 @@
+"""Which photographs of a walk are matched with one another.
+
+Two photographs make a pair where they see the body from directions 8 to 25 degrees apart, at about the same distance.
+Wider pairs measure depth more surely, and a body that moved between the two photographs spoils them less: an error of
+a point across the line of sight becomes 6 times as large in depth at 10 degrees, 3 times at 20. Beyond 25 degrees
+matching fails where the skin turns away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from mammometry.base.errors import CalibrationError
+from mammometry.geometry import Array, Camera, Float64, Rig
+
+NARROWEST_DEG, BEST_DEG, WIDEST_DEG = 8.0, 14.0, 25.0
+"""Between the directions from which a pair sees the body. Chosen on three virtual walks (RECIPES 7)."""
+MOST = 16
+"""Pairs of a walk: more cost time and measure the same skin again."""
+_FORWARD = 0.15  # most relative difference of the two distances: else one picture shows the skin larger
+_FORWARD_DEG = 40.0  # degrees off the best angle that a relative difference of distances of 1 counts
+_AGAIN_DEG = 6.0  # degrees off the best angle that each earlier pair of the same photograph counts
+_NEAR_DEG = 12.0  # a pair that looks from this near to the direction of an earlier one adds little
+_GAP_DEG = 40.0  # between neighbouring directions of an arc: more, and skin between them is seen by no pair
+
+
+class Candidate(NamedTuple):
+    """Two photographs that may make a pair."""
+
+    left: str
+    right: str
+    angle_deg: float
+    cost_deg: float
+    """Off the best angle, with what else is against it."""
+    direction: Float64[Array, 3]
+    """Unit vector from the body to the middle between the cameras."""
+
+
+def candidates(cameras: Sequence[Camera], middle_world: Float64[Array, 3]) -> list[Candidate]:
+    """All pairs of photographs that can be matched, the best first."""
+    found = []
+    for one, other in combinations(cameras, 2):
+        to_one, to_other = one.centre_world - middle_world, other.centre_world - middle_world
+        far_one, far_other = float(np.linalg.norm(to_one)), float(np.linalg.norm(to_other))
+        angle = float(np.degrees(np.arccos(np.clip(to_one @ to_other / (far_one * far_other), -1, 1))))
+        forward = abs(far_other / far_one - 1)
+        if not NARROWEST_DEG <= angle <= WIDEST_DEG or forward > _FORWARD:
+            continue
+        right_of_one = one.camera_from_world.rotation @ (other.centre_world - one.centre_world)
+        left, right = (one, other) if right_of_one[0] > 0 else (other, one)
+        towards = to_one / far_one + to_other / far_other
+        found.append(
+            Candidate(
+                left=left.name,
+                right=right.name,
+                angle_deg=angle,
+                cost_deg=abs(angle - BEST_DEG) + _FORWARD_DEG * forward,
+                direction=towards / np.linalg.norm(towards),
+            )
+        )
+    return sorted(found, key=lambda pair: (pair.cost_deg, pair.left, pair.right))
+
+
+def choose_pairs(rig: Rig, middle_world: Float64[Array, 3], most: int = MOST) -> dict[str, tuple[str, str]]:
+    """Pairs that see the body from all the directions of the walk: name → left and right photograph.
+
+    One after the other the candidate is taken that adds most: far from the directions of those that are chosen, at a
+    good angle, of photographs that are in few pairs.
+
+    Raises:
+        CalibrationError: no two photographs can be matched.
+    """
+    waiting = candidates(tuple(rig.cameras.values()), middle_world)
+    if not waiting:
+        raise CalibrationError(
+            "the photographs",
+            found="no two whose directions to the body differ by 8 to 25 degrees at one distance",
+            expected="a walk around the body with a photograph every 10 to 15 degrees",
+            remedy="Take more photographs, closer together, and keep your distance",
+        )
+    chosen: list[Candidate] = []
+    used: dict[str, int] = {}
+    while waiting and len(chosen) < most:
+
+        def cost(pair: Candidate) -> float:
+            near = [np.degrees(np.arccos(np.clip(pair.direction @ other.direction, -1, 1))) for other in chosen]
+            crowded = sum(max(0.0, _NEAR_DEG - angle) for angle in near)
+            again = _AGAIN_DEG * (used.get(pair.left, 0) + used.get(pair.right, 0))
+            return pair.cost_deg + float(crowded) + again
+
+        best = min(waiting, key=cost)
+        waiting.remove(best)
+        chosen.append(best)
+        for name in (best.left, best.right):
+            used[name] = used.get(name, 0) + 1
+    chosen.sort(key=lambda pair: (pair.left, pair.right))
+    return {f"{pair.left}-{pair.right}": (pair.left, pair.right) for pair in chosen}

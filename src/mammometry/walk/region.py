@@ -1,0 +1,66 @@
+"""Where the body is, by the board that it wears: a box in the board's frame.
+
+The board hangs on the belly, its upper edge below the breasts. Its x axis points along its rows, y down, z away from
+the reader. What lies outside the box is room, wall, legs, hands and the board itself.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mammometry.base.value import value
+from mammometry.calibration.targets.target import Target
+from mammometry.geometry import Array, Bool, Camera, Float64
+
+HALF_WIDTH_MM = 260.0
+"""From the board's middle to either side: half the shoulder breadth of 99 in 100 adults is below 255 mm (ANSUR II)."""
+HEIGHT_MM = 400.0
+"""Above the board: from below the breasts to the neck of tall adults, and hardly a face."""
+DEPTH_MM = 220.0
+"""Before and behind the board's plane: breasts before it, the back's skin or the wall of the room behind."""
+_GAP_MM = 30.0  # between the highest corner and the first skin above the board: its white border, and the card's edge
+_GRID = 9  # points along each edge of the box whose pictures are enclosed by its outline
+
+
+@value(eq=False)
+class Region:
+    """A box along the world's axes, mm."""
+
+    low_world: Float64[Array, 3]
+    high_world: Float64[Array, 3]
+
+    @property
+    def middle_world(self) -> Float64[Array, 3]:
+        """Its middle, mm."""
+        middle: Float64[Array, 3] = (self.low_world + self.high_world) / 2
+        return middle
+
+    def contains(self, points_world: Float64[Array, "*n 3"]) -> Bool[Array, "*n"]:
+        """Whether points, mm, are inside."""
+        inside: Bool[Array, "*n"] = ((points_world > self.low_world) & (points_world < self.high_world)).all(axis=-1)
+        return inside
+
+    def mask(self, camera: Camera) -> Bool[Array, "h w"]:
+        """Pixels of a camera in which the box may be: the convex hull of its projection."""
+        from PIL import Image, ImageDraw
+        from scipy.spatial import ConvexHull
+
+        steps = [np.linspace(low, high, _GRID) for low, high in zip(self.low_world, self.high_world, strict=True)]
+        uv = camera.project(np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3))
+        uv = uv[np.isfinite(uv).all(axis=1)]
+        picture = Image.new("1", camera.size_wh)
+        if len(uv) > 2:
+            outline = uv[ConvexHull(uv).vertices]
+            ImageDraw.Draw(picture).polygon([(float(u), float(v)) for u, v in outline], fill=1)
+        return np.asarray(picture, dtype=bool)
+
+
+def region_above(target: Target) -> Region:
+    """The box above a board that is worn at the belly, in the board's frame, mm."""
+    points = target.points_target
+    middle = (points[:, 0].min() + points[:, 0].max()) / 2
+    bottom = float(points[:, 1].min()) - _GAP_MM
+    return Region(
+        low_world=np.array([middle - HALF_WIDTH_MM, bottom - HEIGHT_MM, -DEPTH_MM]),
+        high_world=np.array([middle + HALF_WIDTH_MM, bottom, DEPTH_MM]),
+    )

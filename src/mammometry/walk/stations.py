@@ -1,0 +1,172 @@
+"""Where the telephone was at each photograph of a walk, from the board in the picture.
+
+The telephone is one camera, and each photograph shows the board in another pose. So the calibration of a rig gives the
+lens, all poses, the board's bow and their joint covariance at once. Here its result is written in the board's frame: a
+rig with a camera a photograph, which all have one lens.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mammometry.base.errors import CalibrationError
+from mammometry.base.photograph import Photograph
+from mammometry.base.progress import Progress, no_progress
+from mammometry.calibration.adjust import bundle
+from mammometry.calibration.adjust.calibrated import Calibration, ParameterCovariance
+from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA, POSE_NAMES_STATION
+from mammometry.calibration.detection.detect import Observations, detect, set_duplicates_aside
+from mammometry.calibration.settings import CalibrateSettings
+from mammometry.calibration.targets.target import Target
+from mammometry.geometry import Array, Camera, Float64, Rig, Transform
+
+TELEPHONE = "telephone"
+"""Name of the one camera of a walk's calibration."""
+FEWEST = 8
+"""Photographs that must show the board: fewer do not fix the lens, and leave most of the skin to a single pair."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Stations:
+    """The telephone at each photograph that shows the board."""
+
+    calibration: Calibration
+    """Of the one camera. Its poses are the photographs."""
+    expanded: Calibration
+    """The same with a camera a photograph, in the board's frame, without pairs. Its covariance is that of all cameras
+    together, which share one lens."""
+    without_board: Mapping[str, str]
+    """Photograph → why its board was not found."""
+
+    @property
+    def rig(self) -> Rig:
+        """A camera a photograph, in the board's frame, mm."""
+        return self.expanded.rig
+
+    @property
+    def bow_mm(self) -> float:
+        """Height of the board's bow: what its points were moved by along its normal, highest less lowest, mm."""
+        moved = self.calibration.target_points - self.calibration.observations.target.points_target
+        return float(np.ptp(moved[:, 2]))
+
+
+def find_stations(
+    photographs: Mapping[str, Photograph],
+    target: Target,
+    settings: CalibrateSettings = CalibrateSettings(),
+    progress: Progress = no_progress,
+) -> Stations:
+    """Find the board in each photograph, and calibrate the telephone and its places.
+
+    Args:
+        photographs: name → picture, all of one size.
+        target: the board.
+        settings: of the adjustment.
+        progress: of the search for the board.
+
+    Raises:
+        CalibrationError: too few photographs show the board, or they do not determine the lens.
+    """
+    shots = _Shots(photographs)
+    observations = set_duplicates_aside(detect(shots, target, progress=progress))
+    found = [detection.pose for detection in observations.detections]
+    missed = {miss.pose: miss.found for miss in observations.missed}
+    if len(found) < FEWEST:
+        first = next(iter(missed), None)
+        example = "" if first is None else f" ({first}: {missed[first]})"
+        raise CalibrationError(
+            "the photographs",
+            found=f"the board in {len(found)} of {len(photographs)}{example}",
+            expected=f"the board in at least {FEWEST}",
+            remedy="Keep the whole board in the picture, in focus, and describe it in board.toml as it was printed",
+        )
+    calibration = bundle.calibrate(observations, {}, TELEPHONE, settings)
+    return Stations(calibration=calibration, expanded=expanded(calibration), without_board=missed)
+
+
+def expanded(calibration: Calibration) -> Calibration:
+    """A camera for each pose of a single camera's calibration, in the target's frame.
+
+    With the camera x_c = R_c (x_w − C) and a pose x_w = R_s x_b + t, the station is R = R_c R_s with its centre at
+    R_sᵀ (C − t). Small changes of the calibration's parameters move it to first order by
+
+    - rotation: ω = ω_c + R_c ω_s
+    - centre: R_sᵀ (dC − dt + (C − t) × … ω_s), that is R_sᵀ [C − t]ₓ ω_s for a turn of the pose.
+    """
+    (camera,) = calibration.rig.cameras.values()
+    column = {name: index for index, name in enumerate(calibration.covariance.names)}
+    of_lens = [
+        name.rpartition(".")[2]
+        for name in column
+        if name.startswith(f"{camera.name}.") and name.rpartition(".")[2] not in POSE_NAMES_CAMERA
+    ]
+    cameras: dict[str, Camera] = {}
+    names: list[str] = []
+    rows: list[Float64[Array, "k p"]] = []
+    for pose, world_from_target in calibration.world_from_target.items():
+        cameras[pose] = replace(camera, name=pose, camera_from_world=camera.camera_from_world @ world_from_target)
+        names += [f"{pose}.{name}" for name in (*of_lens, *POSE_NAMES_CAMERA)]
+        rows.append(_station_rows(camera, pose, world_from_target, of_lens, column))
+    jacobian = np.concatenate(rows)
+    matrices = (calibration.covariance.matrix, calibration.covariance.independent)
+    matrix, independent = (jacobian @ of @ jacobian.T for of in matrices)
+    rig = Rig(
+        name=calibration.rig.name,
+        cameras=cameras,
+        pair_names={},
+        target_middle_world=calibration.target_points.mean(axis=0),
+    )
+    identity = Transform(rotation=np.eye(3), translation_mm=np.zeros(3))
+    return replace(
+        calibration,
+        rig=rig,
+        world=f"frame of the {calibration.observations.target.kind} board, mm",
+        world_from_target={"board": identity},
+        covariance=ParameterCovariance(names=tuple(names), matrix=matrix, independent=independent),
+    )
+
+
+def _station_rows(
+    camera: Camera, pose: str, world_from_target: Transform, of_lens: list[str], column: Mapping[str, int]
+) -> Float64[Array, "k p"]:
+    """Derivatives of a station's lens, rotation and centre by the calibration's parameters."""
+    lens = np.zeros((len(of_lens), len(column)))
+    for row, name in enumerate(of_lens):
+        lens[row, column[f"{camera.name}.{name}"]] = 1.0
+    turn, centre = np.zeros((3, len(column))), np.zeros((3, len(column)))
+    rotation, back = camera.camera_from_world.rotation, world_from_target.rotation.T
+    lever = camera.centre_world - world_from_target.translation_mm
+    # What was held, as the first pose, has no column and adds nothing.
+    for axis in range(3):
+        unit = np.eye(3)[axis]
+        if (of_camera := column.get(f"{camera.name}.{POSE_NAMES_CAMERA[axis]}")) is not None:
+            turn[:, of_camera] = unit
+        if (of_camera := column.get(f"{camera.name}.{POSE_NAMES_CAMERA[axis + 3]}")) is not None:
+            centre[:, of_camera] = back @ unit
+        if (of_pose := column.get(f"pose {pose}.{POSE_NAMES_STATION[axis]}")) is not None:
+            turn[:, of_pose] = rotation @ unit
+            centre[:, of_pose] = -back @ np.cross(unit, lever)
+        if (of_pose := column.get(f"pose {pose}.{POSE_NAMES_STATION[axis + 3]}")) is not None:
+            centre[:, of_pose] = -back @ unit
+    return np.concatenate([lens, turn, centre])
+
+
+class _Shots(Mapping[tuple[str, str], Photograph]):
+    """Photographs of a walk as (pose, camera) of a calibration, read when looked up."""
+
+    def __init__(self, photographs: Mapping[str, Photograph]) -> None:
+        self._photographs = photographs
+
+    def __getitem__(self, shot: tuple[str, str]) -> Photograph:
+        return self._photographs[shot[0]]
+
+    def __iter__(self):  # type: ignore[no-untyped-def]
+        return iter([(name, TELEPHONE) for name in self._photographs])
+
+    def __len__(self) -> int:
+        return len(self._photographs)
+
+
