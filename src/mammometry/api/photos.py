@@ -4,15 +4,15 @@
 
     from mammometry.api.photos import prepare_walk
 
-    session = prepare_walk(Path("photos"), Path("anna")).folder
-    print(mm.open_session(session).run().volumes_cc)
+    prepare_walk(Path("photos"), Path("anna"))
+    print(mm.open_session("anna").run().volumes_cc)
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,20 +23,24 @@ from mammometry.base.listing import visible
 from mammometry.base.parse import LimitSettings, read_text, toml_table
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress, no_progress
-from mammometry.calibration.judge.expected_error import expected_error
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry import Array, Bool, Camera, Rig
 from mammometry.io.cameras.own import cameras_table
-from mammometry.io.looked_up import LazyMapping
+from mammometry.io.looked_up import LazyMapping, digest_of, file_digest
+from mammometry.io.outputs import require_apart
 from mammometry.io.photographs.images import EXTENSIONS, read_photograph
+from mammometry.io.write import disk_errors
+from mammometry.simulate.session import made_whole
 from mammometry.walk.pairs import choose_pairs
 from mammometry.walk.region import Region, region_above
-from mammometry.walk.stations import Stations, find_stations
+from mammometry.walk.stations import TELEPHONE, find_stations
 
 BOARD = "board.toml"
+WALK = "walk.json"
+_VERSION = 1  # raise it when the same photographs give another session
 PRINT_STD = 0.01
-"""Relative standard uncertainty of a printed board that nobody measured: printers scale pages by up to a few per cent."""
+"""Relative standard uncertainty of a board that was not measured: printers may scale a page by a few per cent."""
 _TELEPHONE_BOARD = {
     "kind": "charuco",
     "squares": [11, 7],
@@ -48,16 +52,28 @@ _TELEPHONE_BOARD = {
 _MARGIN_PX = 32  # kept around the region's picture, for windows at its edge
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PreparedWalk:
-    """A session made of a walk's photographs."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Walk:
+    """What was found of a walk's photographs: walk.json of its session."""
 
-    folder: Path
-    stations: Stations
-    pair_names: Mapping[str, tuple[str, str]]
-    region: Region
+    source: str
+    """Digest of the photographs and the board's description."""
+    pictures: int
+    """Photographs in the folder."""
+    used: Sequence[str]
+    """Names of those in pairs."""
+    left_out: Mapping[str, str]
+    """Photograph → why it is not used."""
+    board_rms_px: float
+    """RMS reprojection error of the board's corners, pixels."""
+    board_bow_mm: float
+    """Height of the board's bow, mm."""
+    focal_px: float
+    """Focal length of the telephone, pixels."""
     scale_std: float
+    """Relative standard uncertainty of all lengths."""
     point_std_mm: float
+    """Standard uncertainty of a reconstructed point from the telephone's places and lens, mm."""
 
 
 def prepare_walk(
@@ -67,46 +83,82 @@ def prepare_walk(
     posture: str = "standing",
     subject: str | None = None,
     progress: Progress = no_progress,
-) -> PreparedWalk:
+) -> Walk:
     """Find where the telephone was at each photograph, choose pairs, and write a session that can be measured.
 
-    The session holds the photographs of the pairs, cropped to the body's region, without EXIF data.
+    The session holds the photographs of the pairs, cropped to the body's region, without EXIF data. One that was made
+    of the same photographs is left as it is.
 
     Args:
         folder: the photographs, and ``board.toml`` where the board is another than ours.
-        out: the session's folder, which is made.
+        out: the session's folder: new, empty, or made from these photographs before.
         posture: of the patient.
         subject: pseudonym.
-        progress: of the search for the board.
+        progress: fraction of the photographs in which the board was looked for.
 
     Raises:
-        SessionError: no photographs, or a ``board.toml`` that is not as documented.
+        SessionError: no photographs, a ``board.toml`` that is not as documented, or `out` holds something else.
         CalibrationError: the photographs do not show where they were taken.
     """
+    files = walk_files(folder)
+    source = digest_of([posture, subject, _VERSION, [[name, file_digest(path)] for name, path in files.items()],
+                        file_digest(folder / BOARD) if (folder / BOARD).is_file() else None])  # fmt: skip
+    require_apart(out, [folder])
+    earlier = read_walk(out)
+    if earlier is not None and earlier.source == source:
+        return earlier
+    _require_free(out)
     target, scale_std = read_board(folder)
-    photographs = walk_photographs(folder)
+    photographs = LazyMapping(files, lambda _, path: read_photograph(path, path.name, LimitSettings()))
     stations = find_stations(photographs, target, progress=progress)
     region = region_above(target)
     pairs = choose_pairs(stations.rig, region.middle_world)
     in_pairs = sorted({name for pair in pairs.values() for name in pair})
-    chosen = Rig(
+    rig = Rig(
         name="telephone",
         cameras={name: stations.rig.cameras[name] for name in in_pairs},
         pair_names=pairs,
         target_middle_world=region.middle_world,
     )
-    expected = np.concatenate(list(expected_error(replace(stations.expanded, rig=chosen)).std_mm.values()))
-    point_std_mm = float(np.sqrt(np.nanmean(expected**2)))
-    walk = PreparedWalk(
-        folder=out,
-        stations=stations,
-        pair_names=pairs,
-        region=region,
-        scale_std=stations.expanded.scale_std or scale_std,
+    scale_std = stations.expanded.scale_std or scale_std
+    point_std_mm = round(stations.point_std_mm(rig, region), 4)
+    camera = stations.calibration.rig.cameras[TELEPHONE]
+    walk = Walk(
+        source=source,
+        pictures=len(files),
+        used=tuple(in_pairs),
+        left_out={
+            **stations.without_board,
+            **dict.fromkeys((name for name in stations.rig.cameras if name not in in_pairs), "not in a pair"),
+        },
+        board_rms_px=round(float(stations.calibration.rms_px), 4),
+        board_bow_mm=round(stations.bow_mm, 3),
+        focal_px=round(float(camera.matrix[0, 0]), 2),
+        scale_std=scale_std,
         point_std_mm=point_std_mm,
     )
-    _write(walk, chosen, photographs, posture, subject)
+    with disk_errors(out), made_whole(out) as fresh:
+        _write(fresh, walk, rig, region, photographs, posture, subject)
     return walk
+
+
+def read_walk(session: Path) -> Walk | None:
+    """What `prepare_walk` found of a session. None where it did not make it."""
+    try:
+        return Walk(**json.loads((session / WALK).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return None
+
+
+def _require_free(out: Path) -> None:
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        made = read_walk(out) is not None
+        raise SessionError(
+            str(out),
+            found="a session of other photographs" if made else "something there already",
+            expected="a folder that does not exist yet, or an empty one",
+            remedy="Choose another name with --out, or remove it",
+        )
 
 
 def read_board(folder: Path) -> tuple[Target, float]:
@@ -123,13 +175,13 @@ def read_board(folder: Path) -> tuple[Target, float]:
     return target, target.scale_std or PRINT_STD
 
 
-def walk_photographs(folder: Path) -> Mapping[str, Photograph]:
-    """The photographs of a walk by name, in their order, read when looked up.
+def walk_files(folder: Path) -> dict[str, Path]:
+    """The photographs of a walk: name → file, in their order.
 
     Raises:
         SessionError: there are none.
     """
-    files = {path.stem: path for path in visible(folder) if path.suffix.lower() in EXTENSIONS and path.is_file()}
+    files = [path for path in visible(folder) if path.suffix.lower() in EXTENSIONS and path.is_file()]
     if not files:
         raise SessionError(
             str(folder),
@@ -137,25 +189,36 @@ def walk_photographs(folder: Path) -> Mapping[str, Photograph]:
             expected="12 to 60 photographs of one walk around the patient, JPEG or PNG",
             remedy="Copy them from the telephone into one folder",
         )
-    return LazyMapping(dict(sorted(files.items())), lambda _, path: read_photograph(path, path.name, LimitSettings()))
+    return {path.stem: path for path in sorted(files)}
 
 
 def _write(
-    walk: PreparedWalk, rig: Rig, photographs: Mapping[str, Photograph], posture: str, subject: str | None
+    out: Path,
+    walk: Walk,
+    rig: Rig,
+    region: Region,
+    photographs: Mapping[str, Photograph],
+    posture: str,
+    subject: str | None,
 ) -> None:
-    capture, masks = walk.folder / "capture", walk.folder / "masks"
-    capture.mkdir(parents=True)
+    capture, masks = out / "capture", out / "masks"
+    capture.mkdir()
     masks.mkdir()
     cameras = {}
     for name, camera in rig.cameras.items():
-        mask = walk.region.mask(camera)
+        mask = region.mask(camera)
         rows, columns = _box(mask)
         cameras[name] = _cropped(camera, rows, columns)
-        pixels = photographs[name].pixels[rows, columns]
-        Image.fromarray(np.ascontiguousarray(pixels)).save(capture / f"{name}.png", compress_level=1)
+        pixels = np.ascontiguousarray(photographs[name].pixels[rows, columns])
+        Image.fromarray(pixels).save(capture / f"{name}.png", compress_level=1)
         Image.fromarray(mask[rows, columns]).save(masks / f"{name}.png")
-    (walk.folder / "cameras.json").write_text(json.dumps(cameras_table(cameras), indent=1), encoding="utf-8")
-    (walk.folder / "session.toml").write_text(_manifest(walk, posture, subject), encoding="utf-8")
+    texts = {
+        "cameras.json": json.dumps(cameras_table(cameras), indent=1),
+        "session.toml": _manifest(walk, rig, region, posture, subject),
+        WALK: json.dumps(asdict(walk), indent=1),
+    }
+    for name, text in texts.items():
+        (out / name).write_text(text + "\n", encoding="utf-8")
 
 
 def _box(mask: Bool[Array, "h w"]) -> tuple[slice, slice]:
@@ -176,17 +239,17 @@ def _cropped(camera: Camera, rows: slice, columns: slice) -> Camera:
     return replace(camera, matrix=matrix, size_wh=size_wh)
 
 
-def _manifest(walk: PreparedWalk, posture: str, subject: str | None) -> str:
+def _manifest(walk: Walk, rig: Rig, region: Region, posture: str, subject: str | None) -> str:
     pairs = "\n".join(
         f'    {{ name = "{name}", left = "{left}", right = "{right}" }},'
-        for name, (left, right) in walk.pair_names.items()
+        for name, (left, right) in rig.pair_names.items()
     )
     named = "" if subject is None else f"id = {json.dumps(subject)}\n"
-    corners = [[round(float(x), 3) for x in corner] for corner in (walk.region.low_world, walk.region.high_world)]
+    corners = [[round(float(x), 3) for x in corner] for corner in (region.low_world, region.high_world)]
     return (
         "# Made by `mammometry photos`: photographs by one telephone and a printed board.\n"
         'format = 1\nunits = "mm"\n\n'
         f'[rig]\nname = "telephone"\npairs = [\n{pairs}\n]\n\n'
         f'[subject]\nkind = "torso"\n{named}posture = "{posture}"\n\n'
-        f"[walk]\nregion_mm = {corners}\nscale_std = {walk.scale_std:.4g}\npoint_std_mm = {walk.point_std_mm:.3g}\n"
+        f"[walk]\nregion_mm = {corners}\nscale_std = {walk.scale_std:.4g}\npoint_std_mm = {walk.point_std_mm:.3g}"
     )

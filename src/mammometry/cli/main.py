@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from mammometry.base.errors import MammometryError, StorageError
-from mammometry.cli import batch, clinic, doctor, export, mesh, rig, sessions, simulation, stages, state, study
+from mammometry.cli import batch, clinic, doctor, export, mesh, photos, rig, sessions, simulation, stages, state, study
 from mammometry.cli.common import Answer, silently, start_logging
 
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -40,7 +40,17 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
-for group in (stages.app, batch.app, study.dates_app, sessions.app, state.app, rig.app, simulation.app, doctor.app):
+for group in (
+    stages.app,
+    photos.app,
+    batch.app,
+    study.dates_app,
+    sessions.app,
+    state.app,
+    rig.app,
+    simulation.app,
+    doctor.app,
+):
     app.registered_commands += group.registered_commands
 app.add_typer(study.app, no_args_is_help=True)
 app.add_typer(clinic.app, no_args_is_help=True)

@@ -111,12 +111,15 @@ class IntrinsicsEntry(BaseModel):
     target: dict[str, Any]
 
 
+_Point = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
 class WalkEntry(BaseModel):
     """What `mammometry photos` found of a walk with one telephone, whose photographs are the cameras."""
 
     model_config = _STRICT
 
-    region_mm: Annotated[list[Annotated[list[float], Field(min_length=3, max_length=3)]], Field(min_length=2, max_length=2)]
+    region_mm: Annotated[list[_Point], Field(min_length=2, max_length=2)]
     """Lowest and highest corner of the box in which the body is, world frame, mm."""
     scale_std: Annotated[float, Field(gt=0, le=0.1)]
     """Relative standard uncertainty of all lengths: how well the printed board's size is known."""

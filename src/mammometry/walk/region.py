@@ -37,8 +37,7 @@ class Region:
 
     def contains(self, points_world: Float64[Array, "*n 3"]) -> Bool[Array, "*n"]:
         """Whether points, mm, are inside."""
-        inside: Bool[Array, "*n"] = ((points_world > self.low_world) & (points_world < self.high_world)).all(axis=-1)
-        return inside
+        return np.all((points_world > self.low_world) & (points_world < self.high_world), axis=-1)
 
     def mask(self, camera: Camera) -> Bool[Array, "h w"]:
         """Pixels of a camera in which the box may be: the convex hull of its projection."""

@@ -7,7 +7,7 @@ rig with a camera a photograph, which all have one lens.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,15 +18,18 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.adjust import bundle
 from mammometry.calibration.adjust.calibrated import Calibration, ParameterCovariance
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA, POSE_NAMES_STATION
-from mammometry.calibration.detection.detect import Observations, detect, set_duplicates_aside
+from mammometry.calibration.detection.detect import detect, set_duplicates_aside
+from mammometry.calibration.judge.expected_error import expected_std_mm
 from mammometry.calibration.settings import CalibrateSettings
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry import Array, Camera, Float64, Rig, Transform
+from mammometry.walk.region import Region
 
 TELEPHONE = "telephone"
 """Name of the one camera of a walk's calibration."""
 FEWEST = 8
 """Photographs that must show the board: fewer do not fix the lens, and leave most of the skin to a single pair."""
+_STEPS = 7  # points along each side of the grid on which the stations' errors are averaged
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -45,6 +48,23 @@ class Stations:
     def rig(self) -> Rig:
         """A camera a photograph, in the board's frame, mm."""
         return self.expanded.rig
+
+    def point_std_mm(self, rig: Rig, region: Region) -> float:
+        """Standard uncertainty of reconstructed points from the telephone's places and lens, mm.
+
+        The root mean square over the body's region, near its middle, of what the pairs' triangulation makes of the
+        covariance. A common motion and the scale count as none.
+
+        Args:
+            rig: the cameras with their pairs.
+            region: of the body.
+        """
+        third = (region.high_world - region.low_world) / 6
+        steps = [np.linspace(middle - half, middle + half, _STEPS) for middle, half in
+                 zip(region.middle_world, third, strict=True)]  # fmt: skip
+        points = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
+        std_mm = expected_std_mm(rig, self.expanded.covariance, points)
+        return float(np.sqrt(np.nanmean(np.concatenate(list(std_mm.values())) ** 2)))
 
     @property
     def bow_mm(self) -> float:
@@ -88,45 +108,46 @@ def find_stations(
 
 
 def expanded(calibration: Calibration) -> Calibration:
-    """A camera for each pose of a single camera's calibration, in the target's frame.
+    """A camera for each pose of a single camera's calibration, in the target's frame."""
+    (camera,) = calibration.rig.cameras.values()
+    cameras, covariance = station_cameras(camera, calibration.world_from_target, calibration.covariance)
+    middle = calibration.target_points.mean(axis=0)
+    return replace(
+        calibration,
+        rig=Rig(name=calibration.rig.name, cameras=cameras, pair_names={}, target_middle_world=middle),
+        world=f"frame of the {calibration.observations.target.kind} board, mm",
+        world_from_target={"board": Transform(rotation=np.eye(3), translation_mm=np.zeros(3))},
+        covariance=covariance,
+    )
+
+
+def station_cameras(
+    camera: Camera, poses: Mapping[str, Transform], covariance: ParameterCovariance
+) -> tuple[dict[str, Camera], ParameterCovariance]:
+    """Pose → the camera in the target's frame, and the covariance of all of them.
 
     With the camera x_c = R_c (x_w − C) and a pose x_w = R_s x_b + t, the station is R = R_c R_s with its centre at
     R_sᵀ (C − t). Small changes of the calibration's parameters move it to first order by
 
     - rotation: ω = ω_c + R_c ω_s
-    - centre: R_sᵀ (dC − dt + (C − t) × … ω_s), that is R_sᵀ [C − t]ₓ ω_s for a turn of the pose.
+    - centre: R_sᵀ (dC − dt − ω_s × (C − t))
+
+    Args:
+        camera: of the calibration.
+        poses: pose → world_from_target.
+        covariance: of the camera and its poses.
     """
-    (camera,) = calibration.rig.cameras.values()
-    column = {name: index for index, name in enumerate(calibration.covariance.names)}
-    of_lens = [
-        name.rpartition(".")[2]
-        for name in column
-        if name.startswith(f"{camera.name}.") and name.rpartition(".")[2] not in POSE_NAMES_CAMERA
-    ]
-    cameras: dict[str, Camera] = {}
-    names: list[str] = []
-    rows: list[Float64[Array, "k p"]] = []
-    for pose, world_from_target in calibration.world_from_target.items():
-        cameras[pose] = replace(camera, name=pose, camera_from_world=camera.camera_from_world @ world_from_target)
-        names += [f"{pose}.{name}" for name in (*of_lens, *POSE_NAMES_CAMERA)]
-        rows.append(_station_rows(camera, pose, world_from_target, of_lens, column))
-    jacobian = np.concatenate(rows)
-    matrices = (calibration.covariance.matrix, calibration.covariance.independent)
-    matrix, independent = (jacobian @ of @ jacobian.T for of in matrices)
-    rig = Rig(
-        name=calibration.rig.name,
-        cameras=cameras,
-        pair_names={},
-        target_middle_world=calibration.target_points.mean(axis=0),
-    )
-    identity = Transform(rotation=np.eye(3), translation_mm=np.zeros(3))
-    return replace(
-        calibration,
-        rig=rig,
-        world=f"frame of the {calibration.observations.target.kind} board, mm",
-        world_from_target={"board": identity},
-        covariance=ParameterCovariance(names=tuple(names), matrix=matrix, independent=independent),
-    )
+    column = {name: index for index, name in enumerate(covariance.names)}
+    own = [name.removeprefix(f"{camera.name}.") for name in column if name.startswith(f"{camera.name}.")]
+    of_lens = [name for name in own if name not in POSE_NAMES_CAMERA]
+    cameras = {
+        pose: replace(camera, name=pose, camera_from_world=camera.camera_from_world @ placed)
+        for pose, placed in poses.items()
+    }
+    names = tuple(f"{pose}.{name}" for pose in poses for name in (*of_lens, *POSE_NAMES_CAMERA))
+    jacobian = np.concatenate([_station_rows(camera, pose, placed, of_lens, column) for pose, placed in poses.items()])
+    matrix, independent = (jacobian @ of @ jacobian.T for of in (covariance.matrix, covariance.independent))
+    return cameras, ParameterCovariance(names=names, matrix=matrix, independent=independent)
 
 
 def _station_rows(
@@ -163,10 +184,8 @@ class _Shots(Mapping[tuple[str, str], Photograph]):
     def __getitem__(self, shot: tuple[str, str]) -> Photograph:
         return self._photographs[shot[0]]
 
-    def __iter__(self):  # type: ignore[no-untyped-def]
+    def __iter__(self) -> Iterator[tuple[str, str]]:
         return iter([(name, TELEPHONE) for name in self._photographs])
 
     def __len__(self) -> int:
         return len(self._photographs)
-
-

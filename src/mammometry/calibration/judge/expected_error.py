@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mammometry.base.value import value
-from mammometry.calibration.adjust.calibrated import Calibration
+from mammometry.calibration.adjust.calibrated import Calibration, ParameterCovariance
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA, tie_of
 from mammometry.calibration.adjust.projection import intrinsics_of, project_with_derivatives
 from mammometry.geometry import Array, Bool, Camera, Float64, Int64, Rig
@@ -136,15 +136,10 @@ class ShapeShifts:
 
 def expected_error(calibration: Calibration) -> ExpectedError:
     """Propagate the covariance of the cameras through the pairs' triangulation, by `shape_shifts`."""
-    shifts = shape_shifts(calibration)
-    covariance = calibration.covariance.matrix[np.ix_(shifts.columns, shifts.columns)]
-    shape = shifts.volume.seen.shape
-    std_mm = {}
-    for pair, free in shifts.by_parameter.items():
-        std = np.full(shape, np.nan).ravel()
-        std[shifts.inside[pair]] = np.sqrt(np.sum((free @ covariance) * free, axis=(1, 2)))
-        std_mm[pair] = std.reshape(shape)
-    return ExpectedError(volume=shifts.volume, std_mm=std_mm)
+    volume = working_volume(calibration)
+    std_mm = expected_std_mm(calibration.rig, calibration.covariance, volume.grid_world.reshape(-1, 3))
+    shape = volume.seen.shape
+    return ExpectedError(volume=volume, std_mm={pair: std.reshape(shape) for pair, std in std_mm.items()})
 
 
 def shape_shifts(calibration: Calibration) -> ShapeShifts:
@@ -155,12 +150,43 @@ def shape_shifts(calibration: Calibration) -> ShapeShifts:
     dX = −(PᵀP)⁻¹PᵀQ dθ. Of all points' dX the best common motion, turn and scale are taken off.
     """
     volume = working_volume(calibration)
-    points = volume.grid_world.reshape(-1, 3)
-    every = calibration.covariance.names
-    of_cameras = [i for i, name in enumerate(every) if name.rpartition(".")[0] in calibration.rig.cameras]
-    names = tuple(every[i] for i in of_cameras)
+    columns, names = _of_cameras(calibration.rig, calibration.covariance)
+    inside, by_parameter = _shifts(calibration.rig, names, volume.grid_world.reshape(-1, 3))
+    return ShapeShifts(volume=volume, names=names, columns=columns, inside=inside, by_parameter=by_parameter)
+
+
+def expected_std_mm(
+    rig: Rig, covariance: ParameterCovariance, points: Float64[Array, "n 3"]
+) -> Mapping[str, Float64[Array, " n"]]:
+    """Pair → standard deviation of each point that it reconstructs, mm, as in `ExpectedError`. NaN if it is not seen.
+
+    Args:
+        rig: cameras and pairs.
+        covariance: of the cameras, by their names.
+        points: world frame, mm.
+    """
+    columns, names = _of_cameras(rig, covariance)
+    matrix = covariance.matrix[np.ix_(columns, columns)]
+    inside, by_parameter = _shifts(rig, names, points)
+    std_mm = {}
+    for pair, free in by_parameter.items():
+        std_mm[pair] = np.full(len(points), np.nan)
+        std_mm[pair][inside[pair]] = np.sqrt(np.sum((free @ matrix) * free, axis=(1, 2)))
+    return std_mm
+
+
+def _of_cameras(rig: Rig, covariance: ParameterCovariance) -> tuple[tuple[int, ...], tuple[str, ...]]:
+    """Columns and names of the cameras' parameters."""
+    columns = tuple(i for i, name in enumerate(covariance.names) if name.rpartition(".")[0] in rig.cameras)
+    return columns, tuple(covariance.names[i] for i in columns)
+
+
+def _shifts(
+    rig: Rig, names: tuple[str, ...], points: Float64[Array, "n 3"]
+) -> tuple[Mapping[str, Int64[Array, " n"]], Mapping[str, Float64[Array, "n 3 p"]]]:
+    """Pair → points that both cameras see, and their shifts by each parameter less the common similarity."""
     parts, seen = [], {}
-    for pair in calibration.rig.pairs:
+    for pair in rig.pairs:
         inside = np.flatnonzero(sees(pair.left, points) & sees(pair.right, points))
         by_point, by_parameter = zip(
             *(derivatives(camera, points[inside], names) for camera in (pair.left, pair.right)), strict=True
@@ -174,13 +200,7 @@ def shape_shifts(calibration: Calibration) -> ShapeShifts:
     if len(where):
         ends = np.cumsum([len(inside) for inside in seen.values()])
         free = np.split(_without_similarity(where, np.concatenate(parts)), ends[:-1])
-    return ShapeShifts(
-        volume=volume,
-        names=names,
-        columns=tuple(of_cameras),
-        inside=seen,
-        by_parameter=dict(zip(seen, free, strict=True)),
-    )
+    return seen, dict(zip(seen, free, strict=True))
 
 
 def derivatives(

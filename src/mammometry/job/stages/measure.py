@@ -196,7 +196,14 @@ def evidence(
     )
 
 
-@product("measure", version=26, name="measurement", settings="measure", inputs=("wall", "scale", "walk-errors"), when=_has_volume)
+@product(
+    "measure",
+    version=26,
+    name="measurement",
+    settings="measure",
+    inputs=("wall", "scale", "walk-errors"),
+    when=_has_volume,
+)
 def measurements(
     repaired: RepairedSurface,
     boundaries: tuple[Boundary, ...],
