@@ -33,7 +33,7 @@ from mammometry.io.photographs.images import EXTENSIONS, read_photograph
 from mammometry.io.write import disk_errors
 from mammometry.simulate.session import made_whole
 from mammometry.walk.pairs import choose_pairs
-from mammometry.walk.region import Region, region_above
+from mammometry.walk.region import TELEPHONE_BOARD, Region, region_above
 from mammometry.walk.stations import TELEPHONE, find_stations
 
 BOARD = "board.toml"
@@ -41,14 +41,6 @@ WALK = "walk.json"
 _VERSION = 1  # raise it when the same photographs give another session
 PRINT_STD = 0.01
 """Relative standard uncertainty of a board that was not measured: printers may scale a page by a few per cent."""
-_TELEPHONE_BOARD = {
-    "kind": "charuco",
-    "squares": [11, 7],
-    "square_mm": 24.0,
-    "marker_mm": 17.0,
-    "dictionary": "DICT_5X5_100",
-}
-"""The board that `mammometry target --telephone` prints."""
 _MARGIN_PX = 32  # kept around the region's picture, for windows at its edge
 
 
@@ -84,10 +76,9 @@ def prepare_walk(
     subject: str | None = None,
     progress: Progress = no_progress,
 ) -> Walk:
-    """Find where the telephone was at each photograph, choose pairs, and write a session that can be measured.
+    """Write a session of a walk: the telephone's places, pairs, and the photographs cropped to the body.
 
-    The session holds the photographs of the pairs, cropped to the body's region, without EXIF data. One that was made
-    of the same photographs is left as it is.
+    The photographs are stored without EXIF data. A session that was made of the same photographs is left as it is.
 
     Args:
         folder: the photographs, and ``board.toml`` where the board is another than ours.
@@ -169,7 +160,7 @@ def read_board(folder: Path) -> tuple[Target, float]:
     """
     path = folder / BOARD
     if not path.is_file():
-        return target_from_table(dict(_TELEPHONE_BOARD)), PRINT_STD
+        return target_from_table(TELEPHONE_BOARD), PRINT_STD
     table = toml_table(read_text(path, str(path), "TOML", most_mib=1), str(path), "a board as [target] of session.toml")
     target = target_from_table(table.get("target", table))
     return target, target.scale_std or PRINT_STD

@@ -40,10 +40,11 @@ def photos(
         str | None, typer.Option(*SUBJECT_ID, help="Pseudonym of the patient, never a name.", show_default=False)
     ] = None,
 ) -> Answer:  # fmt: skip
-    """Measure from photographs by one telephone, taken on a walk around a patient who wears a printed board.
+    """Measure a patient who wears a printed board, from photographs by one telephone.
 
-    The board shows where each photograph was taken. A session is made of the photographs, cropped to the body and
-    without EXIF data, and measured as `run` does. Photographs and results that are current are kept.
+    The photographs are taken on a walk around the patient. The board shows where each of them was taken. A session is
+    made of the photographs, cropped to the body and without EXIF data, and measured as `run` does. Photographs and
+    results that are current are kept.
     """
     from mammometry.api.photos import prepare_walk
     from mammometry.measure.settings import POSTURES

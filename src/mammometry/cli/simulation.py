@@ -276,6 +276,7 @@ def simulate(
     "mammometry target board.pdf",
     "mammometry target board.pdf --page A4 --squares 10x7 --square-mm 18 --marker-mm 13",
     "mammometry target board.pdf --session SESSION",
+    "mammometry target board.pdf --telephone",
 )
 def target(
     options: OutputOptions,
@@ -288,12 +289,16 @@ def target(
     marker_mm: Annotated[float, typer.Option(help="Side of a marker, mm. 0 draws a plain chessboard.")] = 18.0,
     dictionary: Annotated[str, typer.Option(help="Marker dictionary, as OpenCV names it.")] = "DICT_5X5_250",
     page: Annotated[str, typer.Option(help="A4, A3, A2, A1, A0, letter, tabloid, or fit (as large as needed).")] = "A3",
+    telephone: Annotated[
+        bool, typer.Option("--telephone", help="Draw the board that a patient wears for `mammometry photos`, on A4.")
+    ] = False,
 ) -> Answer:
     """Draw a calibration board as a PDF to print at true scale. Check the ruler on the print."""
     from mammometry.calibration.targets.pdf import target_pdf
     from mammometry.calibration.targets.table import target_from_table
     from mammometry.io.outputs import require_apart, require_free, write_output
     from mammometry.io.session import Session
+    from mammometry.walk.region import TELEPHONE_BOARD
 
     if out.suffix.lower() != ".pdf":
         raise typer.BadParameter(f"OUT ends with .pdf, found {out.name}: only a PDF has a true scale")
@@ -302,6 +307,10 @@ def target(
     table["squares"] = _columns_and_rows(squares)
     if marker_mm:
         table |= {"marker_mm": marker_mm, "dictionary": dictionary}
+    if telephone:
+        if session is not None:
+            raise typer.BadParameter("--telephone draws one board for all patients: leave out --session")
+        table, page = dict(TELEPHONE_BOARD), "A4"
     if session is not None:
         # Drawn as designed: what was measured belongs to an earlier print.
         measured = ("edge_mm", "edge_std_mm", "flatness_mm")
@@ -311,9 +320,10 @@ def target(
         table = {key: value for key, value in described.items() if key not in measured}
     write_output(out, target_pdf(target_from_table(table), page=page), command="target")
     lines = [f"{name} = {json_module.dumps(value)}" for name, value in table.items()]
+    described_in = "board.toml beside the photographs" if telephone else "session.toml"
     return Answer(
         {"file": str(out), "target": table},
-        [f"{out}: print it at 100 %, measure its ruler, and describe it in session.toml:", "", "[target]", *lines],
+        [f"{out}: print it at 100 %, measure its ruler, and describe it in {described_in}:", "", "[target]", *lines],
     )
 
 

@@ -6,12 +6,19 @@ the reader. What lies outside the box is room, wall, legs, hands and the board i
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 import numpy as np
 
 from mammometry.base.value import value
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry import Array, Bool, Camera, Float64
 
+TELEPHONE_BOARD: Mapping[str, object] = MappingProxyType(
+    {"kind": "charuco", "squares": [11, 7], "square_mm": 24.0, "marker_mm": 17.0, "dictionary": "DICT_5X5_100"}
+)
+"""``[target]`` of the board that `mammometry target --telephone` draws: it fills an A4 page that lies across."""
 HALF_WIDTH_MM = 260.0
 """From the board's middle to either side: half the shoulder breadth of 99 in 100 adults is below 255 mm (ANSUR II)."""
 HEIGHT_MM = 400.0

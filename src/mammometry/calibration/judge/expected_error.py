@@ -158,7 +158,7 @@ def shape_shifts(calibration: Calibration) -> ShapeShifts:
 def expected_std_mm(
     rig: Rig, covariance: ParameterCovariance, points: Float64[Array, "n 3"]
 ) -> Mapping[str, Float64[Array, " n"]]:
-    """Pair → standard deviation of each point that it reconstructs, mm, as in `ExpectedError`. NaN if it is not seen.
+    """Pair → standard deviation of each point, mm, as in `ExpectedError`. NaN if it is not seen.
 
     Args:
         rig: cameras and pairs.

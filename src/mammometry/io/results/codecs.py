@@ -94,6 +94,7 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "surface.repair:RepairedSurface": "mammometry.surface.repair.repair:RepairedSurface",
         "surface.stillness:Displaced": "mammometry.surface.motion.motion_test:Displaced",
         "surface.stillness:Stillness": "mammometry.surface.motion.motion_test:Stillness",
+        "walk.motion:WalkMotion": "mammometry.walk.motion:WalkMotion",
         "surface.stillness:Turn": "mammometry.surface.motion.motion_test:Turn",
     }
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -27,6 +28,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.surface.motion.motion_test import Stillness
     from mammometry.surface.ranges.dents import ValidPatches
     from mammometry.surface.repair.repair import RepairedSurface
+    from mammometry.walk.motion import WalkMotion
 
 
 def _torso(job: Context) -> bool:
@@ -172,6 +174,7 @@ def evidence(
     views: tuple[Bound, ...] | None,
     calibration: Calibration | None,
     stillness: Stillness | None,
+    walk_motion: WalkMotion | None,
     *,
     job: Context,
 ) -> Evidence:
@@ -184,7 +187,8 @@ def evidence(
 
     scale_std, walk = job.inputs.scale_std, job.inputs.walk
     if walk is not None:
-        earlier = EarlierErrors(scale_std=walk.scale_std, point_std_mm=walk.point_std_mm)
+        moved_mm = 0.0 if walk_motion is None else walk_motion.point_std_mm
+        earlier = EarlierErrors(scale_std=walk.scale_std, point_std_mm=math.hypot(walk.point_std_mm, moved_mm))
     elif scale_std is not None:
         earlier = EarlierErrors(scale_std=scale_std)
     else:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.surface.ranges.range_image import RangeImage
     from mammometry.surface.repair.repair import RepairedSurface
     from mammometry.surface.texture.texture_atlas import Atlas
+    from mammometry.walk.motion import WalkMotion
 
 
 @product_of_each(
@@ -78,10 +79,26 @@ def stillness(
         )
 
 
+@product("surface", version=1, when=lambda job: job.inputs.walk is not None)
+def walk_motion(
+    cameras: CameraSet,
+    range_images: Mapping[str, RangeImage],
+    vertical_residuals: Mapping[str, RowErrors],
+    *,
+    job: Context,
+) -> WalkMotion:
+    """Motion of the body at each photograph of a walk, by pairs that see the same skin."""
+    from mammometry.walk.motion import find_motion
+
+    return find_motion(cameras.rig, tuple(range_images.values()), vertical_residuals)
+
+
 @product("surface", version=2, name="stood")
-def corrected_cameras(cameras: CameraSet, stillness: Stillness, *, job: Context) -> CameraSet:
+def corrected_cameras(
+    cameras: CameraSet, stillness: Stillness, walk_motion: WalkMotion | None, *, job: Context
+) -> CameraSet:
     """The cameras where they most probably stood at the exposures: as calibrated, if nothing moved."""
-    return replace(cameras, rig=stillness.rig(cameras.rig))
+    return replace(cameras, rig=(walk_motion or stillness).rig(cameras.rig))
 
 
 def _dent_settings(job: Context) -> object:
@@ -92,6 +109,7 @@ def _dent_settings(job: Context) -> object:
 def keep_masks(
     cameras: CameraSet,
     stillness: Stillness,
+    walk_motion: WalkMotion | None,
     range_images: Mapping[str, RangeImage],
     subjects: Subjects | None,
     *,
@@ -101,7 +119,7 @@ def keep_masks(
     from mammometry.surface.ranges import dents
 
     settings, rig = job.settings.surface, cameras.rig
-    images = tuple(stillness.carry(image, rig) for image in range_images.values())
+    images = tuple((walk_motion or stillness).carry(image, rig) for image in range_images.values())
     patches = dents.decompose(images, settings.decompose) if settings.dents.rule == "patch" else None
     valid = dents.remove_dents(images, patches, settings.dents)
     keep = [image.valid for image in valid.range_images]
@@ -132,6 +150,7 @@ def strands(
 def valid_patches(
     cameras: CameraSet,
     stillness: Stillness,
+    walk_motion: WalkMotion | None,
     range_images: Mapping[str, RangeImage],
     keep_masks: KeepMasks,
     strands: Mapping[str, Bool[Array, "h w"]] | None,
@@ -140,7 +159,7 @@ def valid_patches(
 ) -> ValidPatches:
     """Range data that survive and show no strand, taken from the range images when they are wanted."""
     masks = keep_masks if strands is None else keep_masks.without([strands[name] for name in range_images])
-    return masks.of([stillness.carry(image, cameras.rig) for image in range_images.values()])
+    return masks.of([(walk_motion or stillness).carry(image, cameras.rig) for image in range_images.values()])
 
 
 @product("surface", version=8, name="blocked")

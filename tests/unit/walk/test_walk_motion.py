@@ -1,0 +1,109 @@
+"""Motion of the body between a walk's photographs, on a ball that pairs see exactly."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.unit.walk.test_pairs import MIDDLE, looking
+
+from mammometry.base.errors import SurfaceError
+from mammometry.geometry import Rig
+from mammometry.surface.motion.moved_images import retriangulated
+from mammometry.surface.ranges.range_image import RangeImage
+from mammometry.walk.motion import _moved, find_motion
+
+RADIUS_MM = 120.0
+ANGLES_DEG = (-30, -18, -6, 6, 18, 30)
+PAIRS = {f"{i}-{i + 1}": (str(i), str(i + 1)) for i in range(len(ANGLES_DEG) - 1)}
+SCALE = 0.12
+
+
+def ball_seen_by(name, camera):
+    """Exact distances to a ball and a smaller one on it, which fixes its turns."""
+    rows, columns = np.mgrid[: camera.size_wh[1], : camera.size_wh[0]]
+    rays = camera.rays_world(np.stack([columns, rows], axis=-1).astype(float))
+    best = np.full(rays.shape[:2], np.inf)
+    for centre, radius in (
+        (MIDDLE, RADIUS_MM),
+        (MIDDLE + np.array([30.0, 40.0, -100.0]), 50.0),
+        (MIDDLE + np.array([-40.0, 10.0, -95.0]), 45.0),
+    ):
+        to = camera.centre_world - centre
+        along = rays @ to
+        under = along**2 - (to @ to - radius**2)
+        distance = np.where(under > 0, -along - np.sqrt(np.maximum(under, 0)), np.inf)
+        best = np.minimum(best, distance)
+    valid = np.isfinite(best)
+    range_mm = np.where(valid, best, 0).astype(np.float32)
+    return RangeImage(
+        name=name,
+        camera=camera,
+        range_mm=range_mm,
+        sigma_mm=np.where(valid, np.float32(0.05), np.float32(0)),
+        confidence=np.where(valid, np.float32(0.99), np.float32(0)),
+        valid=valid,
+    )
+
+
+def small(camera):
+    """The camera at a small size."""
+    matrix = camera.matrix * np.array([[SCALE], [SCALE], [1.0]])
+    return replace(camera, matrix=matrix, size_wh=(int(2000 * SCALE), int(1500 * SCALE)))
+
+
+@pytest.fixture(scope="module")
+def walk():
+    cameras = {str(i): small(looking(str(i), angle)) for i, angle in enumerate(ANGLES_DEG)}
+    true = Rig(name="telephone", cameras=cameras, pair_names=PAIRS)
+    return true, [ball_seen_by(name, cameras[left]) for name, (left, _) in PAIRS.items()]
+
+
+def as_by_the_board(true, images, turn_rad, shift_mm):
+    """What is measured where the body moved at each photograph: the board shows the cameras elsewhere."""
+    # A camera that stood at T before a body held still is taken to stand where the body's own motion puts it back.
+    cameras = {}
+    for i, (name, camera) in enumerate(true.cameras.items()):
+        found = _moved(camera, turn_rad[i], shift_mm[i], MIDDLE)
+        back = camera.camera_from_world @ found.camera_from_world.inverse() @ camera.camera_from_world
+        cameras[name] = replace(camera, camera_from_world=back)
+    board = replace(true, cameras=cameras)
+    return board, [retriangulated(image, true.pair(image.name), board.pair(image.name)) for image in images]
+
+
+def shape_errors(images):
+    """Distance of the data from the bodies' surfaces, standard deviation after the best common shift, mm."""
+    parts = []
+    for image in images:
+        points = image.valid_points_world()
+        away = np.linalg.norm(points - MIDDLE, axis=1) - RADIUS_MM
+        parts.append(np.median(away[np.abs(away) < 3]))
+    return float(np.std(parts))
+
+
+def test_a_still_body_is_left_as_it_is(walk):
+    true, images = walk
+    found = find_motion(true, images, {})
+    assert found.size_mm <= 0.03
+    assert np.abs(found.shift_mm).max() < 0.05
+    assert found.rest_mm < 0.05
+
+
+def test_a_body_that_swayed_is_put_right(walk):
+    true, images = walk
+    shift_mm = np.random.default_rng(5).normal(size=(len(ANGLES_DEG), 3)) * 0.3
+    board, seen = as_by_the_board(true, images, np.zeros((len(ANGLES_DEG), 3)), shift_mm)
+    found = find_motion(board, seen, {})
+    assert found.before_mm > 4 * found.rest_mm
+    corrected = [found.carry(image, board) for image in seen]
+    assert shape_errors(corrected) < 0.4 * shape_errors(seen)
+
+
+def test_a_body_that_moved_otherwise_is_refused(walk):
+    true, images = walk
+    rng = np.random.default_rng(6)
+    bent = []
+    for image in images:
+        wave = rng.normal() * 6 * np.sin(np.mgrid[: image.valid.shape[0], : image.valid.shape[1]][1] / 5)
+        bent.append(replace(image, range_mm=np.where(image.valid, image.range_mm + wave, 0).astype(np.float32)))
+    with pytest.raises(SurfaceError):
+        find_motion(true, bent, {})
