@@ -47,7 +47,7 @@ def confirm(client: Client, visit: Visit) -> None:
     base = {"boundaries": dict.fromkeys(measurement.curves), "landmarks": {}}
     sent = json.dumps({"curves": measurement.curves, "base": base})
     answer = client.post(reverse("draw-finish", args=[visit.pk]), sent, content_type="application/json")
-    assert answer.json() == {"next": reverse("home")}
+    assert answer.json() == {"next": reverse("visit", args=[visit.pk])}
 
 
 def of_database(measurement: Measurement) -> Table:
