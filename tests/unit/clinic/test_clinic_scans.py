@@ -335,7 +335,7 @@ def test_a_scan_is_measured_shown_and_exported(
     confirmed = client.post(
         reverse("draw-finish", args=[visit.pk]), {"curves": curves, "base": bases}, content_type="application/json"
     )
-    assert confirmed.json() == {"next": reverse("home")}
+    assert confirmed.json() == {"next": reverse("visit", args=[visit.pk])}
     visit.refresh_from_db()
     assert visit.shown_state == Visit.State.CONFIRMED
     for name, arguments in (("visit-dicom", {}), ("visit-dicom", {"deidentify": "1"})):
