@@ -41,7 +41,7 @@ from mammometry.settings import Settings, as_table
 from mammometry.study.tables import Table, number, signed, thousands
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
-_PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "scikit-image", "trimesh", "manifold3d", "pyamg")
+_PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "scikit-image", "trimesh", "manifold3d")
 
 
 def breast_report(
