@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mammometry.base.errors import StorageError
+from mammometry.base.errors import BusyError
 from mammometry.base.progress import Progress
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.results.store import Store
@@ -68,9 +68,7 @@ def main(folder: Path, version: int) -> None:
                 for name in NAMES:
                     make(store, name, version)
                 return
-        except StorageError as error:
-            if "another run at work" not in str(error):
-                raise
+        except BusyError:
             time.sleep(0.02)
 
 

@@ -115,8 +115,8 @@ class ChildProcess:
             every_s: so many seconds.
 
         Returns:
-            ``done`` with what the function returned; or ``failed``, ``kind`` and ``exit_code`` of its error, or
-            ``killed`` where memory was short, with ``why``. Always ``memory_mb``, the child's peak.
+            ``done`` with what the function returned; or ``failed``, ``kind``, ``code`` and ``exit_code`` of its error,
+            or ``killed`` where memory was short, with ``why``. Always ``memory_mb``, the child's peak.
 
         Raises:
             NotDone: the process is gone.
@@ -169,7 +169,8 @@ def _answer(order: bytes, send: Callable[[object], None]) -> dict[str, Any]:
             with _reporting(send, every_s) as report:
                 answer = {"done": call.function(report, *call.arguments)}
     except MammometryError as error:
-        answer = {"failed": str(error), "kind": type(error).__name__, "exit_code": error.exit_code, "why": str(error)}
+        answer = {"failed": str(error), "kind": type(error).__name__, "code": error.code}
+        answer |= {"exit_code": error.exit_code, "why": str(error)}
     except MemoryError:
         why = "it asked for more memory than there was"
         answer = {"killed": why, "why": why}

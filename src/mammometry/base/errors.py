@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 _LONGEST = 500  # characters of one part; names and values out of damaged files may be longer
 
@@ -24,6 +24,8 @@ class MammometryError(Exception):
     """
 
     exit_code = 1
+    code: ClassVar[str] = "error"
+    """Names the kind of error for programs. It never changes, whatever the sentence says."""
 
     def __init__(self, subject: str, *, found: str, expected: str, remedy: str) -> None:
         self.subject, self.found, self.expected, self.remedy = map(_on_one_line, (subject, found, expected, remedy))
@@ -72,42 +74,49 @@ class SessionError(MammometryError):
     """The session folder or its manifest is not as documented."""
 
     exit_code = 3
+    code = "session"
 
 
 class SettingsError(MammometryError):
     """A setting has an unknown name or a value outside its range."""
 
     exit_code = 3
+    code = "settings"
 
 
 class TableError(MammometryError):
     """A table of measurements lacks a column or a valid number."""
 
     exit_code = 3
+    code = "table"
 
 
 class ImageError(MammometryError):
     """A photograph is missing, unreadable, truncated, or wrong in size or orientation."""
 
     exit_code = 4
+    code = "photograph"
 
 
 class CalibrationError(MammometryError):
     """Too few views of the target were found, or the calibration failed."""
 
     exit_code = 5
+    code = "calibration"
 
 
 class MatchingError(MammometryError):
     """A pair could not be rectified or matched."""
 
     exit_code = 6
+    code = "matching"
 
 
 class SurfaceError(MammometryError):
     """The range images do not make a surface."""
 
     exit_code = 7
+    code = "surface"
 
 
 class MeasureError(MammometryError):
@@ -122,6 +131,7 @@ class MeasureError(MammometryError):
     """
 
     exit_code = 8
+    code = "measurement"
 
     def __init__(self, subject: str, *, found: str, expected: str, remedy: str, mesh_remedy: str | None = None) -> None:
         super().__init__(subject, found=found, expected=expected, remedy=remedy)
@@ -142,28 +152,63 @@ class MeasureError(MammometryError):
 class CrossingError(MeasureError):
     """A drawn boundary crosses itself or runs back along itself, as drawn or laid onto the surface."""
 
+    code = "boundary-crosses-itself"
+
 
 class StorageError(MammometryError):
     """Results could not be written (full disk, missing permission) or read back (damaged)."""
 
     exit_code = 9
+    code = "storage"
     is_full = False
     """Whether the disk has no room."""
+
+
+class BusyError(StorageError):
+    """Another run is at work in the session. The same command works once that run has ended."""
+
+    code = "busy"
 
 
 class BatchError(MammometryError):
     """A batch cannot continue: its scheduler or workers are missing or different."""
 
     exit_code = 9
+    code = "batch"
 
 
 class CaptureError(MammometryError):
     """A camera failed, or its picture must not be measured."""
 
     exit_code = 12
+    code = "capture"
 
 
 class ArchiveError(MammometryError):
     """Another system does not answer, refuses, or lost the connection."""
 
     exit_code = 9
+    code = "archive"
+
+
+class NotOfferedError(ArchiveError):
+    """Another system answers, but offers none of the services that were asked for."""
+
+    code = "not-offered"
+
+
+class UnknownWordError(ValueError):
+    """A word or number that breaks a rule. Functions raise it that do not know where the word was written.
+
+    Args:
+        rule: what is allowed ("skins are pale, dark").
+        found: the word.
+    """
+
+    def __init__(self, rule: str, found: object) -> None:
+        super().__init__(f"{rule}, found {found}")
+        self.rule, self.found = rule, str(found)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return the parts for pickling."""
+        return type(self), (self.rule, self.found)

@@ -13,6 +13,8 @@ WEB = ("django", "uvicorn")
 class MissingLibraryError(StorageError):
     """A library is not installed."""
 
+    code = "missing-library"
+
 
 def missing(*modules: str) -> list[str]:
     """Names of the modules that are not installed."""

@@ -59,6 +59,8 @@ class Ended:
     """Why it has no value, in a sentence."""
     kind: str = ""
     """Class of the error. ``Killed`` if its process or worker died twice."""
+    code: str = ""
+    """Code of the error (`MammometryError.code`). Empty if it was none of ours."""
     exit_code: int = 0
     host: str = ""
     memory_mb: float | None = None
@@ -278,6 +280,7 @@ class Engine:
             value=answer.get("done"),
             failed=answer.get("failed", ""),
             kind=answer.get("kind", ""),
+            code=answer.get("code", ""),
             exit_code=answer.get("exit_code", 0),
             host=answer.get("host", ""),
             memory_mb=taken,

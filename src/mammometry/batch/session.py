@@ -17,7 +17,7 @@ from PIL import Image
 
 from mammometry.api.job import Job, open_session
 from mammometry.api.stored_report import WARNINGS
-from mammometry.base.errors import StorageError
+from mammometry.base.errors import BusyError
 from mammometry.base.machine.system import peak_memory_mb
 from mammometry.base.progress import Progress, StageProgress
 from mammometry.batch import storage
@@ -112,8 +112,8 @@ def _when_free(run: Callable[[], _R]) -> _R:
     while True:
         try:
             return run()
-        except StorageError as error:
-            if "another run at work" not in error.found or time.monotonic() > until:
+        except BusyError:
+            if time.monotonic() > until:
                 raise
             time.sleep(_STEP_S)
 

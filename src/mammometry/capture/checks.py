@@ -66,10 +66,14 @@ _ANYWHERE = (b"%pdf-", b"<?php", b"<script", b"<html", b"<!doctype", b"<svg")  #
 _HEAD_BYTES = 1024  # in which readers of PDF and browsers look for those
 
 
+NO_PHOTOGRAPH = "no photograph"
+"""Answer of `not_only_a_photograph` for a file that does not begin as one."""
+
+
 def not_only_a_photograph(path: Path) -> str | None:
     """A second kind of file that a photograph is at once, in two words, else None.
 
-    ``no photograph`` where it is none. None for an ordinary photograph.
+    `NO_PHOTOGRAPH` where it is none. None for an ordinary photograph.
 
     Raises:
         OSError: it cannot be read.
@@ -80,7 +84,7 @@ def not_only_a_photograph(path: Path) -> str | None:
         file.seek(max(0, size - _LOOKED_AT))
         tail = file.read(_LOOKED_AT)
     if not head.startswith(_BEGIN):
-        return "no photograph"
+        return NO_PHOTOGRAPH
     begin = head[:_HEAD_BYTES].lower()
     for mark in _ANYWHERE:
         if mark in begin:

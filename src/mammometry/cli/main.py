@@ -118,7 +118,7 @@ def run(arguments: Sequence[str]) -> int:
             return answer.exit_code
         return answer if isinstance(answer, int) else 0
     except MammometryError as error:
-        about = {"subject": error.subject, "found": error.found, "expected": error.expected, "remedy": error.remedy}
+        about = {name: getattr(error, name) for name in ("code", "subject", "found", "expected", "remedy")}
         shown = "" if error.page is None else f" What was seen: {error.page}"
         about |= {"page": str(error.page)} if shown else {}
         return _fail(f"{error}{shown}", error.exit_code, as_json, kind=type(error).__name__, **about)
@@ -167,12 +167,12 @@ def _say(answer: Answer, as_json: bool, quiet: bool) -> None:
             console.print(line)
 
 
-def _fail(sentence: str, code: int, as_json: bool, **about: Any) -> int:
+def _fail(sentence: str, exit_code: int, as_json: bool, **about: Any) -> int:
     if as_json:
-        print(json.dumps({"error": sentence, "exit_code": code, **about}, ensure_ascii=False), flush=True)  # noqa: T201
+        print(json.dumps({"error": sentence, "exit_code": exit_code, **about}, ensure_ascii=False), flush=True)  # noqa: T201
     else:
         print(f"mammometry: {sentence}", file=sys.stderr, flush=True)  # noqa: T201  # the answer itself
-    return code
+    return exit_code
 
 
 def _usage(error: Any) -> str:

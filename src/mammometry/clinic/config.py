@@ -37,6 +37,7 @@ class ClinicError(MammometryError):
     """The clinic's folder, database or people are not as they must be."""
 
     exit_code = 3
+    code = "clinic"
 
 
 def _is_time_zone(name: str) -> str:

@@ -246,6 +246,8 @@ _FILES: Mapping[Group, str] = {"boundaries": BOUNDARIES, "landmarks": LANDMARK_F
 class LateError(SessionError):
     """Somebody else has changed the same item meanwhile."""
 
+    code = "changed-meanwhile"
+
     def __init__(self, items: Collection[Item], kept: Path, theirs: str) -> None:
         names = " and ".join(name for _, name in items)
         super().__init__(

@@ -18,6 +18,8 @@ if TYPE_CHECKING:  # The command line takes its defaults from here, and must not
 
 from collections.abc import Collection
 
+from mammometry.base.errors import UnknownWordError
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Disturbance:
@@ -59,7 +61,7 @@ def parse_situation(text: str) -> Situation:
     for part in filter(None, (part.strip() for part in text.split(","))):
         name, _, size = (word.strip() for word in part.partition("="))
         if not name or name in found:
-            raise ValueError(f"disturbances are written as rail,drift=0.02, each once, found {text!r}")
+            raise UnknownWordError("disturbances are written as rail,drift=0.02, each once", f"{text!r}")
         found[name] = Disturbance(name=name, size=size)
     return Situation(disturbances=tuple(found.values()))
 

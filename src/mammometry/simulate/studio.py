@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from mammometry.base.csv_cells import CsvWriter
-from mammometry.base.errors import MammometryError
+from mammometry.base.errors import MammometryError, UnknownWordError
 from mammometry.base.machine.cores import available_cores
 from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.targets.target import Target
@@ -96,15 +96,13 @@ def refusing(error: type[MammometryError], *, expected: str, remedy: str) -> Ite
     try:
         yield
     except ValueError as wrong:
-        rule, _, found = str(wrong).rpartition(", found ")
-        raise error(
-            "simulate", found=f"{found}, but {rule}" if rule else str(wrong), expected=expected, remedy=remedy
-        ) from None
+        found = f"{wrong.found}, but {wrong.rule}" if isinstance(wrong, UnknownWordError) else str(wrong)
+        raise error("simulate", found=found, expected=expected, remedy=remedy) from None
 
 
 def _require_one_of(what: str, word: str, choices: tuple[str, ...]) -> None:
     if word not in choices:
-        raise ValueError(f"the {what} is one of {', '.join(choices)}, found {word!r}")
+        raise UnknownWordError(f"the {what} is one of {', '.join(choices)}", f"{word!r}")
 
 
 def photograph(

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import re
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from mammometry.base import errors
-from mammometry.base.errors import CrossingError, MammometryError, MeasureError
+from mammometry.base.errors import CrossingError, MammometryError, MeasureError, UnknownWordError
 
 KINDS = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, MammometryError)]
 
@@ -31,3 +32,14 @@ def test_a_refusal_comes_back_from_a_pool_of_processes() -> None:
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool, pytest.raises(MeasureError) as raised:
         pool.submit(refused).result()
     assert raised.value.of_mesh().remedy == "Scan"
+
+
+def test_every_kind_of_error_has_a_code_of_its_own() -> None:
+    codes = [kind.code for kind in KINDS]
+    assert len(set(codes)) == len(codes)
+    assert all(re.fullmatch(r"[a-z]+(-[a-z]+)*", code) for code in codes)
+
+
+def test_a_broken_rule_keeps_what_was_found() -> None:
+    error = pickle.loads(pickle.dumps(UnknownWordError("skins are pale", "green")))
+    assert (error.rule, error.found, str(error)) == ("skins are pale", "green", "skins are pale, found green")

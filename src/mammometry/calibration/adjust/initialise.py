@@ -152,6 +152,8 @@ class TooFewViewsError(CalibrationError):
         remedy: what the user can do about it.
     """
 
+    code = "too-few-views"
+
     def __init__(self, subject: str, *, cameras: Sequence[str], found: str, expected: str, remedy: str) -> None:
         super().__init__(subject, found=found, expected=expected, remedy=remedy)
         self.cameras = tuple(cameras)

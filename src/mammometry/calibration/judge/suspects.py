@@ -69,6 +69,8 @@ class SuspectPhotographsError(CalibrationError):
         suspects: the photographs, and what is left without them.
     """
 
+    code = "suspect-photographs"
+
     def __init__(self, suspects: Suspects) -> None:
         named = [f"{camera} in pose {pose}" for pose, camera in suspects.reasons]
         listed = " and ".join(part for part in (", ".join(named[:-1]), named[-1]) if part)

@@ -23,7 +23,7 @@ from mammometry.calibration.features.keypoints import Keypoints, keypoints
 from mammometry.calibration.judge.camera_names import check_names, wrong_photographs
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture import checks
-from mammometry.capture.checks import Finding, KnownCamera, not_only_a_photograph
+from mammometry.capture.checks import NO_PHOTOGRAPH, Finding, KnownCamera, not_only_a_photograph
 from mammometry.clinic.intake.check_photographs import known_photograph
 from mammometry.clinic.intake.places import Target
 from mammometry.clinic.models import Calibration, DailyCheck, Upload, Visit
@@ -184,7 +184,7 @@ def look(upload: Upload, target: Target) -> tuple[list[Finding], dict[str, Any]]
     """All checks of one photograph, and what is kept of its EXIF."""
     other = not_only_a_photograph(upload.path)
     if other is not None:
-        what = "no photograph" if other == "no photograph" else f"{other} as well as a photograph"
+        what = "no photograph" if other is NO_PHOTOGRAPH else f"{other} as well as a photograph"
         sentence = f"This file is {what}. Send the JPEG, PNG or TIFF as the camera wrote it."
         return [Finding("format", "refuse", sentence)], {}
     limits = LimitSettings(megapixels=float(the_clinic().limits.photograph_megapixels))

@@ -22,6 +22,7 @@ class UploadError(MammometryError):
     """
 
     exit_code = 4
+    code = "upload"
 
     def __init__(self, sentence: str, status: int = 409) -> None:
         Exception.__init__(self, sentence)

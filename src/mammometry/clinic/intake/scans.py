@@ -19,7 +19,7 @@ from django.core.files.uploadedfile import UploadedFile
 
 from mammometry.base.listing import is_hidden
 from mammometry.base.parse import LimitSettings
-from mammometry.capture.checks import not_only_a_photograph
+from mammometry.capture.checks import NO_PHOTOGRAPH, not_only_a_photograph
 from mammometry.clinic.intake.places import UploadError
 from mammometry.clinic.site import the_clinic
 from mammometry.geometry.mesh_files.mesh_file import KINDS, SUFFIXES
@@ -134,7 +134,7 @@ def _meshes(folder: Path) -> list[Path]:
 def _check_pictures(folder: Path) -> None:
     for path in folder.iterdir():
         if path.suffix.lower() in _PICTURES and (other := not_only_a_photograph(path)) is not None:
-            what = "no picture" if other == "no photograph" else f"{other} as well as a picture"
+            what = "no picture" if other is NO_PHOTOGRAPH else f"{other} as well as a picture"
             raise UploadError(f"A file with the ending {path.suffix} is {what}. Export the scan again.", 400)
 
 

@@ -60,6 +60,8 @@ _DECODED_AT_ONCE = threading.BoundedSemaphore(2)  # a photograph of 250 megapixe
 class OccupiedError(UploadError):
     """Another photograph has the place, and nobody said that it may be replaced."""
 
+    code = "place-occupied"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Announced:

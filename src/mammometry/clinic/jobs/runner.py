@@ -9,7 +9,7 @@ from uuid import UUID
 from django.db import DatabaseError, close_old_connections
 
 from mammometry.base.child_process import Call
-from mammometry.base.errors import MammometryError
+from mammometry.base.errors import BusyError, MammometryError
 from mammometry.batch.cluster import Machines, machines
 from mammometry.batch.engine import Began, Ended, Engine, StopRequest, Task
 from mammometry.batch.record import RECORD, read_record
@@ -21,7 +21,6 @@ from mammometry.clinic.records.comparing import comparison_folder
 _LOOK_S = 1.0  # between two looks into an empty queue
 _AGAIN_S = 5.0  # until a cluster that was gone is asked again
 _LOOKED_BACK = 40  # newest visits whose need of memory is known
-_BUSY = "another run at work"  # what a session says in which a former self still works
 _SHARES = {"prepare": 0.02, "calibrate": 0.05, "match": 0.3, "surface": 0.7, "measure": 0.92, "report": 1.0}
 """Stage → share of the whole that is done when it ends, about as in time."""
 _LOG = logging.getLogger(__name__)
@@ -101,7 +100,7 @@ class Runner:
     def _end(self, key: UUID, event: Ended) -> None:
         if not event.failed:
             held = queue.done(key, self.owner, event.value)
-        elif _BUSY in event.failed:
+        elif event.code == BusyError.code:  # a former process of this clinic still works in the session
             queue.release(self.owner, key)
             return
         else:

@@ -29,6 +29,7 @@ class CorrectionError(MammometryError):
     """A record cannot be corrected so, in one sentence."""
 
     exit_code = 4
+    code = "correction"
 
     def __init__(self, sentence: str) -> None:
         Exception.__init__(self, sentence)

@@ -17,7 +17,7 @@ from django.middleware.csrf import get_token
 from django.shortcuts import get_object_or_404, render
 from django.template.loader import render_to_string
 
-from mammometry.base.errors import MammometryError, StorageError
+from mammometry.base.errors import BusyError, MammometryError, StorageError
 from mammometry.base.extras import MissingLibraryError
 from mammometry.clinic.audit import record_refusal
 from mammometry.clinic.audit_entries import change_of
@@ -54,7 +54,7 @@ def json_view(*methods: str) -> Callable[[Callable[..., HttpResponseBase]], Call
             except (Refused, UploadError) as error:
                 return JsonResponse({"error": str(error)}, status=error.status)
             except MammometryError as error:
-                return JsonResponse({"error": on_pages(str(error))}, status=409 if error.exit_code != 9 else 507)
+                return JsonResponse({"error": on_pages(str(error))}, status=507 if _is_of_disk(error) else 409)
 
         return answer
 
@@ -202,10 +202,15 @@ def _is_in_bin(request: HttpRequest) -> bool:
 
 def not_now(request: HttpRequest, error: MammometryError) -> HttpResponse:
     """409: the visit stands in its own way, or 503: the disk does."""
-    if isinstance(error, StorageError):
+    if _is_of_disk(error):
         _LOG.error("%s", error)
     words = on_pages(str(error).replace(f"{the_clinic().folder}/", ""))
-    return _page(request, 503 if isinstance(error, StorageError) else 409, "Not now", words)
+    return _page(request, 503 if _is_of_disk(error) else 409, "Not now", words)
+
+
+def _is_of_disk(error: MammometryError) -> bool:
+    """Whether the disk refuses. A session in which another run is at work is only busy."""
+    return isinstance(error, StorageError) and not isinstance(error, BusyError)
 
 
 def not_installed(request: HttpRequest, error: MissingLibraryError) -> HttpResponse:

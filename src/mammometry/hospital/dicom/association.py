@@ -7,7 +7,7 @@ from typing import Any
 from pydicom import Dataset
 from pynetdicom import AE, evt
 
-from mammometry.base.errors import ArchiveError
+from mammometry.base.errors import ArchiveError, NotOfferedError
 from mammometry.hospital.peers import Peer, Tls
 
 OWN_TITLE = "MAMMOMETRY"
@@ -126,7 +126,7 @@ def _refused(peer: Peer, association: Any, own_title: str, *, encrypted: bool) -
             str(peer), found=f"an application that refuses {own_title}{why}", expected="to be accepted", remedy=remedy
         )
     if association.acceptor.primitive is not None:
-        return ArchiveError(
+        return NotOfferedError(
             str(peer),
             found="an application that offers none of the services asked for",
             expected="storage, or the search that was asked for",

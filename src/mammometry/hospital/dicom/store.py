@@ -12,7 +12,7 @@ from pydicom.sequence import Sequence as Items
 from pynetdicom import AE, evt
 from pynetdicom.sop_class import StorageCommitmentPushModel, StudyRootQueryRetrieveInformationModelFind  # type: ignore[attr-defined]  # made at run time
 
-from mammometry.base.errors import ArchiveError
+from mammometry.base.errors import ArchiveError, NotOfferedError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.hospital.codes import uid
 from mammometry.hospital.dicom.association import OWN_TITLE, accepts, associated, comment, found_by, lost
@@ -173,10 +173,8 @@ def committed(
             association = stack.enter_context(
                 associated(peer, [(StorageCommitmentPushModel, None)], own_title=own_title, tls=tls, handlers=handlers)
             )
-        except ArchiveError as error:
-            if "offers none" in error.found:
-                return None
-            raise
+        except NotOfferedError:
+            return None
         status, _ = association.send_n_action(
             _question(made, transaction), _REQUEST, StorageCommitmentPushModel, _WELL_KNOWN
         )

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mammometry.base.errors import StorageError
+from mammometry.base.errors import BusyError, StorageError
 from mammometry.io.results.records import is_plain
 from mammometry.io.write import disk_errors, write_new
 
@@ -77,14 +77,14 @@ class RunLock:
                 (self._folder / HOLDER).unlink(missing_ok=True)
             self._lock.release()
 
-    def _taken(self, lock: BaseFileLock) -> StorageError:
+    def _taken(self, lock: BaseFileLock) -> BusyError:
         remedy = "Wait for it to end, or stop it"
         if Path(lock.lock_file).name == MARKER:
             remedy += f"; if it is gone, remove {MARKER} there"
         expected = "one run at a time in a session"
         holder = self.holder()
         found = f"another run at work there{f' ({holder})' if holder else ''}"
-        return StorageError(str(self._folder), found=found, expected=expected, remedy=remedy)
+        return BusyError(str(self._folder), found=found, expected=expected, remedy=remedy)
 
     def holder(self) -> str:
         """Process, computer and start of the run in progress, by its note. Empty if there is none.

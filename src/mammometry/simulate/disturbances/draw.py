@@ -11,6 +11,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from mammometry.base.errors import UnknownWordError
 from mammometry.simulate.disturbances.registry import DISTURBANCES, DisturbanceKind, Stage
 from mammometry.simulate.recipe import Disturbance, Situation
 
@@ -42,7 +43,7 @@ def draw(seed: int, difficulty: int) -> Situation:
         ValueError: there is no such difficulty.
     """
     if not 0 <= difficulty <= HARDEST:
-        raise ValueError(f"the difficulty must lie between 0 and {HARDEST}, found {difficulty}")
+        raise UnknownWordError(f"the difficulty must lie between 0 and {HARDEST}", difficulty)
     drawn = [*_patient(np.random.default_rng([seed, 96]))]
     if difficulty:
         rng = np.random.default_rng([seed, 97, difficulty])

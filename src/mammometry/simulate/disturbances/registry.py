@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 
+from mammometry.base.errors import UnknownWordError
 from mammometry.base.registry import Registry
 from mammometry.simulate.recipe import Disturbance, Situation
 
@@ -49,9 +50,9 @@ class Number:
             number = float("nan")
         low, high = self.within
         if not low <= number <= high:
-            raise ValueError(f"{name} must lie between {low:g} and {high:g}, found {text!r}")
+            raise UnknownWordError(f"{name} must lie between {low:g} and {high:g}", f"{text!r}")
         if self.whole and number != round(number):
-            raise ValueError(f"{name} must be a whole number, found {text!r}")
+            raise UnknownWordError(f"{name} must be a whole number", f"{text!r}")
         return number
 
     def drawn(self, rng: np.random.Generator, share: float = 1.0) -> str:
@@ -77,7 +78,7 @@ class Word:
             ValueError: it is none of them.
         """
         if text not in self.words:
-            raise ValueError(f"{name} is one of {', '.join(self.words)}, found {text!r}")
+            raise UnknownWordError(f"{name} is one of {', '.join(self.words)}", f"{text!r}")
         return text
 
     def drawn(self, rng: np.random.Generator, share: float = 1.0) -> str:
@@ -151,7 +152,7 @@ def check(situation: Situation) -> None:
     """
     for item in situation.disturbances:
         if item.name not in DISTURBANCES:
-            raise ValueError(f"disturbances are {', '.join(DISTURBANCES)}, found {item.name!r}")
+            raise UnknownWordError(f"disturbances are {', '.join(DISTURBANCES)}", f"{item.name!r}")
         DISTURBANCES[item.name].sized(item)
 
 

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from mammometry.base.errors import UnknownWordError
+
 if TYPE_CHECKING:  # The command line takes its defaults from here, and must not wait for NumPy.
     from mammometry.geometry.camera import Camera
     from mammometry.simulate.rendering.sampling import Aperture
@@ -64,7 +66,7 @@ class Film:
         ):
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
-                raise ValueError(f"{name} must lie between {low:g} and {high:g}, found {value}")
+                raise UnknownWordError(f"{name} must lie between {low:g} and {high:g}", value)
 
     @property
     def is_processed(self) -> bool:
@@ -78,7 +80,7 @@ class Film:
             ValueError: it does not lie between 0 and 100.
         """
         if not 0.0 <= noise <= 100.0:
-            raise ValueError(f"noise must lie between 0 and 100, found {noise:g}")
+            raise UnknownWordError("noise must lie between 0 and 100", f"{noise:g}")
         grain = max(noise, _LEAST_NOISE)
         return replace(self, electrons=self.electrons / grain**2, read_noise=self.read_noise / grain)
 

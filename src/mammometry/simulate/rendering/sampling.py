@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 
+from mammometry.base.errors import UnknownWordError
 from mammometry.geometry import Array, Camera, Float32, Float64, read_only
 
 
@@ -85,7 +86,7 @@ def net_offsets(count: int) -> Float64[Array, "n 2"]:
     """
     bits = count.bit_length() - 1
     if count != 1 << bits:
-        raise ValueError(f"the number of samples must be a power of two, found {count}")
+        raise UnknownWordError("the number of samples must be a power of two", count)
     index = np.arange(count)
     mirrored = sum(((index >> bit) & 1) << (bits - 1 - bit) for bit in range(bits)) if bits else index
     return (np.stack([index, mirrored], axis=1) + 0.5) / count - 0.5

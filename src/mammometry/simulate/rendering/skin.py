@@ -13,6 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from mammometry.base.errors import UnknownWordError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.simulate.rendering.shading import CHROMA_OCTAVES, OCTAVES
 
@@ -86,7 +87,7 @@ class Skin:
 
 def _require(name: str, value: float, low: float, high: float) -> None:
     if not low <= value <= high:
-        raise ValueError(f"{name} must lie between {low:g} and {high:g}, found {value}")
+        raise UnknownWordError(f"{name} must lie between {low:g} and {high:g}", value)
 
 
 _LIVING = Skin(
@@ -127,6 +128,6 @@ def make_skin(name: str, *, contrast: float | None = None, hair_per_cm2: float =
         ValueError: there is none of that name, or a number is out of its range.
     """
     if name not in SKINS:
-        raise ValueError(f"skins are {', '.join(SKINS)}, found {name!r}")
+        raise UnknownWordError(f"skins are {', '.join(SKINS)}", f"{name!r}")
     skin = replace(SKINS[name], hair_per_cm2=hair_per_cm2)
     return skin if contrast is None else replace(skin, contrast=contrast, colour_contrast=0.5 * contrast)

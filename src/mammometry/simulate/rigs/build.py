@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mammometry.base.errors import UnknownWordError
 from mammometry.geometry import Array, Camera, Float64, Rig, Transform
 
 FULL_SIZE_WH = (4504, 3000)
@@ -145,7 +146,7 @@ def build_rig(plan: RigPlan, scale: float, seed: int) -> Rig:
         ValueError: the scale is not within 0.02 … 2, or the plan's directions make no rig.
     """
     if not LEAST_SCALE <= scale <= LARGEST_SCALE:
-        raise ValueError(f"scale must lie between {LEAST_SCALE} and {LARGEST_SCALE:g}, found {scale}")
+        raise UnknownWordError(f"scale must lie between {LEAST_SCALE} and {LARGEST_SCALE:g}", scale)
     rng = np.random.default_rng([seed, 11])
     cameras: dict[str, Camera] = {}
     pair_names: dict[str, tuple[str, str]] = {}
@@ -174,7 +175,7 @@ def pairs_of(rig: Rig, names: tuple[str, ...]) -> Rig:
     """
     unknown = [name for name in names if name not in rig.pair_names]
     if unknown or not names:
-        raise ValueError(f"pairs of the rig are {', '.join(rig.pair_names)}, found {', '.join(unknown) or 'none'}")
+        raise UnknownWordError(f"pairs of the rig are {', '.join(rig.pair_names)}", f"{', '.join(unknown) or 'none'}")
     pair_names = {name: rig.pair_names[name] for name in names}
     kept = [camera for pair in pair_names.values() for camera in pair]
     return Rig(name=rig.name, cameras={name: rig.cameras[name] for name in kept}, pair_names=pair_names)

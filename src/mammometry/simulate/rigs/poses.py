@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from mammometry.base.errors import UnknownWordError
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry import Array, Camera, Float64, Rig, Transform
 from mammometry.simulate.rigs.targets import sees_target, visible_points
@@ -52,7 +53,7 @@ def draw_poses(rig: Rig, target: Target, count: int, seed: int) -> dict[str, Tra
         ValueError: no pose is asked for.
     """
     if count < 1:
-        raise ValueError(f"a session needs at least one pose, found {count}")
+        raise UnknownWordError("a session needs at least one pose", count)
     pair_axes = np.array([-(pair.left.axis_world + pair.right.axis_world) for pair in rig.pairs])
     pair_axes /= np.linalg.norm(pair_axes, axis=1, keepdims=True)
     needed = math.ceil(count * _WELL_SEEN_SHARE)

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from mammometry.base.errors import SessionError
+from mammometry.base.errors import SessionError, UnknownWordError
 from mammometry.base.parse import read_text, shown, toml_table
 from mammometry.geometry.camera import Rig
 from mammometry.simulate.rigs.build import (
@@ -298,5 +298,5 @@ def find_plan(name: str) -> tuple[RigPlan, tuple[str, ...]]:
     elif base == REFERENCE.name:
         plan = REFERENCE
     else:
-        raise ValueError(f"rigs are reference, a part of it as in reference:front, or a TOML file; found {name!r}")
+        raise UnknownWordError("rigs are reference, a part of it as in reference:front, or a TOML file", f"{name!r}")
     return plan, tuple(pairs.split(",")) if pairs else ()

@@ -9,6 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from mammometry.base.errors import UnknownWordError
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.calibration.targets.kinds.circles import CirclesTarget
@@ -71,7 +72,7 @@ def make_target(name: str) -> Target:
         ValueError: there is no target of that name.
     """
     if name not in VIRTUAL_TARGETS:
-        raise ValueError(f"targets are {', '.join(VIRTUAL_TARGETS)}, found {name!r}")
+        raise UnknownWordError(f"targets are {', '.join(VIRTUAL_TARGETS)}", f"{name!r}")
     return VIRTUAL_TARGETS[name]
 
 

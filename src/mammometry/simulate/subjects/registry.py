@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from mammometry.base.errors import UnknownWordError
 from mammometry.base.registry import Registry
 
 if TYPE_CHECKING:
@@ -115,7 +116,7 @@ def make_subject(
         if family.has(name):
             wanted = SubjectRequest(name=name, seed=seed, edge_mm=edge_mm, mesh_file=mesh_file, reshape=reshape)
             if reshape is not None and not family.has_patients:
-                raise ValueError(f"only torsos have patients' disturbances, found subject {name!r}")
+                raise UnknownWordError("only torsos have patients' disturbances", f"subject {name!r}")
             return family.make(wanted)
     choices = ", ".join(family.choices for family in SUBJECTS.values())
-    raise ValueError(f"subjects are {choices}, found {name!r}")
+    raise UnknownWordError(f"subjects are {choices}", f"{name!r}")

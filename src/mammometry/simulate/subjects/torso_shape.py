@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mammometry.base.errors import UnknownWordError
 from mammometry.simulate.subjects.body import BodyShape
 from mammometry.simulate.subjects.marks import Mark
 
@@ -77,7 +78,7 @@ def torso_shape(name: str, seed: int) -> TorsoShape:
     """
     number = name.removeprefix("torso").removeprefix("_")
     if name != "torso" and not (name.startswith("torso_") and number.isdecimal() and int(number) > 0):
-        raise ValueError(f"torsos are torso, torso_1, torso_2 and so on, found {name!r}")
+        raise UnknownWordError("torsos are torso, torso_1, torso_2 and so on", f"{name!r}")
     rng = np.random.default_rng([seed, int(number or 0), 74])
     mean_cc = math.exp(rng.uniform(math.log(125.0), math.log(960.0)))
     ratio = math.exp(float(np.clip(rng.normal(0.0, 0.16), -0.4, 0.4)))

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline, LinearNDInterpolator
 from scipy.spatial import Delaunay, cKDTree
 
+from mammometry.base.errors import UnknownWordError
 from mammometry.geometry import Array, Bool, Float64, Int32, TriangleMesh
 from mammometry.simulate.subjects.registry import SubjectRequest, add_subject
 from mammometry.simulate.subjects.solid import Breast, Solid, rounded_mesh, smoothstep, waves
@@ -470,7 +471,7 @@ def woman_named(name: str, seed: int, *, edge_mm: float = 2.0) -> Woman:
     family, _, number = name.partition("_")
     pose: Pose = "leaning" if family.startswith("leaning-") else "prone"
     if family not in _FAMILIES or not (number.isdecimal() or name == family):
-        raise ValueError(f"women are {', '.join(_FAMILIES)}, each with _1, _2 …, found {name!r}")
+        raise UnknownWordError(f"women are {', '.join(_FAMILIES)}, each with _1, _2 …", f"{name!r}")
     shape = woman_shape(int(number or 0), seed, pose, wide=family.endswith("-wide"))
     return woman(shape, name=name, edge_mm=edge_mm)
 
