@@ -38,7 +38,7 @@ from mammometry.walk.stations import TELEPHONE, find_stations
 
 BOARD = "board.toml"
 WALK = "walk.json"
-_VERSION = 1  # raise it when the same photographs give another session
+_VERSION = 2  # raise it when the same photographs give another session
 PRINT_STD = 0.01
 """Relative standard uncertainty of a board that was not measured: printers may scale a page by a few per cent."""
 _MARGIN_PX = 32  # kept around the region's picture, for windows at its edge

@@ -17,7 +17,7 @@ from mammometry.calibration.judge.quality import CalibrationQuality, assess
 from mammometry.geometry import Array, UInt8
 from mammometry.geometry.camera import Rig
 from mammometry.job.graph import Plan
-from mammometry.job.inputs import Inputs
+from mammometry.job.inputs import Inputs, Walk
 from mammometry.job.products import Stage
 from mammometry.job.stages import calibrate, match, measure, surface
 from mammometry.job.stages.report import PageInputs
@@ -51,10 +51,12 @@ from mammometry.report.words.doubts import body_cautions, body_doubts
 from mammometry.report.words.mesh_facts import MeshOrigin, mesh_facts
 from mammometry.report.words.photographs import photograph_doubts, rig_doubts
 from mammometry.report.words.stage_facts import MatchingFacts, Shown, matching_facts, surface_facts
+from mammometry.report.words.walk import walk_concerns
 from mammometry.surface.motion.motion_test import concerns
 from mammometry.surface.occlusion import Occlusion
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 from mammometry.surface.texture.texture import TexturedMesh
+from mammometry.walk.motion import WalkMotion
 
 _MATCHED = 0.6  # of a silhouette that a pair should match; flanks seen obliquely cost up to a third
 _BLOCKED = 0.005  # of the subject in a photograph, hidden: less is a strap or a shadow; chosen by eye
@@ -94,6 +96,10 @@ class RunResults:
     """Camera → why its silhouette was sought and is not used."""
     outline_advice: Mapping[str, str] = field(default_factory=dict)
     """Pair without an outline → what to do first."""
+    walk: Walk | None = None
+    """What is known of one telephone's photographs. None for a rig's."""
+    walk_motion: WalkMotion | None = None
+    """Motion of the body between one telephone's photographs."""
 
 
 def warnings(run: RunResults) -> Iterator[str]:
@@ -129,16 +135,18 @@ def run_concerns(run: RunResults) -> Iterator[str]:
     of_rig = rig_doubts(run.quality, run.calibration)
     if of_rig:
         yield f"Check the calibration. {sentence(of_rig[0])}"
-    if run.calibration is None:
+    if run.walk is not None and run.walk_motion is not None:
+        yield from walk_concerns(run.walk, run.walk_motion)
+    elif run.calibration is None:
         yield "The cameras were imported. Their errors are not known, and the interval does not cover them."
         yield from map(sentence, run.camera_doubts)
     extent = subject_extent(float(np.ptp(run.repaired.mesh.vertices, axis=0).max()))
     if not extent.is_usual():
         yield f"The surface is rare: {extent}. Check that the sizes of target or cameras are in millimetres."
-    for name, judged in run.matching.items():
+    for name, judged in run.matching.items() if run.walk is None else ():  # a walk's pairs are tested by `walk.motion`
         yield from match_quality.concerns(name, judged, run.outline_advice.get(name, ""))
     for name, share in run.shares.items():
-        if share < _MATCHED:
+        if share < _MATCHED and run.walk is None:  # a walk's masks show where the body may be
             yield f"Pair {name} matched only {100 * share:.0f} % of the subject's silhouette."
     hidden = [
         f"{name} ({100 * occlusion.share:.0f} %)"
@@ -169,7 +177,7 @@ def run_cautions(run: RunResults) -> Iterator[str]:
     """Warn of what changes every volume of a run."""
     if run.moved:
         yield "Cameras or body moved: see the warnings."
-    if run.calibration is None:
+    if run.calibration is None and run.walk is None:
         yield "The interval does not cover the cameras' errors."
 
 
@@ -263,6 +271,8 @@ def gather(
         doubtful=without_nipple(measurements, marks, settings.measure),
         unseparated=unseparated,
         outline_advice=advice,
+        walk=inputs.walk,
+        walk_motion=plan.value(surface.walk_motion),
     )
     beside, of_body = tuple(run_cautions(run)), body_cautions(plan)
     breasts = [

@@ -23,9 +23,10 @@ HALF_WIDTH_MM = 260.0
 """From the board's middle to either side: half the shoulder breadth of 99 in 100 adults is below 255 mm (ANSUR II)."""
 HEIGHT_MM = 400.0
 """Above the board: from below the breasts to the neck of tall adults, and hardly a face."""
-DEPTH_MM = 220.0
-"""Before and behind the board's plane: breasts before it, the back's skin or the wall of the room behind."""
-_GAP_MM = 30.0  # between the highest corner and the first skin above the board: its white border, and the card's edge
+BEFORE_MM, BEHIND_MM = 220.0, 130.0
+"""Before the board's plane and behind it: breasts that stand out, and the trunk's sides, but not a wall of the room."""
+_EDGE_SHARE = 1.6  # squares between the highest inner corner and the card's edge: the outer squares, the white border
+_GAP_MM = 8.0  # between the card and the first skin above it
 _GRID = 9  # points along each edge of the box whose pictures are enclosed by its outline
 
 
@@ -64,9 +65,10 @@ class Region:
 def region_above(target: Target) -> Region:
     """The box above a board that is worn at the belly, in the board's frame, mm."""
     points = target.points_target
+    square_mm = float(np.diff(np.unique(points[:, 1])).min())
     middle = (points[:, 0].min() + points[:, 0].max()) / 2
-    bottom = float(points[:, 1].min()) - _GAP_MM
+    bottom = float(points[:, 1].min()) - _EDGE_SHARE * square_mm - _GAP_MM
     return Region(
-        low_world=np.array([middle - HALF_WIDTH_MM, bottom - HEIGHT_MM, -DEPTH_MM]),
-        high_world=np.array([middle + HALF_WIDTH_MM, bottom, DEPTH_MM]),
+        low_world=np.array([middle - HALF_WIDTH_MM, bottom - HEIGHT_MM, -BEFORE_MM]),
+        high_world=np.array([middle + HALF_WIDTH_MM, bottom, BEHIND_MM]),
     )

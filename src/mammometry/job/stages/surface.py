@@ -124,7 +124,8 @@ def keep_masks(
     valid = dents.remove_dents(images, patches, settings.dents)
     keep = [image.valid for image in valid.range_images]
     unseen = set() if subjects is None else set(subjects.blind)
-    blind = [name for name, pair in rig.pair_names.items() if unseen & set(pair)]
+    # Masks of a walk hold all that is near the body.
+    blind = [name for name, pair in rig.pair_names.items() if job.inputs.walk or unseen & set(pair)]
     if blind or job.inputs.subject_kind == "surface":  # a solid's smaller pieces are left out when it is meshed
         middle_world = None if subjects is None else subjects.middle_world
         keep = dents.subject_data(valid.range_images, blind, middle_world)
