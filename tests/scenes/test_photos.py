@@ -47,7 +47,7 @@ def test_a_walk_gives_the_skin_and_both_volumes(walk, tmp_path):
     job = mm.open_session(tmp_path / "session")
     results = job.run()
     for side, clean_cc in CLEAN_MESH_CC.items():
-        low, high = next(each for each in results.measurements if each.name == side).uncertainty.interval_cc
+        low, high = results.measurements[side].uncertainty.interval_cc
         assert low < clean_cc < high
         assert results.volumes_cc[side] == pytest.approx(clean_cc, rel=0.12)
     # The renderer's own pose of the board: from the board's frame to the body's.

@@ -136,8 +136,9 @@ def prepare_walk(
 def read_walk(session: Path) -> Walk | None:
     """What `prepare_walk` found of a session. None where it did not make it."""
     try:
-        return Walk(**json.loads((session / WALK).read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError):
+        table = json.loads((session / WALK).read_text(encoding="utf-8"))
+        return Walk(**{**table, "used": tuple(table["used"])})
+    except (OSError, ValueError, TypeError, KeyError):
         return None
 
 
