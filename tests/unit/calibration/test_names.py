@@ -78,7 +78,8 @@ def test_one_refusal_names_all_photographs_that_are_exchanged(rig, seen, monkeyp
     photographs = {
         name: SimpleNamespace(pixels=np.empty(rig.cameras[name].size_wh[::-1]), features=shown[name]) for name in shown
     }
-    job = SimpleNamespace(inputs=SimpleNamespace(pair_names=rig.pair_names, photographs=photographs))
+    inputs = SimpleNamespace(pair_names=rig.pair_names, photographs=photographs, walk=None)
+    job = SimpleNamespace(inputs=inputs)
     with pytest.raises(MatchingError) as refused:
         match.names.function(SimpleNamespace(rig=rig), job=job)
     assert f"{one} and {third}; {other} and {fourth}: found photographs that seem to be exchanged" in str(refused.value)

@@ -274,7 +274,7 @@ def test_missing_outlines_are_named_before_cameras_are_said_to_have_moved():
     ranges, cameras = {image.name: image for image in images}, SimpleNamespace(rig=RIG)
     stopping = SimpleNamespace(surface=SimpleNamespace(stillness=StillnessSettings(most_mm=1.0)))
     plain = Photograph(name="a", pixels=np.full((150, 150), 90, np.uint8))
-    inputs = SimpleNamespace(photographs=dict.fromkeys(RIG.cameras, plain))
+    inputs = SimpleNamespace(photographs=dict.fromkeys(RIG.cameras, plain), walk=None)
 
     def refusal(doubts):
         with pytest.raises(MammometryError) as refused:

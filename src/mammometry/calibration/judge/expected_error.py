@@ -183,7 +183,7 @@ def _of_cameras(rig: Rig, covariance: ParameterCovariance) -> tuple[tuple[int, .
 
 def _shifts(
     rig: Rig, names: tuple[str, ...], points: Float64[Array, "n 3"]
-) -> tuple[Mapping[str, Int64[Array, " n"]], Mapping[str, Float64[Array, "n 3 p"]]]:
+) -> tuple[Mapping[str, Int64[Array, " _"]], Mapping[str, Float64[Array, "_ 3 p"]]]:
     """Pair → points that both cameras see, and their shifts by each parameter less the common similarity."""
     parts, seen = [], {}
     for pair in rig.pairs:
