@@ -141,8 +141,9 @@ def torso_notes(plan: Plan, posture: str | None) -> tuple[str, ...]:
         posture: empty where it was not given; None: no torso.
     """
     from mammometry.report.words.doubts import body_doubts, posture_note
+    from mammometry.report.words.notices import words_of
 
-    return () if posture is None else (*body_doubts(plan), posture_note(posture))
+    return () if posture is None else (*map(words_of, body_doubts(plan)), posture_note(posture))
 
 
 _LOG = logging.getLogger(__name__)

@@ -25,6 +25,7 @@ from mammometry.job.products import Key, Product
 from mammometry.job.stages import surface
 from mammometry.job.stages.report import PageInputs, report_key
 from mammometry.report.content import Picture, ReportContent
+from mammometry.report.words.notices import words_of
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 
 
 WARNINGS = "warnings.json"
-"""The report's warnings, for programs: sentences under ``warnings``."""
+"""The report's warnings, for programs: sentences under ``warnings``, their codes and values under ``notices``."""
 
 
 class Reported(ABC):
@@ -169,7 +170,11 @@ class Reported(ABC):
 
             def write(folder: Path, progress: Progress) -> None:
                 made = self._render(None)
-                words = json.dumps({"warnings": list(made.warnings)}, ensure_ascii=False, indent=1) + "\n"
+                said = {
+                    "warnings": [words_of(notice) for notice in made.warnings],
+                    "notices": [notice.as_table() for notice in made.warnings],
+                }
+                words = json.dumps(said, ensure_ascii=False, indent=1) + "\n"
                 _write(folder, {html.PAGE: made.html, pdf.DOCUMENT: made.pdf, WARNINGS: words.encode()})
 
             return write

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from mammometry.base.identity import Identity
+from mammometry.base.notices import Notice
 from mammometry.study.tables import Table
 
 DISCLAIMER = (
@@ -114,11 +115,11 @@ class ReportContent:
     """What was photographed, in words."""
     world: str
     """What the world frame is."""
-    warnings: tuple[str, ...]
+    warnings: tuple[Notice, ...]
     """Of what the volumes rest on, the gravest first. Those of boundaries follow when the report is rendered."""
-    concerns: tuple[str, ...] = ()
+    concerns: tuple[Notice, ...] = ()
     """Warnings of calibration and matching."""
-    calibration_doubts: tuple[str, ...] = ()
+    calibration_doubts: tuple[Notice, ...] = ()
     """Warnings of single photographs of the calibration: for who keeps the rig, last of all. A clinic's reports omit
     them."""
     breasts: tuple[BreastReport, ...]

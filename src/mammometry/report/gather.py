@@ -10,6 +10,7 @@ from datetime import datetime
 import numpy as np
 
 from mammometry.base.identity import NAMELESS
+from mammometry.base.notices import Notice
 from mammometry.base.progress import Progress, no_progress
 from mammometry.base.sizes import subject_extent
 from mammometry.calibration.adjust.calibrated import Calibration
@@ -32,7 +33,7 @@ from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report import content
 from mammometry.report.content import Picture, ReportContent, sentence
 from mammometry.report.figures import stage_results
-from mammometry.report.figures.shading import NAMES, front_of
+from mammometry.report.figures.shading import front_of
 from mammometry.report.figures.stage_results import MeasureResult, draw_stage
 from mammometry.report.models import viewer_scene, with_lengths
 from mammometry.report.pictures import all_encoded
@@ -102,75 +103,57 @@ class RunResults:
     """Motion of the body between one telephone's photographs."""
 
 
-def warnings(run: RunResults) -> Iterator[str]:
+def warnings(run: RunResults) -> Iterator[Notice]:
     """Warn of what the volumes rest on, the gravest first."""
     for measured in run.measurements:
         if not measured.watertight:
-            yield f"The closed solid of the {NAMES[measured.name]} is not watertight. Do not use its volume."
+            yield Notice(code="solid-not-watertight", about=(measured.name,))
     if run.body is not None and run.body.plane is None:
-        yield f"{sentence(run.body.how)} What depends on left and up is only as exact as the cameras are level."
+        yield Notice(code="upright-unknown", values={"text": sentence(run.body.how)})
     if run.doubtful:
-        yield (
-            f"No nipple was seen on the {' and on the '.join(NAMES[name] for name in run.doubtful)}. What is measured "
-            "from a nipple is left out there: pick it if there is one."
-        )
+        yield Notice(code="nipple-not-seen", about=tuple(run.doubtful))
     if run.unseparated:
         reasons = "; ".join(dict.fromkeys(run.unseparated.values()))
         drawn = [f"masks/{name}.png" for name, reason in run.unseparated.items() if reason != OF_PARTNER]
-        yield (
-            f"No outline of the subject is used in the photographs of {', '.join(run.unseparated)}: {reasons}. "
-            "Everything near was matched there, and the largest connected surface was taken. What else was near may be "
-            f"part of it. Look at the surface, or draw {' and '.join(drawn)}."
-        )
-    yield from run.moved
+        values = {"reasons": reasons, "masks": " and ".join(drawn)}
+        yield Notice(code="outline-not-used", about=tuple(run.unseparated), values=values)
+    for text in run.moved:
+        yield Notice(code="moved", values={"text": text})
     if any(HEAD_NOT_SHOWN in measured.boundary_method for measured in run.measurements):
-        yield (
-            "The body does not show where its head is: left and right rest on how the cameras are mounted. Check that "
-            "none is upside down."
-        )
+        yield Notice(code="head-not-shown")
 
 
-def run_concerns(run: RunResults) -> Iterator[str]:
+def run_concerns(run: RunResults) -> Iterator[Notice]:
     """Warn of what went less well in calibration and matching."""
     of_rig = rig_doubts(run.quality, run.calibration)
     if of_rig:
-        yield f"Check the calibration. {sentence(of_rig[0])}"
+        yield Notice(code="calibration-doubtful", values={"text": sentence(of_rig[0])})
     if run.walk is not None and run.walk_motion is not None:
         yield from walk_concerns(run.walk, run.walk_motion)
     elif run.calibration is None:
-        yield "The cameras were imported. Their errors are not known, and the interval does not cover them."
-        yield from map(sentence, run.camera_doubts)
+        yield Notice(code="cameras-imported")
+        for doubt in run.camera_doubts:
+            yield Notice(code="imported-camera-doubtful", values={"text": sentence(doubt)})
     extent = subject_extent(float(np.ptp(run.repaired.mesh.vertices, axis=0).max()))
     if not extent.is_usual():
-        yield f"The surface is rare: {extent}. Check that the sizes of target or cameras are in millimetres."
+        yield Notice(code="size-unusual", values={"text": str(extent)})
     for name, judged in run.matching.items() if run.walk is None else ():  # a walk's pairs are tested by `walk.motion`
-        yield from match_quality.concerns(name, judged, run.outline_advice.get(name, ""))
+        for text in match_quality.concerns(name, judged, run.outline_advice.get(name, "")):
+            yield Notice(code="pair-doubtful", level="note", about=(name,), values={"text": text})
     for name, share in run.shares.items():
         if share < _MATCHED and run.walk is None:  # a walk's masks show where the body may be
-            yield f"Pair {name} matched only {100 * share:.0f} % of the subject's silhouette."
-    hidden = [
-        f"{name} ({100 * occlusion.share:.0f} %)"
-        for name, occlusion in run.blocked.items()
-        if occlusion.share > _BLOCKED
-    ]
+            yield Notice(code="pair-little-matched", level="note", about=(name,), values={"percent": 100 * share})
+    hidden = {name: occlusion.share for name, occlusion in run.blocked.items() if occlusion.share > _BLOCKED}
     if hidden:
-        yield (
-            f"Something hides part of the subject in the photographs of {', '.join(hidden)}. The skin there was kept "
-            "where other pairs saw it. Skin that no pair saw is closed by the repair."
-        )
+        shares = ", ".join(f"{name} ({100 * share:.0f} %)" for name, share in hidden.items())
+        yield Notice(code="subject-hidden", level="note", about=tuple(hidden), values={"shares": shares})
     blind = [name for name, known in run.foregrounds.items() if known.everything and name not in run.unseparated]
     if blind:
-        yield (
-            f"The subject was not separated from the background in {', '.join(blind)}. Nothing limits the surface "
-            "where no pair measured it."
-        )
+        yield Notice(code="subject-not-separated", level="note", about=tuple(blind))
     for measured in run.measurements:
         share = describe.skin_shares(measured, run.repaired)[Provenance.MEASURED]
         if share < describe.SKIN_MEASURED:
-            yield (
-                f"Only {100 * share:.0f} % of the skin of the {NAMES[measured.name]} was measured. The elastic repair "
-                "closed the rest."
-            )
+            yield Notice(code="skin-not-measured", about=(measured.name,), values={"percent": float(100 * share)})
 
 
 def run_cautions(run: RunResults) -> Iterator[str]:
@@ -392,9 +375,12 @@ def gather_mesh(
         world=origin.world,
         warnings=(
             *body_doubts(plan),
-            *(origin.notes[:1] if origin.sides_doubtful else ()),
+            *([Notice(code="sides-doubtful")] if origin.sides_doubtful else []),
             *_warnings(measurements, body),
-            *(origin.notes[1:] if origin.sides_doubtful else origin.notes),
+            *(
+                Notice(code="mesh-repaired", values={"text": note})
+                for note in (origin.notes[1:] if origin.sides_doubtful else origin.notes)
+            ),
         ),
         breasts=tuple(
             sorted(
@@ -453,21 +439,15 @@ def drawn_mesh(result: MeasureResult) -> Mapping[str, Picture]:
     return all_encoded({"measure": stage_results.draw(result)})["measure"]
 
 
-def _warnings(measurements: Sequence[VolumeMeasurement], body: Body | None) -> Iterator[str]:
-    yield (
-        "The mesh comes from another scanner, whose accuracy is not known here. The interval uses the uncertainty of "
-        "scale and surface that was entered, or 0.1 % and 0.1 mm."
-    )
+def _warnings(measurements: Sequence[VolumeMeasurement], body: Body | None) -> Iterator[Notice]:
+    yield Notice(code="mesh-of-another-scanner")
     sunk = (
         []
         if body is None
         else [measurement.sunk(body.up) for measurement in measurements if measurement.name != "model"]
     )
     if len(sunk) == 2 and sum(sunk) / 2 < _HUNG_UPWARDS:
-        yield (
-            "The breasts are fuller towards the head than towards the feet. Check that left and right are not "
-            "exchanged, and that the head is where it was said to be (--head)."
-        )
+        yield Notice(code="breasts-fuller-above")
     for measurement in measurements:
         if not measurement.watertight:
-            yield f"The closed solid of the {NAMES[measurement.name]} is not watertight. Do not use its volume."
+            yield Notice(code="solid-not-watertight", about=(measurement.name,))

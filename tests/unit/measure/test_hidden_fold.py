@@ -45,4 +45,4 @@ def test_a_hanging_breasts_interval_holds_its_clean_mesh_and_no_ptosis_is_stated
         low, high = measured.interval_cc
         assert low < CLEAN_CC[measured.name] < high
     assert job.plan[measure.dimensions]().ptosis == ()
-    assert sum("fold is not seen" in doubt for doubt in body_doubts(job.plan)) == 2
+    assert sum(notice.code == "fold-not-seen" for notice in body_doubts(job.plan)) == 2

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
+from mammometry.base.notices import Notice
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.adjust.calibrated import Calibration, ParameterCovariance
 from mammometry.calibration.adjust.left_out import LeftOut
@@ -286,3 +287,8 @@ def calibration(cameras: Rig, *, noise_px: float = 0.05) -> Calibration:
         iterations=3,
         converged=True,
     )
+
+
+def sentence_notice(text: str) -> Notice:
+    """A notice in these words."""
+    return Notice(code="sentence", values={"text": text})

@@ -16,6 +16,7 @@ from mammometry.report.gather import RunResults, run_cautions, run_concerns, war
 from mammometry.report.words import describe
 from mammometry.report.words.anthropometry import comparison
 from mammometry.report.words.describe import skin_shares
+from mammometry.report.words.notices import words_of
 from mammometry.report.words.photographs import photograph_doubts
 from mammometry.report.words.volumes import MEANINGS, meaning_sentences, measured_words, volume_words
 from mammometry.settings import Settings
@@ -153,7 +154,8 @@ def warned(rig, **changes) -> str:
         "repaired": synthetic.repaired(synthetic.ball()),
     }
     run = RunResults(**(values | changes))
-    return "\n".join([*warnings(run), *run_concerns(run), *photograph_doubts(run.quality, run.calibration)])
+    notices = [*warnings(run), *run_concerns(run), *photograph_doubts(run.quality, run.calibration)]
+    return "\n".join(map(words_of, notices))
 
 
 def test_a_clean_run_warns_of_nothing_but_what_the_calibration_says(rig) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import synthetic
 from PIL import Image
+from synthetic import sentence_notice
 
 from mammometry.base.identity import Identity
 from mammometry.report import content
@@ -65,7 +66,7 @@ def page_content() -> ReportContent:
         created="2024-01-01 00:00 UTC",
         subject=describe.SUBJECTS["torso"],
         world="The board in pose 00.",
-        warnings=("Pair one: <script>alert(1)</script>",),
+        warnings=(sentence_notice("Pair one: <script>alert(1)</script>"),),
         breasts=tuple(describe.breast_report(each, cautions=("Cameras moved.",)) for each in measured),
         comparison=comparison(measured),
         stages=(describe.matching_report({}, synthetic.matching(rig), {"one": 0.9, "two": 0.8}),),
@@ -118,7 +119,10 @@ def test_no_line_ends_within_a_quantity(said: str, shown: str) -> None:
 
 def test_a_command_is_set_as_code_and_nothing_else_is_markup(page_content: ReportContent) -> None:
     page = html.render(
-        replace(page_content, warnings=("Left < right: save it with `mammometry edit`, then measure.",)),
+        replace(
+            page_content,
+            warnings=(sentence_notice("Left < right: save it with `mammometry edit`, then measure."),),
+        ),
         first(page_content),
     )
     assert "Left &lt; right: save it with <code>mammometry edit</code>, then measure." in page
@@ -190,7 +194,7 @@ def test_a_warning_links_the_photographs_that_it_names(
     photographs = {
         f"{place}/{camera}": f"../../{place}/{camera}.jpg" for place in places for camera in ("front", "front_left")
     }
-    shown = replace(page_content, warnings=(warning,))
+    shown = replace(page_content, warnings=(sentence_notice(warning),))
     links = re.findall(r'<a href="\.\./\.\./([^"]+)\.jpg">([^<]+)</a>', html.render(shown, first(shown), photographs))
     assert sorted(links) == sorted((name, name) for name in named)
     assert "../../" not in html.render(shown, first(shown))

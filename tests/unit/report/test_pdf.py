@@ -9,6 +9,7 @@ import numpy as np
 import pypdf
 import pytest
 import synthetic
+from synthetic import sentence_notice
 
 from mammometry.base.identity import Identity
 from mammometry.report import content
@@ -23,6 +24,7 @@ from mammometry.report.first_page import first_page
 from mammometry.report.pictures import all_encoded
 from mammometry.report.words import describe
 from mammometry.report.words.anthropometry import comparison, difference_number
+from mammometry.report.words.notices import words_of
 from mammometry.settings import Settings
 from mammometry.study.tables import Table
 
@@ -66,7 +68,7 @@ def page_content(*names: str) -> ReportContent:
         created="2024-01-01 00:00 UTC",
         subject=describe.SUBJECTS["torso"],
         world="The board in pose 00.",
-        warnings=("Pair one: only 12 % of the subject's silhouette could be matched.",),
+        warnings=(sentence_notice("Pair one: only 12 % of the subject's silhouette could be matched."),),
         breasts=tuple(describe.breast_report(each, cautions=("Cameras moved.",)) for each in measured),
         comparison=comparison(measured),
         difference=difference_number(measured),
@@ -111,8 +113,8 @@ def test_it_says_what_it_must(names: tuple[str, ...]) -> None:
     assert "name, date, signature" in pages[0]
     assert ("Boundaries: not confirmed." in pages[0]) == ("left" in names)  # a cast needs nobody's eye
     rest = " ".join(pages[1:])
-    assert content_of.warnings[0] not in pages[0]
-    assert content_of.warnings[0] in rest
+    assert words_of(content_of.warnings[0]) not in pages[0]
+    assert words_of(content_of.warnings[0]) in rest
     assert all(f"{breast.title}: what was measured" in rest for breast in content_of.breasts)
     assert "For the technician" in rest
     assert "σ (median), px" in rest

@@ -9,6 +9,7 @@ import test_pdf
 
 from mammometry.api.stored_report import packed, unpacked
 from mammometry.base.errors import StorageError
+from mammometry.base.notices import Notice
 from mammometry.measure.boundary import TO_BE_CONFIRMED
 from mammometry.measure.volume.attribution import Attribution, Confirmation
 from mammometry.report.content import Clinical, Fact, ReportContent, Signed, StageReport
@@ -22,11 +23,13 @@ SEEN = datetime.datetime(2026, 11, 22, 10, 0, tzinfo=datetime.UTC)
 def automatic() -> ReportContent:
     made = test_pdf.page_content("left", "right")
     found = tuple(replace(each, boundary=f"automatic: the fold; {TO_BE_CONFIRMED}") for each in made.breasts)
-    return replace(made, breasts=found, scene="[]", concerns=("Look at pair one.",))
+    return replace(made, breasts=found, scene="[]", concerns=(Notice(code="cameras-imported"),))
 
 
 def test_photographs_of_the_board_are_no_matter_of_a_clinics_report() -> None:
-    content = replace(automatic(), calibration_doubts=("Pose 01: 9 points of one_left were left out.",))
+    content = replace(
+        automatic(), calibration_doubts=(Notice(code="board-photograph-doubtful", values={"text": "Pose 01."}),)
+    )
     assert attributed_content(content, {}, None, named=True).warnings[-1] == content.calibration_doubts[0]
     assert (
         content.calibration_doubts[0] not in attributed_content(content, {}, Clinical(patient="M"), named=True).warnings
@@ -64,29 +67,29 @@ def test_a_boundary_that_nobody_confirmed_is_warned_of() -> None:
     warnings = attributed_content(content, {}, None, named=True).warnings
     assert warnings == (
         *content.warnings,
-        "Nobody has confirmed the automatic boundary of the patient's left breast and of the patient's right breast. "
-        "Look at it, and confirm it or draw a better one.",
-        "Boundaries are drawn and confirmed with `mammometry edit`.",
-        "Look at pair one.",
+        Notice(code="boundary-not-confirmed", about=("left", "right")),
+        Notice(code="boundaries-drawn-with-edit", level="note"),
+        Notice(code="cameras-imported"),
     )
     seen = Attribution(
         confirmation=Confirmation(by="C. Eye", at="2026-11-22T10:00:00Z", curve=content.breasts[0].curve)
     )
     told = attributed_content(content, {"left": seen}, None, named=True)
     assert told.breasts[0].boundary == "Automatic: the fold; confirmed by eye by C. Eye on 2026-11-22."
-    assert "boundary of the patient's right breast." in told.warnings[1]
+    assert told.warnings[1].about == ("right",)
     assert "C. Eye" not in repr(attributed_content(content, {"left": seen}, None, named=False))
     moved = replace(seen, confirmation=replace(seen.confirmation, curve="another"))
-    assert "left breast and of" in attributed_content(content, {"left": moved}, None, named=True).warnings[1]
+    assert attributed_content(content, {"left": moved}, None, named=True).warnings[1].about == ("left", "right")
 
 
 def test_a_clinics_confirmation_stands_for_all_boundaries_and_names_no_command() -> None:
     content = automatic()
     asked = attributed_content(content, {}, Clinical(), named=True)
-    assert any("Nobody has confirmed" in each for each in asked.warnings)
-    assert not any("mammometry edit" in each for each in asked.warnings)
+    codes = {each.code for each in asked.warnings}
+    assert "boundary-not-confirmed" in codes
+    assert "boundaries-drawn-with-edit" not in codes
     confirmed = attributed_content(content, {}, Clinical(confirmed=Signed(by="Dr. Eye", at=SEEN)), named=True)
-    assert not any("confirmed" in each for each in confirmed.warnings)
+    assert "boundary-not-confirmed" not in {each.code for each in confirmed.warnings}
     assert all(each.boundary.endswith("confirmed by eye by Dr. Eye on 2026-11-22.") for each in confirmed.breasts)
 
 

@@ -17,8 +17,8 @@ from mammometry.clinic.records.clinical import clinical_of
 from mammometry.clinic.records.comparability import Basis, basis_of, why_apart
 from mammometry.clinic.records.confirmations import CHANGED
 from mammometry.clinic.site import the_clinic
-from mammometry.io.meshes.scans import SIDES_DOUBTFUL
 from mammometry.report.scene import json_in_page
+from mammometry.report.words.notices import TEXTS, code_of_1_0
 from mammometry.report.words.volumes import MEANINGS
 
 if TYPE_CHECKING:
@@ -155,10 +155,7 @@ def _side(volume: Volume, rests_on: Basis) -> SideResult:
     )  # fmt: skip
 
 
-_OF_THE_STATE = ("Nobody has confirmed the automatic boundary", "Boundaries are drawn and confirmed with")
-"""How warnings begin that the visit's state says already: `report.documents.rendering` writes them."""
-_OF_PHOTOGRAPHS = ("Pose ", "Pair ", "Something hides part", "The subject was not separated")
-"""How warnings begin that concern single photographs: `report.warnings` writes them."""
+_UNKNOWN = TEXTS["sentence"]  # a code of a later version concerns the volumes
 _LARGEST = 64 << 20  # bytes of a report; ours have a few MB
 
 
@@ -170,6 +167,8 @@ class Facts:
     """What concerns the numbers."""
     notes: tuple[str, ...] = ()
     """What concerns single photographs and how they were matched."""
+    codes: frozenset[str] = frozenset()
+    """Codes of all of them."""
 
 
 def report_file(visit: Visit, name: str) -> Path | None:
@@ -203,12 +202,15 @@ def facts(visit: Visit) -> Facts:
         table = {} if path is None else json.loads(path.read_text(encoding="utf-8"))
         warnings = table if isinstance(table, list) else table["warnings"]  # a list until version 1.0
         sentences = [str(warning) for warning in warnings]
+        notices = table.get("notices") if isinstance(table, dict) else None  # none until version 1.0
+        codes = list(map(code_of_1_0, sentences)) if notices is None else [str(each["code"]) for each in notices]
+        said = list(zip(codes, sentences, strict=True))
     except (OSError, ValueError, TypeError, KeyError):
-        sentences = []
-    sentences = [sentence for sentence in sentences if not sentence.startswith(_OF_THE_STATE)]
+        said = []
     return Facts(
-        tuple(sentence for sentence in sentences if not sentence.startswith(_OF_PHOTOGRAPHS)),
-        tuple(sentence for sentence in sentences if sentence.startswith(_OF_PHOTOGRAPHS)),
+        tuple(words for code, words in said if TEXTS.get(code, _UNKNOWN).concern == "volume"),
+        tuple(words for code, words in said if TEXTS.get(code, _UNKNOWN).concern == "photographs"),
+        frozenset(code for code, _ in said),
     )
 
 
@@ -217,7 +219,7 @@ def sides_doubtful(visit: Visit) -> bool:
 
     False once a person has compared them with the patient.
     """
-    return visit.is_scan and SIDES_DOUBTFUL in facts(visit).warnings
+    return visit.is_scan and "sides-doubtful" in facts(visit).codes
 
 
 def scene_of(visit: Visit) -> str | None:

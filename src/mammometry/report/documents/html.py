@@ -10,6 +10,7 @@ from mammometry.report.content import DISCLAIMER, Picture, ReportContent
 from mammometry.report.documents import pages
 from mammometry.report.documents.pages import breast_pictures, stage_pictures, whole_pictures
 from mammometry.report.first_page import FirstPage, signature
+from mammometry.report.words.notices import words_of
 from mammometry.report.words.photographs import named_photographs
 from mammometry.report.words.volumes import MEANINGS_INTRODUCTION
 
@@ -31,7 +32,7 @@ def render(content: ReportContent, first: FirstPage, photographs: Mapping[str, s
         "report.html.j2",
         styles=(pages.STYLE, "viewer.css"),
         content=content,
-        warnings=[(warning, named_photographs(warning, photographs)) for warning in content.warnings],
+        warnings=[(words, named_photographs(words, photographs)) for words in map(words_of, content.warnings)],
         first=first,
         signature="" if first.conclusion is None else signature(first.conclusion),
         disclaimer=DISCLAIMER,

@@ -25,6 +25,7 @@ from mammometry.report.documents.paper import (
 )
 from mammometry.report.figures.canvas import INK
 from mammometry.report.first_page import FirstPage, signature
+from mammometry.report.words.notices import words_of
 from mammometry.report.words.volumes import MEANINGS_INTRODUCTION
 from mammometry.study.tables import Table
 
@@ -154,7 +155,7 @@ def _in_words(content: ReportContent, first: FirstPage, width: float) -> Iterato
         yield from _signed(first)
     if content.warnings:
         words = [text("To know before the numbers are used", size=9.5, bold=True)]
-        yield box([*words, *(text(f"• {warning}", size=8.5) for warning in content.warnings)], width)
+        yield box([*words, *(text(f"• {words_of(warning)}", size=8.5) for warning in content.warnings)], width)
     if content.meanings:
         yield text("What is called the breast", size=12, bold=True, before=8)
         yield text(MEANINGS_INTRODUCTION, size=8.5)

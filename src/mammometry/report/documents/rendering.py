@@ -4,10 +4,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
+from mammometry.base.notices import Notice
 from mammometry.measure.boundary import TO_BE_CONFIRMED
 from mammometry.measure.volume.attribution import Attribution, Confirmation, attributed_words
 from mammometry.report.content import BreastReport, Clinical, ReportContent, StageReport, sentence
-from mammometry.report.figures.shading import NAMES
 from mammometry.report.first_page import first_page
 from mammometry.report.words.describe import posture_fact
 
@@ -19,7 +19,7 @@ class RenderedReport:
     html: bytes
     """One page that needs no other file."""
     pdf: bytes
-    warnings: tuple[str, ...]
+    warnings: tuple[Notice, ...]
     """What a reader must know before the numbers, the gravest first."""
 
 
@@ -87,19 +87,13 @@ def attributed_content(
     )
 
 
-def _boundary_warnings(breasts: Sequence[BreastReport], *, in_clinic: bool) -> Iterator[str]:
+def _boundary_warnings(breasts: Sequence[BreastReport], *, in_clinic: bool) -> Iterator[Notice]:
     for breast in breasts:
         if breast.unmeasured:
-            seen = "No breast was found" if breast.unmeasured == "none" else "Nothing was measured"
-            yield (
-                f"{seen} on the patient's {breast.name} side. {sentence(breast.boundary)} If there is a breast, draw "
-                "its boundary."
-            )
-    unconfirmed = [NAMES[breast.name] for breast in breasts if TO_BE_CONFIRMED in breast.boundary]
+            code = "no-breast" if breast.unmeasured == "none" else "side-not-measured"
+            yield Notice(code=code, about=(breast.name,), values={"text": sentence(breast.boundary)})
+    unconfirmed = tuple(breast.name for breast in breasts if TO_BE_CONFIRMED in breast.boundary)
     if unconfirmed:
-        yield (
-            f"Nobody has confirmed the automatic boundary of the {' and of the '.join(unconfirmed)}. Look at it, and "
-            "confirm it or draw a better one."
-        )
+        yield Notice(code="boundary-not-confirmed", about=unconfirmed)
     if not in_clinic and (unconfirmed or any(breast.unmeasured for breast in breasts)):
-        yield "Boundaries are drawn and confirmed with `mammometry edit`."
+        yield Notice(code="boundaries-drawn-with-edit", level="note")

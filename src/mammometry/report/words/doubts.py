@@ -4,33 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from mammometry.base.notices import Notice
 from mammometry.job.graph import Plan
 from mammometry.job.stages import measure
 from mammometry.measure.settings import NOT_TO_BE_COMPARED
+from mammometry.report.words.notices import FOLD_NOT_SEEN
 
-_FOLD_NOT_SEEN = (
-    "The fold is not seen because the breast hangs over it. The interval is therefore wider, and no ptosis is "
-    "stated. Lift the breast, let the patient lean forward, or scan from below as well."
-)
 _RARE_SIZE = "The body is {} for an adult. Check the unit, or the size of the printed board. See the warnings."
 
 
-def body_doubts(plan: Plan) -> tuple[str, ...]:
+def body_doubts(plan: Plan) -> tuple[Notice, ...]:
     """Warnings about the body, the gravest first. They are made with the measurement, and empty before it."""
     size, overlaps = plan.value(measure.size), plan.value(measure.overlaps) or ()
     measured = {measurement.name for measurement in plan.value(measure.measurements) or ()}
     covered = (
-        f"{found.groove_cm2:.0f} cm² of the skin inside the border of the patient's {found.name} breast is a groove, "
-        "as a hand or a strap on it leaves. It is measured because measure.bare_confirmed is set."
+        Notice(code="skin-covered", about=(found.name,), values={"cm2": found.groove_cm2})
         for found in overlaps
         if found.is_covered and found.name in measured
     )
     hidden = (
-        f"The patient's {curve.name} breast: {_FOLD_NOT_SEEN}"
+        Notice(code="fold-not-seen", about=(curve.name,))
         for curve in plan.value(measure.boundaries) or ()
         if curve.hidden_fold_cm2 and curve.name in measured
     )
-    return (*covered, *hidden, *([] if size is None or not size.warning else [size.warning]))
+    rare = [] if size is None or not size.warning else [Notice(code="body-size", values={"text": size.warning})]
+    return (*covered, *hidden, *rare)
 
 
 def body_cautions(plan: Plan) -> Mapping[str, tuple[str, ...]]:
@@ -39,7 +37,7 @@ def body_cautions(plan: Plan) -> Mapping[str, tuple[str, ...]]:
     common = () if size is None or not size.is_rare else (_RARE_SIZE.format(size.words),)
     hidden = {curve.name for curve in plan.value(measure.boundaries) or () if curve.hidden_fold_cm2}
     return {
-        measured.name: (*common, *([_FOLD_NOT_SEEN] if measured.name in hidden else []))
+        measured.name: (*common, *([FOLD_NOT_SEEN] if measured.name in hidden else []))
         for measured in plan.value(measure.measurements) or ()
     }
 

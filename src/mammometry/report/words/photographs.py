@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping
 
+from mammometry.base.notices import Notice
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.judge.quality import CalibrationQuality
 from mammometry.report.content import sentence as whole_sentence
@@ -29,14 +30,22 @@ def rig_doubts(quality: CalibrationQuality | None, calibration: Calibration | No
     return [doubt for doubt in doubts if not named_photographs(doubt, _names(calibration))]
 
 
-def photograph_doubts(quality: CalibrationQuality | None, calibration: Calibration | None) -> tuple[str, ...]:
+def photograph_doubts(quality: CalibrationQuality | None, calibration: Calibration | None) -> tuple[Notice, ...]:
     """Warnings of single photographs of a calibration, which a technician may leave out."""
     doubts = () if quality is None else quality.doubts
-    of_photographs = [whole_sentence(doubt) for doubt in doubts if named_photographs(doubt, _names(calibration))]
+    of_photographs = [
+        Notice(code="board-photograph-doubtful", level="note", values={"text": whole_sentence(doubt)})
+        for doubt in doubts
+        if named_photographs(doubt, _names(calibration))
+    ]
     for away in calibration.set_aside if calibration is not None else ():
         of_photographs.append(
-            f"Pose {away.pose} of camera {away.camera} was left out of the calibration: it is "
-            f"{away.residual_px:.1f} px off the others."
+            Notice(
+                code="board-photograph-left-out",
+                level="note",
+                about=(away.camera,),
+                values={"pose": away.pose, "px": away.residual_px},
+            )
         )
     return tuple(of_photographs)
 

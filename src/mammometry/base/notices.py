@@ -1,0 +1,31 @@
+"""A notice: something that a reader must know beside a result, as a code with its values, without words.
+
+Products and programs keep and compare notices. `report.words.notices` has the words, so that no sentence decides
+anything, and another language is another catalogue.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
+
+Level: TypeAlias = Literal["warning", "note"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Notice:
+    """What a reader must know beside a result."""
+
+    code: str
+    """Names what it is about, for programs. A code never changes its meaning."""
+    level: Level = "warning"
+    """``warning``: it changes what the volumes mean. ``note``: it may be read later."""
+    about: tuple[str, ...] = ()
+    """Breasts ("left"), cameras or pairs that it concerns."""
+    values: Mapping[str, float | str] = field(default_factory=dict)
+    """What its words contain, by name. Units are part of the name: ``percent``, ``cm2``, ``px``."""
+
+    def as_table(self) -> dict[str, object]:
+        """The notice for JSON."""
+        return {"code": self.code, "level": self.level, "about": list(self.about), "values": dict(self.values)}

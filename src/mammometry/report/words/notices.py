@@ -1,0 +1,153 @@
+"""The catalogue: the words of every notice, by its code. docs/reference/notices.md lists it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal, TypeAlias
+
+from mammometry.base.notices import Notice
+from mammometry.io.meshes.scans import SIDES_DOUBTFUL
+from mammometry.report.figures.shading import NAMES
+
+Concern: TypeAlias = Literal["volume", "confirmation", "photographs"]
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """Words of one code."""
+
+    words: str
+    """A template. ``{of}`` and ``{on}`` are the breasts concerned, ``{about}`` the cameras or pairs; other fields are
+    the notice's values."""
+    concern: Concern = "volume"
+    """``confirmation``: the state of a clinic's visit shows it. ``photographs``: how photographs were matched."""
+
+
+FOLD_NOT_SEEN = (
+    "The fold is not seen because the breast hangs over it. The interval is therefore wider, and no ptosis is "
+    "stated. Lift the breast, let the patient lean forward, or scan from below as well."
+)
+TEXTS: Mapping[str, Text] = MappingProxyType(
+    {
+        "skin-covered": Text(
+            "{cm2:.0f} cm² of the skin inside the border of the {of} is a groove, as a hand or a strap on it leaves. "
+            "It is measured because measure.bare_confirmed is set."
+        ),
+        "fold-not-seen": Text(f"The {{of}}: {FOLD_NOT_SEEN}"),
+        "body-size": Text("{text}"),
+        "solid-not-watertight": Text("The closed solid of the {of} is not watertight. Do not use its volume."),
+        "upright-unknown": Text("{text} What depends on left and up is only as exact as the cameras are level."),
+        "nipple-not-seen": Text(
+            "No nipple was seen on the {on}. What is measured from a nipple is left out there: pick it if there is one."
+        ),
+        "outline-not-used": Text(
+            "No outline of the subject is used in the photographs of {about}: {reasons}. Everything near was matched "
+            "there, and the largest connected surface was taken. What else was near may be part of it. Look at the "
+            "surface, or draw {masks}."
+        ),
+        "moved": Text("{text}"),
+        "head-not-shown": Text(
+            "The body does not show where its head is: left and right rest on how the cameras are mounted. Check that "
+            "none is upside down."
+        ),
+        "sides-doubtful": Text(SIDES_DOUBTFUL),
+        "mesh-of-another-scanner": Text(
+            "The mesh comes from another scanner, whose accuracy is not known here. The interval uses the uncertainty "
+            "of scale and surface that was entered, or 0.1 % and 0.1 mm."
+        ),
+        "breasts-fuller-above": Text(
+            "The breasts are fuller towards the head than towards the feet. Check that left and right are not "
+            "exchanged, and that the head is where it was said to be (--head)."
+        ),
+        "mesh-repaired": Text("{text}"),
+        "no-breast": Text(
+            "No breast was found on the patient's {side} side. {text} If there is a breast, draw its boundary."
+        ),
+        "side-not-measured": Text(
+            "Nothing was measured on the patient's {side} side. {text} If there is a breast, draw its boundary."
+        ),
+        "boundary-not-confirmed": Text(
+            "Nobody has confirmed the automatic boundary of the {of}. Look at it, and confirm it or draw a better one.",
+            "confirmation",
+        ),
+        "boundaries-drawn-with-edit": Text(
+            "Boundaries are drawn and confirmed with `mammometry edit`.", "confirmation"
+        ),
+        "calibration-doubtful": Text("Check the calibration. {text}"),
+        "cameras-imported": Text(
+            "The cameras were imported. Their errors are not known, and the interval does not cover them."
+        ),
+        "imported-camera-doubtful": Text("{text}"),
+        "board-not-measured": Text(
+            "The printed board was not measured: its size alone makes each volume uncertain by {percent:.0f} %. Measure "
+            "the ruler on the print, and write it into board.toml (edge_mm)."
+        ),
+        "body-moved-against-board": Text(
+            "The body moved against the board between photographs, by about {moved_mm:.1f} mm. This was corrected: "
+            "pairs disagree by {after_mm:.2f} mm not {before_mm:.2f} mm. Hold the breath."
+        ),
+        "size-unusual": Text(
+            "The surface is rare: {text}. Check that the sizes of target or cameras are in millimetres."
+        ),
+        "pair-doubtful": Text("{text}", "photographs"),
+        "pair-little-matched": Text(
+            "Pair {about} matched only {percent:.0f} % of the subject's silhouette.", "photographs"
+        ),
+        "subject-hidden": Text(
+            "Something hides part of the subject in the photographs of {shares}. The skin there was kept where other "
+            "pairs saw it. Skin that no pair saw is closed by the repair.",
+            "photographs",
+        ),
+        "subject-not-separated": Text(
+            "The subject was not separated from the background in {about}. Nothing limits the surface where no pair "
+            "measured it.",
+            "photographs",
+        ),
+        "skin-not-measured": Text(
+            "Only {percent:.0f} % of the skin of the {of} was measured. The elastic repair closed the rest."
+        ),
+        "board-photograph-doubtful": Text("{text}", "photographs"),
+        "board-photograph-left-out": Text(
+            "Pose {pose} of camera {about} was left out of the calibration: it is {px:.1f} px off the others.",
+            "photographs",
+        ),
+        "sentence": Text("{text}"),
+    }
+)
+"""Code → its words, English. ``sentence`` is a warning of version 1.0, which kept sentences."""
+
+
+def words_of(notice: Notice) -> str:
+    """The notice in words."""
+    names = [NAMES.get(name, name) for name in notice.about]
+    return TEXTS[notice.code].words.format(
+        of=" and of the ".join(names),
+        on=" and on the ".join(names),
+        about=", ".join(notice.about),
+        side=notice.about[0] if notice.about else "",
+        **notice.values,
+    )
+
+
+def concern_of(notice: Notice) -> Concern:
+    """What kind of thing the notice concerns."""
+    return TEXTS[notice.code].concern
+
+
+_OF_1_0 = (
+    ("Nobody has confirmed the automatic boundary", "boundary-not-confirmed"),
+    ("Boundaries are drawn and confirmed with", "boundaries-drawn-with-edit"),
+    ("Pose ", "board-photograph-doubtful"),
+    ("Pair ", "pair-doubtful"),
+    ("Something hides part", "subject-hidden"),
+    ("The subject was not separated", "subject-not-separated"),
+    ("Left and right may be exchanged: the mesh was inside out", "sides-doubtful"),
+)
+"""How sentences begin that version 1.0 stored → their code. They are a file format, and no longer written."""
+
+
+def code_of_1_0(sentence: str) -> str:
+    """Code of a warning that version 1.0 stored as a sentence."""
+    return next((code for begin, code in _OF_1_0 if sentence.startswith(begin)), "sentence")
