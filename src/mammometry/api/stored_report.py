@@ -170,11 +170,11 @@ class Reported(ABC):
 
             def write(folder: Path, progress: Progress) -> None:
                 made = self._render(None)
-                said = {
+                lines = {
                     "warnings": [words_of(notice) for notice in made.warnings],
                     "notices": [notice.as_table() for notice in made.warnings],
                 }
-                words = json.dumps(said, ensure_ascii=False, indent=1) + "\n"
+                words = json.dumps(lines, ensure_ascii=False, indent=1) + "\n"
                 _write(folder, {html.PAGE: made.html, pdf.DOCUMENT: made.pdf, WARNINGS: words.encode()})
 
             return write

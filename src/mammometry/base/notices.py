@@ -1,4 +1,4 @@
-"""A notice: something that a reader must know beside a result, as a code with its values, without words.
+"""Notices: what a reader must know beside a result, as a code with values.
 
 Products and programs keep and compare notices. `report.words.notices` has the words, so that no sentence decides
 anything, and another language is another catalogue.

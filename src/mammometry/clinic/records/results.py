@@ -203,14 +203,14 @@ def facts(visit: Visit) -> Facts:
         warnings = table if isinstance(table, list) else table["warnings"]  # a list until version 1.0
         sentences = [str(warning) for warning in warnings]
         notices = table.get("notices") if isinstance(table, dict) else None  # none until version 1.0
-        codes = list(map(code_of_1_0, sentences)) if notices is None else [str(each["code"]) for each in notices]
-        said = list(zip(codes, sentences, strict=True))
+        codes = list(map(code_of_1_0, sentences)) if notices is None else [str(notice["code"]) for notice in notices]
+        lines = list(zip(codes, sentences, strict=True))
     except (OSError, ValueError, TypeError, KeyError):
-        said = []
+        lines = []
     return Facts(
-        tuple(words for code, words in said if TEXTS.get(code, _UNKNOWN).concern == "volume"),
-        tuple(words for code, words in said if TEXTS.get(code, _UNKNOWN).concern == "photographs"),
-        frozenset(code for code, _ in said),
+        tuple(words for code, words in lines if TEXTS.get(code, _UNKNOWN).concern == "volume"),
+        tuple(words for code, words in lines if TEXTS.get(code, _UNKNOWN).concern == "photographs"),
+        frozenset(code for code, _ in lines),
     )
 
 

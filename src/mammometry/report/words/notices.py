@@ -81,8 +81,8 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
         ),
         "imported-camera-doubtful": Text("{text}"),
         "board-not-measured": Text(
-            "The printed board was not measured: its size alone makes each volume uncertain by {percent:.0f} %. Measure "
-            "the ruler on the print, and write it into board.toml (edge_mm)."
+            "The printed board was not measured: its size alone makes each volume uncertain by {percent:.0f} %. "
+            "Measure the ruler on the print, and write it into board.toml (edge_mm)."
         ),
         "body-moved-against-board": Text(
             "The body moved against the board between photographs, by about {moved_mm:.1f} mm. This was corrected: "
