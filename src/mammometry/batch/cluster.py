@@ -141,7 +141,7 @@ def _require_same(client: Client, scheduler: str) -> None:
     for address, theirs in versions.items():
         if theirs != ours:
             raise other_version(
-                address, "no mammometry" if isinstance(theirs, Exception) else f"version {theirs}", ours
+                address, "no mammometry" if isinstance(theirs, Exception) else f"mammometry version {theirs}", ours
             )
 
 
@@ -149,7 +149,7 @@ def other_version(worker: str, found: str, ours: str) -> BatchError:
     """Say that a worker's software is not ours."""
     return BatchError(
         f"worker {worker}",
-        found=found if found == "no mammometry" else f"mammometry {found}",
+        found=found,
         expected=f"mammometry {ours}, as on this machine",
         remedy="Install the same version there and start the worker again",
     )

@@ -257,7 +257,8 @@ class Engine:
         answer = self._answer_of(future)
         if (theirs := answer.get("other")) is not None:
             ours = f"{self._limits.software['mammometry']} ({self._limits.software['results']})"
-            raise other_version(str(answer["host"]), f"version {theirs['mammometry']} ({theirs['results']})", ours)
+            found = f"mammometry version {theirs['mammometry']} ({theirs['results']})"
+            raise other_version(str(answer["host"]), found, ours)
         taken = answer.get("memory_mb")
         if (why := answer.get("killed")) is not None:
             if self._stop_request() is StopRequest.STOP:

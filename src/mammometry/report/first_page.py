@@ -55,7 +55,7 @@ def first_page(
     """
     known = clinical or Clinical()
     measured = [breast for breast in content.breasts if not breast.unmeasured]
-    confirmation = _confirmation(measured, attributions, clinical, named=named)
+    confirmation, is_confirmed = _confirmation(measured, attributions, clinical, named=named)
     conclusions = known.conclusions
     born = None if known.born is None else _birth_words(known.born, known.taken)
     taken = None if known.taken is None else moment_words(known.taken)
@@ -70,7 +70,7 @@ def first_page(
         pictures=_pictures(content),
         change=known.change,
         confirmation=confirmation,
-        is_confirmed=NOT_CONFIRMED not in confirmation,
+        is_confirmed=is_confirmed,
         conclusion=conclusions[0] if conclusions else None,
         amended=f"It replaces that of {signature(conclusions[1])}." if len(conclusions) > 1 else "",
     )
@@ -95,26 +95,28 @@ def _birth_words(born: datetime.date, taken: datetime.datetime | None) -> str:
 
 def _confirmation(
     measured: Sequence[BreastReport], attributions: Mapping[str, Attribution], clinical: Clinical | None, *, named: bool
-) -> str:
+) -> tuple[str, bool]:
+    """Who confirmed the boundaries, in words, and whether all are confirmed."""
     signed = None if clinical is None else clinical.confirmed
     if signed is not None and measured:
-        return f"confirmed by {signature(signed)}"
+        return f"confirmed by {signature(signed)}", True
     if all(breast.name == "model" for breast in measured):  # its base needs nobody's eye
-        return ""
+        return "", True
     if clinical is not None:
-        return NOT_CONFIRMED
-    words = {}
+        return NOT_CONFIRMED, False
+    words, is_confirmed = {}, True
     for breast in measured:
         seen = attributions.get(breast.name, Attribution()).confirmation
         holds = seen is not None and seen.curve == breast.curve
+        is_confirmed = is_confirmed and holds
         words[breast.number.title] = (
             (f"confirmed by {isolated(seen.by)}, {seen.at[:10]}" if named else "confirmed")
             if seen and holds
             else NOT_CONFIRMED
         )
     if len(set(words.values())) == 1:
-        return next(iter(words.values()))
-    return "; ".join(f"{title[0].lower()}{title[1:]} {how}" for title, how in words.items())
+        return next(iter(words.values())), is_confirmed
+    return "; ".join(f"{title[0].lower()}{title[1:]} {how}" for title, how in words.items()), is_confirmed
 
 
 def _volumes(breasts: Sequence[BreastReport]) -> list[LargeNumber]:

@@ -20,7 +20,6 @@ from mammometry.report.words.volumes import measured_words, span_words, verdict_
 from mammometry.study.tables import Table, signed
 
 _SIDES = ("left", "right")
-_NOT_MEASURED = "not measured"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,11 +63,8 @@ class LengthTable:
     rows: tuple[LengthRow, ...]
     nipples: Length | None
     """From nipple to nipple. None: not measured."""
-
-    @property
-    def has_gaps(self) -> bool:
-        """Whether a landmark lacks for one of its numbers."""
-        return any(why.startswith(_NOT_MEASURED) for row in self.rows for why in row.missing)
+    has_gaps: bool
+    """Whether a number of a breast is missing for want of a landmark."""
 
 
 _ROWS = (
@@ -105,10 +101,12 @@ def length_table(quantities: Sequence[Mapping[str, Any]]) -> LengthTable | None:
             lengths.append(None if row is None else _length(row))
             nipple = any((code, side) in by_code for code in _NIPPLE)
             what = _WITH_NIPPLE.get(codes[0], remedy) if nipple else remedy
-            missing.append("" if row is not None else f"{_NOT_MEASURED}: {what}" if side in breasts else "no breast")
+            missing.append("" if row is not None else f"not measured: {what}" if side in breasts else "no breast")
         rows.append(LengthRow(title=title, sides=(lengths[0], lengths[1]), missing=(missing[0], missing[1])))
     between = by_code.get(("n_n_straight", ""))
-    return LengthTable(rows=tuple(rows), nipples=None if between is None else _length(between))
+    at = {side: number for number, side in enumerate(_SIDES)}
+    has_gaps = any(row.sides[at[side]] is None for row in rows for side in breasts)
+    return LengthTable(rows=tuple(rows), nipples=None if between is None else _length(between), has_gaps=has_gaps)
 
 
 def quantities_of(dimensions: Dimensions) -> Iterator[dict[str, Any]]:

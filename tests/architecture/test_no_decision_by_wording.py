@@ -1,0 +1,129 @@
+"""No sentence decides what the program does: callers decide by type, code or value."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).resolve().parents[2] / "src" / "mammometry"
+PARTS = {"found", "expected", "remedy"}
+METHODS = {
+    "startswith",
+    "endswith",
+    "split",
+    "rsplit",
+    "partition",
+    "rpartition",
+    "removeprefix",
+    "removesuffix",
+    "find",
+}
+MESSAGES = {"error", "warning", "notice", "note", "sentence", "remark", "message"}
+REMAINING = {
+    "api/dates.py: TO_BE_CONFIRMED in measurement.boundary_method",
+    "report/documents/rendering.py: TO_BE_CONFIRMED in breast.boundary",
+    "report/gather.py: HEAD_NOT_SHOWN in measured.boundary_method",
+    "report/words/describe.py: HEAD_NOT_SHOWN in measured.boundary_method",
+    "clinic/jobs/results.py: str(reason).removeprefix('no camera moved: ')",
+    "measure/volume/attribution.py: method.removesuffix(TO_BE_CONFIRMED)",
+    "cli/stages.py: note == SIDES_DOUBTFUL",
+    "report/words/photographs.py: ' photograph' in sentence",
+}
+"""What a stored description of a boundary says is read out of it: a field would make all measured sessions stale. A
+daily check's stored reasons are shortened. `Results.notes` are sentences, and warnings link the photographs that their
+words name. The set may only shrink."""
+FORMATS = {
+    "report/words/notices.py: sentence.startswith(begin)",  # sentences that version 1.0 stored
+    "simulate/rigs/rig_file.py: first['msg'].removeprefix('Value error, ')",  # pydantic writes it before our own words
+    "capture/sessions.py: first['msg'].removeprefix('Value error, ')",
+    "report/documents/letters/shaping.py: unicodedata.name(letter, '').startswith('VARIATION SELECTOR')",
+    "io/write.py: 'requested and' in str(error)",  # NumPy's error of a full disk has neither type nor number
+}
+"""Text that others wrote, which has no code."""
+
+
+def is_words(text: str) -> bool:
+    """Whether a text is more than one word, as sentences are and names and codes are not."""
+    words = text.split()
+    return len(words) > 1 and all(word.strip(".,:;()'").replace("-", "").isalpha() for word in words)
+
+
+def named_words(trees: dict[Path, ast.Module]) -> set[str]:
+    """Names of constants that hold words."""
+    return {
+        target.id
+        for tree in trees.values()
+        for node in tree.body
+        if isinstance(node, ast.Assign) and any(is_words(text) for text in constants(node.value))
+        for target in node.targets
+        if isinstance(target, ast.Name)
+    }
+
+
+def constants(node: ast.expr) -> list[str]:
+    """Texts that stand in a constant or a tuple of them."""
+    parts = node.elts if isinstance(node, ast.Tuple) else [node]
+    return [part.value for part in parts if isinstance(part, ast.Constant) and isinstance(part.value, str)]
+
+
+def is_message(node: ast.expr) -> bool:
+    """Whether an expression is an error's or a notice's text."""
+    if isinstance(node, ast.Attribute):
+        return node.attr in PARTS
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "str" and node.args:
+        node = node.args[0]
+        return isinstance(node, ast.Name) and node.id in MESSAGES
+    return isinstance(node, ast.Name) and node.id in MESSAGES - {"error", "message"}
+
+
+def decisions(tree: ast.Module, words: set[str]) -> Iterator[str]:
+    """Comparisons of texts that people read, as source."""
+
+    def says(node: ast.expr) -> bool:
+        return any(map(is_words, constants(node))) or (isinstance(node, ast.Name) and node.id in words)
+
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Compare):
+            sides, within = [node.left, *node.comparators], isinstance(node.ops[0], ast.In | ast.NotIn)
+            literal = any(constants(side) or says(side) for side in sides)
+            searched = within and says(node.left) and not isinstance(node.comparators[0], ast.Tuple | ast.Set)
+            if searched or (literal and any(map(is_message, sides))):
+                yield ast.unparse(node)
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in METHODS:
+            text = isinstance(node.func.value, ast.Constant)
+            looked_for = node.func.attr != "split" and any(map(says, node.args[:1]))
+            lines = any(not separator.strip() for separator in constants(node.args[0])) if node.args else True
+            if not text and not lines and (looked_for or is_message(node.func.value)):
+                yield ast.unparse(node)
+
+
+def test_no_sentence_decides() -> None:
+    trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(SOURCE.rglob("*.py"))}
+    words = named_words(trees)
+    found = {
+        f"{path.relative_to(SOURCE).as_posix()}: {decision}"
+        for path, tree in trees.items()
+        for decision in decisions(tree, words)
+    }
+    assert found - FORMATS == REMAINING
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "'another run at work' in error.found",
+        "error.found == 'nothing'",
+        "sentence.startswith('Nobody has confirmed')",
+        "str(error).partition(', found ')",
+        "_BUSY in event.failed",
+        "note.endswith('to be confirmed')",
+    ],
+)
+def test_such_a_decision_is_seen(line: str) -> None:
+    assert list(decisions(ast.parse(line), {"_BUSY"}))
+
+
+def test_codes_and_types_may_decide() -> None:
+    allowed = "event.code == BusyError.code or notice.code in CODES or name.startswith('report/') or text.split(',')"
+    assert not list(decisions(ast.parse(allowed), set()))
