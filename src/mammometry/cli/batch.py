@@ -257,6 +257,7 @@ class _Show:
         self._at_work.pop(name, None)
         self._ended["failed" if event.failed else "measured"] += 1
         about = {"event": "ended", "session": name, "failed": event.failed or None, "kind": event.kind or None}
+        about["code"] = event.code or None
         self._tell(about | {"host": event.host, "memory_mb": event.memory_mb})
         if not self._quiet and not sys.stderr.isatty():
             print(f"{Path(name).name}: {event.failed or 'measured'}", file=sys.stderr, flush=True)  # noqa: T201

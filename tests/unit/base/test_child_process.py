@@ -13,6 +13,7 @@ import psutil
 import pytest
 
 from mammometry.base.child_process import Call, ChildProcess, Ended, NotDone
+from mammometry.base.extras import require
 from mammometry.base.machine.cores import available_cores
 from mammometry.base.progress import StageProgress
 
@@ -110,3 +111,9 @@ def test_it_ends_when_the_first_is_killed_in_the_middle_of_a_call() -> None:
     while psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE:
         assert time.monotonic() < until
         time.sleep(0.05)
+
+
+def test_the_code_of_an_error_comes_back() -> None:
+    with ChildProcess() as child:
+        answer = child.answer(Call(function=require, arguments=("edit", "no_such_library")))
+    assert (answer["kind"], answer["code"], answer["exit_code"]) == ("MissingLibraryError", "missing-library", 9)
