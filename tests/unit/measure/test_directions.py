@@ -4,14 +4,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from trunks import trunk_mesh
+from trunks import RADIUS_MM, trunk_mesh
 
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.meshes.foreign import read_foreign
 from mammometry.measure.scan_planes import planar_faces
 from mammometry.measure.scan_repair import repair_scan
-from mammometry.measure.scanned import frame_from_axes
+from mammometry.measure.scanned import as_scanned, frame_from_axes
 from mammometry.measure.solid.cut import above, opening_loops
+from mammometry.measure.trunk.body import find_body
 
 BODY = trunk_mesh(6.0)
 """Closed by flat ends."""
@@ -55,3 +56,24 @@ def test_an_open_tube_faces_where_its_breasts_are(shared_data: Path, head: str |
     """Its skin looks along its axis on average, by what one unequal arm and the open ends leave."""
     mesh = repair_scan(read_foreign(shared_data / "scans" / "torso_open.ply", "mm").mesh, skin_alone=True).mesh
     assert np.allclose(frame_from_axes(mesh, head), np.eye(3), atol=1e-6)
+
+
+@pytest.mark.requirement("R-FRONT-3")
+def test_hanging_breasts_do_not_tilt_the_trunks_axis() -> None:
+    """Breasts slope from the collarbone at 30° to an edge below, on an upright trunk: with them it leans by 35°."""
+    low_mm, high_mm, middle_rad, half_rad = -60.0, 200.0, 0.8, 0.6
+    plain = above(front(SKIN), lambda points: points[:, 1] + 100.0).mesh
+    x, y, z = plain.vertices.T
+    within = (np.abs(np.abs(np.arctan2(x, z)) - middle_rad) < half_rad) & (y > low_mm) & (y < high_mm)
+    out_mm = np.where(within, np.tan(np.deg2rad(30.0)) * (high_mm - y), 0.0)
+    stretched = ((RADIUS_MM + out_mm) / np.hypot(x, z))[:, None] ** [1, 0, 1]
+    scan = as_scanned(TriangleMesh(vertices=plain.vertices * stretched, faces=plain.faces))
+    turn = np.linspace(0, 2 * np.pi, 100, endpoint=False)
+    across, up = (np.sign(wave) * np.sqrt(np.abs(wave)) for wave in (np.cos(turn), np.sin(turn)))  # nearly a square
+    curves = []
+    for middle in (middle_rad, -middle_rad):
+        angle = middle + 1.1 * half_rad * across
+        height = (low_mm + high_mm) / 2 + 1.1 * (high_mm - low_mm) / 2 * up
+        curves.append(np.stack([RADIUS_MM * np.sin(angle), height, RADIUS_MM * np.cos(angle)], axis=1))
+    lean_deg = np.rad2deg(np.arccos(find_body(scan, np.eye(3), boundaries=curves).up[1]))
+    assert lean_deg < 3.0

@@ -124,7 +124,7 @@ def boundaries(
     return tuple(sorted((*given, *wanted), key=lambda curve: curve.name))
 
 
-@product("measure", version=9, settings="measure.thorax", inputs=("mounting",), when=_torso)
+@product("measure", version=10, settings="measure.thorax", inputs=("mounting",), when=_torso)
 def body(
     corrected_cameras: CameraSet,
     repaired: RepairedSurface,

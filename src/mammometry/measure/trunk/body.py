@@ -118,8 +118,8 @@ def find_body(
     Args:
         surface: the repaired mesh, world frame, mm.
         rough: patient's left, head, straight ahead (rows), as the cameras have it (`rig_frame`).
-        boundaries: curves around the breasts, left out; without them the breasts are outliers of the symmetry. Two of
-            them show which way the trunk lies.
+        boundaries: curves around the breasts, whose skin is left out; without them the breasts are outliers of the
+            symmetry. Two of them show which way the trunk lies.
         skin: the visible skin, where it is known already.
         stated: whether the user said where the head is: then no sign contradicts it.
 
@@ -139,6 +139,9 @@ def find_body(
             mesh_remedy="Say which of the file's axes points to the head: --head x, for example",
         )
     middle = np.mean([curve.mean(axis=0) for curve in boundaries], axis=0) if boundaries else None
+    if boundaries:  # a large breast's upper slope is as straight as a trunk, and leans up to 30° from it
+        breast = np.any([within_boundary(skin.points_world, curve) for curve in boundaries], axis=0)
+        skin = skin if breast.all() else skin.chosen(~breast)
     frame, point = rough, skin.points_world.mean(axis=0) if middle is None else middle
     try:
         trunk = _facing_ahead(skin, find_trunk(skin, rough, height_of=middle), middle)
