@@ -69,9 +69,9 @@ def test_a_refusal_before_the_measurement_shows_what_its_stage_saw(
 
 @pytest.mark.slow
 def test_photographs_without_a_flash_are_shown_where_they_are_refused(tiny: Path, tiny_settings: Path) -> None:
-    for path in (tiny / "capture").rglob("*.*"):
+    for number, path in enumerate(sorted((tiny / "capture").rglob("*.*"))):
         with Image.open(path) as photograph:
-            dark = np.full_like(np.asarray(photograph), 3)
+            dark = np.full_like(np.asarray(photograph), 2 + number)  # no photograph is another camera's
         Image.fromarray(dark).save(path)
     with pytest.raises(MatchingError) as refused:
         open_session(tiny, Settings.load(tiny_settings)).run()

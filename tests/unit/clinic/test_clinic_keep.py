@@ -114,7 +114,10 @@ def test_a_restore_is_tested_and_the_page_says_so(
     settings.MIGRATION_MODULES = {}
     made = make_kept_backup(clinic)
     answer = command("test-restore", str(clinic.folder))
-    assert answer["files"] == 4  # settings, key, a photograph, half an upload
+    with tarfile.open(made) as tar:
+        kept = {member.name for member in tar if member.isfile()} - {"database.jsonl", "manifest.json"}
+    assert answer["files"] == len(kept)
+    assert {"clinic.toml", "secret.key", f"sessions/{full.id}/capture/front_left.jpg"} <= kept
     page = client_of(Role.ADMINISTRATOR).get("/backups/").content.decode()
     assert f"✓ {made.name}" in page
     with tarfile.open(made, "a") as tar:  # a manifest of what was not there

@@ -767,7 +767,7 @@ def test_the_second_of_two_tabs_is_told_that_it_is_late(tab: Callable[[], Page],
     save(one)
     first = (tmp_path / "landmarks.json").read_text()
     pick_nipple(two, 60.0)
-    save(two, "found a change by somebody else meanwhile (picked by hand by A. First")
+    save(two, "a change by somebody else meanwhile (picked by hand by A. First")
     assert (tmp_path / "landmarks.json").read_text() == first
     (kept,) = (tmp_path / "history").glob("*.json")
     assert json.loads(kept.read_text())["landmarks"]["nipple_model"]["author"] == "B. Second"
@@ -781,7 +781,7 @@ def test_the_second_of_two_tabs_is_told_that_it_is_late(tab: Callable[[], Page],
 
     # Or take theirs.
     pick_nipple(one, -60.0)
-    save(one, "found a change by somebody else meanwhile")
+    save(one, "a change by somebody else meanwhile")
     one.get_by_role("button", name="Load theirs").click()
     expect(one.locator(".mm-readout")).to_contain_text("Theirs is shown")
     expect(one.get_by_role("button", name="Save")).to_be_hidden()
