@@ -169,7 +169,7 @@ def _answer(order: bytes, send: Callable[[object], None]) -> dict[str, Any]:
             with _reporting(send, every_s) as report:
                 answer = {"done": call.function(report, *call.arguments)}
     except MammometryError as error:
-        answer = {"failed": str(error), "kind": type(error).__name__, "code": error.code}
+        answer = {"failed": str(error), "kind": error.kind, "code": error.code}
         answer |= {"exit_code": error.exit_code, "why": str(error)}
     except MemoryError:
         why = "it asked for more memory than there was"

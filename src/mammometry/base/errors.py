@@ -26,6 +26,13 @@ class MammometryError(Exception):
     exit_code = 1
     code: ClassVar[str] = "error"
     """Names the kind of error for programs. It never changes, whatever the sentence says."""
+    kind: ClassVar[str] = "MammometryError"
+    """Name of the class as 1.0 had it, which ``--json`` gives."""
+
+    def __init_subclass__(cls, **facts: Any) -> None:
+        super().__init_subclass__(**facts)
+        if "kind" not in vars(cls):
+            cls.kind = cls.__name__
 
     def __init__(self, subject: str, *, found: str, expected: str, remedy: str) -> None:
         self.subject, self.found, self.expected, self.remedy = map(_on_one_line, (subject, found, expected, remedy))
@@ -168,6 +175,7 @@ class BusyError(StorageError):
     """Another run is at work in the session. The same command works once that run has ended."""
 
     code = "busy"
+    kind = "StorageError"
 
 
 class BatchError(MammometryError):
@@ -195,6 +203,7 @@ class NotOfferedError(ArchiveError):
     """Another system answers, but offers none of the services that were asked for."""
 
     code = "not-offered"
+    kind = "ArchiveError"
 
 
 class UnknownWordError(ValueError):

@@ -121,7 +121,7 @@ def run(arguments: Sequence[str]) -> int:
         about = {name: getattr(error, name) for name in ("code", "subject", "found", "expected", "remedy")}
         shown = "" if error.page is None else f" What was seen: {error.page}"
         about |= {"page": str(error.page)} if shown else {}
-        return _fail(f"{error}{shown}", error.exit_code, as_json, kind=type(error).__name__, **about)
+        return _fail(f"{error}{shown}", error.exit_code, as_json, kind=error.kind, **about)
     except (KeyboardInterrupt, typer.Abort):
         sentence = "Interrupted: finished results are kept. The same command continues from them."
         return _fail(sentence, INTERRUPTED, as_json, kind="Interrupted")

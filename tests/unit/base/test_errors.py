@@ -10,7 +10,15 @@ from pathlib import Path
 import pytest
 
 from mammometry.base import errors
-from mammometry.base.errors import CrossingError, MammometryError, MeasureError, UnknownWordError
+from mammometry.base.errors import (
+    BusyError,
+    CrossingError,
+    MammometryError,
+    MeasureError,
+    NotOfferedError,
+    SessionError,
+    UnknownWordError,
+)
 
 KINDS = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, MammometryError)]
 
@@ -43,3 +51,9 @@ def test_every_kind_of_error_has_a_code_of_its_own() -> None:
 def test_a_broken_rule_keeps_what_was_found() -> None:
     error = pickle.loads(pickle.dumps(UnknownWordError("skins are pale", "green")))
     assert (error.rule, error.found, str(error)) == ("skins are pale", "green", "skins are pale, found green")
+
+
+def test_kinds_of_1_0_stay_where_a_class_became_several() -> None:
+    assert BusyError.kind == "StorageError"
+    assert NotOfferedError.kind == "ArchiveError"
+    assert SessionError.kind == "SessionError"
