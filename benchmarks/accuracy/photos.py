@@ -1,0 +1,112 @@
+"""Walks with one telephone around virtual women, by another renderer: surface and volumes against the truth.
+
+    python -m benchmarks.accuracy.photos --walks ../shared/data/photos --out OUT
+
+Each folder of `--walks` has ``photos/`` and ``truth/`` (``truth.json`` with the board's pose and the nipples, and
+``body.ply``). The surface is judged on the skin within 85 mm of a nipple, whether the photographs show it or not. Each
+volume is compared with that of the true mesh by the same program. A walk that is in OUT already is not measured again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+from pathlib import Path
+
+import numpy as np
+
+import mammometry as mm
+from mammometry.api.mesh import MeshFiles, MeshJob
+from mammometry.api.photos import prepare_walk
+from mammometry.base.errors import MammometryError
+from mammometry.geometry import TriangleMesh
+from mammometry.geometry.nearest import closest_on_mesh
+from mammometry.io.meshes.own import write_ply
+from mammometry.job.stages import surface
+
+_NEAR_MM = 85.0  # of a nipple: a large breast's skin
+_FAR_MM = 1.0  # clip of the mean signed distance, which a few wild places would decide otherwise
+
+
+def true_body(path: Path) -> TriangleMesh:
+    """The body of a walk's truth, mm."""
+    data = path.read_bytes()
+    start = data.index(b"end_header\n") + len(b"end_header\n")
+    header = data[:start].decode()
+    vertices, faces = (int(header.split(f"element {name} ")[1].split()[0]) for name in ("vertex", "face"))
+    points = np.frombuffer(data, np.float32, 3 * vertices, start).reshape(-1, 3)
+    corners = np.frombuffer(data, np.dtype([("n", "u1"), ("i", "<i4", 3)]), faces, start + 12 * vertices)["i"]
+    return TriangleMesh(vertices=points.astype(float), faces=np.ascontiguousarray(corners, dtype=np.int32))
+
+
+def surface_errors(mesh: TriangleMesh, body: TriangleMesh, nipples: np.ndarray) -> str:
+    """Distance of the breasts' true skin from the measured mesh, by area: mean, RMS, 95 %, within 1 mm, bias."""
+    middles = body.vertices[body.faces].mean(axis=1)
+    near = np.linalg.norm(middles[:, None] - nipples[None], axis=2).min(axis=1) < _NEAR_MM
+    vectors = body.face_vectors()[near]
+    area = np.linalg.norm(vectors, axis=1)
+    found = closest_on_mesh(middles[near], mesh)
+    ahead = np.einsum("ij,ij->i", found.points - middles[near], vectors) / area
+    order = np.argsort(found.distances_mm)
+    share = np.cumsum(area[order]) / area.sum()
+    most = found.distances_mm[order][np.searchsorted(share, 0.95)]
+    mean = np.average(found.distances_mm, weights=area)
+    rms = np.sqrt(np.average(found.distances_mm**2, weights=area))
+    whole = area[found.distances_mm < 1.0].sum() / area.sum()
+    bias = np.average(np.clip(ahead, -_FAR_MM, _FAR_MM), weights=area)
+    return f"{mean:.3f} {rms:.2f} {most:.2f}, {100 * whole:.0f} %, {bias:+.2f}"
+
+
+def measured(walk: Path, out: Path) -> str:
+    """One row of the table."""
+    truth = json.loads((walk / "truth" / "truth.json").read_text(encoding="utf-8"))
+    body, pose = true_body(walk / "truth" / "body.ply"), np.array(truth["board_pose"])
+    clean = out / f"{walk.name}-true.ply"
+    if not clean.exists():
+        write_ply(clean, body)
+    true_cc = MeshJob(MeshFiles(mesh=clean, units="mm", automatic=True), out / f"{walk.name}-true").run().volumes_cc
+    begun_s = processor_s()
+    try:
+        found = prepare_walk(walk / "photos", out / walk.name)
+        job = mm.open_session(out / walk.name)
+        results = job.run()
+    except MammometryError as error:
+        return f"| {walk.name} | refused: {error} | | | |"
+    mesh = job.plan[surface.repaired]().mesh
+    moved = TriangleMesh(vertices=mesh.vertices @ pose[:3, :3].T + pose[:3, 3], faces=mesh.faces)
+    volumes = []
+    for side, volume_cc in true_cc.items():
+        if side not in results.volumes_cc:
+            volumes.append(f"{side} {volume_cc:.0f}: none")
+            continue
+        interval = results.intervals_cc[side]
+        held = interval is not None and interval[0] <= volume_cc <= interval[1]
+        off = 100 * (results.volumes_cc[side] / volume_cc - 1)
+        volumes.append(f"{side} {volume_cc:.0f}: {off:+.1f} %, {'held' if held else 'not held'}")
+    errors = surface_errors(moved, body, np.array(truth["nipples"]))
+    used = f"{len(found.used)} of {found.pictures}"
+    return f"| {walk.name} | {used} | {errors} | {'; '.join(volumes)} | {processor_s() - begun_s:.0f} |"
+
+
+def processor_s() -> float:
+    """Processor seconds of this process and its children so far."""
+    own, children = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
+    return own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime
+
+
+def main() -> None:
+    """Measure all walks, and print the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--walks", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    print("| walk | pictures used | surface, mm: mean RMS 95 %, within 1 mm, bias | true mesh, cc: error | CPU s |")
+    print("| --- | --- | --- | --- | --- |")
+    for walk in sorted(path for path in arguments.walks.iterdir() if (path / "truth").is_dir()):
+        print(measured(walk, arguments.out), flush=True)
+
+
+if __name__ == "__main__":
+    main()
