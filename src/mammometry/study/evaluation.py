@@ -13,6 +13,7 @@ from mammometry.base.errors import SessionError
 from mammometry.base.progress import Progress, no_progress, part
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Float64, Rig, Transform, TriangleMesh
+from mammometry.geometry.curves import closed_length_mm, evenly_spaced
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.measure.boundary.boundary import Boundary
@@ -103,10 +104,7 @@ def compare_boundaries(
 
 def resampled(curve: Float64[Array, "n 3"], step_mm: float = _STEP_MM) -> Float64[Array, "k 3"]:
     """Points every `step_mm` or a little less along a closed curve."""
-    corners = np.concatenate([curve, curve[:1]])
-    lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
-    at = np.linspace(0.0, lengths[-1], max(3, int(np.ceil(lengths[-1] / step_mm))), endpoint=False)
-    return np.stack([np.interp(at, lengths, corners[:, axis]) for axis in range(3)], axis=1)
+    return evenly_spaced(curve, max(3, int(np.ceil(closed_length_mm(curve) / step_mm))))
 
 
 _POINTS = 60_000  # true points at which a surface is judged

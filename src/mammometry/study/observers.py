@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from mammometry.base.value import value
 from mammometry.geometry import Array, Float64, Int64, TriangleMesh
+from mammometry.geometry.curves import closed_length_mm, points_along
 from mammometry.study.agreement import Estimate
 from mammometry.study.icc import IntraclassCorrelation, intraclass_correlations
 from mammometry.study.tables import Table, number, plain
@@ -274,10 +275,7 @@ def regions_of(from_middle_mm: Float64[Array, "n 3"]) -> Int64[Array, " n"]:
 
 def evenly(curve: Float64[Array, "n 3"]) -> Float64[Array, "m 3"]:
     """A closed curve as points about 1 mm apart."""
-    loop = np.concatenate([curve, curve[:1]])
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(loop, axis=0), axis=1))])
-    at = np.arange(0.0, along[-1], _STEP_MM)
-    return np.stack([np.interp(at, along, loop[:, k]) for k in range(3)], axis=1)
+    return points_along(curve, np.arange(0.0, closed_length_mm(curve), _STEP_MM))
 
 
 _KINDS = (("within", "one person again"), ("between", "whoever draws"))

@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from mammometry.base.errors import CrossingError, MeasureError
 from mammometry.geometry import Array, Float64, Int64, mesh_kernels
+from mammometry.geometry.curves import closed_length_mm, evenly_spaced
 from mammometry.geometry.mesh import TriangleMesh, unique_edges
 from mammometry.geometry.nearest import closest_on_mesh, point_tree
 from mammometry.measure.solid.cut import OpenPart
@@ -233,8 +234,4 @@ def _without_spurs(path: list[int]) -> Int64[Array, " k"] | None:
 
 def _resampled(points: Float64[Array, "n 3"]) -> Float64[Array, "m 3"]:
     """Corners of a closed curve about `_STEP_MM` apart."""
-    closed = np.concatenate([points, points[:1]])
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
-    count = max(int(np.ceil(along[-1] / _STEP_MM)), 8)
-    at = np.linspace(0, along[-1], count, endpoint=False)
-    return np.stack([np.interp(at, along, closed[:, axis]) for axis in range(3)], axis=1)
+    return evenly_spaced(points, max(int(np.ceil(closed_length_mm(points) / _STEP_MM)), 8))

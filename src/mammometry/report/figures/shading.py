@@ -15,6 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Float32, Float64, Int32, Int64, Rig, TriangleMesh, UInt8, bounds
+from mammometry.geometry.curves import closed_length_mm, evenly_spaced
 from mammometry.geometry.mesh_kernels import nearest_faces
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.trunk.body import Body, Mounting, camera_up
@@ -290,12 +291,10 @@ def even_curve(points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> Float
 
     Noise of the skin and of a mesh's edges makes a boundary wave by 1 to 3 mm.
     """
-    loop = np.concatenate([points_world, points_world[:1]])
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(loop, axis=0), axis=1))])
-    count = min(max(int(along[-1]), len(points_world)), 4000)
-    wanted = np.linspace(0.0, along[-1], count, endpoint=False)
-    dense = np.stack([np.interp(wanted, along, loop[:, axis]) for axis in range(3)], axis=1)
-    even = gaussian_filter1d(dense, _EVEN_MM * count / max(float(along[-1]), 1e-9), axis=0, mode="wrap")
+    length_mm = closed_length_mm(points_world)
+    count = min(max(int(length_mm), len(points_world)), 4000)
+    dense = evenly_spaced(points_world, count)
+    even = gaussian_filter1d(dense, _EVEN_MM * count / max(length_mm, 1e-9), axis=0, mode="wrap")
     return closest_on_mesh(even, mesh).points
 
 
