@@ -10,6 +10,7 @@ from PIL import Image
 import mammometry as mm
 from mammometry.api.photos import prepare_walk, read_walk
 from mammometry.base.errors import CalibrationError, SessionError
+from mammometry.cli.main import run
 from mammometry.geometry import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.job.stages import surface
@@ -44,6 +45,7 @@ def test_a_walk_gives_the_skin_and_both_volumes(walk, tmp_path):
     assert found.board_bow_mm < 0.2
     again = prepare_walk(folder, tmp_path / "session")  # the same photographs: nothing is done again
     assert again == read_walk(tmp_path / "session") == found
+    assert run(["photos", str(folder), "--out", str(tmp_path / "session"), "--quiet"]) == 0
     job = mm.open_session(tmp_path / "session")
     results = job.run()
     for side, clean_cc in CLEAN_MESH_CC.items():
@@ -75,6 +77,7 @@ def test_a_folder_without_photographs_is_refused(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(SessionError):
         prepare_walk(tmp_path / "empty", tmp_path / "session")
+    assert run(["photos", str(tmp_path / "empty"), "--out", str(tmp_path / "session")]) == SessionError.exit_code
     assert not (tmp_path / "session").exists()
 
 

@@ -28,6 +28,7 @@ ELSEWHERE = {
     "make clinic": ".ci/run",  # and test_a_demo_clinic_is_made_and_served_by_one_command
     "capture SESSION --rig rig.toml": "tests/scenes/test_capture_measured.py",
     "clinic serve my-clinic": "tests/unit/clinic/test_clinic_server.py",  # and below, at another address
+    "photos FOLDER": "tests/scenes/test_photos.py",  # needs a telephone's photographs
     "check SESSION --image-set DIR": "tests/unit/cli/test_rig.py",  # needs a later exposure
     "study observers curves --mesh front.ply": "tests/unit/cli/test_study.py",
     "study phantoms STUDY": "tests/unit/cli/test_study.py",

@@ -391,7 +391,10 @@ CASES: dict[str, Callable[[Path, pytest.MonkeyPatch], Case]] = {
     "export redcap": _export("redcap", ("data-dictionary.csv", "records.csv")),
     "export table": _export("table", ("measurements.csv", "codebook.csv")),
 }
-NEW_FOLDERS = {"new": ["new"], "simulate": ["simulate"], "demo": ["demo"], "study phantoms": ["study", "phantoms"]}
+NEW_FOLDERS = {
+    "new": ["new"], "simulate": ["simulate"], "demo": ["demo"], "study phantoms": ["study", "phantoms"],
+    "photos": ["photos", "photographs", "--out"],
+}  # fmt: skip
 """Commands that only write into a folder that is new or empty, or go on with the one that they made."""
 ONLY_IN_THE_SESSION = {"capture", "skew", "run", "calibrate", "match", "surface", "edit"}
 """They write SESSION/results, and what is drawn, by the memo's and the editor's own rules; no place is named."""

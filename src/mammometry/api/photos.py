@@ -91,11 +91,13 @@ def prepare_walk(
         SessionError: no photographs, a ``board.toml`` that is not as documented, or `out` holds something else.
         CalibrationError: the photographs do not show where they were taken.
     """
+    require_apart(out, [folder])
+    earlier = read_walk(out)
+    if earlier is None:
+        _require_free(out)
     files = walk_files(folder)
     source = digest_of([posture, subject, _VERSION, [[name, file_digest(path)] for name, path in files.items()],
                         file_digest(folder / BOARD) if (folder / BOARD).is_file() else None])  # fmt: skip
-    require_apart(out, [folder])
-    earlier = read_walk(out)
     if earlier is not None and earlier.source == source:
         return earlier
     _require_free(out)

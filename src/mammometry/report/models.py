@@ -21,7 +21,8 @@ from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures.change import Dated
 from mammometry.report.figures.measure import reach_mm
-from mammometry.report.figures.shading import NAMES, even_curve
+from mammometry.report.figures.names import NAMES
+from mammometry.report.figures.shading import even_curve
 from mammometry.report.figures.surface import PROVENANCE_COLOURS
 from mammometry.report.scene import Layer, Model, Texture, ViewerScene
 from mammometry.surface.repair.repair import Provenance, RepairedSurface

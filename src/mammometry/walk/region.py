@@ -8,12 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mammometry.base.value import value
-from mammometry.calibration.targets.target import Target
 from mammometry.geometry import Array, Bool, Camera, Float64
+
+if TYPE_CHECKING:  # A manifest is read without the algorithms.
+    from mammometry.calibration.targets.target import Target
 
 TELEPHONE_BOARD: Mapping[str, object] = MappingProxyType(
     {"kind": "charuco", "squares": [11, 7], "square_mm": 24.0, "marker_mm": 17.0, "dictionary": "DICT_5X5_100"}

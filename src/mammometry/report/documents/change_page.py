@@ -16,7 +16,7 @@ from mammometry.report.documents import paper
 from mammometry.report.documents.pages import STYLE, embed, render, viewer_program
 from mammometry.report.figures import change as change_figures
 from mammometry.report.figures.change import Dated
-from mammometry.report.figures.shading import NAMES
+from mammometry.report.figures.names import NAMES
 from mammometry.report.models import change_scene
 from mammometry.report.pictures import encoded
 from mammometry.report.scene import to_json

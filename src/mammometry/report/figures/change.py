@@ -14,7 +14,8 @@ from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import Sheet
 from mammometry.report.figures.measure import curve
-from mammometry.report.figures.shading import NAMES, Scene, join_segments, picture_wh, section, views_of
+from mammometry.report.figures.names import NAMES
+from mammometry.report.figures.shading import Scene, join_segments, picture_wh, section, views_of
 from mammometry.report.figures.surface import show
 from mammometry.surface.repair.repair import RepairedSurface
 from mammometry.surface.texture.texture import TexturedMesh

@@ -14,8 +14,8 @@ from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import Sheet
 from mammometry.report.figures.catalogue import preview
+from mammometry.report.figures.names import NAMES
 from mammometry.report.figures.shading import (
-    NAMES,
     Scene,
     View,
     even_curve,

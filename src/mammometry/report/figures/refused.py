@@ -14,7 +14,8 @@ from mammometry.measure.boundary.boundary import Boundary
 from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import Sheet
 from mammometry.report.figures.measure import curve
-from mammometry.report.figures.shading import NAMES, Scene, picture_wh, standard_views
+from mammometry.report.figures.names import NAMES
+from mammometry.report.figures.shading import Scene, picture_wh, standard_views
 from mammometry.report.figures.surface import show
 from mammometry.surface.texture.unmeasured import WORDS, shown_colours
 

@@ -298,9 +298,6 @@ def even_curve(points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> Float
     return closest_on_mesh(even, mesh).points
 
 
-NAMES: Mapping[str, str] = {"model": "cast", "left": "patient's left breast", "right": "patient's right breast"}
-
-
 def wall_faces(measured: VolumeMeasurement) -> Bool[Array, " m"]:
     """Faces of the closed solid that belong to its wall."""
     return np.arange(len(measured.closed.faces)) >= measured.skin_faces

@@ -15,7 +15,7 @@ from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.difference import difference
 from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
 from mammometry.report.content import Fact, LargeNumber, sentence
-from mammometry.report.figures.shading import NAMES
+from mammometry.report.figures.names import NAMES
 from mammometry.report.words.volumes import measured_words, span_words, verdict_words, volume_words
 from mammometry.study.tables import Table, signed
 

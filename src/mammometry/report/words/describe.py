@@ -25,7 +25,8 @@ from mammometry.measure.trunk.head import HEAD_NOT_SHOWN
 from mammometry.measure.volume.attribution import curve_digest
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.content import BreastReport, Fact, LargeNumber, Meaning, StageReport, sentence
-from mammometry.report.figures.shading import NAMES, wall_faces
+from mammometry.report.figures.names import NAMES
+from mammometry.report.figures.shading import wall_faces
 from mammometry.report.figures.surface import provenance_shares
 from mammometry.report.figures.thinning import ThinnedRange
 from mammometry.report.words.volumes import (

@@ -9,7 +9,7 @@ from typing import Literal, TypeAlias
 
 from mammometry.base.notices import Notice
 from mammometry.io.meshes.scans import SIDES_DOUBTFUL
-from mammometry.report.figures.shading import NAMES
+from mammometry.report.figures.names import NAMES
 
 Concern: TypeAlias = Literal["volume", "confirmation", "photographs"]
 
