@@ -102,10 +102,12 @@ def test_the_session_holds_no_exif_data_and_no_more_than_the_body(walk, tmp_path
         with Image.open(path) as picture:
             exif = picture.getexif()
             exif[0x8825] = {1: "N", 2: (47.0, 3.0, 0.0)}  # a place
-            picture.save(some / path.name, exif=exif, quality=95)
+            picture.save(some / f"Müller {path.name}", exif=exif, quality=95)
     before = {path.name: path.read_bytes() for path in some.iterdir()}
     prepare_walk(some, tmp_path / "session", subject="P-1")
     assert {path.name: path.read_bytes() for path in some.iterdir()} == before
+    # Names of files may be a patient's: the session has numbers.
+    assert {path.stem for path in (tmp_path / "session/capture").iterdir()} <= {f"{n:02d}" for n in range(1, 13)}
     for path in (tmp_path / "session/capture").iterdir():
         with Image.open(path) as picture:
             assert not picture.getexif()

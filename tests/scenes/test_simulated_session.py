@@ -17,6 +17,7 @@ from filelock import FileLock
 from PIL import Image
 
 from mammometry.base.errors import SessionError, StorageError
+from mammometry.base.new_folder import whole_folder
 from mammometry.calibration.targets.kinds.charuco import charuco_board
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.geometry.camera import Camera
@@ -29,7 +30,7 @@ from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.render import subject_coverage
 from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.rigs.targets import make_target
-from mammometry.simulate.session import SimulatedSession, made_whole, true_volumes_cc, write_session
+from mammometry.simulate.session import SimulatedSession, true_volumes_cc, write_session
 from mammometry.simulate.studio import Studio
 from mammometry.simulate.subjects.user_mesh import MeshFile
 
@@ -302,17 +303,17 @@ def test_killed_simulation_leaves_nothing_for_long(tmp_path):
             (tmp_path / name / "maker.json").write_text(json.dumps({"workplace of mammometry": says, "for": "out"}))
         return tmp_path / name
 
-    left = workplace(".out.simulate-killed", ".out.simulate-killed")  # what a killed process leaves: no lock on it
+    left = workplace(".out.making-killed", ".out.making-killed")  # what a killed process leaves: no lock on it
     kept = [
-        workplace(".out.simulate-busy", ".out.simulate-busy"),
-        workplace(".out.simulate-copied", ".out.simulate-killed"),
-        workplace(".out.simulate-deep", "DEEP"),
-        workplace(".out.simulate-mine", None),  # somebody's own, by chance of such a name
+        workplace(".out.making-busy", ".out.making-busy"),
+        workplace(".out.making-copied", ".out.making-killed"),
+        workplace(".out.making-deep", "DEEP"),
+        workplace(".out.making-mine", None),  # somebody's own, by chance of such a name
         workplace(".out.simulated", ".out.simulated"),
     ]
     deep = kept[2] / "maker.json"
     deep.write_text(deep.read_text().replace('"DEEP"', "[" * 100_000))
-    with FileLock(kept[0] / ".lock"), made_whole(tmp_path / "out") as folder:
+    with FileLock(kept[0] / ".lock"), whole_folder(tmp_path / "out") as folder:
         (folder / "file").touch()
         assert not left.exists()
     assert sorted(tmp_path.iterdir()) == [*kept, tmp_path / "out"]
@@ -321,7 +322,7 @@ def test_killed_simulation_leaves_nothing_for_long(tmp_path):
 
 def test_what_has_taken_the_place_meanwhile_is_left_alone(tmp_path):
     def make():
-        with made_whole(tmp_path / "out"):
+        with whole_folder(tmp_path / "out"):
             (tmp_path / "out").mkdir()
             (tmp_path / "out" / "mine").touch()
 
@@ -340,7 +341,7 @@ def test_killed_in_the_middle_and_started_again(tmp_path):
     )
     ended = subprocess.run([sys.executable, "-c", code, str(tmp_path / "out")], check=False, capture_output=True)
     assert ended.returncode == -signal.SIGKILL, ended.stderr
-    assert [path.name.rpartition("-")[0] for path in tmp_path.iterdir()] == [".out.simulate"]
+    assert [path.name.rpartition("-")[0] for path in tmp_path.iterdir()] == [".out.making"]
     write_session(tmp_path / "out", SessionRecipe(rig="reference:front", scale=0.02, poses=1))
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 

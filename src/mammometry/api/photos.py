@@ -20,6 +20,7 @@ from PIL import Image
 
 from mammometry.base.errors import SessionError
 from mammometry.base.listing import visible
+from mammometry.base.new_folder import require_new, whole_folder
 from mammometry.base.parse import LimitSettings, read_text, toml_table
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress, no_progress
@@ -31,7 +32,6 @@ from mammometry.io.looked_up import LazyMapping, digest_of, file_digest
 from mammometry.io.outputs import require_apart
 from mammometry.io.photographs.images import EXTENSIONS, read_photograph
 from mammometry.io.write import disk_errors
-from mammometry.simulate.session import made_whole
 from mammometry.walk.pairs import choose_pairs
 from mammometry.walk.region import TELEPHONE_BOARD, Region, region_above
 from mammometry.walk.stations import TELEPHONE, find_stations
@@ -45,17 +45,17 @@ _MARGIN_PX = 32  # kept around the region's picture, for windows at its edge
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Walk:
-    """What was found of a walk's photographs: walk.json of its session."""
+class PreparedWalk:
+    """Facts about a walk's photographs, as walk.json of its session holds them."""
 
     source: str
     """Digest of the photographs and the board's description."""
     pictures: int
     """Photographs in the folder."""
     used: Sequence[str]
-    """Names of those in pairs."""
+    """Numbers of those in pairs, as `walk_files` counts them."""
     left_out: Mapping[str, str]
-    """Photograph → why it is not used."""
+    """Number of a photograph → why it is not used."""
     board_rms_px: float
     """RMS reprojection error of the board's corners, pixels."""
     board_bow_mm: float
@@ -75,10 +75,11 @@ def prepare_walk(
     posture: str = "standing",
     subject: str | None = None,
     progress: Progress = no_progress,
-) -> Walk:
+) -> PreparedWalk:
     """Write a session of a walk: the telephone's places, pairs, and the photographs cropped to the body.
 
-    The photographs are stored without EXIF data. A session that was made of the same photographs is left as it is.
+    The photographs are stored by number, without their names, which may be a patient's, and without EXIF data. A
+    session that was made of the same photographs is left as it is.
 
     Args:
         folder: the photographs, and ``board.toml`` where the board is another than ours.
@@ -94,18 +95,20 @@ def prepare_walk(
     require_apart(out, [folder])
     earlier = read_walk(out)
     if earlier is None:
-        _require_free(out)
+        require_new(out)
     files = walk_files(folder)
-    source = digest_of([posture, subject, _VERSION, [[name, file_digest(path)] for name, path in files.items()],
-                        file_digest(folder / BOARD) if (folder / BOARD).is_file() else None])  # fmt: skip
-    if earlier is not None and earlier.source == source:
-        return earlier
-    _require_free(out)
-    target, scale_std = read_board(folder)
+    board = folder / BOARD
+    contents = [file_digest(path) for path in (*files.values(), *([board] if board.is_file() else []))]
+    source = digest_of([_VERSION, posture, subject, contents])
+    if earlier is not None:
+        if earlier.source == source:
+            return earlier
+        require_new(out, found="a session of other photographs")
+    target = read_board(folder)
     photographs = LazyMapping(files, lambda _, path: read_photograph(path, path.name, LimitSettings()))
     stations = find_stations(photographs, target, progress=progress)
     region = region_above(target)
-    pairs = choose_pairs(stations.rig, region.middle_world)
+    pairs = choose_pairs(_seeing(stations.rig, region), region.middle_world)
     in_pairs = sorted({name for pair in pairs.values() for name in pair})
     rig = Rig(
         name="telephone",
@@ -113,10 +116,8 @@ def prepare_walk(
         pair_names=pairs,
         target_middle_world=region.middle_world,
     )
-    scale_std = stations.expanded.scale_std or scale_std
-    point_std_mm = round(stations.point_std_mm(rig, region), 4)
     camera = stations.calibration.rig.cameras[TELEPHONE]
-    walk = Walk(
+    walk = PreparedWalk(
         source=source,
         pictures=len(files),
         used=tuple(in_pairs),
@@ -127,55 +128,43 @@ def prepare_walk(
         board_rms_px=round(float(stations.calibration.rms_px), 4),
         board_bow_mm=round(stations.bow_mm, 3),
         focal_px=round(float(camera.matrix[0, 0]), 2),
-        scale_std=scale_std,
-        point_std_mm=point_std_mm,
+        scale_std=target.scale_std or PRINT_STD,
+        point_std_mm=round(stations.point_std_mm(rig, region), 4),
     )
-    with disk_errors(out), made_whole(out) as fresh:
+    with disk_errors(out), whole_folder(out) as fresh:
         _write(fresh, walk, rig, region, photographs, posture, subject)
     return walk
 
 
-def read_walk(session: Path) -> Walk | None:
-    """What `prepare_walk` found of a session. None where it did not make it."""
+def read_walk(session: Path) -> PreparedWalk | None:
+    """Facts about the photographs of a session that `prepare_walk` made. None for any other."""
     try:
         table = json.loads((session / WALK).read_text(encoding="utf-8"))
-        return Walk(**{**table, "used": tuple(table["used"])})
+        return PreparedWalk(**{**table, "used": tuple(table["used"])})
     except (OSError, ValueError, TypeError, KeyError):
         return None
 
 
-def _require_free(out: Path) -> None:
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        made = read_walk(out) is not None
-        raise SessionError(
-            str(out),
-            found="a session of other photographs" if made else "something there already",
-            expected="a folder that does not exist yet, or an empty one",
-            remedy="Choose another name with --out, or remove it",
-        )
-
-
-def read_board(folder: Path) -> tuple[Target, float]:
-    """The board of a walk, and the relative standard uncertainty of its size.
+def read_board(folder: Path) -> Target:
+    """The board of a walk: board.toml, or the one that ``target --telephone`` draws.
 
     Raises:
         SessionError: ``board.toml`` is not as documented.
     """
     path = folder / BOARD
     if not path.is_file():
-        return target_from_table(TELEPHONE_BOARD), PRINT_STD
+        return target_from_table(TELEPHONE_BOARD)
     table = toml_table(read_text(path, str(path), "TOML", most_mib=1), str(path), "a board as [target] of session.toml")
-    target = target_from_table(table.get("target", table))
-    return target, target.scale_std or PRINT_STD
+    return target_from_table(table.get("target", table))
 
 
 def walk_files(folder: Path) -> dict[str, Path]:
-    """The photographs of a walk: name → file, in their order.
+    """The photographs of a walk in the order of their names: number ("01") → file.
 
     Raises:
         SessionError: there are none.
     """
-    files = [path for path in visible(folder) if path.suffix.lower() in EXTENSIONS and path.is_file()]
+    files = sorted(path for path in visible(folder) if path.suffix.lower() in EXTENSIONS and path.is_file())
     if not files:
         raise SessionError(
             str(folder),
@@ -183,12 +172,19 @@ def walk_files(folder: Path) -> dict[str, Path]:
             expected="12 to 60 photographs of one walk around the patient, JPEG or PNG",
             remedy="Copy them from the telephone into one folder",
         )
-    return {path.stem: path for path in sorted(files)}
+    digits = max(2, len(str(len(files))))
+    return {f"{number:0{digits}d}": path for number, path in enumerate(files, start=1)}
+
+
+def _seeing(rig: Rig, region: Region) -> Rig:
+    """The cameras that see the body's region."""
+    cameras = {name: camera for name, camera in rig.cameras.items() if region.mask(camera).any()}
+    return replace(rig, cameras=cameras)
 
 
 def _write(
     out: Path,
-    walk: Walk,
+    walk: PreparedWalk,
     rig: Rig,
     region: Region,
     photographs: Mapping[str, Photograph],
@@ -204,6 +200,8 @@ def _write(
         rows, columns = _box(mask)
         cameras[name] = _cropped(camera, rows, columns)
         pixels = np.ascontiguousarray(photographs[name].pixels[rows, columns])
+        if pixels.dtype == np.uint16:  # PNG holds colours of 8 bits here, and telephones give no more
+            pixels = (pixels >> 8).astype(np.uint8)
         Image.fromarray(pixels).save(capture / f"{name}.png", compress_level=1)
         Image.fromarray(mask[rows, columns]).save(masks / f"{name}.png")
     texts = {
@@ -233,7 +231,7 @@ def _cropped(camera: Camera, rows: slice, columns: slice) -> Camera:
     return replace(camera, matrix=matrix, size_wh=size_wh)
 
 
-def _manifest(walk: Walk, rig: Rig, region: Region, posture: str, subject: str | None) -> str:
+def _manifest(walk: PreparedWalk, rig: Rig, region: Region, posture: str, subject: str | None) -> str:
     pairs = "\n".join(
         f'    {{ name = "{name}", left = "{left}", right = "{right}" }},'
         for name, (left, right) in rig.pair_names.items()

@@ -1,4 +1,4 @@
-"""Notices: what a reader must know beside a result, as a code with values.
+"""Notices: remarks on results, as codes with values.
 
 Products and programs keep and compare notices. `report.words.notices` has the words, so that no sentence decides
 anything, and another language is another catalogue.
@@ -15,7 +15,7 @@ Level: TypeAlias = Literal["warning", "note"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Notice:
-    """What a reader must know beside a result."""
+    """A remark on a result, as a code with values."""
 
     code: str
     """Names what it is about, for programs. A code never changes its meaning."""

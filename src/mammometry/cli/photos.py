@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,10 +14,9 @@ from mammometry.cli.mesh import named_subject
 from mammometry.cli.stages import opened, volume_lines
 
 if TYPE_CHECKING:
-    from mammometry.api.photos import Walk
+    from mammometry.api.photos import PreparedWalk
 
 app = typer.Typer()
-_COMMAND = "photos"
 
 
 @command(app, "mammometry photos anna", "mammometry photos anna --posture lying --out anna-measured")
@@ -46,7 +46,7 @@ def photos(
     made of the photographs, cropped to the body and without EXIF data, and measured as `run` does. Photographs and
     results that are current are kept.
     """
-    from mammometry.api.photos import prepare_walk
+    from mammometry.api.photos import prepare_walk, walk_files
     from mammometry.measure.settings import POSTURES
 
     if posture not in POSTURES:
@@ -58,13 +58,14 @@ def photos(
         job = opened(session, options, bars)
         with compiled_ahead(wanted=not job.store.has(job.report_key)):
             results = job.run()
+    names = {number: path.name for number, path in walk_files(folder).items()}
+    left_out = {names[number]: why for number, why in walk.left_out.items()}
     table = results.as_table()
-    table["walk"] = {"pictures": walk.pictures, "used": list(walk.used), "left_out": dict(walk.left_out)}
-    return Answer(table, [*_lines(walk), *volume_lines(results)])
+    table["walk"] = {"pictures": walk.pictures, "used": [names[number] for number in walk.used], "left_out": left_out}
+    return Answer(table, [*_lines(walk, left_out), *volume_lines(results)])
 
 
-def _lines(walk: Walk) -> list[str]:
-    yes = f"{len(walk.used)} of {walk.pictures} photographs are used"
+def _lines(walk: PreparedWalk, left_out: Mapping[str, str]) -> list[str]:
+    used = f"{len(walk.used)} of {walk.pictures} photographs are used"
     board = f"board: {walk.board_rms_px:.2f} px RMS, bow {walk.board_bow_mm:.1f} mm"
-    left_out = [f"left out: {name}: {why}" for name, why in walk.left_out.items()]
-    return [f"{yes}; {board}", *left_out]
+    return [f"{used}; {board}", *(f"left out: {name}: {why}" for name, why in left_out.items())]

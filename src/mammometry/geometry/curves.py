@@ -23,7 +23,7 @@ def points_along(corners: Float64[Array, "n 3"], at_mm: Float64[Array, " m"]) ->
 
 
 def evenly_spaced(corners: Float64[Array, "n 3"], count: int) -> Float64[Array, "m 3"]:
-    """So many points (m, 3), mm, at equal distances along a closed curve, from its first corner on."""
+    """Points (count, 3), mm, at equal distances along a closed curve, beginning at its first corner."""
     return points_along(corners, np.linspace(0.0, closed_length_mm(corners), count, endpoint=False))
 
 

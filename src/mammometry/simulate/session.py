@@ -8,20 +8,16 @@ number of threads.
 from __future__ import annotations
 
 import json
-import os
-import shutil
-import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
-from filelock import FileLock, Timeout
 
 from mammometry.base.errors import SessionError, StorageError
+from mammometry.base.new_folder import require_new, whole_folder
 from mammometry.base.progress import Progress, no_progress, part
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry import Rig, Transform
@@ -38,61 +34,6 @@ from mammometry.simulate.studio import Arrangement, Studio, photograph, refusing
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import Solid, rig_from_solid
 from mammometry.simulate.truth import write_truth
-
-_MAKER = "maker.json"
-_LOCK = ".lock"
-
-
-@contextmanager
-def made_whole(out: Path) -> Iterator[Path]:
-    """Yield a hidden folder that becomes `out` on success.
-
-    Otherwise it is removed. It is in a workplace beside `out` that names its owner and is locked while it is filled.
-    The system lifts the lock however its maker ends: a workplace of the same `out` without a lock was left by a killed
-    maker, and is removed first. A folder without the marker of a workplace is left alone, whatever its name.
-
-    Raises:
-        OSError: the disk is full or may not be written, or something else has taken the place of `out`.
-    """
-    out.parent.mkdir(parents=True, exist_ok=True)
-    prefix = f".{out.name}.simulate-"
-    for left in sorted(out.parent.iterdir()):
-        if left.name.startswith(prefix) and _is_workplace(left, out):
-            _remove_unlocked(left)
-    workplace = Path(tempfile.mkdtemp(prefix=prefix, dir=out.parent))
-    try:
-        with FileLock(workplace / _LOCK):
-            (workplace / _MAKER).write_text(json.dumps(_claim(workplace, out)), encoding="utf-8")
-            made = workplace / "made"
-            made.mkdir()
-            yield made
-            if os.path.lexists(out):
-                out.rmdir()  # fails unless it is an empty folder
-            made.replace(out)
-    finally:
-        shutil.rmtree(workplace, ignore_errors=True)
-
-
-def _claim(workplace: Path, out: Path) -> dict[str, str]:
-    return {"workplace of mammometry": workplace.name, "for": out.name}
-
-
-def _is_workplace(folder: Path, out: Path) -> bool:
-    """Whether a folder is marked as a workplace for `out`. A copied or renamed one is not."""
-    try:
-        record = json.loads((folder / _MAKER).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return False
-    return not folder.is_symlink() and record == _claim(folder, out)
-
-
-def _remove_unlocked(workplace: Path) -> None:
-    try:
-        with FileLock(workplace / _LOCK, blocking=False):
-            shutil.rmtree(workplace, ignore_errors=True)
-    except (Timeout, OSError):
-        return  # somebody is still filling it
-
 
 _POSES_ENOUGH = 5
 """Number of poses from which each camera must see the target in one. Fewer are for quick looks. Chosen by eye."""
@@ -141,13 +82,7 @@ def write_session(
         SessionError: `out` holds something already, or an argument names nothing that exists.
         StorageError: the disk is full or may not be written.
     """
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise SessionError(
-            str(out),
-            found="something there already",
-            expected="a folder that does not exist yet, or an empty one",
-            remedy="Choose another name, or remove it",
-        )
+    require_new(out)
     seed = recipe.seed
     with refusing(
         SessionError,
@@ -177,7 +112,7 @@ def write_session(
         things=disturbed(about, "thing", situation, seed).things,
     )
     try:
-        with made_whole(out) as made:
+        with whole_folder(out) as made:
             scene = photograph(made, arrangement, studio, seed=seed, progress=part(progress, 0.0, _PICTURES_SHARE))
             (made / "session.toml").write_text(_manifest(true_rig, studio.target, solid, recipe.line), encoding="utf-8")
             if truth:

@@ -9,7 +9,7 @@ matching fails where the skin turns away.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +25,10 @@ _FORWARD = 0.15  # most relative difference of the two distances: else one pictu
 _FORWARD_DEG = 40.0  # degrees off the best angle that a relative difference of distances of 1 counts
 _AGAIN_DEG = 6.0  # degrees off the best angle that each earlier pair of the same photograph counts
 _NEAR_DEG = 12.0  # a pair that looks from this near to the direction of an earlier one adds little
-_GAP_DEG = 40.0  # between neighbouring directions of an arc: more, and skin between them is seen by no pair
+_GAP_DEG = 35.0  # between neighbouring photographs: more, and no pair sees the skin between them
+_ASIDE_DEG = (
+    30.0  # from straight before the board that the arc reaches at least: less, and the breasts' sides are unseen
+)
 
 
 class Candidate(NamedTuple):
@@ -71,9 +74,15 @@ def choose_pairs(rig: Rig, middle_world: Float64[Array, 3], most: int = MOST) ->
     One after the other the candidate is taken that adds most: far from the directions of those that are chosen, at a
     good angle, of photographs that are in few pairs.
 
+    Args:
+        rig: the photographs' cameras, in the board's frame.
+        middle_world: middle of the body's region, mm.
+        most: pairs to choose.
+
     Raises:
-        CalibrationError: no two photographs can be matched.
+        CalibrationError: the photographs leave a gap, or no two of them can be matched.
     """
+    require_arc(tuple(rig.cameras.values()), middle_world)
     waiting = candidates(tuple(rig.cameras.values()), middle_world)
     if not waiting:
         raise CalibrationError(
@@ -99,3 +108,30 @@ def choose_pairs(rig: Rig, middle_world: Float64[Array, 3], most: int = MOST) ->
             used[name] = used.get(name, 0) + 1
     chosen.sort(key=lambda pair: (pair.left, pair.right))
     return {f"{pair.left}-{pair.right}": (pair.left, pair.right) for pair in chosen}
+
+
+def require_arc(cameras: Sequence[Camera], middle_world: Float64[Array, 3]) -> None:
+    """Refuse photographs that do not go round the front of the body.
+
+    Args:
+        cameras: in the board's frame: x along its rows, z away from the reader.
+        middle_world: middle of the body's region, mm.
+
+    Raises:
+        CalibrationError: names the gap, in degrees from straight ahead, the patient's left positive.
+    """
+    away = [camera.centre_world - middle_world for camera in cameras]
+    around = sorted(float(np.degrees(np.arctan2(place[0], -place[2]))) for place in away)
+    gaps = [(low, high) for low, high in pairwise(around) if high - low > _GAP_DEG]
+    if around[0] > -_ASIDE_DEG:
+        gaps.append((-_ASIDE_DEG, around[0]))
+    if around[-1] < _ASIDE_DEG:
+        gaps.append((around[-1], _ASIDE_DEG))
+    if gaps:
+        low, high = max(gaps, key=lambda gap: gap[1] - gap[0])
+        raise CalibrationError(
+            "the photographs",
+            found=f"none between {low:+.0f}° and {high:+.0f}° (0° is straight before the board, + the patient's left)",
+            expected=f"some from {_ASIDE_DEG:.0f}° or more on either side, and none further than {_GAP_DEG:.0f}° apart",
+            remedy="Photograph again from there, with the whole board in each picture",
+        )

@@ -29,6 +29,9 @@ TELEPHONE = "telephone"
 """Name of the one camera of a walk's calibration."""
 FEWEST = 8
 """Photographs that must show the board: fewer do not fix the lens, and leave most of the skin to a single pair."""
+_MOST_RMS_PX, _MOST_BOW_MM = 1.5, 3.0
+"""Fit and bow of a board that is of use: good ones fit to 0.05 px, blurred pictures to 0.3; one that was bent round the
+belly fitted to 8 px, and a bow of 3 mm was still corrected (RECIPES 7)."""
 _STEPS = 7  # points along each side of the grid on which the stations' errors are averaged
 
 
@@ -88,7 +91,7 @@ def find_stations(
         progress: of the search for the board.
 
     Raises:
-        CalibrationError: too few photographs show the board, or they do not determine the lens.
+        CalibrationError: too few photographs show the board, they do not determine the lens, or the board is bent.
     """
     shots = _Shots(photographs)
     observations = set_duplicates_aside(detect(shots, target, progress=progress))
@@ -104,7 +107,15 @@ def find_stations(
             remedy="Keep the whole board in the picture, in focus, and describe it in board.toml as it was printed",
         )
     calibration = bundle.calibrate(observations, {}, TELEPHONE, settings)
-    return Stations(calibration=calibration, expanded=expanded(calibration), without_board=missed)
+    found_at = Stations(calibration=calibration, expanded=expanded(calibration), without_board=missed)
+    if calibration.rms_px > _MOST_RMS_PX or found_at.bow_mm > _MOST_BOW_MM:
+        raise CalibrationError(
+            "the board",
+            found=f"corners that fit to {calibration.rms_px:.1f} px, with a bow of {found_at.bow_mm:.1f} mm",
+            expected=f"a flat board: at most {_MOST_RMS_PX:g} px and {_MOST_BOW_MM:g} mm",
+            remedy="Glue the print to stiff card that keeps flat on the belly, lock the focus, and photograph again",
+        )
+    return found_at
 
 
 def expanded(calibration: Calibration) -> Calibration:

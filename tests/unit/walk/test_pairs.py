@@ -1,12 +1,14 @@
 """Pairs of a walk, and the box in which the body is."""
 
+import re
+
 import numpy as np
 import pytest
 
 from mammometry.base.errors import CalibrationError
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.geometry import Camera, Rig, Transform
-from mammometry.walk.pairs import NARROWEST_DEG, WIDEST_DEG, choose_pairs
+from mammometry.walk.pairs import NARROWEST_DEG, WIDEST_DEG, candidates, choose_pairs, require_arc
 from mammometry.walk.region import region_above
 
 MIDDLE = np.array([0.0, -200.0, 0.0])
@@ -55,15 +57,29 @@ def test_pairs_cover_the_arc_with_the_left_picture_on_the_left():
     assert np.diff(directions).max() < 25
 
 
-def test_pictures_from_other_distances_make_no_pair():
-    cameras = [looking("near", -7, distance_mm=500), looking("far", 7, distance_mm=700)]
-    with pytest.raises(CalibrationError):
-        choose_pairs(rig(cameras), MIDDLE)
+def test_pictures_from_other_distances_or_too_far_apart_make_no_pair():
+    near, far = looking("near", -7, distance_mm=500), looking("far", 7, distance_mm=700)
+    assert candidates([near, far], MIDDLE) == []
+    assert candidates([looking("one", -15), looking("other", 15)], MIDDLE) == []
 
 
-def test_pictures_too_far_apart_make_no_pair():
-    with pytest.raises(CalibrationError):
-        choose_pairs(rig([looking("one", -30), looking("other", 30)]), MIDDLE)
+@pytest.mark.parametrize(
+    ("angles_deg", "gap"),
+    [
+        (range(-60, 61, 10), None),
+        ((*range(-60, -19, 10), *range(20, 61, 10)), (-20, 20)),
+        (range(-60, 11, 10), (10, 30)),
+        (range(-20, 61, 10), (-30, -20)),
+    ],
+)
+def test_a_gap_in_the_arc_is_named(angles_deg, gap):
+    cameras = [looking(str(angle), angle) for angle in angles_deg]
+    if gap is None:
+        require_arc(cameras, MIDDLE)
+        return
+    with pytest.raises(CalibrationError) as refused:
+        require_arc(cameras, MIDDLE)
+    assert [int(number) for number in re.findall(r"([+-]\d+)°", refused.value.found)] == list(gap)
 
 
 def test_the_region_is_above_the_board_and_its_picture_is_whole():

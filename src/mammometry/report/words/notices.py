@@ -1,4 +1,4 @@
-"""The catalogue: the words of every notice, by its code. docs/reference/notices.md lists it."""
+"""The catalogue: the words of every notice, by its code. docs/reference/codes.md lists it."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
         ),
         "body-moved-against-board": Text(
             "The body moved against the board between photographs, by about {moved_mm:.1f} mm. This was corrected: "
-            "pairs disagree by {after_mm:.2f} mm not {before_mm:.2f} mm. Hold the breath."
+            "pairs disagree by {after_mm:.2f} mm instead of {before_mm:.2f} mm. Hold the breath next time."
         ),
         "size-unusual": Text(
             "The surface is rare: {text}. Check that the sizes of target or cameras are in millimetres."

@@ -206,15 +206,13 @@ def find(
     return replace(found, covariance=found.covariance + np.outer(found.motions, found.motions))
 
 
-def assumed_still(rig: Rig, distance_mm: float = 0.0) -> Stillness:
+def assumed_still(rig: Rig) -> Stillness:
     """No motion, where none is looked for.
 
     Args:
         rig: as calibrated.
-        distance_mm: RMS distance between the pairs' surfaces.
     """
-    parameters = motion_parameters(rig, list(rig.pair_names), np.zeros(3))
-    return _nothing(parameters, compared=False, distance_mm=distance_mm)
+    return _nothing(motion_parameters(rig, list(rig.pair_names), np.zeros(3)), compared=False)
 
 
 def _confirmed(rig: Rig, found: Stillness, shared: Sequence[SharedFeatures]) -> CorrectionEvidence:
