@@ -81,6 +81,18 @@ def test_a_folder_without_photographs_is_refused(tmp_path):
     assert not (tmp_path / "session").exists()
 
 
+def test_a_wrong_board_file_is_named(tmp_path):
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    Image.fromarray(np.zeros((6, 8, 3), np.uint8)).save(folder / "1.png")
+    (folder / "board.toml").write_text('kind = "charuco"\nsquares = [11, 7]\nsquare_mm = "x"\n')
+    with pytest.raises(SessionError) as refused:
+        prepare_walk(folder, tmp_path / "session")
+    assert str(folder / "board.toml") in refused.value.subject
+    assert "board.toml" in refused.value.remedy
+    assert not (tmp_path / "session").exists()
+
+
 def test_photographs_without_the_board_leave_nothing_behind(tmp_path):
     folder = tmp_path / "photos"
     folder.mkdir()

@@ -155,7 +155,13 @@ def read_board(folder: Path) -> Target:
     if not path.is_file():
         return target_from_table(TELEPHONE_BOARD)
     table = toml_table(read_text(path, str(path), "TOML", most_mib=1), str(path), "a board as [target] of session.toml")
-    return target_from_table(table.get("target", table))
+    try:
+        return target_from_table(table.get("target", table))
+    except SessionError as error:
+        remedy = f"Correct {BOARD} beside the photographs; `mammometry target board.pdf --telephone` prints a whole one"
+        raise SessionError(
+            f"{path}: {error.subject}", found=error.found, expected=error.expected, remedy=remedy
+        ) from None
 
 
 def walk_files(folder: Path) -> dict[str, Path]:

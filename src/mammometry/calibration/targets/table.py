@@ -52,7 +52,7 @@ def target_from_table(table: Mapping[str, object]) -> Target:
         try:
             values[name] = TypeAdapter(types[name]).validate_python(value, strict=True)
         except ValidationError as error:
-            raise _table_error(name, repr(value), error.errors()[0]["msg"]) from None
+            raise _table_error(name, repr(value), error.errors()[0]["msg"].removeprefix("Input should be ")) from None
     for field in fields(cls):  # type: ignore[arg-type]
         if field.default is MISSING and field.name not in values:
             raise _table_error(field.name, "nothing", f"a value: every {kind} target has one")
