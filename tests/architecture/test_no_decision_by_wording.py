@@ -37,6 +37,7 @@ FORMATS = {
     "report/words/notices.py: sentence.startswith(begin)",  # sentences that version 1.0 stored
     "simulate/rigs/rig_file.py: first['msg'].removeprefix('Value error, ')",  # pydantic writes it before our own words
     "capture/sessions.py: first['msg'].removeprefix('Value error, ')",
+    "calibration/targets/table.py: error.errors()[0]['msg'].removeprefix('Input should be ')",  # likewise
     "report/documents/letters/shaping.py: unicodedata.name(letter, '').startswith('VARIATION SELECTOR')",
     "io/write.py: 'requested and' in str(error)",  # NumPy's error of a full disk has neither type nor number
 }
