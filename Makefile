@@ -68,6 +68,7 @@ check: $(VENV)/.installed-dev
 docs: $(VENV)/.installed-dev
 	$(BIN)/python -m tools.commands
 	$(BIN)/python -m tools.codes
+	$(BIN)/python -m tools.fields
 	$(BIN)/zensical serve
 
 # Requirements and what shows them, third-party software: docs/dossier.

@@ -1,4 +1,4 @@
-"""Write docs/reference/commands.md from the commands' own words.
+"""Write docs/reference/commands.md from the commands' own help.
 
 python -m tools.commands
 """
@@ -23,11 +23,11 @@ EVERYWHERE = {
     "--verbose": "log to standard error; `-vv` logs more",
     "--help": "show the command's help, with examples",
 }
-"""Options that nearly every command has, said once."""
+"""Options that nearly every command has, listed once."""
 
 
 def commands() -> Iterator[tuple[str, Any]]:
-    """Name and command, groups before what they hold."""
+    """Name and command, a group before its commands."""
 
     def walk(group: Any, before: str) -> Iterator[tuple[str, Any]]:
         for name, command in group.commands.items():
@@ -51,10 +51,30 @@ def page() -> str:
             argument = parameter.param_type_name == "argument"
             spelled = parameter.metavar or parameter.name.upper() if argument else " ".join(parameter.opts[:1])
             if argument or parameter.opts[0] not in EVERYWHERE:
-                rows.append(f"- `{spelled}`: {_one_line(parameter.help or '')}")
+                rows.append(f"- `{spelled}`: {_one_line(parameter.help or '')}{_default(parameter)}")
         if rows:
             lines += ["", *rows]
+        if examples := _examples(command):
+            lines += ["", "```console", *(f"$ {line}" for line in examples), "```"]
     return "\n".join(lines) + "\n"
+
+
+def _default(parameter: Any) -> str:
+    """The default in words. Empty for an option that is simply off or not given."""
+    value = getattr(parameter, "show_default", None)
+    value = value if isinstance(value, str) else parameter.default
+    if callable(value) or value is None or value is False or value in ((), [], ""):
+        return ""
+    if value is True:
+        return f" On by default; `{parameter.secondary_opts[0]}` turns it off." if parameter.secondary_opts else ""
+    return f" Default: `{getattr(value, 'value', value)}`."
+
+
+def _examples(command: Any) -> list[str]:
+    """Command lines of the help's examples."""
+    _, _, examples = (command.help or "").replace("\b", "").partition("Examples:")
+    examples += (command.epilog or "").replace("\b", "").partition("Examples:")[2]
+    return [line.strip().removeprefix("$ ") for line in examples.splitlines() if "mammometry " in line]
 
 
 def _paragraphs(text: str) -> list[str]:

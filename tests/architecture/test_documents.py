@@ -32,7 +32,12 @@ def commands() -> dict[str, set[str]]:
 
     flat = dict(walk(get_command(app), ""))
     return {
-        name: {option for parameter in command.params for option in parameter.opts if option.startswith("-")}
+        name: {
+            option
+            for parameter in command.params
+            for option in (*parameter.opts, *parameter.secondary_opts)
+            if option.startswith("-")
+        }
         | {"--help"}
         for name, command in flat.items()
     }
@@ -112,19 +117,11 @@ def test_every_decision_is_listed(repository: Path) -> None:
     assert [int(page.name[:4]) for page in pages] == list(range(1, len(pages) + 1))
 
 
-def test_settings_classes_are_in_the_reference(repository: Path) -> None:
-    from dataclasses import is_dataclass
+def test_settings_and_result_fields_are_in_the_reference() -> None:
+    from tools.fields import RESULTS, SETTINGS, results_page, settings_page
 
-    def classes(value: object) -> set[str]:
-        found = {type(value).__name__}
-        for name in value.__dataclass_fields__:  # type: ignore[attr-defined]
-            inner = getattr(value, name)
-            if is_dataclass(inner):
-                found |= classes(inner)
-        return found
-
-    page = (repository / "docs" / "reference" / "settings.md").read_text(encoding="utf-8")
-    assert {name for name in classes(Settings()) if f".{name}\n" not in page + "\n"} == set()
+    assert SETTINGS.read_text(encoding="utf-8") == settings_page(), "run python -m tools.fields"
+    assert RESULTS.read_text(encoding="utf-8") == results_page(), "run python -m tools.fields"
 
 
 def test_the_session_page_shows_a_manifest_that_is_read(repository: Path) -> None:
@@ -138,13 +135,13 @@ def test_the_session_page_shows_a_manifest_that_is_read(repository: Path) -> Non
     assert target_from_table(manifest.target).kind == "charuco"
 
 
-def test_every_command_is_in_the_reference(repository: Path) -> None:
-    from tools.commands import PAGE
+def test_every_command_is_in_the_reference() -> None:
+    from tools.commands import PAGE, page
 
-    named = set(re.findall(r"^###? (.+)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE))
+    assert PAGE.read_text(encoding="utf-8") == page(), "run python -m tools.commands"
     known = commands()
     groups = {name.rpartition(" ")[0] for name in known} - {""}
-    assert named == known.keys() | groups, "call make docs"
+    assert set(re.findall(r"^###? (.+)$", page(), re.MULTILINE)) == known.keys() | groups
 
 
 def test_one_source_of_the_version(repository: Path) -> None:
@@ -167,3 +164,25 @@ def test_nothing_committed_names_a_machine(repository: Path) -> None:
         for match in home.finditer(path.read_text(encoding="utf-8", errors="replace"))
     ]
     assert found == []
+
+
+def test_the_map_of_the_source_names_the_folders_that_exist(repository: Path) -> None:
+    text = (repository / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    (shown,) = re.findall(r"^src/mammometry/\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE)
+    places: set[str] = set()
+    for line in shown.splitlines():
+        if first := re.match(r"(  )?([a-z_]+)(/|\.py) ", line):
+            inside = bool(first[1])
+            room = f"src/mammometry/{first[2]}" if inside else first[2]
+            places.add(f"{room}{first[3]}")
+            line = line[first.end() :]
+        if inside:
+            places |= {f"{room}/**/{name}/" for name in re.findall(r"(?<![\w`])([a-z_]+)/", line)}
+    assert [place for place in places if not any(repository.glob(place.rstrip("/")))] == []
+    packages = {path.parent for path in (repository / "src" / "mammometry").glob("*/__init__.py")}
+    named = {place for place in places if "*" not in place}
+    assert {f"{package.relative_to(repository).as_posix()}/" for package in packages} - named == set()
+    inner = {path.parent for path in (repository / "src" / "mammometry").glob("*/*/__init__.py")}
+    assert {
+        f"{package.parent.relative_to(repository).as_posix()}/**/{package.name}/" for package in inner
+    } - places == set()

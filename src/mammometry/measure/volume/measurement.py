@@ -55,13 +55,13 @@ class DefinedVolume:
     """The volume of a breast in one meaning of the word."""
 
     meaning: Meaning
-    """Which."""
+    """Meaning of "the breast"."""
     volume_cc: float
-    """cc."""
+    """Volume, cc."""
     interval_cc: tuple[float, float]
     """95 % interval of this meaning alone, cc. Never below zero."""
     sentence: str
-    """What it means, one plain sentence."""
+    """Definition of the meaning, one sentence."""
 
     @property
     def half_percent(self) -> float:
