@@ -26,7 +26,6 @@ ELSEWHERE = {
     "make demo": ".ci/run",
     "make test": ".ci/run",
     "make clinic": ".ci/run",  # and test_a_demo_clinic_is_made_and_served_by_one_command
-    "photos FOLDER": "tests/scenes/test_photos.py",
     "capture SESSION --rig rig.toml": "tests/scenes/test_capture_measured.py",
     "clinic serve my-clinic": "tests/unit/clinic/test_clinic_server.py",  # and below, at another address
     "photos FOLDER": "tests/scenes/test_photos.py",  # needs a telephone's photographs
