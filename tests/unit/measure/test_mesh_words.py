@@ -2,6 +2,7 @@
 
 import ast
 import re
+from collections.abc import Collection
 from pathlib import Path
 
 import mammometry.measure
@@ -23,8 +24,12 @@ def words(*nodes: ast.AST) -> str:
     )
 
 
-def refusals() -> list[tuple[str, str]]:
-    """Place and words of every refusal of the measurement, as a mesh gets them."""
+DRAWN = {"check_curve"}
+"""Functions that check a curve that somebody drew, and no boundary that was found."""
+
+
+def refusals(without: Collection[str] = RIM_IN_PHOTOGRAPHS) -> list[tuple[str, str]]:
+    """Place and words of every refusal of the measurement, as a mesh gets them, but those of some functions."""
     found = []
     root = Path(mammometry.measure.__file__).parent
     for path in sorted(root.rglob("*.py")):
@@ -32,7 +37,7 @@ def refusals() -> list[tuple[str, str]]:
         for function in functions:
             for call in ast.walk(function):
                 given = {each.arg: each.value for each in call.keywords} if isinstance(call, ast.Call) else {}
-                if not {"found", "expected", "remedy"} <= given.keys() or function.name in RIM_IN_PHOTOGRAPHS:
+                if not {"found", "expected", "remedy"} <= given.keys() or function.name in without:
                     continue
                 given["remedy"] = given.pop("mesh_remedy", given["remedy"])
                 found.append((f"{path.relative_to(root)}:{call.lineno}", words(*call.args, *given.values())))
@@ -43,3 +48,10 @@ def test_no_refusal_of_a_mesh_speaks_of_photographs() -> None:
     table = refusals()
     assert len(table) > 50
     assert [(place, text) for place, text in table if OF_PHOTOGRAPHS.search(text)] == []
+
+
+def test_only_who_drew_a_boundary_is_asked_to_draw_it_again() -> None:
+    """With --automatic nobody has drawn one. The same refusals serve sessions, whose boundaries are found too."""
+    again = re.compile(r"redraw|draw (it|the boundary) again", re.IGNORECASE)
+    assert [place for place, text in refusals(DRAWN) if again.search(text)] == []
+    assert any(again.search(text) for _, text in refusals(()))  # the table would show it
