@@ -5,15 +5,18 @@ squared slope g² is 2 σ_n²/(A g²) (Cramér–Rao). With σ_n = .004, contras
 and A = 4π·2.5² the deviation is .026 px before smoothing, of which the final plane fits leave about half.
 """
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from scipy import ndimage
 from textured_pair import make_pair
 
 from mammometry.base.errors import MatchingError
+from mammometry.base.progress import no_progress
 from mammometry.matching.dense import match as refine
 from mammometry.matching.dense.least_squares import choose_levels
-from mammometry.matching.dense.match import match
+from mammometry.matching.dense.match import coarse_to_fine, match, prepare, requirements
 from mammometry.matching.rectify import RectifiedPair
 from mammometry.matching.settings import MatchSettings
 
@@ -191,3 +194,23 @@ def test_progress_never_goes_back_and_ends_at_one() -> None:
     match(pair, progress=seen.append)
     assert seen == sorted(seen)
     assert seen[-1] == 1.0
+
+
+def test_what_is_accepted_meets_every_requirement_and_each_rejects_noise() -> None:
+    """Half of the right picture is noise: there the requirements fail, elsewhere they hold nearly everywhere."""
+    pair, _ = make_pair(np.random.default_rng(8))
+    right, settings = pair.right_image.copy(), MatchSettings()
+    half = right.shape[1] // 2
+    right[:, half:] = np.random.default_rng(9).uniform(0.2, 0.8, right[:, half:].shape)
+    pair = with_images(pair, pair.left_image, right)
+    with ThreadPoolExecutor(2) as pool:
+        found = coarse_to_fine(prepare(pair, settings, pool, no_progress), settings, pool, no_progress)
+        met = requirements(found, settings)
+    valid = match(pair, settings).valid
+    all_met = np.logical_and.reduce(list(met.values()))
+    assert all_met.shape == valid.shape
+    assert all_met[valid].all()
+    judged = inner(pair.left_mask, 12)
+    columns = np.arange(valid.shape[1])
+    assert all_met[judged & (columns < half - 30)].mean() > 0.95
+    assert all_met[judged & (columns > half + 30)].mean() < 0.2

@@ -403,21 +403,28 @@ def finish(pair: RectifiedPair, found: Finest, settings: MatchSettings, pool: Ex
     )
 
 
+def requirements(found: Finest, settings: MatchSettings) -> dict[str, Bool[Array, "h w"]]:
+    """What a match must meet to be accepted, each with the pixels of the finest level that meet it."""
+    fine, matches, window = found.matches, found.matches.matches, settings.window_sigma_px
+    doubted = matches.variance * unexplained(found.image, matches, window)
+    return {
+        "plausible": matches.plausible,
+        "correlates": matches.correlation > LEAST_CORRELATION,
+        "settled": np.abs(matches.step) < _LAST_STEP_PX,
+        "left and right agree": agreeing(fine.shift, fine.other, DIRECTIONS_APART_PX * 2**fine.halvings),
+        "certain": np.sqrt(doubted) * (1 + _DOUBT_SLOPE * squared_slope(fine.shift)) < LARGEST_SIGMA_PX,
+    }
+
+
 def _accept(name: str, found: Finest, settings: MatchSettings, pool: Executor) -> AcceptedMatches:
     """Accept matches that correlate, have settled, agree in both directions, and are certain."""
-    fine, matches, shift, sigma = found.matches, found.matches.matches, found.matches.shift, found.matches.variance
+    matches, shift, sigma = found.matches.matches, found.matches.shift, found.matches.variance
     window = settings.window_sigma_px
     too_weak = pool.submit(weak_texture, found.image, matches, window, LARGEST_SIGMA_PX)
-    doubted = matches.variance * unexplained(found.image, matches, window)
+    met = requirements(found, settings)
     steep = squared_slope(shift)
     weak = too_weak.result()  # before the correlation is changed
-    valid = (
-        matches.plausible
-        & (matches.correlation > LEAST_CORRELATION)
-        & (np.abs(matches.step) < _LAST_STEP_PX)
-        & agreeing(shift, fine.other, DIRECTIONS_APART_PX * 2**fine.halvings)
-        & (np.sqrt(doubted) * (1 + _DOUBT_SLOPE * steep) < LARGEST_SIGMA_PX)
-    )
+    valid = np.logical_and.reduce(list(met.values()))
     # What noise alone lets agree are small islands, most often beyond an outline; they hold too little to be confirmed.
     valid = without_specks(valid, round(_ISLAND_WINDOWS * 4 * np.pi * window**2))
     if not valid.any():
