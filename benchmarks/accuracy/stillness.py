@@ -232,9 +232,15 @@ def summary(rows: list[dict[str, Any]]) -> Iterator[str]:
                 f"| {size[0]:g}, {size[1]:g} | {'yes' if put_right else 'no'} | {len(both)} | "
                 f"{len(both) - len(measured_rows)} | {sum(matters)} | {counts} | {sum(true)} of {len(true)} | "
                 f"{100 * low:.0f} … {100 * high:.0f} % | {sum(same)} of {len(same)} | "
-                f"{sum(by_term)} of {len(by_term)} | {changes.mean():+.2f} ± "
-                f"{changes.std():.2f}, {changes[np.argmax(np.abs(changes))]:+.2f} | {np.median(rms):.3f} |"
+                f"{sum(by_term)} of {len(by_term)} | {_spread(changes)} | {f'{np.median(rms):.3f}' if rms else '–'} |"
             )
+
+
+def _spread(changes: Array) -> str:
+    """Mean, scatter and largest of the changes, %; a dash where every capture was refused."""
+    if not len(changes):
+        return "–"
+    return f"{changes.mean():+.2f} ± {changes.std():.2f}, {changes[np.argmax(np.abs(changes))]:+.2f}"
 
 
 def _within_movement(row: dict[str, Any], clean: dict[str, Any]) -> list[bool]:
