@@ -26,7 +26,6 @@ from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.boundary import outline_torso
 from mammometry.measure.trunk.body import rig_frame
-from mammometry.measure.trunk.head import HEAD_NOT_SHOWN
 from mammometry.simulate.disturbances.draw import draw, is_held_out
 from mammometry.simulate.disturbances.exposure import turned, with_cameras
 from mammometry.simulate.disturbances.registry import disturbed
@@ -115,7 +114,7 @@ def answer(surface: RepairedSurface, frame: Float64[Array, "3 3"]) -> str:
         found = outline_torso(surface, frame)
     except MeasureError as error:
         return _ANSWERS[2 if "head at the lower end" in str(error) else 3]
-    unsure = any(HEAD_NOT_SHOWN in boundary.method for boundary in found.boundaries)
+    unsure = any("head-not-shown" in boundary.remarks for boundary in found.boundaries)
     return _ANSWERS[1 if unsure else 0]
 
 

@@ -399,12 +399,10 @@ def _warnings(change: Change) -> list[str]:
 
 
 def _unconfirmed(change: Change) -> list[str]:
-    from mammometry.measure.boundary import TO_BE_CONFIRMED
-
     warnings = []
     for number, which in enumerate(_WHICH):
         boundaries = [(breast.before, breast.after)[number] for breast in change.breasts]
-        if any(TO_BE_CONFIRMED in measurement.boundary_method for measurement in boundaries):
+        if any("to-be-confirmed" in measurement.boundary_remarks for measurement in boundaries):
             warnings.append(
                 f"Nobody has confirmed the automatic boundaries of the {which} date. Look at them with "
                 "`mammometry edit`, and confirm them or draw better ones."

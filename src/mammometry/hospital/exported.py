@@ -14,7 +14,7 @@ from mammometry.base.normal import COVERAGE_95
 from mammometry.base.photograph import Photograph
 from mammometry.base.rounding import half_width, rounded
 from mammometry.hospital.codes import require_text
-from mammometry.measure.volume.attribution import seen_words
+from mammometry.measure.boundary import BoundaryRemark, boundary_words
 from mammometry.report.content import Clinical
 
 Side: TypeAlias = Literal["left", "right", "model", ""]
@@ -114,12 +114,19 @@ class Quantity:
     """How it was measured: a key of `codes.METHODS`."""
     boundary: str = ""
     """How the boundary was found, one sentence. Empty for what has none."""
+    boundary_remarks: tuple[BoundaryRemark, ...] = ()
+    """Facts about the boundary."""
     wall: str = ""
     """Name of the wall behind the breast. Empty for what has none."""
     wall_definition: str = ""
     """What surface that is, one sentence."""
     note: str = ""
     """What the interval covers, one sentence."""
+
+    @property
+    def boundary_words(self) -> str:
+        """How the boundary was found, and whether it is confirmed. Empty for what has none."""
+        return boundary_words(self.boundary, self.boundary_remarks) if self.boundary else ""
 
     @property
     def name(self) -> str:
@@ -240,10 +247,7 @@ class Exported:
         """
         require_text(self.organization, "LO", "the organization's name")
         if self.clinical.confirmed is not None:
-            seen = tuple(
-                replace(quantity, boundary=seen_words(quantity.boundary)) if quantity.boundary else quantity
-                for quantity in self.quantities
-            )
+            seen = tuple(replace(quantity, boundary_remarks=("confirmed",)) for quantity in self.quantities)
             object.__setattr__(self, "quantities", seen)
             require_text(person_name(self.clinical.confirmed.by), "PN", "the name of who confirmed the boundaries")
         for conclusion in self.clinical.conclusions:

@@ -102,7 +102,7 @@ def _observation(
     made |= _site(quantity.side)
     made["valueQuantity"] = _amount(quantity.value, quantity.unit)
     method = codes.own(quantity.method, codes.METHODS[quantity.method])
-    words = [method.meaning, quantity.boundary and f"Boundary: {quantity.boundary}"]
+    words = [method.meaning, quantity.boundary and f"Boundary: {quantity.boundary_words}"]
     made["method"] = _concept(method, ". ".join(filter(None, words)))
     components = list(_components(quantity))
     if components:

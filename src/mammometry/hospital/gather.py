@@ -220,8 +220,11 @@ def _volumes(measured: Sequence[VolumeMeasurement], sizes: Dimensions | None) ->
     projection_sigmas = {} if sizes is None else {shape.name: shape.projection_sigma_mm for shape in sizes.shapes}
     for measurement in measured:
         side: Side = measurement.name
-        about: dict[str, Any] = {"boundary": measurement.boundary_method}
-        about |= {"wall": measurement.wall_kind, "wall_definition": measurement.wall_definition}
+        rim: dict[str, Any] = {
+            "boundary": measurement.boundary_method,
+            "boundary_remarks": measurement.boundary_remarks,
+        }
+        about = rim | {"wall": measurement.wall_kind, "wall_definition": measurement.wall_definition}
         yield Quantity(
             code="volume", title="Volume", side=side, value=measurement.volume_cc, unit="cm3",
             interval_95=measurement.interval_cc, note=measurement.interval_note, method="closed-mesh", **about,
@@ -234,8 +237,7 @@ def _volumes(measured: Sequence[VolumeMeasurement], sizes: Dimensions | None) ->
             )  # fmt: skip
         yield Quantity(
             code="projection", title="Projection", side=side, value=measurement.projection_mm, unit="mm",
-            sigma=projection_sigmas.get(measurement.name), method="plane-distance",
-            boundary=measurement.boundary_method,
+            sigma=projection_sigmas.get(measurement.name), method="plane-distance", **rim,
         )  # fmt: skip
         for code, title, value in (
             ("skin_area", "Skin within the boundary", measurement.area_cm2),

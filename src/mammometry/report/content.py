@@ -9,6 +9,7 @@ from typing import Literal
 
 from mammometry.base.identity import Identity
 from mammometry.base.notices import Notice
+from mammometry.measure.boundary import BoundaryRemark
 from mammometry.study.tables import Table
 
 DISCLAIMER = (
@@ -85,6 +86,8 @@ class BreastReport:
     """Name and definition of the wall."""
     boundary: str
     """How the boundary was found or drawn. Of a side that was not measured: why."""
+    boundary_remarks: tuple[BoundaryRemark, ...] = ()
+    """Facts about the boundary by which the report decides."""
     curve: str = ""
     """Digest of the measured boundary. Empty for a side that was not measured."""
     unmeasured: Literal["", "none", "unclear", "refused"] = ""

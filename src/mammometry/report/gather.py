@@ -28,7 +28,6 @@ from mammometry.matching.foreground.outlines_first import OF_PARTNER, outline_ad
 from mammometry.matching.quality import MatchQuality
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.trunk.body import Body
-from mammometry.measure.trunk.head import HEAD_NOT_SHOWN
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report import content
 from mammometry.report.content import Picture, ReportContent, sentence
@@ -119,7 +118,7 @@ def warnings(run: RunResults) -> Iterator[Notice]:
         yield Notice(code="outline-not-used", about=tuple(run.unseparated), values=values)
     for text in run.moved:
         yield Notice(code="moved", values={"text": text})
-    if any(HEAD_NOT_SHOWN in measured.boundary_method for measured in run.measurements):
+    if any("head-not-shown" in measured.boundary_remarks for measured in run.measurements):
         yield Notice(code="head-not-shown")
 
 

@@ -19,7 +19,6 @@ from mammometry.io.meshes.own import write_ply
 from mammometry.job.inputs import FinishedSurface
 from mammometry.job.stages import calibrate, measure
 from mammometry.job.stages.surface import corrected_cameras, mesh
-from mammometry.measure.boundary import TO_BE_CONFIRMED
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.shape.anthropometry import dimensions, find_landmarks
 from mammometry.measure.trunk.body import Body, find_body, rig_frame
@@ -94,9 +93,9 @@ def put_results(folder: Path, true: TrueVisit, boundaries: tuple[Boundary, ...] 
     plan, surface = job.plan, true.torso.surface
     colours = np.full((len(surface.mesh.vertices), 3), (205, 160, 140), dtype=np.uint8)
     finished = FinishedSurface(repaired=surface, textured=TexturedMesh(mesh=surface.mesh, colours=colours))
-    method = "given: drawn" if job.inputs.boundaries else f"automatic, {TO_BE_CONFIRMED}"
+    method, remark = ("given: drawn", "given") if job.inputs.boundaries else ("automatic", "to-be-confirmed")
     edges = tuple(
-        Boundary(name=edge.name, points_world=edge.points_world, method=method)
+        Boundary(name=edge.name, points_world=edge.points_world, method=method, remarks=(remark,))
         for edge in boundaries or true.torso.boundaries
     )
     settings, frame = job.settings.measure, rig_frame(rig())

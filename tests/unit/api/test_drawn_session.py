@@ -15,7 +15,6 @@ from mammometry.cli.main import run
 from mammometry.io.drawn import Change, change_drawn, drawn_entries, drawn_entry, entry_digest
 from mammometry.job.graph import Plan
 from mammometry.job.stages import measure
-from mammometry.measure.boundary import TO_BE_CONFIRMED
 from mammometry.measure.volume.attribution import attributed, curve_digest
 from mammometry.settings import Settings
 from mammometry.simulate.subjects.torso_shape import torso_shape
@@ -80,13 +79,14 @@ def test_a_confirmed_automatic_boundary_is_told_and_nothing_is_measured_anew(
     assert left.interval_cc == made["left"].interval_cc
     assert left.boundary_method == "automatic; confirmed by eye by C. Eye on 2026-11-22"
     assert attributed(made["left"], given_attributions, named=False).boundary_method.endswith("; confirmed by eye")
-    assert attributed(made["right"], given_attributions).boundary_method.endswith(TO_BE_CONFIRMED)
+    assert left.boundary_remarks == ("confirmed",)
+    assert attributed(made["right"], given_attributions).boundary_remarks == ("to-be-confirmed",)
     assert run(["info", str(session)]) == 0
     assert "boundary left: automatic; confirmed by eye by C. Eye on 2026-11-22" in capsys.readouterr().out
 
     confirm(session, made["left"].boundary_world + 1.0)  # settings were others then
     left = attributed(made["left"], open_session(session).inputs.attributions)
-    assert TO_BE_CONFIRMED in left.boundary_method
+    assert left.boundary_remarks == ("to-be-confirmed",)
     assert left.boundary_method.endswith("by C. Eye on 2026-11-22, but not this one")
 
 
@@ -102,6 +102,7 @@ def test_one_drawn_breast_leaves_the_other_automatic(session: Path, true: TrueVi
     left, right = plan[measure.boundaries]()
     assert np.array_equal(left.points_world, drawn.points_world)
     assert left.method == f"given: {len(drawn.points_world)} points, edited by hand"
+    assert left.remarks == ("given",)
     assert right.name == "right"
     assert right.method.startswith("automatic")
-    assert TO_BE_CONFIRMED in right.method
+    assert "to-be-confirmed" in right.remarks

@@ -15,7 +15,6 @@ from tests.unit.hospital.exports import ANNA, NAMES, ORDER, deidentified, export
 
 from mammometry.hospital.dicom.frame import encoded
 from mammometry.hospital.dicom.objects import baseline, files, objects
-from mammometry.measure.boundary import TO_BE_CONFIRMED
 
 DCMTK = pytest.mark.skipif(shutil.which("dsrdump") is None, reason="dcmtk is not installed (apt-get install dcmtk)")
 
@@ -214,14 +213,14 @@ def test_a_confirmed_report_is_verified_and_holds_the_conclusion(tmp_path: Path)
 
 def test_what_is_verified_is_not_said_to_be_confirmed_yet(tmp_path: Path) -> None:
     automatic = tuple(
-        replace(quantity, boundary=f"automatic: the fold; {TO_BE_CONFIRMED}") if quantity.boundary else quantity
+        replace(quantity, boundary="automatic: the fold", boundary_remarks=("to-be-confirmed",))
         for quantity in quantities()
     )
     (verified,) = of_kind(objects(replace(signed(tmp_path), quantities=automatic), ANNA, ORDER), "SR")
     (before,) = of_kind(objects(exported(tmp_path, quantities=automatic), ANNA, ORDER), "SR")
     assert (verified.VerificationFlag, before.VerificationFlag) == ("VERIFIED", "UNVERIFIED")
-    assert TO_BE_CONFIRMED in before.to_json()
-    assert TO_BE_CONFIRMED not in verified.to_json()
+    assert "automatic: the fold; to be confirmed by eye" in before.to_json()
+    assert "to be confirmed by eye" not in verified.to_json()
     assert "automatic: the fold; confirmed by eye" in verified.to_json()
 
 

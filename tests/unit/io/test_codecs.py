@@ -32,6 +32,7 @@ from mammometry.surface.texture.texture import TexturedMesh
 from mammometry.surface.texture.texture_atlas import Atlas, as_jpeg, jpeg_of
 
 RNG = np.random.default_rng(3)
+CONFIRM = ("to-be-confirmed",)
 
 
 def camera(name: str = "left", size_wh: tuple[int, int] = (7, 5)) -> Camera:
@@ -162,6 +163,31 @@ def test_boundaries_are_readable_json_too(tmp_path: Path) -> None:
     (read,) = decode(tmp_path, "boundaries")
     assert read.sigma_mm is None
     np.testing.assert_array_equal(read.points_world, curve)
+
+
+def test_codes_are_read_out_of_sentences_of_version_1_0() -> None:
+    curve = RNG.random((6, 3))
+    tree = {"$value": "measure.boundary:Boundary", "name": "left", "points_world": {"$array": "a0"}}
+    for method, kept, remarks in (
+        ("given: 9 points, edited by hand", "given: 9 points, edited by hand", ("given",)),
+        ("automatic. The body shows the head; to be confirmed by eye", "automatic. The body shows the head", CONFIRM),
+        ("automatic. The body does not show where the head is: it is taken as given; to be confirmed by eye",
+         "automatic. The body does not show where the head is: it is taken as given", ("head-not-shown", *CONFIRM)),
+        ("base rim: 9 points", "base rim: 9 points", ()),
+    ):  # fmt: skip
+        read = from_tree(tree | {"method": method}, {"a0": curve})
+        assert (read.method, read.remarks) == (kept, remarks)
+    mark = {
+        "$value": "measure.landmarks:Landmark",
+        "name": "midline",
+        "points_world": {"$array": "a0"},
+        "sigma_mm": 1.0,
+    }
+    assert from_tree(mark | {"method": "proposed: the plane; to be confirmed by eye"}, {"a0": curve}).proposed
+    assert not from_tree(mark | {"method": "picked by hand, or loaded"}, {"a0": curve}).proposed
+    written: dict[str, np.ndarray] = {}
+    made = Boundary(name="left", points_world=curve, method="given: as one may write; to be confirmed by eye")
+    assert from_tree(to_tree(made, written), written).remarks == ()
 
 
 def test_infinite_and_missing_numbers_survive() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mammometry.base.errors import MeasureError
-from mammometry.measure.trunk.head import HEAD_NOT_SHOWN, HeadSigns, check_head, head_signs
+from mammometry.measure.trunk.head import HeadSigns, check_head, head_signs
 from mammometry.measure.trunk.thorax import Skin, Trunk, find_trunk
 
 TRUNK = Trunk(frame=np.eye(3), origin=np.zeros(3), half_width_mm=130.0)
@@ -102,17 +102,18 @@ def test_a_mound_beside_a_breast_says_nothing() -> None:
 
 
 def test_what_is_said_of_the_head() -> None:
-    assert "head up" in check_head(replace(NOTHING, arms=1.0))
-    assert HEAD_NOT_SHOWN in check_head(NOTHING)
-    assert "sides are seen more below" in check_head(replace(NOTHING, flanks=0.7))
-    assert HEAD_NOT_SHOWN in check_head(replace(NOTHING, flanks=-0.3))
+    assert check_head(replace(NOTHING, arms=1.0)).is_shown
+    assert not check_head(NOTHING).is_shown
+    assert "sides are seen more below" in check_head(replace(NOTHING, flanks=0.7)).words
+    assert not check_head(replace(NOTHING, flanks=-0.3)).is_shown
     with pytest.raises(MeasureError, match=r"head at the lower end.*slopes back below.*rig\.mounting"):
         check_head(replace(NOTHING, front=-0.4, breasts=-0.3))
     # What the user said of the head counts more.
     said = check_head(replace(NOTHING, front=-0.4, breasts=-0.3), stated=True)
-    assert said.startswith("the head is where it was said to be, though ")
+    assert said.is_shown
+    assert said.words.startswith("the head is where it was said to be, though ")
     # Arms that hang, of which cameras on their sides see only the lower ends, do not refuse an upright body.
-    assert HEAD_NOT_SHOWN in check_head(HeadSigns(arms=-1.0, breasts=0.0, flanks=0.9, front=0.4))
+    assert not check_head(HeadSigns(arms=-1.0, breasts=0.0, flanks=0.9, front=0.4)).is_shown
 
 
 def test_an_arm_on_one_side_alone_does_not_move_the_trunks_axis() -> None:

@@ -115,7 +115,7 @@ def test_both_breasts_are_found_each_on_its_side() -> None:
         # pixels' 2, and the trunk's axis.
         assert np.median(np.abs(reach - breast[2])) < 3
         assert np.abs(reach - breast[2]).max() < 8
-        assert "to be confirmed by eye" in found.method
+        assert "to-be-confirmed" in found.remarks
         wall = chest_wall.fit(breast_of(found, boundaries=(left, right)), "cylinder-membrane")
         measured = volumes.measure(found, wall, alternatives=())
         assert measured.volume_cc == pytest.approx(volume_cc(breast), rel=0.04)

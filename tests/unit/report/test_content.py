@@ -9,7 +9,6 @@ import pytest
 import synthetic
 
 from mammometry.calibration.judge.quality import assess
-from mammometry.measure.trunk.head import HEAD_NOT_SHOWN
 from mammometry.measure.volume.measurement import DefinedVolume, Meaning
 from mammometry.report.figures.thinning import thinned_ranges
 from mammometry.report.gather import RunResults, run_cautions, run_concerns, warnings
@@ -95,7 +94,7 @@ def test_what_changes_a_volumes_meaning_stands_beside_it(rig) -> None:
         "Only 0 % of its skin was measured.",
         "Of the run.",
     )
-    headless = replace(sound, boundary_method=f"automatic: …. The body {HEAD_NOT_SHOWN}: …")
+    headless = replace(sound, boundary_remarks=("head-not-shown",))
     assert describe.breast_report(headless).cautions == (
         "Left and right may be exchanged: the body does not show where its head is. See the warnings.",
     )
@@ -202,7 +201,7 @@ def test_a_poor_photograph_of_the_board_comes_last_and_the_rig_first(rig) -> Non
 
 
 def test_sides_that_rest_on_the_mounting_alone_are_warned_of(rig) -> None:
-    headless = replace(synthetic.measurement("left"), boundary_method=f"automatic: …. The body {HEAD_NOT_SHOWN}: …")
+    headless = replace(synthetic.measurement("left"), boundary_remarks=("head-not-shown",))
     assert "Check that none is upside down." in warned(rig, measurements=[headless])
 
 

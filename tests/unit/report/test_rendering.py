@@ -10,7 +10,6 @@ import test_pdf
 from mammometry.api.stored_report import packed, unpacked
 from mammometry.base.errors import StorageError
 from mammometry.base.notices import Notice
-from mammometry.measure.boundary import TO_BE_CONFIRMED
 from mammometry.measure.volume.attribution import Attribution, Confirmation
 from mammometry.report.content import Clinical, Fact, ReportContent, Signed, StageReport
 from mammometry.report.documents.rendering import attributed_content, render
@@ -22,7 +21,9 @@ SEEN = datetime.datetime(2026, 11, 22, 10, 0, tzinfo=datetime.UTC)
 
 def automatic() -> ReportContent:
     made = test_pdf.page_content("left", "right")
-    found = tuple(replace(each, boundary=f"automatic: the fold; {TO_BE_CONFIRMED}") for each in made.breasts)
+    found = tuple(
+        replace(each, boundary="automatic: the fold", boundary_remarks=("to-be-confirmed",)) for each in made.breasts
+    )
     return replace(made, breasts=found, scene="[]", concerns=(Notice(code="cameras-imported"),))
 
 

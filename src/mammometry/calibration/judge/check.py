@@ -321,7 +321,7 @@ def _about_moves(
     if not candidates[0]:
         most = max(checks.values(), key=lambda camera_check: camera_check.shift_px)
         yield (
-            f"no camera moved: {len(checks)} cameras agree where the target stands to within their noise, at most "
+            f"{len(checks)} cameras agree where the target stands to within their noise, at most "
             f"{most.shift_px:.3f} px ({most.camera})"
         )
         return

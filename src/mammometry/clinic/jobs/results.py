@@ -133,8 +133,7 @@ def _calibrated(calibration: Calibration, figures: Mapping[str, Any]) -> None:
 def _checked(check: DailyCheck, figures: Mapping[str, Any]) -> None:
     check.figures = dict(figures)
     verdict = str(figures.get("verdict"))
-    # That nothing moved is said by the verdict; how well it is known comes after the colon.
-    reasons = [str(reason).removeprefix("no camera moved: ") for reason in figures.get("reasons") or [""]]
+    reasons = figures.get("reasons") or [""]
     unseen = [str(name) for name in figures.get("unseen") or ()]
     words = f"{_VERDICTS.get(verdict, verdict)} {_sentence(reasons[0])}".strip()
     if exchanged := [str(name).replace("_", " ") for name in figures.get("exchanged") or ()]:

@@ -202,7 +202,7 @@ def _modifiers(quantity: Quantity) -> Iterator[Any]:
 def _notes(quantity: Quantity) -> Iterator[Any]:
     """How the boundary was found, and what the uncertainties are, in words."""
     if quantity.boundary:
-        yield _text("boundary", "How the boundary was found", quantity.boundary)
+        yield _text("boundary", "How the boundary was found", quantity.boundary_words)
     if quantity.sigma is not None:
         words = "Uncertainties are standard uncertainties."
     elif quantity.interval_95 is not None:

@@ -43,6 +43,7 @@ from mammometry.base.errors import MammometryError, StorageError
 from mammometry.base.registry import Registry
 from mammometry.calibration.targets.target import TARGETS
 from mammometry.geometry.arrays import Array, UInt8
+from mammometry.measure.boundary import BoundaryRemark
 
 STORED_TYPES: Mapping[str, str] = MappingProxyType(
     {
@@ -108,6 +109,19 @@ STORED_FIELDS: Mapping[str, Mapping[str, str]] = MappingProxyType(
     }
 )
 """Label → field → its first name, under which it stays on disk where it has another name now."""
+_SENTENCES = {
+    "measure.boundary:Boundary": ("method", "remarks"),
+    "measure.volume:VolumeMeasurement": ("boundary_method", "boundary_remarks"),
+}
+"""Label → field with a sentence of version 1.0, and the field that has its codes now."""
+_CODES_OF_1_0: Mapping[str, BoundaryRemark] = MappingProxyType(
+    {
+        "given: ": "given",
+        "does not show where the head is": "head-not-shown",
+        "to be confirmed by eye": "to-be-confirmed",
+    }
+)
+"""Parts of those sentences → codes."""
 _TARGET = "target:"  # before the name of a kind of target
 
 
@@ -166,13 +180,25 @@ def from_tree(tree: Any, arrays: Mapping[str, np.ndarray[Any, Any]]) -> Any:
             return _type(tree["$enum"])(tree["value"])
         now = {first: name for name, first in STORED_FIELDS.get(str(tree["$value"]), {}).items()}
         members = {now.get(name, str(name)): from_tree(item, arrays) for name, item in tree.items() if name != "$value"}
-        return _type(tree["$value"])(**members)
+        return _type(tree["$value"])(**_without_sentences(str(tree["$value"]), members))
     except (KeyError, TypeError, ValueError, AttributeError, ImportError) as error:
         remedy = "Delete the results folder and run again"
         expected = "a result of this version"
         raise StorageError(
             "a stored result", found=f"one that cannot be rebuilt ({error})", expected=expected, remedy=remedy
         ) from None
+
+
+def _without_sentences(label: str, members: dict[str, Any]) -> dict[str, Any]:
+    """The members of a value. Version 1.0 stored no codes: they are read out of its sentences."""
+    if label == "measure.landmarks:Landmark" and "proposed" not in members:
+        return members | {"proposed": members["method"].startswith("proposed: ")}
+    sentence, codes = _SENTENCES.get(label, ("", ""))
+    if not codes or codes in members:
+        return members
+    words = members[sentence]
+    found = tuple(code for part, code in _CODES_OF_1_0.items() if part in words)
+    return members | {sentence: words.removesuffix("to be confirmed by eye").rstrip("; "), codes: found}
 
 
 def _label(kind: type) -> str:

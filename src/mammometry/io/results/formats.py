@@ -29,6 +29,7 @@ from mammometry.io.results.codecs import (
     write_json,
 )
 from mammometry.job.inputs import CameraSet, FinishedSurface
+from mammometry.measure.boundary import boundary_words
 
 if TYPE_CHECKING:
     from mammometry.measure.boundary.boundary import Boundary
@@ -183,7 +184,10 @@ for _product in ("foreground", "disparity", "range", "valid"):
 
 
 def _boundaries_table(product: str, boundaries: tuple[Boundary, ...]) -> dict[str, Any]:
-    curves = {curve.name: {"method": curve.method, "points": curve.points_world.tolist()} for curve in boundaries}
+    curves = {
+        curve.name: {"method": boundary_words(curve.method, curve.remarks), "points": curve.points_world.tolist()}
+        for curve in boundaries
+    }
     return {"units": "mm", "frame": "world", "boundaries": curves}
 
 
@@ -264,7 +268,7 @@ def _measurements_table(measured: VolumeMeasurement) -> dict[str, Any]:
         if name == "definitions":
             table[name] = [asdict(item) for item in value]
         to_tree(value, arrays)  # refuses what JSON could not hold
-    return table
+    return table | {"boundary_method": boundary_words(measured.boundary_method, measured.boundary_remarks)}
 
 
 FORMATS.add("measurement")(Format(write=_measurements_write, read=read_arrays, ending=".json", read_ending=".npz"))

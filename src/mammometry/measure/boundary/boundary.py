@@ -13,7 +13,7 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.base.value import value
 from mammometry.geometry import Array, Float64, Rig
 from mammometry.matching.foreground.foreground import Foreground
-from mammometry.measure.boundary import TO_BE_CONFIRMED
+from mammometry.measure.boundary import BoundaryRemark
 from mammometry.measure.boundary.breasts import NoBreast, Outline, find_breasts
 from mammometry.measure.boundary.cast_base import (
     BEND_GAIN,
@@ -40,6 +40,7 @@ from mammometry.measure.landmarks.landmarks import PICKED_SIGMA_MM, picked_landm
 from mammometry.measure.settings import BaseRimSettings, MeasureSettings
 from mammometry.measure.solid.cut import above
 from mammometry.measure.trunk.body import rig_frame
+from mammometry.measure.trunk.head import HeadPlace
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 RIM_RADIUS_SIGMA_MM = 0.14
@@ -92,6 +93,8 @@ class Boundary:
     skin shows of the border there. None: nothing beyond."""
     hidden_fold_cm2: float = 0.0
     """Area of skin that closes a scan's hole where the fold is, cm². 0: the fold is seen."""
+    remarks: tuple[BoundaryRemark, ...] = ()
+    """Facts by which programs decide."""
 
     def __post_init__(self) -> None:
         if len(self.points_world) < 3 or not np.isfinite(self.points_world).all():
@@ -300,7 +303,7 @@ def outline_torso(surface: RepairedSurface, frame: Float64[Array, "3 3"], *, hea
     )
 
 
-def _creased(name: BreastName, outline: Outline, head: str) -> Boundary:
+def _creased(name: BreastName, outline: Outline, head: HeadPlace) -> Boundary:
     fold = (
         "The fold below the breast is not seen: the border runs along skin that closes a hole. "
         if outline.hidden_fold_cm2
@@ -315,7 +318,7 @@ def _creased(name: BreastName, outline: Outline, head: str) -> Boundary:
         f"{100 * outline.creased:.0f} % of the breast{elsewhere}. The curve is known to "
         f"± {surest:.0f} to {vaguest:.0f} mm (standard uncertainty). "
         f"{100 * outline.seen:.0f} % of it lies on measured or bridged skin. "
-        f"{fold}{head[:1].upper()}{head[1:]}; {TO_BE_CONFIRMED}"
+        f"{fold}{head.words[:1].upper()}{head.words[1:]}"
     )
     return Boundary(
         name=name,
@@ -323,6 +326,7 @@ def _creased(name: BreastName, outline: Outline, head: str) -> Boundary:
         method=method,
         across_mm=outline.sigma_mm,
         hidden_fold_cm2=outline.hidden_fold_cm2,
+        remarks=("to-be-confirmed",) if head.is_shown else ("head-not-shown", "to-be-confirmed"),
     )
 
 
@@ -388,4 +392,5 @@ def given_boundary(
         points_world=points_world,
         method=f"given: {len(points_world)} points, {how or 'how they were drawn is not recorded'}",
         sigma_mm=rim_sigma_mm if name == "model" else None,
+        remarks=("given",),
     )

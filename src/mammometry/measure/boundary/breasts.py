@@ -30,7 +30,7 @@ from mammometry.measure.boundary.prominence import (
 )
 from mammometry.measure.solid.untangle import signed_area_mm2
 from mammometry.measure.trunk.body import Body, find_body, lies_across
-from mammometry.measure.trunk.head import check_head, head_signs
+from mammometry.measure.trunk.head import HeadPlace, check_head, head_signs
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief, dense_samples, lay_flat
 from mammometry.measure.trunk.thorax import (
     Skin,
@@ -115,8 +115,8 @@ class Breasts:
     """The trunk without the breasts."""
     body: Body
     """The frame in which they were looked for."""
-    head: str
-    """What the body says of where the head is, a clause."""
+    head: HeadPlace
+    """Where the head is."""
 
 
 def find_breasts(surface: RepairedSurface, frame: Float64[Array, "3 3"], *, head_stated: bool = False) -> Breasts:

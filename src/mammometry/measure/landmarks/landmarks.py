@@ -66,10 +66,6 @@ _OFF_SURFACE_MM = 10.0  # farther off, a landmark was picked on another surface 
 _WRONG_SIDE_MM = 5.0  # a landmark may lie this far beyond the middle, which is not known better; chosen by eye
 
 
-PROPOSED = "proposed"
-"""Word with which the method of a landmark begins that nobody picked."""
-
-
 @value(eq=False)
 class Landmark:
     """Place of a landmark, with its uncertainty.
@@ -89,15 +85,12 @@ class Landmark:
     probability: float = 1.0
     """Probability that it exists: 1 if somebody picked it. Results from a landmark are left out if this is too small
     (`NippleSettings.least_probability`)."""
+    proposed: bool = False
+    """Whether it was found automatically, and nobody has confirmed it yet."""
 
     def __post_init__(self) -> None:
         if not len(self.points_world) or not np.isfinite(self.points_world).all():
             raise ValueError(f"landmark {self.name} needs finite points, found {len(self.points_world)}")
-
-    @property
-    def proposed(self) -> bool:
-        """Whether nobody has confirmed it yet."""
-        return self.method.startswith(PROPOSED)
 
 
 def picked_landmarks(

@@ -21,7 +21,7 @@ from scipy.ndimage import uniform_filter1d
 from mammometry.base.normal import MAD
 from mammometry.geometry import Array, Bool, Float64, TriangleMesh, UInt8
 from mammometry.geometry.nearest import closest_on_mesh, point_tree
-from mammometry.measure.landmarks.landmarks import PROPOSED, Landmark
+from mammometry.measure.landmarks.landmarks import Landmark
 
 _STEP_MM, _ASIDE_MM = 2.0, 60.0  # cells of the grid, and its half width; chosen by eye
 _SMOOTH_CELLS = 2.0  # standard deviation of the mean over cells; noise of telephones vanishes, hollows stay
@@ -101,8 +101,14 @@ def propose_on_midline(
 def _proposed(
     name: str, points: Float64[Array, "k 3"], how: str, sigma_mm: float, probability: float = 1.0
 ) -> Landmark:
-    method = f"{PROPOSED}: {how}; to be confirmed by eye"
-    return Landmark(name=name, points_world=points, method=method, sigma_mm=sigma_mm, probability=probability)
+    return Landmark(
+        name=name,
+        points_world=points,
+        method=f"proposed: {how}; to be confirmed by eye",
+        sigma_mm=sigma_mm,
+        probability=probability,
+        proposed=True,
+    )
 
 
 def _height_map(places: Float64[Array, "n 3"], bottom_mm: float) -> Float64[Array, "h w"]:

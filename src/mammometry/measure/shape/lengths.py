@@ -108,7 +108,11 @@ def linear_measures(
         if line is not None and (midline is None or not line.proposed):
             foot = _foot(nipple.points_world[0], line.points_world)
             foot_landmark = Landmark(
-                name="midline", points_world=foot[None], method=line.method, sigma_mm=line.sigma_mm
+                name="midline",
+                points_world=foot[None],
+                method=line.method,
+                sigma_mm=line.sigma_mm,
+                proposed=line.proposed,
             )
             found.append(_between(name, title, nipple, foot_landmark, mesh, skin))
         elif midline is not None:

@@ -15,8 +15,6 @@ from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.measure.trunk.thorax import ARM, Skin, Trunk
 
-HEAD_NOT_SHOWN = "does not show where the head is"
-"""Words in a boundary's method that make left and right rest on the cameras' mounting alone."""
 _SHOULDERS = (ARM, 1.7)  # half widths from the axis at which arms leave the trunk; chosen by eye
 _FEWEST = 200  # samples of skin for a sign to say anything
 _LEAST_ARMS = 0.05
@@ -75,6 +73,16 @@ class HeadSigns:
         return " and ".join(reasons)
 
 
+@dataclass(frozen=True, slots=True)
+class HeadPlace:
+    """Result of `check_head`."""
+
+    words: str
+    """What the body shows, a clause."""
+    is_shown: bool = True
+    """Whether the body shows its head, or the user stated it. False: left and right depend on the cameras' mounting."""
+
+
 def head_signs(skin: Skin, trunk: Trunk, fuller_below: Sequence[float]) -> HeadSigns:
     """Ask the body where its head is.
 
@@ -94,7 +102,7 @@ def head_signs(skin: Skin, trunk: Trunk, fuller_below: Sequence[float]) -> HeadS
     )
 
 
-def check_head(signs: HeadSigns, *, stated: bool = False) -> str:
+def check_head(signs: HeadSigns, *, stated: bool = False) -> HeadPlace:
     """Compare where the head is said to be with what the body shows.
 
     A contradiction is refused, never swapped. The user's own word counts more than the signs.
@@ -103,16 +111,13 @@ def check_head(signs: HeadSigns, *, stated: bool = False) -> str:
         signs: of the body.
         stated: whether the user said where the head is.
 
-    Returns:
-        What the body says, a clause.
-
     Raises:
         MeasureError: the body shows the head at the other end.
     """
     words = signs.words()
     if stated and signs.together < _SHOWN:
         unlike = f", though {words}" if signs.together < -_SHOWN else ""
-        return f"the head is where it was said to be{unlike}"
+        return HeadPlace(f"the head is where it was said to be{unlike}")
     if signs.together < -_SHOWN:
         raise MeasureError(
             "torso",
@@ -125,8 +130,8 @@ def check_head(signs: HeadSigns, *, stated: bool = False) -> str:
         )
     if signs.together < _SHOWN:
         unsure = f" ({words})" if words else ""
-        return f"the body {HEAD_NOT_SHOWN}{unsure}: it is taken as given"
-    return f"the body shows the head up: {words}"
+        return HeadPlace(f"the body does not show where the head is{unsure}: it is taken as given", is_shown=False)
+    return HeadPlace(f"the body shows the head up: {words}")
 
 
 def _end(above: float) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from mammometry.base.letters import isolated
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.measure.boundary import TO_BE_CONFIRMED
+from mammometry.measure.boundary import BoundaryRemark, boundary_words
 
 if TYPE_CHECKING:
     from mammometry.measure.volume.measurement import VolumeMeasurement
@@ -59,49 +59,67 @@ def attributed(
 
     Args:
         measured: one breast.
-        attributions: breast → what boundaries.json tells.
-        named: whether names, dates and people's own words are said, which a de-identified report must not do.
+        attributions: breast → its entry in boundaries.json.
+        named: whether names, dates and people's own words are given, which a de-identified report must not do.
     """
-    attribution = attributions.get(measured.name, Attribution())
-    words = attributed_words(measured.boundary_method, curve_digest(measured.boundary_world), attribution, named=named)
-    return replace(measured, boundary_method=words)
+    attribution, curve = attributions.get(measured.name, Attribution()), curve_digest(measured.boundary_world)
+    method, remarks = measured.boundary_method, measured.boundary_remarks
+    return replace(
+        measured,
+        boundary_method=attributed_words(method, remarks, curve, attribution, named=named),
+        boundary_remarks=attributed_remarks(remarks, curve, attribution.confirmation),
+    )
 
 
-def attributed_words(method: str, curve: str, attribution: Attribution, *, named: bool = True) -> str:
+def attributed_words(
+    method: str, remarks: Sequence[BoundaryRemark], curve: str, attribution: Attribution, *, named: bool = True
+) -> str:
     """A boundary's method with who drew and who confirmed it.
 
     Args:
         method: how it was found or given.
+        remarks: facts about it.
         curve: its digest.
-        attribution: what boundaries.json tells.
+        attribution: its entry in boundaries.json.
         named: as of `attributed`.
     """
-    if method.startswith("given:"):
+    if "given" in remarks:
         if not named:
             method = method.split(",")[0]
         elif attribution.origin:
             method = f"{method.split(',')[0]}, {attribution.origin}"
-    return confirmed_words(method, curve, attribution.confirmation, named=named)
+    return confirmed_words(method, curve, attribution.confirmation, remarks, named=named)
 
 
-def seen_words(method: str) -> str:
-    """Method of a confirmed boundary, without the request to confirm it."""
-    seen = "; confirmed by eye"
-    return f"{method.removesuffix(TO_BE_CONFIRMED).removesuffix(seen).rstrip(',; ')}{seen}"
+def attributed_remarks(
+    remarks: Sequence[BoundaryRemark], curve: str, confirmation: Confirmation | None
+) -> tuple[BoundaryRemark, ...]:
+    """The remarks, with the newest confirmation if it is of this curve."""
+    kept = tuple(code for code in remarks if code != "to-be-confirmed")
+    return (*kept, "confirmed") if confirmation is not None and confirmation.curve == curve else tuple(remarks)
 
 
-def confirmed_words(method: str, curve: str, confirmation: Confirmation | None, *, named: bool = True) -> str:
+def confirmed_words(
+    method: str,
+    curve: str,
+    confirmation: Confirmation | None,
+    remarks: Sequence[BoundaryRemark] = (),
+    *,
+    named: bool = True,
+) -> str:
     """A boundary's method with what is known of its confirmation.
 
     Args:
         method: how it was found or drawn.
         curve: its digest.
         confirmation: of this curve or of an earlier one.
-        named: whether name and date are said.
+        remarks: facts about the boundary.
+        named: whether name and date are given.
     """
+    words = boundary_words(method, attributed_remarks(remarks, curve, confirmation))
     if confirmation is None:
-        return method
+        return words
     who = f" by {isolated(confirmation.by)} on {confirmation.at[:10]}" if named else ""
     if confirmation.curve == curve:
-        return f"{seen_words(method)}{who}"
-    return f"{method}; an earlier curve was confirmed by eye{who}, but not this one"
+        return f"{words}{who}"
+    return f"{words}; an earlier curve was confirmed by eye{who}, but not this one"

@@ -16,6 +16,7 @@ import numpy as np
 from mammometry.base.normal import COVERAGE_95
 from mammometry.base.value import value
 from mammometry.geometry import Array, Float64, TriangleMesh
+from mammometry.measure.boundary import BoundaryRemark
 from mammometry.measure.settings import LayerSettings
 
 if TYPE_CHECKING:
@@ -239,6 +240,8 @@ class VolumeMeasurement:
     """Area of the breast's skin (without the wall), cm²."""
     definitions: tuple[DefinedVolume, ...] = ()
     """The volume in every meaning of "the breast", each with an interval of its own. Empty for a cast."""
+    boundary_remarks: tuple[BoundaryRemark, ...] = ()
+    """Facts about the boundary by which programs decide: ``given``, ``head-not-shown``, ``to-be-confirmed``."""
 
     @property
     def skin(self) -> TriangleMesh:

@@ -91,6 +91,7 @@ def measure(
         wall_definition=wall.definition,
         boundary_world=points,
         boundary_method=boundary.method,
+        boundary_remarks=boundary.remarks,
         alternatives_cc={other.kind: other.closed.volume_mm3() / 1000 for other in alternatives},
         base_area_cm2=area_cm2,
         projection_mm=float(np.abs(heights).max()),

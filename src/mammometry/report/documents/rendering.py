@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from mammometry.base.notices import Notice
-from mammometry.measure.boundary import TO_BE_CONFIRMED
-from mammometry.measure.volume.attribution import Attribution, Confirmation, attributed_words
+from mammometry.measure.volume.attribution import Attribution, Confirmation, attributed_remarks, attributed_words
 from mammometry.report.content import BreastReport, Clinical, ReportContent, StageReport, sentence
 from mammometry.report.first_page import first_page
 from mammometry.report.words.describe import posture_fact
@@ -72,8 +71,12 @@ def attributed_content(
             seen = None if signed is None else Confirmation(by=signed.by, at=at, curve=breast.curve)
             attribution = replace(attribution, confirmation=seen)
         if not breast.unmeasured:
-            words = attributed_words(breast.boundary, breast.curve, attribution, named=named)
-            breast = replace(breast, boundary=words)
+            remarks, curve = breast.boundary_remarks, breast.curve
+            breast = replace(
+                breast,
+                boundary=attributed_words(breast.boundary, remarks, curve, attribution, named=named),
+                boundary_remarks=attributed_remarks(remarks, curve, attribution.confirmation),
+            )
         breasts.append(breast)
     doubts = content.calibration_doubts if clinical is None else ()  # a clinic's technician has them on the rig's page
     of_boundaries = _boundary_warnings(breasts, in_clinic=clinical is not None)
@@ -92,7 +95,7 @@ def _boundary_warnings(breasts: Sequence[BreastReport], *, in_clinic: bool) -> I
         if breast.unmeasured:
             code = "no-breast" if breast.unmeasured == "none" else "side-not-measured"
             yield Notice(code=code, about=(breast.name,), values={"text": sentence(breast.boundary)})
-    unconfirmed = tuple(breast.name for breast in breasts if TO_BE_CONFIRMED in breast.boundary)
+    unconfirmed = tuple(breast.name for breast in breasts if "to-be-confirmed" in breast.boundary_remarks)
     if unconfirmed:
         yield Notice(code="boundary-not-confirmed", about=unconfirmed)
     if not in_clinic and (unconfirmed or any(breast.unmeasured for breast in breasts)):

@@ -21,7 +21,6 @@ from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.quality import MatchQuality
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.settings import NOT_TO_BE_COMPARED
-from mammometry.measure.trunk.head import HEAD_NOT_SHOWN
 from mammometry.measure.volume.attribution import curve_digest
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.content import BreastReport, Fact, LargeNumber, Meaning, StageReport, sentence
@@ -82,6 +81,7 @@ def breast_report(
         cautions=(*own_cautions(measured, shares), *cautions),
         wall=f"{measured.wall_kind.capitalize()}: {sentence(measured.wall_definition, capital=False)}",
         boundary=measured.boundary_method,
+        boundary_remarks=measured.boundary_remarks,
         curve=curve_digest(measured.boundary_world),
         tables=_breast_tables(measured),
     )
@@ -420,7 +420,7 @@ def own_cautions(measured: VolumeMeasurement, shares: Mapping[Provenance, float]
     """
     if not measured.watertight:
         yield "Do not use this volume: its solid is not watertight."
-    if HEAD_NOT_SHOWN in measured.boundary_method:
+    if "head-not-shown" in measured.boundary_remarks:
         yield "Left and right may be exchanged: the body does not show where its head is. See the warnings."
     if shares is not None and shares[Provenance.MEASURED] < SKIN_MEASURED:
         yield f"Only {100 * shares[Provenance.MEASURED]:.0f} % of its skin was measured."
