@@ -369,7 +369,9 @@ def test_evidence_block_by_block_is_that_of_the_whole_covariance():
     )
     found = most_probable(seen, asked)
     rests, still = motions._RESTS_MM, found.still
-    assert still.log_evidence - dense_log_evidence(seen, asked, 0.0, 0.0, still.rest_mm) == pytest.approx(0.0, abs=1e-8)
+    assert still.log_evidence - dense_log_evidence(seen, asked, 0.0, 0.0, found.still_rest_mm) == pytest.approx(
+        0.0, abs=1e-8
+    )
     best = max(
         dense_log_evidence(seen, asked, turn, shift, rest)
         for turn in np.radians(motions._TURNS_DEG)

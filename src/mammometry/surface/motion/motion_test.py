@@ -17,6 +17,7 @@ import numpy as np
 from mammometry.base.errors import SurfaceError
 from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import ParameterCovariance
+from mammometry.calibration.adjust.linear_model import Fit
 from mammometry.geometry import Array, Camera, Float64, Rig, Transform
 from mammometry.surface.motion.agreement import RowErrors, differences
 from mammometry.surface.motion.feature_evidence import CorrectionEvidence, SharedFeatures, weigh_correction
@@ -24,7 +25,6 @@ from mammometry.surface.motion.moved_images import displaced, retriangulated
 from mammometry.surface.motion.rigid_motion import (
     BREATHS_MM,
     LEAST_EVIDENCE,
-    Fit,
     Found,
     MotionParameters,
     Observed,
@@ -172,7 +172,7 @@ def find(
     honest_mm = float(np.median(np.concatenate([comparison.expected_mm for comparison in apart])))
     limit_mm = max(_UNEXPLAINED_MM, honest_mm)
     evidence = moved.expected.log_evidence - moved.still.log_evidence
-    if evidence < LEAST_EVIDENCE and moved.expected.rest_mm < limit_mm:
+    if evidence < LEAST_EVIDENCE and moved.rest_mm < limit_mm:
         return _nothing(parameters, distance_mm=before_mm, evidence=evidence)
     breaths_mm: Sequence[float] = (0.0,)
     breathing = parameters.breathing(rig, np.concatenate([comparison.points for comparison in apart]))
@@ -188,7 +188,7 @@ def find(
     values = again.values + np.where(again.distances, again.by_unknown @ so_far, 0.0)
     seen, moved = most_probably(replace(again, values=values), parameters, breaths_mm)
     best = moved.expected
-    found = replace(_judged(rig, rows, moved, parameters), unexplained=best.rest_mm >= limit_mm)
+    found = replace(_judged(rig, rows, moved, parameters), unexplained=moved.rest_mm >= limit_mm)
     found = replace(found, evidence=evidence, distance_mm=(before_mm, seen.rms_mm(best.motions)))
     sigmas = 0.0 if evidence >= _SURE * LEAST_EVIDENCE else _LEAST_SIGMAS
     matters = any(
@@ -199,7 +199,7 @@ def find(
     if shared is not None and evidence >= LEAST_EVIDENCE:
         found = replace(found, confirmation=_confirmed(rig, found, shared()))
     if found.refuted:
-        return _matched_badly(found, moved.still.rest_mm, before_mm)
+        return _matched_badly(found, moved.still_rest_mm, before_mm)
     _refuse(found, settings, honest_mm)
     if evidence >= LEAST_EVIDENCE and _is_trusted(found):
         return replace(found, corrected=True)
@@ -334,7 +334,7 @@ def _judged(rig: Rig, rows: Mapping[str, RowErrors], moved: Found, parameters: M
         parameters=parameters,
         motions=best.motions,
         covariance=best.covariance,
-        rest_mm=best.rest_mm,
+        rest_mm=moved.rest_mm,
         evidence=0.0,
         distance_mm=(0.0, 0.0),
         alone=None if alone is None else alone[0],

@@ -20,6 +20,7 @@ from scipy.spatial.distance import cdist
 from mammometry.base.normal import MAD
 from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import ParameterCovariance
+from mammometry.calibration.adjust.linear_model import Fit, LinearModel, linear_model, square_root
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA
 from mammometry.calibration.judge.pose_motion import shifts
 from mammometry.geometry import Array, Bool, Float64, Int64, Rig
@@ -212,6 +213,23 @@ class Observed:
         """Rows of the observations that belong to each block."""
         return np.split(values, np.cumsum([len(block) for block in self.own])[:-1])
 
+    def model(self, rest_mm: float) -> LinearModel:
+        """Divide the observations by their noise, block by block.
+
+        All pairs' noise in one matrix would take the sixth power of their number.
+
+        Args:
+            rest_mm: standard deviation of distances between surfaces beyond the known noise: what no motion explains.
+        """
+        both = np.column_stack([self.by_unknown, self.values, self.common])
+        white, log_det = [], 0.0
+        for own, part, distances in zip(self.own, self.of_blocks(both), self.of_blocks(self.distances), strict=True):
+            if len(own):
+                lower = cholesky(own + np.diag(distances * rest_mm**2), lower=True, check_finite=False)
+                white.append(solve_triangular(lower, part, lower=True, check_finite=False))
+                log_det += 2 * float(np.sum(np.log(np.diag(lower))))
+        return linear_model(white, self.by_unknown.shape[1], log_det=log_det)
+
     def rms_mm(self, motions: Float64[Array, " p"] | None = None) -> float:
         """RMS distance between surfaces, measured or after correction, mm."""
         values, design = self.values[self.distances], self.by_unknown[self.distances]
@@ -260,7 +278,7 @@ def observed(
     common = np.zeros((sum(map(len, values)), 0))
     if covariance is not None:
         index = [covariance.names.index(name) for name in names]
-        common = np.concatenate(of_calibration) @ _root(covariance.matrix[np.ix_(index, index)])
+        common = np.concatenate(of_calibration) @ square_root(covariance.matrix[np.ix_(index, index)])
     return Observed(
         values=np.concatenate(values),
         by_unknown=np.concatenate(design),
@@ -269,95 +287,6 @@ def observed(
         distances=np.arange(len(common)) < count,
         rows_of=np.repeat([-1, *range(len(rows))], [count, *(len(seen.points) for seen in rows.values())]),
     )
-
-
-def _root(covariance: Float64[Array, "q q"]) -> Float64[Array, "q k"]:
-    """A matrix that gives the covariance times its transpose."""
-    values, vectors = np.linalg.eigh(covariance)
-    return vectors * np.sqrt(np.maximum(values, 0.0))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Fit:
-    """Motions of certain sizes, and how probable the observations are with them."""
-
-    rest_mm: float
-    """Standard deviation of what no such motion explains, beyond the known noise, of distances between surfaces."""
-    log_evidence: float
-    motions: Float64[Array, " p"]
-    covariance: Float64[Array, "p p"]
-    """Of the motions, after the observations."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Reduced:
-    """Observations in the unknowns' own terms, whitened with a certain rest."""
-
-    rest_mm: float
-    matrix: Float64[Array, "p p"]
-    right: Float64[Array, " p"]
-    squares: float
-    log_det: float
-
-
-def _reduced(seen: Observed, rest_mm: float) -> _Reduced:
-    """Observations divided by their noise, block by block.
-
-    All pairs' noise in one matrix would take the sixth power of their number. What calibration adds has few terms:
-    it is taken off by the Woodbury identity.
-    """
-    both = np.column_stack([seen.by_unknown, seen.values, seen.common])
-    products, log_det = np.zeros((both.shape[1],) * 2), 0.0
-    for own, part, distances in zip(seen.own, seen.of_blocks(both), seen.of_blocks(seen.distances), strict=True):
-        if len(own):
-            lower = cholesky(own + np.diag(distances * rest_mm**2), lower=True, check_finite=False)
-            white = solve_triangular(lower, part, lower=True, check_finite=False)
-            products += white.T @ white
-            log_det += 2 * float(np.sum(np.log(np.diag(lower))))
-    known = seen.by_unknown.shape[1] + 1
-    lower = cholesky(np.eye(len(products) - known) + products[known:, known:], lower=True, check_finite=False)
-    taken = solve_triangular(lower, products[known:, :known], lower=True, check_finite=False)
-    left = products[:known, :known] - taken.T @ taken
-    return _Reduced(
-        rest_mm=rest_mm,
-        matrix=left[:-1, :-1],
-        right=left[:-1, -1],
-        squares=float(left[-1, -1]),
-        log_det=log_det + 2 * float(np.sum(np.log(np.diag(lower)))),
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Sized:
-    """Motions of certain sizes, as far as their evidence needs them."""
-
-    known: _Reduced
-    std: Float64[Array, " p"]
-    free: Int64[Array, " f"]
-    """Unknowns that may differ from 0 and that an observation depends on. All others stay as they were before."""
-    lower: Float64[Array, "f f"]
-    pulled: Float64[Array, " f"]
-    log_evidence: float
-
-
-def _sized(known: _Reduced, std: Float64[Array, " p"]) -> _Sized:
-    """The evidence for sizes."""
-    free = np.flatnonzero((std > 0) & (np.diag(known.matrix) > 0))
-    own = std[free]
-    lower = cholesky(np.eye(len(free)) + known.matrix[np.ix_(free, free)] * np.outer(own, own), lower=True)
-    pulled = solve_triangular(lower, known.right[free] * own, lower=True)
-    misfit = known.squares - float(pulled @ pulled)
-    evidence = -(misfit + known.log_det) / 2 - float(np.sum(np.log(np.diag(lower))))
-    return _Sized(known=known, std=std, free=free, lower=lower, pulled=pulled, log_evidence=evidence)
-
-
-def _fit(sized: _Sized) -> Fit:
-    """The motions themselves."""
-    motions, covariance = np.zeros(len(sized.std)), np.diag(sized.std**2)
-    root = solve_triangular(sized.lower, np.diag(sized.std[sized.free]), lower=True)
-    motions[sized.free] = root.T @ sized.pulled
-    covariance[np.ix_(sized.free, sized.free)] = root.T @ root
-    return Fit(rest_mm=sized.known.rest_mm, log_evidence=sized.log_evidence, motions=motions, covariance=covariance)
 
 
 def without_outliers(seen: Observed, parameters: MotionParameters) -> Observed:
@@ -370,7 +299,7 @@ def without_outliers(seen: Observed, parameters: MotionParameters) -> Observed:
     std = np.sqrt(seen.variance)
     large_std = parameters.prior_std(np.radians(_FIRST_TURN_DEG), _FIRST_SHIFT_MM, _FIRST_SHIFT_MM)
     for _ in range(_OUTLIER_ROUNDS):
-        large = _fit(_sized(_reduced(seen.only(keep), _FIRST_REST_MM), large_std))
+        large = seen.only(keep).model(_FIRST_REST_MM).fit(large_std)
         left = np.abs(seen.values - seen.by_unknown @ large.motions)
         typical = max(MAD * float(np.median(left[keep & seen.distances])), _CELL_MM)
         inside = ~seen.distances | (left < _OUTLIER_SIGMAS * typical)
@@ -407,8 +336,12 @@ class Found:
 
     still: Fit
     """The best fit without any motion."""
+    still_rest_mm: float
+    """Disagreement that it leaves beyond the known noise, standard deviation, mm."""
     expected: Fit
     """Mean over all motions, each size weighted by its evidence. Its `log_evidence` is the best one's."""
+    rest_mm: float
+    """Disagreement that the best motions leave beyond the known noise, standard deviation, mm."""
     alone: tuple[str, Fit] | None
     """Camera, or first pair of a group, whose motion alone explains everything equally well, and that fit."""
 
@@ -420,19 +353,21 @@ def most_probable(seen: Observed, parameters: MotionParameters, breaths_mm: Sequ
     it: cameras of one pair may turn alike by chance, and the others' motions would then be taken for certain.
     """
     rests_mm = _RESTS_MM if seen.distances.any() else _RESTS_MM[:1]  # rows alone say nothing of a rest
-    reduced = [_reduced(seen, rest_mm) for rest_mm in rests_mm]
+    models = {rest_mm: seen.model(rest_mm) for rest_mm in rests_mm}
     none = np.zeros(parameters.count)
-    still = max((_sized(known, none) for known in reduced), key=lambda size: size.log_evidence)
+    still_rest_mm = max(models, key=lambda rest_mm: models[rest_mm].log_evidence(none))
     sizes = [parameters.prior_std(*size) for size in product(np.radians(_TURNS_DEG).tolist(), _SHIFTS_MM, breaths_mm)]
-    tried = [_sized(known, std) for known, std in product(reduced, sizes)]
-    top = max(tried, key=lambda size: size.log_evidence)
-    likely = [_fit(size) for size in tried if size.log_evidence > top.log_evidence - LEAST_EVIDENCE]
-    parts = ((name, _sized(top.known, std)) for name, std in _alone(parameters))
-    name, alone = max(parts, key=lambda named: named[1].log_evidence)
+    tried = [(models[rest_mm].log_evidence(std), rest_mm, std) for rest_mm, std in product(models, sizes)]
+    evidence, rest_mm, std = max(tried, key=lambda hypothesis: hypothesis[0])
+    likely = [models[rest].fit(std) for log_evidence, rest, std in tried if log_evidence > evidence - LEAST_EVIDENCE]
+    alone = ((name, models[rest_mm].fit(std)) for name, std in _alone(parameters))
+    named = max(alone, key=lambda part: part[1].log_evidence)
     return Found(
-        still=_fit(still),
-        expected=_expected(likely, _fit(top)),
-        alone=(name, _fit(alone)) if alone.log_evidence > top.log_evidence else None,
+        still=models[still_rest_mm].fit(none),
+        still_rest_mm=still_rest_mm,
+        expected=_expected(likely, models[rest_mm].fit(std)),
+        rest_mm=rest_mm,
+        alone=named if named[1].log_evidence > evidence else None,
     )
 
 
