@@ -33,8 +33,16 @@ With `--json` an error is one object with `code`, `kind`, `exit_code`, `error` (
 _NOTICES = """
 ## Notices
 
-`results/report/warnings.json` has the report's warnings as sentences (`warnings`), and in the same order their codes
-(`notices`): each with `code`, `level` (`warning` or `note`), `about` (breasts, cameras or pairs) and `values`.
+A notice is a warning or a remark. With `--json`, commands give their notices under `notices`, and the same in words
+under `warnings` or `notes`. `results/report/warnings.json` has both for the report, in the same order. A notice has:
+
+| field | content |
+| --- | --- |
+| `code` | one of the table below |
+| `level` | `warning`: it changes what the volumes mean; `note`: it may be read later |
+| `about` | breasts, cameras or pairs |
+| `photographs` | photographs that show it, as `capture/CAMERA` or `calibration/POSE/CAMERA` |
+| `values` | what the words contain, by name; the name ends with the unit |
 
 | code | words |
 | --- | --- |

@@ -17,7 +17,7 @@ from mammometry.base.units import MM_PER_UNIT, unit_in_comment, unit_named
 from mammometry.cli import main
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.meshes.foreign import read_foreign
-from mammometry.io.meshes.scans import ABOUT, SIDES_DOUBTFUL, Scan, confirm_sides, import_scan, read_scan, scan_text
+from mammometry.io.meshes.scans import ABOUT, Scan, confirm_sides, import_scan, read_scan, scan_text
 from mammometry.io.outputs import write_outputs
 from mammometry.measure.scan_repair import repair_scan
 from mammometry.measure.shape.body_size import UNCHECKED
@@ -76,10 +76,10 @@ def test_a_mirrored_scan_is_warned_of_until_somebody_compared_its_sides(tmp_path
     assert not drawn_job(right, tmp_path / "right", 1.0, units=units).sides_doubtful
     doubtful = drawn_job(wrong, tmp_path / "wrong", -1.0, units=units)
     assert doubtful.sides_doubtful
-    assert doubtful.notes[0] == SIDES_DOUBTFUL
+    assert doubtful.notices[0].code == "sides-doubtful"
     checked = drawn_job(wrong, tmp_path / "wrong", -1.0, units=units, sides_checked=True)
     assert not checked.sides_doubtful
-    assert any("inside out" in note for note in checked.notes)  # it is said all the same
+    assert any("inside out" in str(notice.values) for notice in checked.notices)  # it is said all the same
 
 
 @pytest.mark.requirement("R-SIDE-4")
@@ -145,8 +145,8 @@ def test_a_mirrored_scan_exchanges_the_volumes_and_its_first_page_says_so(
     right = measured(front(), "right", 1.0)
     wrong = measured(mirrored(front()), "wrong", -1.0)
     assert wrong["volumes_cc"]["left"] == pytest.approx(right["volumes_cc"]["right"], rel=0.01)  # type: ignore[index]
-    assert SIDES_DOUBTFUL not in right["notes"]  # type: ignore[operator]
-    assert SIDES_DOUBTFUL in wrong["notes"]  # type: ignore[operator]
+    assert "sides-doubtful" not in {notice["code"] for notice in right["notices"]}  # type: ignore[operator]
+    assert "sides-doubtful" in {notice["code"] for notice in wrong["notices"]}  # type: ignore[operator]
     said = "Left and right may be exchanged"
     assert said not in (tmp_path / "right" / "report" / "report.html").read_text()
     assert (tmp_path / "wrong" / "report" / "report.html").read_text().count(said) >= 2  # first page, and the warning
@@ -221,10 +221,14 @@ def test_an_imported_scans_unit_is_noted_when_it_is_measured(tmp_path: Path) -> 
     mesh = written(in_unit(front(), "cm"), tmp_path / "a.ply")
     folder = tmp_path / "scan"
     write_outputs(folder, import_scan(mesh, Scan(scanner="A", units="")), command="import mesh")
-    assert open_scan(folder).notes[0].startswith("The unit of the mesh is taken to be cm, as the body's size shows.")
+    assert str(open_scan(folder).notices[0].values["text"]).startswith(
+        "The unit of the mesh is taken to be cm, as the body's size shows."
+    )
     lines = [line for line in (folder / ABOUT).read_text().splitlines() if not line.startswith("remarks")]
     (folder / ABOUT).write_text("\n".join(lines))  # as version 1.0 wrote it
-    assert open_scan(folder).notes[0].startswith("The unit of the mesh is taken to be cm, as the body's size shows.")
+    assert str(open_scan(folder).notices[0].values["text"]).startswith(
+        "The unit of the mesh is taken to be cm, as the body's size shows."
+    )
 
 
 # --- the shared bodies ---

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from mammometry.api.previews import Drawing, Previews
-from mammometry.api.results import Results, is_refusal_shown, seen, show_refusal, torso_notes, withdraw_refusal
+from mammometry.api.results import Results, is_refusal_shown, seen, show_refusal, withdraw_refusal
 from mammometry.api.stored_report import Reported
 from mammometry.base.errors import (
     CalibrationError,
@@ -45,6 +45,7 @@ from mammometry.job.inputs import CameraSet, FinishedSurface
 from mammometry.job.products import STAGES, Key, Stage
 from mammometry.job.stages import calibrate, match, measure, surface
 from mammometry.job.stages.report import PageInputs, previews_key
+from mammometry.report.words.doubts import torso_notices
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
@@ -260,7 +261,7 @@ class Job(Reported):
             report=self.page if report else None,
             no_breast=self.no_breast(),
             lacking={side.name: side for side in self.lacking()},
-            notes=torso_notes(self.plan, self.session.manifest.subject.patient_posture or None),
+            notices=torso_notices(self.plan, self.session.manifest.subject.patient_posture or None),
             made=tuple(self.store.made[before:]),
             made_at=self.made_at(last),
         )

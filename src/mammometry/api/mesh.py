@@ -26,13 +26,14 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from mammometry.api.previews import load
-from mammometry.api.results import Results, is_refusal_shown, show_refusal, torso_notes, withdraw_refusal
+from mammometry.api.results import Results, is_refusal_shown, show_refusal, withdraw_refusal
 from mammometry.api.stored_report import Reported
 from mammometry.base.child_process import ChildProcess, Ended, NotDone
 from mammometry.base.errors import MammometryError, MeasureError, SessionError
 from mammometry.base.identity import Identity
 from mammometry.base.machine.cores import available_cores, one_blas_thread
 from mammometry.base.machine.system import peak_memory_mb
+from mammometry.base.notices import Notice
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry import Array, Float64, TriangleMesh
 from mammometry.geometry.nearest import barycentric, closest_on_mesh
@@ -45,7 +46,7 @@ from mammometry.io.drawn import (
 )
 from mammometry.io.meshes.foreign import ForeignMesh, read_foreign, unit_remark
 from mammometry.io.meshes.merged import merge_scans, sigma_mm, stored_sources
-from mammometry.io.meshes.scans import SIDES_DOUBTFUL, Scan, skin_colours
+from mammometry.io.meshes.scans import Scan, skin_colours
 from mammometry.io.outputs import require_apart, require_own_folder, take_folder
 from mammometry.io.results.store import Store, Watch, unwatched
 from mammometry.io.subject import check_mesh
@@ -55,6 +56,7 @@ from mammometry.job.products import Key, at_hand
 from mammometry.job.stages import calibrate, measure, surface
 from mammometry.job.stages.report import PageInputs
 from mammometry.measure.landmarks.landmarks import PICKED_SIGMA_MM
+from mammometry.report.words.doubts import torso_notices
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
@@ -205,16 +207,15 @@ class MeshJob(Reported):
         places = {} if files.landmarks is None else landmarks_in(files.landmarks, self.kind)
         scan = repair_scan(foreign.mesh, largest=files.largest, skin_alone=self.kind == "torso")
         by_axes = self.kind == "torso" and (files.automatic or files.head is not None)
-        frame = None
-        if by_axes:
-            frame = scanned.frame_from_axes(scan.mesh, files.head, files.ahead)
+        frame = scanned.frame_from_axes(scan.mesh, files.head, files.ahead) if by_axes else None
+        if frame is not None:
             scan = front_of_body(scan, frame)
         checked = files.sides_checked or (files.scan is not None and bool(files.scan.sides))
         self.sides_doubtful = self.kind == "torso" and scan.inside_out and not checked
-        self.notes: tuple[str, ...] = (
-            *([SIDES_DOUBTFUL] if self.sides_doubtful else []),
-            *(foreign.notes if files.scan is None else files.scan.remarks or filter(None, [self._assumed])),
-            *scan.notes,
+        of_file = foreign.notes if files.scan is None else files.scan.remarks or filter(None, [self._assumed])
+        self.notices: tuple[Notice, ...] = (
+            *([Notice(code="sides-doubtful")] if self.sides_doubtful else []),
+            *(Notice(code="mesh-repaired", level="note", values={"text": note}) for note in (*of_file, *scan.notes)),
         )
         mesh = scan.mesh
         curves = {name: scanned.in_mesh_unit(curve, mesh, foreign.mm_per_unit) for name, curve in curves.items()}
@@ -337,7 +338,7 @@ class MeshJob(Reported):
             folder=self.store.folder,
             report=self.page if report else None,
             no_breast=no_breast,
-            notes=(*self.notes, *torso_notes(self.plan, self.posture if self.kind == "torso" else None)),
+            notices=(*self.notices, *torso_notices(self.plan, self.posture if self.kind == "torso" else None)),
             merged=tuple(scan.as_table() for scan in self.also),
             made=tuple(self.store.made[before:]),
             made_at=self.store.made_at(
@@ -415,7 +416,7 @@ class MeshJob(Reported):
             units=self.units,
             world=WORLD,
             scanner=self.scanner,
-            notes=self.notes,
+            notices=self.notices,
             posture=self.posture,
             sides_doubtful=self.sides_doubtful,
             sources=self._sources,

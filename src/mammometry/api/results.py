@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from mammometry.base.errors import MammometryError
 from mammometry.base.identity import Identity
+from mammometry.base.notices import Notice
 from mammometry.base.parse import error_text
 from mammometry.io.outputs import write_outputs
 from mammometry.job.graph import Plan
@@ -44,9 +45,9 @@ class Results:
     """The report's page. None if it was not wanted."""
     no_breast: Mapping[str, str] = field(default_factory=dict)
     """Side of a torso without a breast → the evidence for that."""
-    notes: tuple[str, ...] = ()
-    """What was changed in a scanner's mesh, what was taken for granted, what makes a torso's volumes doubtful, and the
-    posture that they belong to, one sentence each."""
+    notices: tuple[Notice, ...] = ()
+    """What was changed in a scanner's mesh, what was assumed, what makes a torso's volumes doubtful, and the posture
+    that they belong to."""
     lacking: Mapping[str, VolumeDeficit] = field(default_factory=dict)
     """Side of a torso → what it lacks compared with the mirrored other side."""
     merged: tuple[Mapping[str, Any], ...] = ()
@@ -55,6 +56,13 @@ class Results:
     """``stage/product`` of everything that this run made. Empty if everything existed already."""
     made_at: str | None = None
     """When the newest of the results was made, ISO 8601, UTC."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The notices in words, one sentence each."""
+        from mammometry.report.words.notices import words_of
+
+        return tuple(map(words_of, self.notices))
 
     @property
     def volumes_cc(self) -> dict[str, float]:
@@ -115,6 +123,7 @@ class Results:
             "difference_interval_cc": None if interval_cc is None else [round(bound, 3) for bound in interval_cc],
             "no_breast": dict(self.no_breast),
             "notes": list(self.notes),
+            "notices": [notice.as_table() for notice in self.notices],
             **({"merged_scans": [dict(scan) for scan in self.merged]} if self.merged else {}),
             "lacking_cc": {name: round(deficit.volume_cc, 3) for name, deficit in self.lacking.items()},
             "lacking_interval_cc": {
@@ -131,19 +140,6 @@ class Results:
             "made": list(self.made),
             "made_at": self.made_at,
         }
-
-
-def torso_notes(plan: Plan, posture: str | None) -> tuple[str, ...]:
-    """Sentences for the terminal on a measured torso.
-
-    Args:
-        plan: of its measurement.
-        posture: empty where it was not given; None: no torso.
-    """
-    from mammometry.report.words.doubts import body_doubts, posture_note
-    from mammometry.report.words.notices import words_of
-
-    return () if posture is None else (*map(words_of, body_doubts(plan)), posture_note(posture))
 
 
 _LOG = logging.getLogger(__name__)

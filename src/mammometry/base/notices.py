@@ -23,9 +23,17 @@ class Notice:
     """``warning``: it changes what the volumes mean. ``note``: it may be read later."""
     about: tuple[str, ...] = ()
     """Breasts ("left"), cameras or pairs that it concerns."""
+    photographs: tuple[str, ...] = ()
+    """Photographs that show it: ``capture/CAMERA`` or ``calibration/POSE/CAMERA``."""
     values: Mapping[str, float | str] = field(default_factory=dict)
     """What its words contain, by name. Units are part of the name: ``percent``, ``cm2``, ``px``."""
 
     def as_table(self) -> dict[str, object]:
         """The notice for JSON."""
-        return {"code": self.code, "level": self.level, "about": list(self.about), "values": dict(self.values)}
+        return {
+            "code": self.code,
+            "level": self.level,
+            "about": list(self.about),
+            "photographs": list(self.photographs),
+            "values": dict(self.values),
+        }

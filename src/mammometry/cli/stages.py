@@ -254,7 +254,7 @@ def report(
 
 def volume_lines(results: Results) -> list[Any]:
     """Volumes in words, and where the report is."""
-    from mammometry.io.meshes.scans import SIDES_DOUBTFUL
+    from mammometry.report.words.notices import words_of
     from mammometry.report.words.volumes import MEANINGS, definition_words, measured_words, verdict_words
 
     lines: list[Any] = []
@@ -272,7 +272,7 @@ def volume_lines(results: Results) -> list[Any]:
         lines.append(
             f"    {name} lacks {measured_words(deficit.volume_cc, deficit.interval_cc)} to the other side, mirrored"
         )
-    lines += [f"{'Warning' if note == SIDES_DOUBTFUL else 'note'}: {note}" for note in results.notes]
+    lines += [f"{'Warning' if notice.level == 'warning' else 'note'}: {words_of(notice)}" for notice in results.notices]
     if not lines:
         lines.append("The session shows an open surface, which has no volume.")
     made = f"{len(results.made)} results made in {results.seconds:.1f} s"

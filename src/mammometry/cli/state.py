@@ -67,6 +67,7 @@ def info(options: Options, session: SessionOrScan) -> Answer:
 def _scan_info(folder: Path, options: Options) -> Answer:
     """Contents of an imported scan, its current results, and the next step."""
     from mammometry.api.scan_folders import open_scan
+    from mammometry.report.words.notices import words_of
 
     scan = open_scan(folder, options.settings())
     keys = [product.key for product in scan.plan.products()]
@@ -78,6 +79,7 @@ def _scan_info(folder: Path, options: Options) -> Answer:
     drawn = [f"boundary {name}: {how}" for name, how in words.items()]
     done = all(about["state"] == "current" for about in stages.values())
     then = _opening(scan.page) if done else command_line("mammometry", "measure", folder, *options.words)
+    notes = list(map(words_of, scan.notices))
     table: dict[str, Any] = {
         "scan": str(folder),
         "scanner": scan.scanner,
@@ -85,7 +87,8 @@ def _scan_info(folder: Path, options: Options) -> Answer:
         "subject_id": scan.identity.subject,
         "units": scan.units,
         "posture": scan.posture or None,
-        "notes": list(scan.notes),
+        "notes": notes,
+        "notices": [notice.as_table() for notice in scan.notices],
         "boundaries": sorted(scan.inputs.boundaries),
         "drawn": words,
         "stages": stages,
@@ -94,7 +97,7 @@ def _scan_info(folder: Path, options: Options) -> Answer:
     }
     first = f"scanner {scan.scanner}, unit {scan.units}, posture {scan.posture or 'not given'}"
     shown = _products_table(stages) if options.verbose > 0 else _stages_table(stages)
-    lines = [first, *drawn, *scan.notes, "", shown, *_after_table(table), "", f"Next: {then}"]
+    lines = [first, *drawn, *notes, "", shown, *_after_table(table), "", f"Next: {then}"]
     return Answer(table, lines)
 
 

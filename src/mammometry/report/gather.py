@@ -3,7 +3,7 @@
 So little is held in memory.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 
@@ -102,6 +102,11 @@ class RunResults:
     """Motion of the body between one telephone's photographs."""
 
 
+def captured(cameras: Iterable[str]) -> tuple[str, ...]:
+    """Names of the cameras' photographs of the subject."""
+    return tuple(f"capture/{camera}" for camera in cameras)
+
+
 def warnings(run: RunResults) -> Iterator[Notice]:
     """Warn of what the volumes rest on, the gravest first."""
     for measured in run.measurements:
@@ -115,7 +120,8 @@ def warnings(run: RunResults) -> Iterator[Notice]:
         reasons = "; ".join(dict.fromkeys(run.unseparated.values()))
         drawn = [f"masks/{name}.png" for name, reason in run.unseparated.items() if reason != OF_PARTNER]
         values = {"reasons": reasons, "masks": " and ".join(drawn)}
-        yield Notice(code="outline-not-used", about=tuple(run.unseparated), values=values)
+        cameras = tuple(run.unseparated)
+        yield Notice(code="outline-not-used", about=cameras, photographs=captured(cameras), values=values)
     for text in run.moved:
         yield Notice(code="moved", values={"text": text})
     if any("head-not-shown" in measured.boundary_remarks for measured in run.measurements):
@@ -124,7 +130,7 @@ def warnings(run: RunResults) -> Iterator[Notice]:
 
 def run_concerns(run: RunResults) -> Iterator[Notice]:
     """Warn of what went less well in calibration and matching."""
-    of_rig = rig_doubts(run.quality, run.calibration)
+    of_rig = rig_doubts(run.quality)
     if of_rig:
         yield Notice(code="calibration-doubtful", values={"text": sentence(of_rig[0])})
     if run.walk is not None and run.walk_motion is not None:
@@ -145,10 +151,16 @@ def run_concerns(run: RunResults) -> Iterator[Notice]:
     hidden = {name: occlusion.share for name, occlusion in run.blocked.items() if occlusion.share > _BLOCKED}
     if hidden:
         shares = ", ".join(f"{name} ({100 * share:.0f} %)" for name, share in hidden.items())
-        yield Notice(code="subject-hidden", level="note", about=tuple(hidden), values={"shares": shares})
+        yield Notice(
+            code="subject-hidden",
+            level="note",
+            about=tuple(hidden),
+            photographs=captured(hidden),
+            values={"shares": shares},
+        )
     blind = [name for name, known in run.foregrounds.items() if known.everything and name not in run.unseparated]
     if blind:
-        yield Notice(code="subject-not-separated", level="note", about=tuple(blind))
+        yield Notice(code="subject-not-separated", level="note", about=tuple(blind), photographs=captured(blind))
     for measured in run.measurements:
         share = describe.skin_shares(measured, run.repaired)[Provenance.MEASURED]
         if share < describe.SKIN_MEASURED:
@@ -374,12 +386,9 @@ def gather_mesh(
         world=origin.world,
         warnings=(
             *body_doubts(plan),
-            *([Notice(code="sides-doubtful")] if origin.sides_doubtful else []),
+            *(notice for notice in origin.notices if notice.level == "warning"),
             *_warnings(measurements, body),
-            *(
-                Notice(code="mesh-repaired", values={"text": note})
-                for note in (origin.notes[1:] if origin.sides_doubtful else origin.notes)
-            ),
+            *(notice for notice in origin.notices if notice.level == "note"),
         ),
         breasts=tuple(
             sorted(

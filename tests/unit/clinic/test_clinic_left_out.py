@@ -16,7 +16,8 @@ from mammometry.clinic.roles import Role
 
 CAMERAS = ("front_left", "front_right")
 POOR = "pose 02: 9 of 88 points of front_left were left out as outliers"
-FIGURES = {"verdict": "warn", "reasons": [POOR, "the residuals are good"], "doubts": [POOR], "cameras": {}}
+DOUBTS = [{"sentence": POOR, "photographs": ["02/front_left"]}]
+FIGURES = {"verdict": "warn", "reasons": [POOR, "the residuals are good"], "doubts": DOUBTS, "cameras": {}}
 
 
 @pytest.fixture
@@ -123,8 +124,9 @@ def test_others_look_and_change_nothing(client_of, calibration):
     assert researcher.get(f"/calibrations/{calibration.pk}/photographs/02/front_left.webp").status_code == 403
 
 
-def test_a_calibration_of_version_1_0_shows_its_first_reason(client_of, calibration):
-    calibration.figures = {name: value for name, value in FIGURES.items() if name != "doubts"}
+@pytest.mark.parametrize("doubts", [{}, {"doubts": [POOR]}])
+def test_a_calibration_of_an_earlier_version_has_sentences(client_of, calibration, doubts):
+    calibration.figures = {name: value for name, value in FIGURES.items() if name != "doubts"} | doubts
     calibration.save()
     assert "02/front_left" in client_of(Role.TECHNICIAN).get(f"/calibrations/{calibration.pk}/").content.decode()
 

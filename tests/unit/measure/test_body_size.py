@@ -156,5 +156,5 @@ def test_a_refusal_names_the_unit_and_a_confirmed_size_is_measured(
     confirmed = Settings(measure=MeasureSettings(size_confirmed=True))
     results = MeshJob(given, tmp_path / "sure", confirmed).run(report=False)
     assert set(results.measurements) == {"left", "right"}
-    assert any("large for an adult" in note for note in results.notes)
-    assert results.notes[-1].startswith("Posture: not given.")
+    assert "body-size" in {notice.code for notice in results.notices}
+    assert (results.notices[-1].code, results.notices[-1].values) == ("posture", {"posture": "not given"})

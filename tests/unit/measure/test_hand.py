@@ -37,4 +37,4 @@ def test_a_breast_under_a_hand_is_not_measured_unless_somebody_confirmed_that_it
     confirmed = Settings(measure=MeasureSettings(bare_confirmed=True))
     results = MeshJob(files, tmp_path / "sure", confirmed).run(report=False)
     assert results.volumes_cc["left"] > 1.2 * bare.volumes_cc["left"]  # what the refusal is for
-    assert any("bare_confirmed" in note for note in results.notes)
+    assert "skin-covered" in {notice.code for notice in results.notices}

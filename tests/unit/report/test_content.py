@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import synthetic
 
+from mammometry.calibration.judge.findings import Doubt, Shot
 from mammometry.calibration.judge.quality import assess
 from mammometry.measure.volume.measurement import DefinedVolume, Meaning
 from mammometry.report.figures.thinning import thinned_ranges
@@ -164,7 +165,7 @@ def test_a_clean_run_warns_of_nothing_but_what_the_calibration_says(rig) -> None
 
 
 def test_each_fault_has_its_warning(rig) -> None:
-    quality = replace(assess(synthetic.calibration(rig)), verdict="warn", doubts=("camera one_left moved",))
+    quality = replace(assess(synthetic.calibration(rig)), verdict="warn", doubts=(Doubt("camera one_left moved"),))
     assert "Check the calibration. Camera one_left moved." in warned(rig, quality=quality)
     assert "cameras were imported" in warned(rig, calibration=None, quality=None)
     assert "vertical disparity of 0.50 ± 0.00 px" in warned(rig, matching=synthetic.matching(rig, d_v_px=0.5))
@@ -191,11 +192,11 @@ def test_each_fault_has_its_warning(rig) -> None:
 def test_a_poor_photograph_of_the_board_comes_last_and_the_rig_first(rig) -> None:
     calibration = synthetic.calibration(rig)
     view = calibration.observations.detections[0]
-    poor = f"pose {view.pose}: 9 of 50 points of {view.camera} were left out as outliers"
-    doubts = (poor, "the target was shown in only 9 % of the space")
+    poor = Doubt("9 of 50 points were left out as outliers", (Shot(view.camera, view.pose),))
+    doubts = (poor, Doubt("the target was shown in only 9 % of the space"))
     said = warned(rig, quality=replace(assess(calibration), verdict="warn", doubts=doubts)).splitlines()
     assert said[0] == "Check the calibration. The target was shown in only 9 % of the space."
-    assert said[-1] == f"P{poor[1:]}."
+    assert said[-1] == "9 of 50 points were left out as outliers."
     alone = warned(rig, quality=replace(assess(calibration), verdict="warn", doubts=doubts[:1]))
     assert "Check the calibration" not in alone
 

@@ -89,7 +89,18 @@ _REJECTED_WARN = 0.15
 board's rim, or out of focus, err more than their σ."""
 
 Verdict: TypeAlias = Literal["pass", "warn", "refuse"]
-Finding: TypeAlias = tuple[Verdict, str]
+Finding: TypeAlias = tuple[Verdict, str, *tuple[Shot, ...]]
+"""Verdict, sentence, and the photographs that it is about."""
+
+
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """A finding that deserves a look."""
+
+    sentence: str
+    shots: tuple[Shot, ...] = ()
+    """The photographs that it is about. Empty: it is about the whole calibration."""
+
 
 _SQUARE_PIXELS, _SURE_SIGMA = 0.01, 5.0
 """Share by which pixels may differ from squares, and standard deviations by which they then must. Real cameras are
@@ -109,18 +120,22 @@ def about_names(calibration: Calibration) -> Iterator[Finding]:
                 "warn",
                 f"pose {pose}: the picture of {camera} does not fit the others (off by {residual_px:.2g} px) and was "
                 "set aside. Check that it is the right file, and was exposed together with the others",
+                Shot(camera, pose),
             )
         elif truly.get((other.camera, other.pose)) == Shot(camera, pose):
             if (other.camera, other.pose) not in reported:
                 reported.add((camera, pose))
                 where = f"pose {pose}" if other.pose == pose else f"poses {pose} and {other.pose}"
                 names = f"{camera} and {other.camera}" if other.camera != camera else camera
-                yield "warn", f"{where}: the pictures of {names} are exchanged. They were set aside"
+                sentence = f"{where}: the pictures of {names} are exchanged. They were set aside"
+                yield "warn", sentence, Shot(camera, pose), other
         else:
             yield (
                 "warn",
                 f"pose {pose}: the picture of {camera} does not fit the others. It is the one of {other.camera} in "
                 f"pose {other.pose}. It was set aside",
+                Shot(camera, pose),
+                other,
             )
 
 
@@ -131,7 +146,7 @@ def about_missed(calibration: Calibration) -> Iterator[Finding]:
     """
     for view in calibration.observations.missed:
         if view.remedy and not sees_badly(calibration, view.camera, view.pose):
-            yield "warn", str(view)
+            yield "warn", str(view), Shot(view.camera, view.pose)
 
 
 def about_inverse(calibration: Calibration) -> Iterator[Finding]:
@@ -162,7 +177,8 @@ def about_movements(movements: Sequence[Movement]) -> Iterator[Finding]:
             sentence += (
                 f"Poses before and after do not belong together. Points would be {movement.effect_mm:.2f} mm off"
             )
-        yield "refuse" if movement.effect_mm > _MOVED_REFUSE_MM else "warn", sentence
+        shots = (Shot(camera, movement.first) for camera in movement.cameras)
+        yield "refuse" if movement.effect_mm > _MOVED_REFUSE_MM else "warn", sentence, *shots
 
 
 def about_fit(calibration: Calibration, views: Sequence[ViewQuality]) -> Iterator[Finding]:
@@ -177,12 +193,14 @@ def about_fit(calibration: Calibration, views: Sequence[ViewQuality]) -> Iterato
             yield (
                 "warn",
                 f"pose {view.pose}: {view.rejected} of {view.points} points of {view.camera} were left out as outliers",
+                Shot(view.camera, view.pose),
             )
         if view.rms_px > _BLURRED_RATIO * typical:
             yield (
                 "warn",
                 f"pose {view.pose}: points of {view.camera} are measured only to {view.rms_px:.2f} px, others to "
                 f"{typical:.2f} px. Is the picture blurred, shaken or badly lit?",
+                Shot(view.camera, view.pose),
             )
 
 
@@ -195,6 +213,7 @@ def about_bias(calibration: Calibration, views: Sequence[ViewQuality]) -> Iterat
                 "refuse" if view.bias > BIAS_REFUSE else "warn",
                 f"pose {view.pose}: all points that {view.camera} saw are shifted together by {view.bias:.0f} standard "
                 f"errors (limit {BIAS_REFUSE:.0f}). A camera or the target moved, or the target bent",
+                Shot(view.camera, view.pose),
             )
 
 

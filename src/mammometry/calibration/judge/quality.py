@@ -15,6 +15,7 @@ from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.judge.expected_error import expected_error
 from mammometry.calibration.judge.findings import (
+    Doubt,
     Finding,
     Verdict,
     about_bias,
@@ -62,7 +63,7 @@ class CalibrationQuality:
     """One sentence each, worst first. Good findings are listed too."""
     refusals: tuple[str, ...]
     """Those of the reasons for which the calibration is refused."""
-    doubts: tuple[str, ...]
+    doubts: tuple[Doubt, ...]
     """Those of the reasons that deserve a look."""
     rms_px: float
     rms_px_per_camera: Mapping[str, float]
@@ -120,9 +121,9 @@ def assess(calibration: Calibration, settings: QualitySettings = QualitySettings
     findings.sort(key=lambda finding: _GRAVITY[finding[0]])
     return CalibrationQuality(
         verdict=findings[0][0],
-        reasons=tuple(reason for _, reason in findings),
-        refusals=tuple(reason for verdict, reason in findings if verdict == "refuse"),
-        doubts=tuple(reason for verdict, reason in findings if verdict == "warn"),
+        reasons=tuple(reason for _, reason, *_ in findings),
+        refusals=tuple(reason for verdict, reason, *_ in findings if verdict == "refuse"),
+        doubts=tuple(Doubt(reason, tuple(shots)) for verdict, reason, *shots in findings if verdict == "warn"),
         rms_px=calibration.rms_px,
         rms_px_per_camera={name: pooled_rms([v for v in views if v.camera == name]) for name in coverage},
         rms_px_per_pose={

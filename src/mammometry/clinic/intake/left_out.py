@@ -4,8 +4,9 @@ The calibration that is in use is never changed: visits were measured with it. A
 photographs less those that are left out, which are kept as set aside. The former one can be used again.
 """
 
+import re
 import uuid
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from mammometry.clinic.rig_history import new_calibration
 from mammometry.clinic.site import the_clinic
 from mammometry.io.photographs.images import EXTENSIONS
 from mammometry.io.write import disk_errors, file_digest
-from mammometry.report.words.photographs import named_photographs
+from mammometry.report.content import sentence
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,16 +59,27 @@ def board_photographs(calibration: Calibration) -> dict[str, BoardPhotograph]:
 def doubts_of(calibration: Calibration) -> list[Doubt]:
     """Warnings of a calibration that name photographs of the board, the worst first."""
     photographs = board_photographs(calibration)
-    names = {f"calibration/{key}": key for key in photographs}
     figures = calibration.figures
     reasons = figures.get("reasons", [])[:1] if figures.get("verdict") == "warn" else []  # of version 1.0
     doubts = []
-    for reason in figures.get("doubts", reasons):
-        named = named_photographs(reason, names)
+    for doubt in figures.get("doubts", reasons):
+        words, named = (
+            (doubt, _named_in_1_0(doubt, photographs.values()))
+            if isinstance(doubt, str)
+            else (doubt["sentence"], [photographs[key] for key in doubt["photographs"] if key in photographs])
+        )
         if named:
-            sentence = f"{reason[0].upper()}{reason[1:].rstrip('.')}."
-            doubts.append(Doubt(sentence=sentence, photographs=[photographs[key] for key in named.values()]))
+            doubts.append(Doubt(sentence=sentence(words), photographs=named))
     return doubts
+
+
+def _named_in_1_0(words: str, photographs: Iterable[BoardPhotograph]) -> list[BoardPhotograph]:
+    """Photographs that a warning of version 1.0 is about. It was stored as a sentence that names pose and camera."""
+
+    def names(word: str) -> bool:
+        return re.search(rf"(?<![\w.-]){re.escape(word)}(?![\w-])", words, re.IGNORECASE) is not None
+
+    return [one for one in photographs if names(f"pose {one.pose}") and names(one.camera)]
 
 
 def calibrate_without(calibration: Calibration, left_out: Collection[str], by: Person | None) -> Calibration:

@@ -192,7 +192,10 @@ def calibrate(progress: StageProgress, session: str, settings: str) -> dict[str,
     if result is not None:
         quality = assess(result, job.settings.calibration.quality)
         figures |= {
-            "doubts": list(quality.doubts),
+            "doubts": [
+                {"sentence": doubt.sentence, "photographs": [f"{shot.pose}/{shot.camera}" for shot in doubt.shots]}
+                for doubt in quality.doubts
+            ],
             "rms_mm": quality.rms_mm,
             "rms_px_of": dict(quality.rms_px_per_camera),
             "coverage_of": dict(quality.coverage),

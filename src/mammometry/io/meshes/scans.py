@@ -45,12 +45,6 @@ FILES = (ABOUT, MESH, OBJ, MTL, *(f"texture-{n}.{end}" for n in range(1, MOST_PI
 """All files that a scan's folder may hold."""
 AXES = ("y", "-y", "z", "-z", "x", "-x")
 """Axes of a file, of which one points to the head."""
-SIDES_DOUBTFUL = (
-    "Left and right may be exchanged: the mesh was inside out, as a mirror image is. Compare a mole, the operated side "
-    "or a tattoo with the patient. If they are exchanged, export the mesh again without mirroring. If they are right: "
-    "--sides-checked."
-)
-"""A mesh cannot show which of both it is."""
 _MOST_MTL_MIB = 1  # of a material file; real ones have a few hundred bytes
 _MOST_OBJ_MIB = 1024  # as `obj_texture`
 _ON_SKIN_MM = 1.0  # from the scanner's surface; seams are joined within 0.05 mm

@@ -11,7 +11,6 @@ from mammometry.report.documents import pages
 from mammometry.report.documents.pages import breast_pictures, stage_pictures, whole_pictures
 from mammometry.report.first_page import FirstPage, signature
 from mammometry.report.words.notices import words_of
-from mammometry.report.words.photographs import named_photographs
 from mammometry.report.words.volumes import MEANINGS_INTRODUCTION
 
 PAGE = "report.html"
@@ -32,7 +31,10 @@ def render(content: ReportContent, first: FirstPage, photographs: Mapping[str, s
         "report.html.j2",
         styles=(pages.STYLE, "viewer.css"),
         content=content,
-        warnings=[(words, named_photographs(words, photographs)) for words in map(words_of, content.warnings)],
+        warnings=[
+            (words_of(notice), {name: photographs[name] for name in notice.photographs if name in photographs})
+            for notice in content.warnings
+        ],
         first=first,
         signature="" if first.conclusion is None else signature(first.conclusion),
         disclaimer=DISCLAIMER,

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from mammometry.base.notices import Notice
 from mammometry.job.graph import Plan
 from mammometry.job.stages import measure
-from mammometry.measure.settings import NOT_TO_BE_COMPARED
 from mammometry.report.words.notices import FOLD_NOT_SEEN
 
 _RARE_SIZE = "The body is {} for an adult. Check the unit, or the size of the printed board. See the warnings."
@@ -42,6 +41,13 @@ def body_cautions(plan: Plan) -> Mapping[str, tuple[str, ...]]:
     }
 
 
-def posture_note(posture: str) -> str:
-    """The patient's posture as a line in the terminal."""
-    return f"Posture: {posture or 'not given'}. {NOT_TO_BE_COMPARED}."
+def torso_notices(plan: Plan, posture: str | None) -> tuple[Notice, ...]:
+    """Notices on a measured torso.
+
+    Args:
+        plan: of its measurement.
+        posture: empty where it was not given; None: no torso.
+    """
+    if posture is None:
+        return ()
+    return (*body_doubts(plan), Notice(code="posture", level="note", values={"posture": posture or "not given"}))

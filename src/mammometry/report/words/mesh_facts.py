@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from mammometry.base.notices import Notice
 from mammometry.geometry import Array, UInt8
 from mammometry.job.inputs import FinishedSurface, SubjectKind
 from mammometry.report.content import Fact, StageReport
@@ -25,8 +26,8 @@ class MeshOrigin:
     """Name of the device. Empty: not given."""
     posture: str = ""
     """The patient's posture. Empty if unknown."""
-    notes: tuple[str, ...] = ()
-    """What was changed in the mesh, and what was taken for granted, one sentence each."""
+    notices: tuple[Notice, ...] = ()
+    """What was changed in the mesh, and what was assumed."""
     sides_doubtful: bool = False
     """Whether left and right may be exchanged. The notes say why."""
     sources: UInt8[Array, " n"] | None = None

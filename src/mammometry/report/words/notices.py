@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Literal, TypeAlias
 
 from mammometry.base.notices import Notice
-from mammometry.io.meshes.scans import SIDES_DOUBTFUL
+from mammometry.measure.settings import NOT_TO_BE_COMPARED
 from mammometry.report.figures.names import NAMES
 
 Concern: TypeAlias = Literal["volume", "confirmation", "photographs"]
@@ -52,7 +52,12 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
             "The body does not show where its head is: left and right rest on how the cameras are mounted. Check that "
             "none is upside down."
         ),
-        "sides-doubtful": Text(SIDES_DOUBTFUL),
+        "sides-doubtful": Text(
+            "Left and right may be exchanged: the mesh was inside out, as a mirror image is. Compare a mole, the "
+            "operated side or a tattoo with the patient. If they are exchanged, export the mesh again without "
+            "mirroring. If they are right: --sides-checked."
+        ),
+        "posture": Text(f"Posture: {{posture}}. {NOT_TO_BE_COMPARED}."),
         "mesh-of-another-scanner": Text(
             "The mesh comes from another scanner, whose accuracy is not known here. The interval uses the uncertainty "
             "of scale and surface that was entered, or 0.1 % and 0.1 mm."
