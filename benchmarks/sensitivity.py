@@ -40,7 +40,7 @@ from benchmarks.accuracy.scans import woman
 from mammometry.api.job import Job, open_session
 from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.base.errors import MammometryError
-from mammometry.io.meshes.own import write_ply
+from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.job import products
 from mammometry.job.products import Key, Product
 from mammometry.job.stages.measure import measurements

@@ -132,3 +132,17 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("third-party captures are not beside the repository (shared/data)")
     return folder
+
+
+@pytest.fixture
+def meshes_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Read mesh files without a child process, a quarter of a second each. Not USD, whose library may crash."""
+    from mammometry.geometry.mesh_files import in_child, mesh_file
+    from mammometry.io.meshes import scans, textures
+
+    def read(reader: Callable[..., Any], path: Path, *arguments: Any, **named: Any) -> Any:
+        call = in_child.read_in_child if path.suffix.lower() == ".usdz" else None
+        return call(reader, path, *arguments, **named) if call else reader(path, *arguments, **named)
+
+    for module in (mesh_file, scans, textures):
+        monkeypatch.setattr(module, "read_in_child", read)

@@ -25,8 +25,8 @@ import numpy as np
 from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.base.errors import MeasureError
 from mammometry.geometry import Array, Float64, TriangleMesh, UInt8
+from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.io.meshes.foreign import read_foreign
-from mammometry.io.meshes.own import write_ply
 from mammometry.job.stages import measure
 from mammometry.measure.boundary.breasts import within_outline
 from mammometry.measure.boundary.overlap import Overlap

@@ -30,7 +30,7 @@ from benchmarks.accuracy.scans import situation_of
 from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.base.errors import MammometryError
 from mammometry.geometry import Array, Float64, Transform, TriangleMesh
-from mammometry.io.meshes.own import write_ply
+from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.io.write import write_text
 from mammometry.job.stages import measure
 from mammometry.simulate.disturbances.registry import disturbed

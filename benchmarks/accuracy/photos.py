@@ -21,8 +21,8 @@ from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.api.photos import prepare_walk
 from mammometry.base.errors import MammometryError
 from mammometry.geometry import TriangleMesh
+from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.geometry.nearest import closest_on_mesh
-from mammometry.io.meshes.own import write_ply
 from mammometry.job.stages import surface
 
 _NEAR_MM = 85.0  # of a nipple: a large breast's skin

@@ -35,8 +35,8 @@ from benchmarks.accuracy.scan_tables import CLEAN, SIDES, Row, differences, hang
 from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.base.errors import MammometryError
 from mammometry.base.machine.cores import available_cores
+from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.io.meshes.foreign import read_foreign
-from mammometry.io.meshes.own import write_ply
 from mammometry.io.write import write_text
 from mammometry.job.stages import measure
 from mammometry.measure.settings import POSTURES

@@ -21,8 +21,8 @@ from scipy.spatial.transform import Rotation
 from benchmarks.accuracy.scans import measured
 from mammometry.geometry import Float64, TriangleMesh
 from mammometry.geometry.arrays import Array
+from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.io.meshes.foreign import read_foreign
-from mammometry.io.meshes.own import write_ply
 from mammometry.simulate.disturbances.registry import disturbed
 from mammometry.simulate.recipe import parse_situation
 from mammometry.simulate.scan import clean_front

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.mesh_contents import read_triangles
 from tests.unit.measure.solids import dome
 
 from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.base.errors import MeasureError
-from mammometry.geometry.mesh_files.mesh_file import read_triangles
 
 SKIN = (204, 153, 128)
 DOME = dome(sink_mm=10.0, rings=6, around=20)

@@ -10,14 +10,16 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from tests.mesh_contents import read_triangles
 from tests.unit.measure.solids import dome
 
 from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.parse import LimitSettings
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.mesh_files.mesh_file import read_triangles
 from mammometry.io.meshes.foreign import read_foreign
 from mammometry.io.meshes.scans import Scan, import_scan
+
+pytestmark = pytest.mark.usefixtures("meshes_in_this_process")
 
 MESH = dome(sink_mm=10.0, rings=20, around=60)
 AREA_MM2 = MESH.area_mm2()

@@ -17,10 +17,10 @@ from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.cli import main
 from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.geometry.transform import Transform
 from mammometry.io.cameras.formats import CameraFormat, camera_texts, require_rig
 from mammometry.io.meshes.foreign import read_foreign
-from mammometry.io.meshes.own import write_ply
 from mammometry.job.stages import calibrate
 
 # Rigs by how far their cameras stand from the subject, mm, the distance of a pair's cameras, and the width of the

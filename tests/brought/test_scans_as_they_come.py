@@ -12,6 +12,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from tests.mesh_contents import read_triangles
 from tests.unit.measure.trunks import LEFT, RADIUS_MM, RIGHT, bump_mm, edge_of, trunk_mesh
 
 import mammometry
@@ -19,7 +20,6 @@ from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.base.errors import MeasureError, SessionError
 from mammometry.cli import main
 from mammometry.geometry.mesh import TriangleMesh, joined
-from mammometry.geometry.mesh_files.mesh_file import read_triangles
 from mammometry.io.meshes.foreign import read_foreign
 from mammometry.measure import scanned
 from mammometry.measure.boundary.boundary import Boundary, outline_torso

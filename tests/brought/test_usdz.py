@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from tests.mesh_contents import read_triangles
 from tests.unit.measure.trunks import trunk_mesh
 
 from mammometry.base.errors import SessionError
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.mesh_files.mesh_file import read_triangles
 from mammometry.io.meshes.foreign import read_foreign
 from mammometry.io.meshes.scans import Scan, import_scan
 

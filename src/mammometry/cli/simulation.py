@@ -82,7 +82,7 @@ def _woman() -> Solid:
 
 def _scanned(woman: Solid) -> dict[str, bytes]:
     """Files of the scan's folder, as if a telephone's mesh were imported."""
-    from mammometry.io.meshes.own import write_ply
+    from mammometry.geometry.mesh_files.ply import write_ply
     from mammometry.io.meshes.scans import Scan, import_scan
     from mammometry.simulate.scan import QUALITIES, scan
 

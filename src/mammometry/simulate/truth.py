@@ -11,6 +11,7 @@ import numpy as np
 
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry import Array, Camera, Float32, Rig, Transform, TriangleMesh
+from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.simulate.disturbances.registry import as_truth
 from mammometry.simulate.disturbances.surfaces import merged
 from mammometry.simulate.recipe import SessionRecipe
@@ -19,6 +20,7 @@ from mammometry.simulate.rendering.sampling import lens_parameters, picture_wind
 from mammometry.simulate.rendering.scene import Scene, moved
 from mammometry.simulate.rigs.targets import described
 from mammometry.simulate.studio import Arrangement, Studio
+from mammometry.simulate.subjects.solid import rounded_mesh
 
 _ROWS_AT_ONCE = 256  # traced at a time, so that memory stays small
 _STEPS_PER_MM = 1024.0  # depths are rounded to a micrometre, so that the file compresses
@@ -92,9 +94,9 @@ def write_truth(
     _write_cameras(folder, arrangement, studio, recipe)
     stood = solid.placed(rig_from_solid)
     mesh = stood.mesh
-    _write_ply(folder / "mesh.ply", mesh)
+    _write_mesh(folder / "mesh.ply", mesh)
     if arrangement.things:
-        _write_ply(folder / "things.ply", merged([thing.props for thing in arrangement.things]))
+        _write_mesh(folder / "things.ply", merged([thing.props for thing in arrangement.things]))
     boundaries = {name: mesh.vertices[breast.boundary] for name, breast in stood.breasts.items()}
     if stood.base_boundary is not None:
         boundaries["base"] = stood.base_boundary
@@ -102,8 +104,8 @@ def write_truth(
         lines = "\n".join(" ".join(f"{value:.4f}" for value in point) for point in points)
         (folder / f"boundary_{name}.xyz").write_text(f"# closed polyline, rig frame, mm\n{lines}\n", encoding="utf-8")
     for name in stood.breasts:
-        _write_ply(folder / f"wall_{name}.ply", stood.chest_wall(name))
-        _write_ply(folder / f"breast_{name}.ply", stood.closed_breast(name))
+        _write_mesh(folder / f"wall_{name}.ply", stood.chest_wall(name))
+        _write_mesh(folder / f"breast_{name}.ply", stood.closed_breast(name))
     facts = dict(solid.facts)
     nipple = facts.pop("nipple_solid", None)
     if nipple is not None:
@@ -217,17 +219,5 @@ def _write_json(path: Path, value: object) -> None:
     path.write_text(json.dumps(value, indent=1, default=dict) + "\n", encoding="utf-8")  # frozen mappings
 
 
-def _write_ply(path: Path, mesh: TriangleMesh) -> None:
-    """Binary PLY in float32, which the vertices are rounded to already."""
-    header = (
-        "ply\nformat binary_little_endian 1.0\ncomment mm, rig frame\n"
-        f"element vertex {len(mesh.vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
-        f"element face {len(mesh.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    faces = np.empty(len(mesh.faces), dtype=[("n", "u1"), ("v", "<i4", 3)])
-    faces["n"] = 3
-    faces["v"] = mesh.faces
-    with path.open("wb") as file:
-        file.write(header.encode("ascii"))
-        file.write(mesh.vertices.astype("<f4").tobytes())
-        file.write(faces.tobytes())
+def _write_mesh(path: Path, mesh: TriangleMesh) -> None:
+    write_ply(path, rounded_mesh(mesh.vertices, mesh.faces), comments=("mm, rig frame",))

@@ -12,10 +12,10 @@ from PIL import Image
 from mammometry.api.job import Job, open_session
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.geometry.transform import Transform
 from mammometry.io.cameras.own import cameras_table
 from mammometry.io.drawn import Change, change_drawn, drawn_entry
-from mammometry.io.meshes.own import write_ply
 from mammometry.job.inputs import FinishedSurface
 from mammometry.job.stages import calibrate, measure
 from mammometry.job.stages.surface import corrected_cameras, mesh

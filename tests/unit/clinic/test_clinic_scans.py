@@ -28,7 +28,7 @@ from mammometry.clinic.models import Consent, Job, Patient, Scan, Visit
 from mammometry.clinic.roles import Role
 from mammometry.clinic.templatetags.pages import on_pages
 from mammometry.geometry import TriangleMesh
-from mammometry.io.meshes.own import write_ply
+from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.io.meshes.scans import read_scan
 from mammometry.report.figures.canvas import Caption, encode
 

@@ -7,8 +7,8 @@ import pytest
 import trimesh
 
 from mammometry.base.errors import SessionError
+from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.io.meshes.foreign import read_foreign
-from mammometry.io.meshes.own import write_ply
 
 
 def box(scale: float = 1.0) -> trimesh.Trimesh:

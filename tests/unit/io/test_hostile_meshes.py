@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from tests.mesh_contents import read_triangles
 
 from mammometry.base.errors import MammometryError, SessionError, StorageError
-from mammometry.geometry.mesh_files.mesh_file import read_triangles
+from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.io.meshes.foreign import read_foreign
-from mammometry.io.meshes.own import read_ply, write_ply
+from mammometry.io.meshes.own import read_ply
 from mammometry.io.results.formats import read_raster
 
 HEADER = """\
@@ -43,8 +44,6 @@ end_header
         ("property double z\n", ""),
         ("property double z", "property double y"),
         ("property double z", "property list uchar int z"),
-        ("property list uchar int vertex_indices", "property list int int vertex_indices"),
-        ("property list uchar int vertex_indices", "property list uchar int vertex_indices\nproperty uchar red"),
         ("element face 0\n", ""),
         ("element vertex 4", "element camera 1\nproperty double a\nelement vertex 4"),
         ("format binary_little_endian 1.0\n", ""),
@@ -61,6 +60,13 @@ def test_a_ply_that_lies_is_one_sentence(tmp_path: Path, old: str, new: str) -> 
     with pytest.raises(StorageError, match=r"^wall\.ply: found a mesh that cannot be read") as caught:
         read_ply(tmp_path / "wall.ply")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("faces", ["list int int vertex_indices", "list uchar int vertex_indices\nproperty uchar red"])
+def test_a_wall_of_another_program_is_read(tmp_path: Path, faces: str) -> None:
+    header = HEADER.replace("list uchar int vertex_indices", faces)
+    (tmp_path / "wall.ply").write_bytes(header.encode() + bytes(4 * 24))
+    assert len(read_ply(tmp_path / "wall.ply")[0].vertices) == 4
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from mammometry.base.errors import StorageError
 from mammometry.geometry.mesh import TriangleMesh, on_microns
-from mammometry.io.meshes.own import read_ply, write_ply
+from mammometry.geometry.mesh_files.ply import write_ply
+from mammometry.io.meshes.own import read_ply
 
 
 def tetrahedron() -> TriangleMesh:

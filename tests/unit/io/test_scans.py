@@ -9,17 +9,20 @@ import numpy as np
 import pytest
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
+from tests.mesh_contents import read_triangles
 from tests.unit.io.scan_files import DARK, SKIN, scanned, texture
 from tests.unit.measure.two_scans import part
 
 from mammometry.base.errors import ImageError, MammometryError, SessionError
 from mammometry.base.parse import LimitSettings
 from mammometry.cli import main
-from mammometry.geometry.mesh_files.mesh_file import read_triangles
+from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.io.meshes.foreign import read_foreign
 from mammometry.io.meshes.merged import stored_sources
-from mammometry.io.meshes.own import read_ply, write_ply
+from mammometry.io.meshes.own import read_ply
 from mammometry.io.meshes.scans import ABOUT, MESH, MTL, OBJ, Scan, import_scan, is_scan, read_scan, skin_colours
+
+pytestmark = pytest.mark.usefixtures("meshes_in_this_process")
 
 ABOUT_IT = Scan(scanner="Vectra M5", units="", subject="P-1")
 

@@ -12,7 +12,8 @@ import trimesh
 from PIL import Image
 from test_codecs import disparity_map, repaired, tetrahedron
 
-from mammometry.io.meshes.own import read_ply, write_ply
+from mammometry.geometry.mesh_files.ply import write_ply
+from mammometry.io.meshes.own import read_ply
 from mammometry.io.results.codecs import decode, encode
 from mammometry.io.results.stamp import stamp_folder, stamped, subject_of_mesh
 

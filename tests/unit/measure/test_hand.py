@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from mammometry.api.mesh import MeshFiles, MeshJob
-from mammometry.io.meshes.own import write_ply
+from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.measure.settings import MeasureSettings
 from mammometry.settings import Settings
 from mammometry.simulate.disturbances.registry import disturbed

@@ -10,7 +10,7 @@ from tests.unit.measure.trunks import LEFT, RIGHT, edge_of, radius_mm, trunk_mes
 from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.io.meshes.own import write_ply
+from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.job.stages import measure
 from mammometry.measure import scanned
 from mammometry.measure.boundary.grooves import find_overlap

@@ -11,13 +11,14 @@ import numpy as np
 
 from mammometry.base.errors import MammometryError, SessionError
 from mammometry.base.parse import LARGEST, error_text, read_bytes
-from mammometry.geometry.arrays import Array, Float64, Int32, Int64, UInt8
+from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
 from mammometry.geometry.mesh_files.glb import read_glb
+from mammometry.geometry.mesh_files.in_child import read_in_child
 from mammometry.geometry.mesh_files.obj import decimal_commas, parse_obj
 from mammometry.geometry.mesh_files.ply import parse_ply
 from mammometry.geometry.mesh_files.scene import GREY, MeshContent, joined_parts
 from mammometry.geometry.mesh_files.stl import parse_stl
-from mammometry.geometry.mesh_files.usdz import read_usdz
+from mammometry.geometry.mesh_files.usdz import parse_usdz
 
 _Parsed: TypeAlias = tuple[
     Float64[Array, "n 3"], Int64[Array, "m 3"], UInt8[Array, "n 3"], tuple[str, ...]
@@ -31,14 +32,8 @@ _SIGN = 64  # bytes in which every second one is zero in UTF-16, and in no mesh
 _DECIMAL_COMMA = re.compile(rb"\d+,\d+")
 
 
-def read_triangles(path: Path) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"], UInt8[Array, "n 3"]]:
-    """Points, triangles and colours of a mesh file, as `read_mesh_file`."""
-    content = read_mesh_file(path)
-    return content.points, content.faces, content.colours
-
-
 def read_mesh_file(path: Path) -> MeshContent:
-    """Read a mesh file.
+    """Read a mesh file in a child process.
 
     Vertices in one place become one. Faces without area are dropped. Nothing but this file is read: no materials, no
     pictures, no buffers beside it.
@@ -46,10 +41,13 @@ def read_mesh_file(path: Path) -> MeshContent:
     Raises:
         SessionError: the file cannot be read, or holds no triangles or no numbers.
     """
-    if path.suffix.lower() not in SUFFIXES:
-        raise _refused(path, "another kind of file", _KINDS, "Export the mesh as one of them")
-    if not path.exists():
-        raise _refused(path, "no such file", _KINDS, "Check the path")
+    _check_name(path)
+    return read_in_child(parse_mesh_file, path)
+
+
+def parse_mesh_file(path: Path) -> MeshContent:
+    """Read a mesh file in this process, as `read_mesh_file`."""
+    _check_name(path)
     content = read_bytes(path, str(path), _KINDS, most_mib=_MOST_MIB).removeprefix(codecs.BOM_UTF8)
     if (found := _other_content(path, content[:_HEAD_BYTES])) is not None:
         raise _refused(
@@ -82,6 +80,13 @@ def read_mesh_file(path: Path) -> MeshContent:
     )
 
 
+def _check_name(path: Path) -> None:
+    if path.suffix.lower() not in SUFFIXES:
+        raise _refused(path, "another kind of file", _KINDS, "Export the mesh as one of them")
+    if not path.exists():
+        raise _refused(path, "no such file", _KINDS, "Check the path")
+
+
 def _in_order(faces: Int64[Array, "m 3"]) -> Int64[Array, "m 3"]:
     """Faces in the order of their corners, each with its smallest first: no result hangs on a file's order."""
     start = np.argmin(faces, axis=1)
@@ -95,11 +100,12 @@ def _parsed(path: Path, content: bytes) -> _Parsed:
         obj = parse_obj(content, str(path))
         return obj.points, obj.faces, _grey(obj.points) if obj.colours is None else obj.colours, ()
     if kind == ".ply":
-        return *parse_ply(content, str(path)), ()
+        ply = parse_ply(content, str(path))
+        return ply.points, ply.faces, ply.colours(), ()
     if kind == ".stl":
         points, faces = parse_stl(content)
         return points, faces, _grey(points), ()
-    scene = read_usdz(path) if kind == ".usdz" else read_glb(content, str(path))
+    scene = parse_usdz(path) if kind == ".usdz" else read_glb(content, str(path))
     return *joined_parts(scene.parts), scene.remarks
 
 

@@ -1,4 +1,4 @@
-"""Wavefront OBJ: vertices, triangles and places in pictures, each number counted from where it stands.
+"""Wavefront OBJ files: vertices, triangles and places in pictures.
 
 A negative number counts back from the line that it stands on, whatever groups came before (the format's specification,
 "Referencing vertex data").
@@ -7,8 +7,8 @@ A negative number counts back from the line that it stands on, whatever groups c
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -104,6 +104,47 @@ def parse_obj(content: bytes, name: str) -> ObjFile:
         libraries=tuple(libraries),
         lines=tuple(lines),
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ObjPart:
+    """A part of an OBJ that is written."""
+
+    material: str
+    faces: Array
+    """Vertices of each triangle (m, 3), counted from 0 over all parts."""
+    points: Float64[Array, "n 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+    """Vertices that no earlier part has."""
+    uv: Float64[Array, "k 2"] = field(default_factory=lambda: np.zeros((0, 2)))
+    """Places in the material's picture, (0, 0) lower left."""
+    face_uv: Array | None = None
+    """Place of each triangle's corner (m, 3), counted from 0 over all parts. None: no picture."""
+
+
+def obj_text(library: str, parts: Sequence[ObjPart], *, exact: bool = False) -> str:
+    """Text of an OBJ.
+
+    Args:
+        library: name of its material file.
+        parts: in their order.
+        exact: whether numbers have all their digits. Otherwise 4 decimals, and 6 in pictures.
+    """
+    point, place = ("%r", "%r") if exact else ("%.4f", "%.6f")
+    text = [f"mtllib {library}\n"]
+    for part in parts:
+        text.append(f"usemtl {part.material}\n")
+        text.append(_rows(f"v {point} {point} {point}\n", part.points))
+        text.append(_rows(f"vt {place} {place}\n", part.uv))
+        if part.face_uv is None:
+            text.append(_rows("f %d %d %d\n", part.faces + 1))
+        else:
+            text.append(_rows("f %d/%d %d/%d %d/%d\n", np.stack([part.faces, part.face_uv], axis=2) + 1))
+    return "".join(text)
+
+
+def _rows(line: str, rows: Array) -> str:
+    """Each row as a line, formatted all at once: there are hundreds of thousands."""
+    return line * len(rows) % tuple(rows.ravel().tolist())
 
 
 def decimal_commas(name: str, sample: str) -> SessionError:

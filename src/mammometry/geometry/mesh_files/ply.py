@@ -1,10 +1,12 @@
-"""PLY: text or either byte order, polygons of any size, further properties."""
+"""PLY files. Read: text or either byte order, polygons of any size. Written: binary triangles."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,12 +15,16 @@ from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
 from mammometry.geometry.mesh_files.colours import eight_bit, of_vertices
 from mammometry.geometry.mesh_files.scene import GREY
 
+if TYPE_CHECKING:
+    from mammometry.geometry.mesh import TriangleMesh
+
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
     "double": "f8",
     "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4",
     "float64": "f8", "int64": "i8", "uint64": "u8",
 }  # fmt: skip
+_NAMES = {np.dtype(f"<{_TYPES[name]}"): name for name in ("double", "float", "uchar", "int", "short", "ushort", "uint")}
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 _CORNERS = ("vertex_indices", "vertex_index")
 _COLOURS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
@@ -41,56 +47,130 @@ class _Element:
     name: str
     count: int
     properties: list[_Property] = field(default_factory=list)
+    values: dict[str, Any] = field(default_factory=dict)
+    """Of each property. Lists of different lengths are a list of arrays."""
 
 
-def parse_ply(content: bytes, name: str) -> tuple[Float64[Array, "n 3"], Int64[Array, "m 3"], UInt8[Array, "n 3"]]:
-    """Vertices, triangles and sRGB of each vertex. A polygon is a fan around its first corner.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlyFile:
+    """Content of a PLY."""
 
-    Where faces alone have colours, a vertex has the mean of those around it.
+    points: Float64[Array, "n 3"]
+    """In the file's unit."""
+    faces: Int64[Array, "m 3"]
+    """Triangles. A polygon is a fan around its first corner."""
+    comments: tuple[str, ...]
+    elements: Mapping[str, _Element]
+    polygons: Int64[Array, " m"]
+    """Number of the polygon that each triangle is part of."""
+
+    def properties(self) -> dict[str, Array]:
+        """Vertex properties besides the coordinates: name → values (n), as they are stored."""
+        values = self.elements["vertex"].values
+        return {
+            name: np.ascontiguousarray(column, column.dtype.newbyteorder("="))
+            for name, column in values.items()
+            if name not in ("x", "y", "z") and isinstance(column, np.ndarray)
+        }
+
+    def colours(self) -> UInt8[Array, "n 3"]:
+        """Colour of each vertex, sRGB.
+
+        Where only faces have colours, a vertex has the mean of those around it. `GREY` without colours.
+        """
+        stored = _stored_colours(self.elements["vertex"])
+        if stored is not None:
+            return stored
+        of_faces = _stored_colours(self.elements["face"]) if "face" in self.elements else None
+        if of_faces is not None and self.faces.max(initial=-1) < len(self.points):
+            return of_vertices(self.faces, of_faces[self.polygons], len(self.points), GREY)
+        return np.full((len(self.points), 3), GREY, dtype=np.uint8)
+
+
+def parse_ply(content: bytes, name: str) -> PlyFile:
+    """Read a PLY.
 
     Args:
         content: of the file.
         name: what to call it in messages.
 
     Raises:
-        ValueError: it is no PLY, is cut short, or holds no numbers where they should be.
+        ValueError: it is no PLY, is cut short, or holds no numbers where they should be. So are KeyError, IndexError
+            and TypeError.
         SessionError: it holds triangle strips.
     """
-    order, elements, body = _header(content, name)
-    points = np.zeros((0, 3))
-    triangles = np.zeros((0, 3), dtype=np.int64)
-    colours = np.zeros((0, 3), dtype=np.uint8)
-    has_colours, of_faces = False, None
+    order, elements, comments, body = _header(content, name)
     reader = _Text(body) if order == "" else _Binary(body, order)
     for element in elements:
-        values = reader.read(element)
-        if element.name == "vertex":
-            points = np.stack([np.asarray(values[axis], dtype=np.float64) for axis in "xyz"], axis=1)
-            stored = _stored_colours(element, values)
-            has_colours = stored is not None
-            colours = np.full((len(points), 3), GREY, dtype=np.uint8) if stored is None else stored
-        elif element.name == "face":
-            corners = next((values[word] for word in _CORNERS if word in values), None)
-            if corners is None:
-                raise ValueError("faces without corners")
-            polygon, triangles = _triangles(corners)
-            of_faces = _stored_colours(element, values)
-    if of_faces is not None and not has_colours and triangles.max(initial=-1) < len(points):
-        colours = of_vertices(triangles, of_faces[polygon], len(points), GREY)
-    return points, triangles, colours
+        element.values = reader.read(element)
+    named = {element.name: element for element in elements}
+    points = np.stack([np.asarray(named["vertex"].values[axis], dtype=np.float64) for axis in "xyz"], axis=1)
+    if points.shape != (named["vertex"].count, 3):
+        raise ValueError("vertices without three coordinates")
+    polygons, faces = np.zeros(0, dtype=np.int64), np.zeros((0, 3), dtype=np.int64)
+    if "face" in named:
+        values = named["face"].values
+        corners = next((values[word] for word in _CORNERS if word in values), None)
+        if corners is None:
+            raise ValueError("faces without corners")
+        polygons, faces = _triangles(corners)
+    return PlyFile(points=points, faces=faces, comments=comments, elements=named, polygons=polygons)
 
 
-def _header(content: bytes, name: str) -> tuple[str, list[_Element], bytes]:
+def write_ply(
+    path: Path, mesh: TriangleMesh, properties: Mapping[str, Array] | None = None, comments: tuple[str, ...] = ()
+) -> None:
+    """Write a binary little-endian PLY.
+
+    Positions as float where they are floats, else as double: nothing is lost.
+
+    Args:
+        path: the file to write.
+        mesh: vertices and faces, mm, world frame.
+        properties: name → one value a vertex (n), of a type that PLY knows.
+        comments: lines for the header.
+
+    Raises:
+        ValueError: a property of another length or of a type that PLY does not know.
+    """
+    short = mesh.vertices.astype(np.float32)
+    positions = short if np.array_equal(short, mesh.vertices) else mesh.vertices
+    columns: dict[str, Array] = {name: positions[:, axis] for axis, name in enumerate("xyz")}
+    columns |= properties or {}
+    for name, values in columns.items():
+        if values.shape != (len(mesh.vertices),) or values.dtype not in _NAMES:
+            raise ValueError(f"property {name}: one number a vertex expected, found {values.dtype} {values.shape}")
+    vertices = np.empty(len(mesh.vertices), dtype=[(name, values.dtype) for name, values in columns.items()])
+    for name, values in columns.items():
+        vertices[name] = values
+    faces = np.empty(len(mesh.faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"], faces["corners"] = 3, mesh.faces
+    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {comment}" for comment in comments)]
+    lines += [f"element vertex {len(vertices)}"]
+    lines += [f"property {_NAMES[values.dtype]} {name}" for name, values in columns.items()]
+    lines += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""]
+    with path.open("wb") as file:
+        file.write("\n".join(lines).encode())
+        file.write(vertices.tobytes())
+        file.write(faces.tobytes())
+
+
+def _header(content: bytes, name: str) -> tuple[str, list[_Element], tuple[str, ...], bytes]:
+    """Byte order, empty for a text; elements; comments; and what follows."""
     if not content.startswith(b"ply"):
         raise ValueError("no header of a PLY")
     order, start = None, 0
     elements: list[_Element] = []
+    comments: list[str] = []
     for line in _LINE.finditer(content, 0, _HEADER_BYTES):
-        word, *rest = line[0].decode("latin-1").split() or [""]
+        text = line[0].decode(errors="replace")
+        word, *rest = text.split() or [""]
         if word == "end_header":
             start = line.end()
             break
-        if word == "format":
+        if word == "comment":
+            comments.append(text.strip().partition(" ")[2])
+        elif word == "format":
             order = _ORDERS.get(rest[0])
         elif word == "element":
             if rest[0] == "tristrips":
@@ -111,7 +191,7 @@ def _header(content: bytes, name: str) -> tuple[str, list[_Element], bytes]:
         raise ValueError("no header of a PLY")
     if order is None:
         raise ValueError("no format")
-    return order, elements, content[start:]
+    return order, elements, tuple(comments), content[start:]
 
 
 class _Text:
@@ -207,6 +287,8 @@ class _Binary:
 
 def _triangles(corners: Any) -> tuple[Int64[Array, " m"], Int64[Array, "m 3"]]:
     """Fans around the first corner of each polygon: the polygon of each triangle, and its corners."""
+    if isinstance(corners, np.ndarray) and corners.shape[1:] == (3,):
+        return np.arange(len(corners)), corners.astype(np.int64)
     if isinstance(corners, np.ndarray) and corners.ndim == 2:
         groups = [(np.arange(len(corners)), corners.astype(np.int64))]
     else:
@@ -224,8 +306,9 @@ def _triangles(corners: Any) -> tuple[Int64[Array, " m"], Int64[Array, "m 3"]]:
     return np.concatenate(polygons), np.concatenate(fans)
 
 
-def _stored_colours(element: _Element, values: dict[str, Any]) -> UInt8[Array, "n 3"] | None:
+def _stored_colours(element: _Element) -> UInt8[Array, "n 3"] | None:
     """Colours of an element. None: it has none."""
+    values = element.values
     names = next((names for names in _COLOURS if all(name in values for name in names)), None)
     if names is None:
         return None

@@ -1,36 +1,31 @@
 """Meshes of a USDZ, as telephones write it, and their pictures.
 
-A damaged USD may end or hang its library, so it is read in a second process with limits on time and memory. Nothing
-outside the file is read.
+Nothing outside the file is read.
 """
 
 from __future__ import annotations
 
 import tempfile
-import threading
 import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mammometry.base.child_process import ChildProcess, NotDone
 from mammometry.base.errors import SessionError
 from mammometry.base.extras import require
-from mammometry.base.machine.system import limit_memory
 from mammometry.base.parse import error_text, require_file
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
+from mammometry.geometry.mesh_files.in_child import read_in_child
 from mammometry.geometry.mesh_files.scene import ANIMATED, GREY, HIDDEN, MIRRORED, SUBDIVIDED, Scene, ScenePart
 
 _LAYERS = (".usd", ".usda", ".usdc")
 _PICTURES = (".png", ".jpg", ".jpeg")
 _NO_SURFACE = ("Points", "BasisCurves", "NurbsCurves", "HermiteCurves")  # nothing to be measured
-_LONGEST_S = 120.0  # a scan of a million faces takes 3 s
-_MOST_MEMORY = 16 << 30  # bytes; small packed numbers may unpack to any size
 
 
 def read_usdz(path: Path, *, shape: bool = True) -> Scene:
-    """Read the meshes of a USDZ.
+    """Read the meshes of a USDZ in a child process.
 
     Args:
         path: of the file.
@@ -40,34 +35,24 @@ def read_usdz(path: Path, *, shape: bool = True) -> Scene:
         MissingLibraryError: USD is not installed.
         SessionError: it cannot be read.
     """
+    return read_in_child(parse_usdz, path, shape=shape)
+
+
+def parse_usdz(path: Path, *, shape: bool = True) -> Scene:
+    """Read the meshes of a USDZ in this process, as `read_usdz`: a damaged one may end it or hang it."""
     require_file(path, str(path), "a USDZ")
     require("usdz", "pxr")
     try:
-        with ChildProcess() as child:
-            late = threading.Timer(_LONGEST_S, child.process.kill)
-            late.start()
-            try:
-                read = child.call(_read, str(path), shape)
-            finally:
-                late.cancel()
-    except NotDone:
-        read = "a file on which its reader fails"
+        read = _opened(path, shape=shape)
+    except Exception as error:  # the reader raises many kinds of error for a damaged file
+        read = f"a file that cannot be read ({error_text(error)})"
     if isinstance(read, str):
         expected = "a USDZ of plain meshes that it holds itself"
         raise SessionError(str(path), found=read, expected=expected, remedy="Export it again as plain meshes")
     return read
 
 
-def _read(path: str, shape: bool) -> Scene | str:  # positional, as `ChildProcess.call` hands it on
-    """Read a USDZ, or say what it is instead."""
-    limit_memory(_MOST_MEMORY)
-    try:
-        return _opened(path, shape=shape)
-    except Exception as error:  # the reader raises anything that a damaged file makes it stumble over
-        return f"a file that cannot be read ({error_text(error)})"
-
-
-def _opened(path: str, *, shape: bool) -> Scene | str:
+def _opened(path: Path, *, shape: bool) -> Scene | str:
     from pxr import Sdf, Usd, UsdGeom
 
     with tempfile.TemporaryDirectory(prefix="mammometry-") as unpacked:

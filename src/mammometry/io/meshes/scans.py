@@ -25,11 +25,13 @@ from mammometry.base.identity import subject_id
 from mammometry.base.parse import LimitSettings, read_bytes, read_text, toml_table
 from mammometry.base.units import mm_of_unit
 from mammometry.geometry import Array, Float64, TriangleMesh, UInt8
+from mammometry.geometry.mesh_files.in_child import read_in_child
 from mammometry.geometry.mesh_files.obj import parse_obj
+from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.io.meshes.foreign import ForeignMesh, read_foreign, unit_remark
 from mammometry.io.meshes.merged import SOURCE, AlsoScan, also_in, also_text, merge_scans, sha256_of
-from mammometry.io.meshes.own import read_ply, write_ply
-from mammometry.io.meshes.textures import CoveredObj, covered_parts, read_covered_obj, texture_at
+from mammometry.io.meshes.own import read_ply
+from mammometry.io.meshes.textures import CoveredObj, covered_parts, parse_covered_obj, texture_at
 from mammometry.io.photographs.images import read_photograph, read_plain_picture
 from mammometry.io.photographs.tags import without_tags
 from mammometry.io.write import write_text
@@ -134,7 +136,9 @@ def _read(
         source: Path | None = mesh
         if mesh.suffix.lower() in (".glb", ".usdz"):
             source = covered_parts(mesh, Path(folder), limits) if texture else None
-        covered = read_covered_obj(source) if source is not None and source.suffix.lower() == ".obj" else None
+        covered = None
+        if source is not None and source.suffix.lower() == ".obj":
+            covered = read_in_child(parse_covered_obj, source) if source is mesh else parse_covered_obj(source)
         if source is not None and covered is not None and texture and covered.libraries:
             files, colours = _covered(source, covered, foreign, limits)
             foreign = replace(foreign, colours=colours)

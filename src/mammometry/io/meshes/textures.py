@@ -14,7 +14,8 @@ from mammometry.base.errors import SessionError
 from mammometry.base.parse import LimitSettings, error_text, read_bytes
 from mammometry.geometry import Array, Float64, TriangleMesh, UInt8
 from mammometry.geometry.mesh_files.glb import read_glb
-from mammometry.geometry.mesh_files.obj import ObjFile, parse_obj
+from mammometry.geometry.mesh_files.in_child import read_in_child
+from mammometry.geometry.mesh_files.obj import ObjFile, ObjPart, obj_text, parse_obj
 from mammometry.geometry.mesh_files.scene import Scene, ScenePart
 from mammometry.geometry.mesh_files.usdz import read_usdz
 
@@ -116,7 +117,7 @@ def texture_at(
     return colours
 
 
-def read_covered_obj(path: Path) -> CoveredObj:
+def parse_covered_obj(path: Path) -> CoveredObj:
     """Read an OBJ's vertices, their places in pictures, and its materials.
 
     A vertex has the place and the material of the first face that names it.
@@ -153,7 +154,7 @@ def covered_parts(path: Path, folder: Path, limits: LimitSettings) -> Path | Non
     Raises:
         SessionError: it cannot be read, or a picture is too large.
     """
-    scene = read_usdz(path) if path.suffix.lower() == ".usdz" else _glb(path)
+    scene = read_usdz(path) if path.suffix.lower() == ".usdz" else read_in_child(_parse_glb, path)
     parts = [part for part in scene.parts if len(part.faces)]
     if not parts or any(part.uv is None or part.picture is None for part in parts):
         return None
@@ -165,7 +166,7 @@ def covered_parts(path: Path, folder: Path, limits: LimitSettings) -> Path | Non
     return folder / "a.obj"
 
 
-def _glb(path: Path) -> Scene:
+def _parse_glb(path: Path) -> Scene:
     content = read_bytes(path, path.name, "a GLB", most_mib=_MOST_MIB_OF_GLB)
     try:
         return read_glb(content, path.name)
@@ -199,12 +200,14 @@ def _picture_file(path: Path, content: bytes, stem: Path, limits: LimitSettings)
 
 
 def _obj(parts: Sequence[ScenePart], files: Mapping[str, str]) -> str:
-    lines, before = ["mtllib a.mtl"], 1
+    covered, before = [], 0
     for part in parts:
         assert part.uv is not None and part.picture is not None  # noqa: PT018
-        lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in part.points.tolist()]
-        lines += [f"vt {u!r} {v!r}" for u, v in part.uv.tolist()]
-        lines.append(f"usemtl {_MATERIAL}{files[part.picture]}")
-        lines += [f"f {a}/{a} {b}/{b} {c}/{c}" for a, b, c in (part.faces + before).tolist()]
+        faces = part.faces + before
+        covered.append(
+            ObjPart(
+                material=f"{_MATERIAL}{files[part.picture]}", points=part.points, faces=faces, uv=part.uv, face_uv=faces
+            )
+        )
         before += len(part.points)
-    return "\n".join(lines) + "\n"
+    return obj_text("a.mtl", covered, exact=True)

@@ -14,8 +14,9 @@ from mammometry.base.errors import MammometryError
 from mammometry.base.machine.cores import each_at_once
 from mammometry.base.parse import error_text
 from mammometry.geometry import Rig, TriangleMesh
+from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.io.cameras.own import cameras_from_table, cameras_table
-from mammometry.io.meshes.own import read_ply, write_ply
+from mammometry.io.meshes.own import read_ply
 from mammometry.io.results.codecs import (
     FORMATS,
     Format,

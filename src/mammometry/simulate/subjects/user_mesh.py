@@ -13,7 +13,7 @@ from mammometry.base.errors import SessionError
 from mammometry.base.units import UNIT_NAMES
 from mammometry.geometry.arrays import Array, Float64, Int32
 from mammometry.geometry.mesh import TriangleMesh, edge_table, split_edges
-from mammometry.geometry.mesh_files.mesh_file import read_triangles
+from mammometry.geometry.mesh_files.mesh_file import read_mesh_file
 from mammometry.simulate.subjects.registry import SubjectRequest, add_subject
 from mammometry.simulate.subjects.solid import Solid, rounded_mesh
 
@@ -58,8 +58,9 @@ def read_user_mesh(path: Path, how: MeshFile, *, edge_mm: float = 0.7) -> Solid:
         raise _refused(path, "no unit", "the unit of its coordinates", f"Add --units {UNIT_NAMES}, or --subject-scale")
     if not (math.isfinite(how.mm_per_unit) and how.mm_per_unit > 0):
         raise _refused(path, f"a scale of {how.mm_per_unit}", "millimetres to one unit, above 0", "Correct the scale")
-    vertices, faces, _ = read_triangles(path)
-    vertices = Rotation.from_euler("xyz", how.turn_deg, degrees=True).apply(vertices * how.mm_per_unit)
+    content = read_mesh_file(path)
+    faces = content.faces
+    vertices = Rotation.from_euler("xyz", how.turn_deg, degrees=True).apply(content.points * how.mm_per_unit)
     extent = float(np.ptp(vertices, axis=0).max())
     if not _SMALLEST_MM <= extent <= _LARGEST_MM:
         raise _refused(

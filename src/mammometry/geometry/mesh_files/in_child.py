@@ -1,0 +1,66 @@
+"""Read files of other programs in a child process.
+
+A damaged or hostile file may end its reader, keep it busy for ever or fill the memory. It then ends a child with limits
+on time and memory, and the caller gets an error that names the file.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Concatenate, ParamSpec, TypeVar
+
+from mammometry.base.child_process import ChildProcess, NotDone
+from mammometry.base.errors import MammometryError, SessionError
+from mammometry.base.machine.system import limit_memory
+from mammometry.base.parse import require_file
+
+_T = TypeVar("_T")
+_P = ParamSpec("_P")
+_LONGEST_S = 120.0  # a USDZ of a million faces takes 3 s
+_S_PER_MIB = 1.0  # ten times what an OBJ takes, the slowest format
+_MOST_MEMORY = 16 << 30  # bytes; small packed numbers may unpack to any size
+
+
+def read_in_child(read: Callable[Concatenate[Path, _P], _T], path: Path, *arguments: _P.args, **named: _P.kwargs) -> _T:
+    """Call a reader in a child process.
+
+    Args:
+        read: takes the path, then the arguments. A function of a module.
+        path: of the file.
+        arguments: further arguments of the reader.
+        named: arguments of the reader by name.
+
+    Raises:
+        MammometryError: the reader raised it.
+        SessionError: no such file; or the reader ended, took too long or needed too much memory.
+    """
+    require_file(path, str(path), "a mesh file")
+    try:
+        with ChildProcess() as child:
+            limit_s = _LONGEST_S + _S_PER_MIB * path.stat().st_size / (1 << 20)
+            late = threading.Timer(limit_s, child.process.kill)
+            late.start()
+            try:
+                found = child.call(_read, read, path, arguments, named)
+            finally:
+                late.cancel()
+    except NotDone:
+        raise SessionError(
+            str(path), found="a file on which its reader fails", expected="a mesh file that can be read within limits",
+            remedy="Export it again as plain meshes",
+        ) from None  # fmt: skip
+    if isinstance(found, MammometryError):
+        raise found
+    return found
+
+
+def _read(
+    read: Callable[..., _T], path: Path, arguments: tuple[object, ...], named: dict[str, object]
+) -> _T | MammometryError:
+    limit_memory(_MOST_MEMORY)
+    try:
+        return read(path, *arguments, **named)
+    except MammometryError as error:
+        return error
