@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 from mammometry.api.job import open_session
 from mammometry.base.errors import SessionError
 from mammometry.base.identity import Identity
+from mammometry.base.notices import Notice
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.meshes.scans import is_scan
 from mammometry.io.results.store import Store, Watch
 from mammometry.job.graph import Plan
 from mammometry.job.inputs import FinishedSurface, Inputs
 from mammometry.job.stages import calibrate, measure, surface
-from mammometry.measure.settings import NOT_TO_BE_COMPARED
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
@@ -100,11 +100,11 @@ def check_posture(before: Dated, after: Dated) -> None:
         )
 
 
-def posture_warnings(before: Dated, after: Dated) -> Iterator[str]:
+def posture_warnings(before: Dated, after: Dated) -> Iterator[Notice]:
     """Yield a warning where the postures differ, or one alone is known."""
     if before.posture != after.posture:
         earlier, later = (posture or "in a posture that was not given" for posture in (before.posture, after.posture))
-        yield f"The patient was {earlier} at the earlier date and {later} later. {NOT_TO_BE_COMPARED}."
+        yield Notice(code="postures-differ", values={"before": earlier, "after": later})
 
 
 def measured_keys(path: Path | str, settings: Settings) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,12 +12,14 @@ from mammometry.api.dated import Dated, check_posture, open_dated, posture_warni
 from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.identity import NAMELESS, one_subject
 from mammometry.base.machine.cores import one_blas_thread
+from mammometry.base.notices import Notice
 from mammometry.base.progress import Progress, no_progress, part
 from mammometry.geometry.transform import Transform
 from mammometry.io.outputs import require_apart, require_free, write_outputs
 from mammometry.io.results.stamp import stamped
 from mammometry.io.results.store import Watch, unwatched
 from mammometry.job.stages import measure
+from mammometry.report.words.notices import words_at
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
@@ -45,16 +47,24 @@ class Comparison:
     """The later session."""
     change: Change
     """Fit of the trunk, and changes of volumes, lengths and skin. World frame of the earlier session."""
-    warnings: tuple[str, ...]
-    """Whatever a reader must know before the numbers, the gravest first."""
-    remarks: tuple[str, ...]
-    """On how the comparison was made."""
+    notices: tuple[Notice, ...]
+    """What a reader must know before the numbers, the gravest first; last, how the comparison was made."""
     folder: Path
     """Where the page lies, with its numbers and pictures."""
     page: Path
     """compare.html."""
     table: dict[str, Any]
     """The content of compare.json."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The warnings in words."""
+        return tuple(words_at("warning", self.notices))
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """How the comparison was made, in words."""
+        return tuple(words_at("note", self.notices))
 
 
 @one_blas_thread()
@@ -95,13 +105,13 @@ def compare(
     subject = _one_subject(jobs)
     if not settings.compare.other_posture:
         check_posture(*jobs)
-    remarks = []
+    remarks: list[Notice] = []
     dates = [job.date for job in jobs]
     if dates[0] is not None and dates[1] is not None and dates[0] > dates[1]:
         jobs.reverse()
-        remarks.append("The sessions were named in the other order. The dates in their manifests were used.")
+        remarks.append(Notice(code="dates-exchanged", level="note"))
     if None in dates:
-        remarks.append("A session has no date. The session named first was taken as the earlier one.")
+        remarks.append(Notice(code="date-missing", level="note"))
     request = _Request(settings=settings, subject=subject, out=out, privacy=privacy or Privacy(), remarks=remarks)
     return _compare(jobs, request, progress)
 
@@ -141,7 +151,7 @@ class _Request:
     privacy: Privacy
     subject: str | None = None
     """Identifier that both sessions tell."""
-    remarks: Sequence[str] = ()
+    remarks: Sequence[Notice] = ()
     """On how the dates were put in order."""
     in_clinic: bool = False
     """Whether confirmations and the posture come from elsewhere, such as a clinic's visit."""
@@ -152,7 +162,7 @@ def _compare(jobs: list[Dated], request: _Request, progress: Progress) -> Compar
     from mammometry.report.documents import change_page
 
     settings, privacy = request.settings, request.privacy
-    remarks = list(request.remarks)
+    remarks = [*request.remarks]
     dates = [job.date for job in jobs]
     folder = request.out or jobs[1].results / FOLDER / _folder_name(jobs[0], privacy)
     require_apart(folder, [path for job in jobs for path in job.brought])
@@ -160,9 +170,9 @@ def _compare(jobs: list[Dated], request: _Request, progress: Progress) -> Compar
     for which, job in zip(_WHICH, jobs, strict=True):
         measurements = job.plan.get(measure.measurements)
         if measurements is not None and job.store.state(measurements.key) == "stale":
-            remarks.append(f"The {which} session had been measured with other settings. It was measured again.")
+            remarks.append(Notice(code="measured-again", level="note", values={"date": which}))
         job.ensure()
-    measured, warnings = _one_protocol(jobs, part(progress, 0.0, 0.4))
+    measured, protocol = _one_protocol(jobs, part(progress, 0.0, 0.4))
 
     from mammometry.measure.change import compare as compare_measured
 
@@ -170,17 +180,21 @@ def _compare(jobs: list[Dated], request: _Request, progress: Progress) -> Compar
     change = compare_measured(
         visits[0], visits[1], settings.compare, common_scale=_common_scale(jobs), progress=part(progress, 0.4, 0.8)
     )
-    unconfirmed = [] if request.in_clinic else _unconfirmed(change)
     at_one_date = _at_one_date(measured)
-    alone = [
-        f"The {name} breast has a volume at the {which} date only, and is not compared."
-        for name, which in at_one_date.items()
-    ]
-    postures = [] if request.in_clinic else [*posture_warnings(*jobs)]
-    warnings = [*postures, *_warnings(change), *alone, *unconfirmed, *warnings]
+    notices = (
+        *(() if request.in_clinic else posture_warnings(*jobs)),
+        *_warnings(change),
+        *(
+            Notice(code="volume-at-one-date", about=(name,), values={"date": which})
+            for name, which in at_one_date.items()
+        ),
+        *(() if request.in_clinic else _unconfirmed(change)),
+        *protocol,
+        *remarks,
+    )
     heading = _heading(jobs, dates, request.subject, privacy.deidentify)
     report = replace(
-        _report(jobs, heading, change, visits, warnings, remarks, privacy),
+        _report(jobs, heading, change, visits, notices, privacy),
         at_one_date=at_one_date,
         before=None if privacy.deidentify else dates[0],
     )
@@ -192,8 +206,7 @@ def _compare(jobs: list[Dated], request: _Request, progress: Progress) -> Compar
         before=jobs[0].path,
         after=jobs[1].path,
         change=change,
-        warnings=tuple(warnings),
-        remarks=tuple(remarks),
+        notices=notices,
         folder=folder,
         page=folder / change_page.PAGE,
         table=change_page.as_table(report),
@@ -250,14 +263,14 @@ def _one_subject(jobs: list[Dated]) -> str | None:
     )
 
 
-def _one_protocol(jobs: list[Dated], progress: Progress) -> tuple[list[tuple[VolumeMeasurement, ...]], list[str]]:
+def _one_protocol(jobs: list[Dated], progress: Progress) -> tuple[list[tuple[VolumeMeasurement, ...]], list[Notice]]:
     """Volumes of both dates by the same protocol.
 
     They are measured again where boundaries or walls were made in different ways.
     """
     from mammometry.measure.wall.registry import TORSO_WALLS, in_order
 
-    warnings: list[str] = []
+    notices: list[Notice] = []
     by_name = [{measurement.name: measurement for measurement in _measurements(job)} for job in jobs]
     boundaries = [_boundaries(job) for job in jobs]
     both = by_name[0].keys() & by_name[1].keys()
@@ -270,26 +283,17 @@ def _one_protocol(jobs: list[Dated], progress: Progress) -> tuple[list[tuple[Vol
                 _automatic(job) if some else own for job, some, own in zip(jobs, drawn, boundaries, strict=True)
             ]
         except MeasureError as error:
-            warnings.append(
-                f"The boundaries of the {by_hand} date were drawn by hand, the others found automatically. Part of "
-                "the change may come from that. Draw both with `mammometry edit`. (No automatic boundaries were found: "
-                f"{error.found}.)"
-            )
+            notices.append(Notice(code="drawn-at-one-date", values={"date": by_hand, "found": error.found}))
         else:
             replaced = drawn
-            warnings.append(
-                f"The boundaries of the {by_hand} date were drawn by hand, the others found automatically. They were "
-                "measured again within automatic boundaries. For a better comparison, draw both with `mammometry edit`."
-            )
+            notices.append(Notice(code="drawn-at-one-date-replaced", values={"date": by_hand}))
     wall: str | None = None
     if any(by_name[0][name].wall_kind != by_name[1][name].wall_kind for name in both):
         wall = in_order(TORSO_WALLS)[0]
         names = " and ".join(dict.fromkeys(volume.wall_kind for volumes in by_name for volume in volumes.values()))
-        warnings.append(
-            f"The dates used different chest walls ({names}). Both were measured again with the wall “{wall}”."
-        )
+        notices.append(Notice(code="walls-differ", values={"walls": names, "wall": wall}))
     if wall is None and not any(replaced):
-        return [tuple(volumes.values()) for volumes in by_name], warnings
+        return [tuple(volumes.values()) for volumes in by_name], notices
     backs = [job.inputs.wall for job in jobs]
     if None in backs:
         backs = [None, None]
@@ -304,7 +308,7 @@ def _one_protocol(jobs: list[Dated], progress: Progress) -> tuple[list[tuple[Vol
         measured = _measured_again(job, again, wall, back, part(progress, number / 2, (number + 1) / 2))
         order: list[str] = [boundary.name for boundary in own]
         volumes.append(tuple(sorted((*kept.values(), *measured), key=lambda breast: order.index(breast.name))))
-    return volumes, warnings
+    return volumes, notices
 
 
 def _at_one_date(measured: Sequence[tuple[VolumeMeasurement, ...]]) -> dict[str, str]:
@@ -383,31 +387,18 @@ def _common_scale(jobs: list[Dated]) -> bool:
     return first == second
 
 
-def _warnings(change: Change) -> list[str]:
-    warnings = []
+def _warnings(change: Change) -> Iterator[Notice]:
     if change.doubtful:
-        warnings.append(
-            f"The trunks fit badly: 20 % of the skin beside the breasts is more than {change.fit.within_mm:.1f} mm "
-            "apart. Check that both sessions show the same patient, with arms and breath alike."
-        )
+        yield Notice(code="trunks-fit-badly", values={"within_mm": change.fit.within_mm})
     if change.fit.turned_deg > DOUBT_DEG:
-        warnings.append(
-            f"The trunk leaned differently by {change.fit.turned_deg:.0f}°. Breasts then hang differently, by more "
-            "than the interval includes."
-        )
-    return warnings
+        yield Notice(code="trunks-lean-differently", values={"turned_deg": change.fit.turned_deg})
 
 
-def _unconfirmed(change: Change) -> list[str]:
-    warnings = []
+def _unconfirmed(change: Change) -> Iterator[Notice]:
     for number, which in enumerate(_WHICH):
         boundaries = [(breast.before, breast.after)[number] for breast in change.breasts]
         if any("to-be-confirmed" in measurement.boundary_remarks for measurement in boundaries):
-            warnings.append(
-                f"Nobody has confirmed the automatic boundaries of the {which} date. Look at them with "
-                "`mammometry edit`, and confirm them or draw better ones."
-            )
-    return warnings
+            yield Notice(code="date-not-confirmed", values={"date": which})
 
 
 def _folder_name(before: Dated, privacy: Privacy) -> str:
@@ -422,8 +413,7 @@ def _report(
     heading: _Heading,
     change: Change,
     visits: list[Visit],
-    warnings: list[str],
-    remarks: list[str],
+    notices: tuple[Notice, ...],
     privacy: Privacy,
 ) -> ChangeReport:
     from mammometry.report.documents.change_page import ChangeReport
@@ -462,8 +452,7 @@ def _report(
         change=change,
         dates=(shown[0], shown[1]),
         frame=visits[0].frame,
-        warnings=tuple(warnings),
-        remarks=tuple(remarks),
+        notices=notices,
         contains="at either date, " + "; and ".join(dict.fromkeys(holds)),
         settings=settings_facts(jobs[0].settings)[0],
     )

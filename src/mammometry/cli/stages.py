@@ -15,6 +15,7 @@ from mammometry.cli.mesh import MESHES, MeshOptions, measure_mesh
 if TYPE_CHECKING:
     from mammometry.api.job import Job
     from mammometry.api.results import Results
+    from mammometry.base.notices import Notice
     from mammometry.job.products import Stage
 
 
@@ -100,32 +101,34 @@ def match(options: Options, session: SessionFolder) -> Answer:
 
     job, table = _stage("match", session, options)
     from mammometry.matching.quality import assess, concerns
+    from mammometry.report.words.notices import in_json, lines_of
 
-    advice = _outline_advice(job)
-    table |= {"matched_pixels": {}, "weak_percent": {}, "d_v_px": {}, "warnings": []}
-    lines = []
+    missing = _without_outline(job)
+    table |= {"matched_pixels": {}, "weak_percent": {}, "d_v_px": {}}
+    lines: list[Any] = []
+    notices: list[Notice] = []
     for pair, product in job.plan[disparity].items():
         quality = assess(product.uncached())
         table["matched_pixels"][pair] = quality.matched_pixels
         table["weak_percent"][pair] = round(quality.weak_percent, 2)
         table["d_v_px"][pair] = [round(quality.d_v_median_px, 4), round(quality.d_v_spread_px, 4)]
-        table["warnings"] += concerns(pair, quality, advice[pair])
+        notices += concerns(pair, quality, missing[pair])
         lines.append(
             f"{pair}: {quality.matched_pixels} pixels matched, expected error {quality.sigma_median_px:.3f} px, "
             f"texture too weak on {quality.weak_percent:.1f} %, vertical disparity {quality.d_v_median_px:+.3f} ± "
             f"{quality.d_v_spread_px:.3f} px"
         )
-    return Answer(table, [*lines, *(f"Warning: {words}" for words in table["warnings"]), _made(table)])
+    return Answer(table | in_json(notices), [*lines, *lines_of(notices), _made(table)])
 
 
-def _outline_advice(job: Job) -> dict[str, str]:
-    """Pair → what to do before a disagreement is put down to moved cameras. Empty where outlines are known."""
+def _without_outline(job: Job) -> dict[str, tuple[str, ...]]:
+    """Pair → its cameras whose outlines are not known."""
     from mammometry.job.stages.match import subjects
-    from mammometry.matching.foreground.outlines_first import outline_advice
+    from mammometry.matching.foreground.outlines_first import without_outline
 
     found = job.plan.value(subjects)
     doubts = {} if found is None else found.doubts
-    return {pair: outline_advice(cameras, doubts) for pair, cameras in job.inputs.pair_names.items()}
+    return {pair: without_outline(cameras, doubts) for pair, cameras in job.inputs.pair_names.items()}
 
 
 @command(app, "mammometry surface SESSION", _SET.format("surface", "surface.repair.rho=2.0"))
@@ -137,10 +140,12 @@ def surface(options: Options, session: SessionFolder) -> Answer:
     from mammometry.job.stages.surface import stillness as product
 
     job, table = _stage("surface", session, options)
+    from mammometry.report.words.notices import in_json, lines_of
     from mammometry.surface.motion.motion_test import concerns, summary
 
     mesh, stillness = job.surface().repaired.mesh, job.plan[product]()
     path = job.session.results / "surface" / "mesh.ply"
+    notices = list(concerns(stillness, _without_outline(job)))
     table |= {
         "mesh": str(path),
         "vertices": len(mesh.vertices),
@@ -149,10 +154,10 @@ def surface(options: Options, session: SessionFolder) -> Answer:
         "euler_number": mesh.euler_number(),
         "apart_mm": [round(value, 4) for value in stillness.distance_mm],
         "moved": stillness.moved and not stillness.refuted,
-        "warnings": list(concerns(stillness, _outline_advice(job))),
+        **in_json(notices),
     }
     closed = "closed" if table["watertight"] else "open"
-    remarks = [f"Cameras and body: {summary(stillness)}", *(f"Warning: {words}" for words in table["warnings"])]
+    remarks = [f"Cameras and body: {summary(stillness)}", *lines_of(notices)]
     return Answer(table, [f"{path}: {len(mesh.vertices)} vertices, {closed}", *remarks, _made(table)])
 
 
@@ -254,7 +259,7 @@ def report(
 
 def volume_lines(results: Results) -> list[Any]:
     """Volumes in words, and where the report is."""
-    from mammometry.report.words.notices import words_of
+    from mammometry.report.words.notices import lines_of
     from mammometry.report.words.volumes import MEANINGS, definition_words, measured_words, verdict_words
 
     lines: list[Any] = []
@@ -272,7 +277,7 @@ def volume_lines(results: Results) -> list[Any]:
         lines.append(
             f"    {name} lacks {measured_words(deficit.volume_cc, deficit.interval_cc)} to the other side, mirrored"
         )
-    lines += [f"{'Warning' if notice.level == 'warning' else 'note'}: {words_of(notice)}" for notice in results.notices]
+    lines += lines_of(results.notices)
     if not lines:
         lines.append("The session shows an open surface, which has no volume.")
     made = f"{len(results.made)} results made in {results.seconds:.1f} s"

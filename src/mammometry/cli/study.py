@@ -77,11 +77,13 @@ def compare(
 
 
 def _lines(comparison: Comparison) -> list[Any]:
-    lines: list[Any] = [f"Warning: {warning}" for warning in comparison.warnings]
+    from mammometry.report.words.notices import lines_of
+
+    lines: list[Any] = lines_of(comparison.notices)
     lines += [breast["verdict"] for breast in comparison.table["breasts"].values()]
     fit = comparison.change.fit
     lines.append(f"80 % of the trunk fits within {fit.within_mm:.1f} mm. The lean differs by {fit.turned_deg:.0f}°.")
-    return [*lines, *comparison.remarks, f"Page: {comparison.page}"]
+    return [*lines, f"Page: {comparison.page}"]
 
 
 _IN_WORDS = ("meaning", "remark")

@@ -1,12 +1,14 @@
 """Judge a disparity map, and the calibration, without a truth. In a few figures and sentences."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from mammometry.base.notices import Notice
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.matching.dense.match import DisparityMap
+from mammometry.matching.foreground.outlines_first import outline_first
 
 ALARMING_D_V_PX = 0.3
 """Smooth vertical disparity above which calibration and photographs do not fit, px. Chosen by eye: a right calibration
@@ -87,20 +89,19 @@ def _smooth_part(d_v_px: Float64[Array, "h w"], valid: Bool[Array, "h w"]) -> tu
     return float(np.sqrt(np.mean(smooth**2))), float(std)
 
 
-def concerns(pair: str, quality: MatchQuality, outline_advice: str = "") -> Iterator[str]:
-    """Sentences that a user must read before trusting the pair.
+def concerns(pair: str, quality: MatchQuality, missing: Sequence[str] = ()) -> Iterator[Notice]:
+    """Notices that a user must read before trusting the pair.
 
     Args:
         pair: its name.
         quality: its figures.
-        outline_advice: of `outlines_first`. Without an outline the background may be what does not fit.
+        missing: its cameras without an outline. The background may then be what does not fit.
     """
     if quality.calibration_alarm:
-        found = f"a vertical disparity of {quality.d_v_smooth_px:.2f} ± {quality.d_v_smooth_std_px:.2f} px"
-        moved = "shows that a camera moved after the calibration, or that the photographs belong to another one."
-        yield f"Pair {pair}: {found}. {outline_advice}" if outline_advice else f"Pair {pair}: {found} {moved}"
+        code = "pair-disagrees" if missing else "pair-moved"
+        values = {"px": quality.d_v_smooth_px, "std_px": quality.d_v_smooth_std_px}
+        yield Notice(code=code, about=(pair,), values=values)
+        if missing:
+            yield outline_first(missing)
     if quality.weak_percent > _MUCH_WEAK_PERCENT:
-        yield (
-            f"Pair {pair}: on {quality.weak_percent:.0f} % of the surface the texture is too weak to be matched; "
-            "nothing was invented there. Light it more, focus, or paint a pattern on a model."
-        )
+        yield Notice(code="texture-weak", level="note", about=(pair,), values={"percent": quality.weak_percent})

@@ -24,7 +24,7 @@ from mammometry.job.stages import calibrate, match, measure, surface
 from mammometry.job.stages.report import PageInputs
 from mammometry.matching import quality as match_quality
 from mammometry.matching.foreground.foreground import Foreground
-from mammometry.matching.foreground.outlines_first import OF_PARTNER, outline_advice
+from mammometry.matching.foreground.outlines_first import OF_PARTNER, without_outline
 from mammometry.matching.quality import MatchQuality
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.trunk.body import Body
@@ -84,8 +84,8 @@ class RunResults:
     """The surface, world frame."""
     blocked: Mapping[str, Occlusion] = field(default_factory=dict)
     """Camera → where something stands before the subject."""
-    moved: Sequence[str] = ()
-    """Sentences on what moved."""
+    moved: Sequence[Notice] = ()
+    """What moved."""
     absent: Sequence[NoBreast] = ()
     """Sides of a torso without a measurement."""
     body: Body | None = None
@@ -94,8 +94,8 @@ class RunResults:
     """Breasts on which no nipple was seen."""
     unseparated: Mapping[str, str] = field(default_factory=dict)
     """Camera → why its silhouette was sought and is not used."""
-    outline_advice: Mapping[str, str] = field(default_factory=dict)
-    """Pair without an outline → what to do first."""
+    without_outline: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    """Pair → its cameras whose outlines are not known."""
     walk: Walk | None = None
     """What is known of one telephone's photographs. None for a rig's."""
     walk_motion: WalkMotion | None = None
@@ -122,8 +122,7 @@ def warnings(run: RunResults) -> Iterator[Notice]:
         values = {"reasons": reasons, "masks": " and ".join(drawn)}
         cameras = tuple(run.unseparated)
         yield Notice(code="outline-not-used", about=cameras, photographs=captured(cameras), values=values)
-    for text in run.moved:
-        yield Notice(code="moved", values={"text": text})
+    yield from run.moved
     if any("head-not-shown" in measured.boundary_remarks for measured in run.measurements):
         yield Notice(code="head-not-shown")
 
@@ -143,8 +142,7 @@ def run_concerns(run: RunResults) -> Iterator[Notice]:
     if not extent.is_usual():
         yield Notice(code="size-unusual", values={"text": str(extent)})
     for name, judged in run.matching.items() if run.walk is None else ():  # a walk's pairs are tested by `walk.motion`
-        for text in match_quality.concerns(name, judged, run.outline_advice.get(name, "")):
-            yield Notice(code="pair-doubtful", level="note", about=(name,), values={"text": text})
+        yield from match_quality.concerns(name, judged, run.without_outline.get(name, ()))
     for name, share in run.shares.items():
         if share < _MATCHED and run.walk is None:  # a walk's masks show where the body may be
             yield Notice(code="pair-little-matched", level="note", about=(name,), values={"percent": 100 * share})
@@ -248,7 +246,7 @@ def gather(
     progress(0.9)
 
     unseparated = {} if (subjects := plan.value(match.subjects)) is None else subjects.doubts
-    advice = {pair: outline_advice(names, unseparated) for pair, names in rig.pair_names.items()}
+    missing = {pair: without_outline(names, unseparated) for pair, names in rig.pair_names.items()}
     run = RunResults(
         quality=quality,
         calibration=calibration,
@@ -259,12 +257,12 @@ def gather(
         measurements=measurements,
         repaired=finished.repaired,
         blocked=plan[surface.occlusions](),
-        moved=tuple(concerns(stillness, advice)),
+        moved=tuple(concerns(stillness, missing)),
         absent=absent,
         body=body,
         doubtful=without_nipple(measurements, marks, settings.measure),
         unseparated=unseparated,
-        outline_advice=advice,
+        without_outline=missing,
         walk=inputs.walk,
         walk_motion=plan.value(surface.walk_motion),
     )

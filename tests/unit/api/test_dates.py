@@ -18,6 +18,7 @@ from mammometry.api import dates
 from mammometry.api.dates import Comparison, compare
 from mammometry.api.job import Job, open_session
 from mammometry.base.errors import MeasureError, SessionError, StorageError
+from mammometry.base.notices import Notice
 from mammometry.cli.main import run
 from mammometry.io.meshes.scans import Scan, import_scan
 from mammometry.measure.volume import boundary_jitter
@@ -42,6 +43,10 @@ def body(place: int, growth: float = 1.0) -> TrueVisit:
 CHROMIUM = shutil.which("chromium")
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-background-networking"]
 BEFORE, AFTER = (2, 1.0), (3, 1.35)
+
+
+def codes(found: Comparison) -> set[str]:
+    return {notice.code for notice in found.notices}
 
 
 @pytest.fixture
@@ -87,7 +92,7 @@ def found(folders: tuple[Path, Path]) -> Comparison:
 
 def test_dates_of_the_manifests_decide_the_order(found: Comparison, folders: tuple[Path, Path]) -> None:
     assert (found.before, found.after) == folders
-    assert any("in the other order" in remark for remark in found.remarks)
+    assert "dates-exchanged" in codes(found)
     assert found.table["dates"] == "2026-03-01 → 2026-10-02: 215 days apart"
     assert found.folder == folders[1] / "results" / "compare" / "mueller-vernal"
 
@@ -212,11 +217,11 @@ def test_boundaries_made_in_two_ways_are_found_anew_at_both_dates(
     later = write_session(tmp_path / "automatic", body(*AFTER), 9, drawn=False)
     put_results(later, body(*AFTER))
     mixed = compare(folders[0], later)
-    assert any("drawn by hand, the others found automatically" in warning for warning in mixed.warnings)
+    assert codes(mixed) & {"drawn-at-one-date", "drawn-at-one-date-replaced"}
     methods = {each.boundary_method.split(":")[0] for pair in mixed.change.breasts for each in (pair.before,)}
-    again = any("were measured again within automatic boundaries" in warning for warning in mixed.warnings)
+    again = "drawn-at-one-date-replaced" in codes(mixed)
     assert methods == ({"automatic"} if again else {"given"})
-    assert any("named first was taken as the earlier one" in remark for remark in mixed.remarks)
+    assert "date-missing" in codes(mixed)
 
 
 @pytest.mark.slow
@@ -234,7 +239,9 @@ def test_walls_of_two_kinds_are_named_and_made_one(
     later = write_session(tmp_path / "measured-wall", true, 11, back=both)
     put_results(later, true)
     found = compare(folders[0], later)
-    assert any("different chest walls (rounded-membrane and measured)" in warning for warning in found.warnings)
+    assert {"walls": "rounded-membrane and measured", "wall": "rounded-membrane"} in [
+        one.values for one in found.notices
+    ]
     kinds = {wall for pair in found.change.breasts for wall in (pair.before.wall_kind, pair.after.wall_kind)}
     assert kinds == {"rounded-membrane"}
 
@@ -276,7 +283,7 @@ def test_a_standing_scan_is_compared_with_photographs_only_on_request(
     assert run(["compare", str(folders[0]), str(scan)]) == 3
     assert "compare.other_posture=true" in capsys.readouterr().err
     found = compare(folders[0], scan, Settings().overridden(["compare.other_posture=true"]))
-    assert found.warnings[0].startswith("The patient was leaning at the earlier date and standing later.")
+    assert found.notices[0].values == {"before": "leaning", "after": "standing"}
 
 
 def session_of(folder: Path, subject: str) -> Path:
@@ -348,7 +355,7 @@ def test_a_breast_with_a_volume_at_one_date_only_is_named_and_the_other_compared
 ) -> None:
     part = compare(folders[0], one_breast(tmp_path / "one", 13, "left"))
     assert [breast.name for breast in part.change.breasts] == ["left"]
-    assert "The right breast has a volume at the earlier date only, and is not compared." in part.warnings
+    assert Notice(code="volume-at-one-date", about=("right",), values={"date": "earlier"}) in part.notices
     assert part.table["at_one_date"] == {"right": "earlier"}
     whole = found.change.breasts[0].volume.difference_cc
     # Not the same to the last digit: the chest is fitted beside one breast or both.

@@ -7,7 +7,7 @@ import pytest
 from textured_pair import make_pair
 
 from mammometry.matching.dense.match import DisparityMap, match
-from mammometry.matching.foreground.outlines_first import OF_PARTNER, outline_advice
+from mammometry.matching.foreground.outlines_first import OF_PARTNER, without_outline
 from mammometry.matching.quality import assess, concerns
 from mammometry.matching.rectify import RectifiedPair
 from mammometry.report.figures.thinning import thinned_map
@@ -51,7 +51,7 @@ def test_the_vertical_disparity_is_the_calibrations_alarm(offset: float, spread:
     assert quality.d_v_median_px == pytest.approx(offset, abs=0.05)
     assert quality.d_v_spread_px == pytest.approx(spread, abs=0.05)  # three standard errors of 1700 pixels
     assert quality.calibration_alarm == alarm
-    assert any("vertical disparity" in words for words in concerns("front", quality)) == alarm
+    assert [notice.code for notice in concerns("front", quality)] == ["pair-moved"] * alarm
 
 
 def test_a_missing_outline_comes_before_a_moved_camera() -> None:
@@ -59,14 +59,14 @@ def test_a_missing_outline_comes_before_a_moved_camera() -> None:
     quality = assess(with_vertical(np.full((50, 60), -0.5)))
     assert quality.calibration_alarm
     doubts = {"front_l": "nothing stands out", "front_r": OF_PARTNER}
-    advice = outline_advice(("front_l", "front_r"), doubts)
-    (said,) = concerns("front", quality, advice)
-    assert "masks/front_l.png" in said
-    assert "masks/front_r.png" not in said
-    assert "moved" not in said
-    assert outline_advice(("left_l", "left_r"), doubts) == ""
-    (said,) = concerns("left", quality, "")
-    assert "a camera moved" in said
+    missing = without_outline(("front_l", "front_r"), doubts)
+    found, advice = concerns("front", quality, missing)
+    assert (found.code, advice.code) == ("pair-disagrees", "outline-first")
+    assert advice.values == {"masks": "masks/front_l.png"}
+    assert advice.photographs == ("capture/front_l",)
+    assert without_outline(("left_l", "left_r"), doubts) == ()
+    (found,) = concerns("left", quality)
+    assert (found.code, found.about) == ("pair-moved", ("left",))
 
 
 def test_a_camera_that_rolled_leaves_no_median_but_a_slope() -> None:
@@ -112,5 +112,5 @@ def test_weak_texture_is_reported_where_it_is_and_nowhere_else() -> None:
     assert found.valid[deep_flat].mean() < 0.02
     quality = assess(found)
     assert quality.weak_percent > 25
-    assert any("too weak" in words for words in concerns("front", quality))
+    assert "texture-weak" in {notice.code for notice in concerns("front", quality)}
     assert not found.weak[~pair.left_mask].any()

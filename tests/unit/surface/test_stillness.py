@@ -8,6 +8,7 @@ import pytest
 from moving_rig import RADII, calibrated_rig, measured, standing
 
 from mammometry.base.errors import MammometryError, MatchingError, SurfaceError
+from mammometry.base.notices import Notice
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.judge.pose_motion import shifts
 from mammometry.job.stages import surface as stages
@@ -202,12 +203,12 @@ def test_one_camera_that_turned_is_named():
     assert [each.camera for each in found.turns] == ["left_r"]
     assert found.turns[0].turn_deg == pytest.approx(0.06, rel=0.35)
     assert found.displaced[0].pair == "left"
-    assert "left_r" in " ".join(concerns(found))
-    drawn_first = " ".join(concerns(found, {"left": "Draw masks/left_r.png."}))
-    assert drawn_first.startswith("Draw masks/left_r.png. Pair left measured its points")
-    assert "Calibrate" not in drawn_first
-    uncertain = replace(found, turns=())
-    assert next(concerns(uncertain)).startswith("A camera turned after the calibration, probably left_r. Calibrate")
+    assert "left_r" in {name for notice in concerns(found) for name in notice.about}
+    drawn_first, corrected = concerns(found, {"left": ("left_r",)})
+    assert (drawn_first.code, drawn_first.about) == ("outline-first", ("left_r",))
+    assert (corrected.code, corrected.about) == ("motion-corrected", ("left",))
+    uncertain = next(concerns(replace(found, turns=())))
+    assert (uncertain.code, uncertain.about) == ("camera-turned-probably", ("left_r",))
 
 
 @pytest.mark.requirement("R-CAL-3")
@@ -218,7 +219,7 @@ def test_a_body_that_moved_between_exposures_is_put_right_and_told_from_a_camera
     assert off_mm(found, images) < 0.5 * off_mm(replace(found, corrected=False), images)
     assert found.displaced[0].pair == "left"
     assert found.displaced[0].body_mm > 0.6 * found.displaced[0].effect_mm
-    assert "body" in next(concerns(found))
+    assert next(concerns(found)).code == "body-moved"
 
 
 @pytest.mark.slow
@@ -232,7 +233,7 @@ def test_a_chest_that_breathed_between_exposures_is_put_right_and_said():
     assert found.corrected
     assert found.breathed
     assert found.distance_mm[1] < 0.2 * found.distance_mm[0]
-    assert next(concerns(found)).startswith("The body breathed or swayed between the exposures")
+    assert next(concerns(found)).code == "body-breathed"
     moved = found.carry(front, RIG)
     assert moved.valid.sum() > 0.95 * front.valid.sum()  # but for pixels at the edge
     carried = [
@@ -248,7 +249,7 @@ def test_a_body_that_ripples_is_not_explained_and_refused_beyond_the_limit(monke
     found = find(RIG, images, rows)
     assert found.moved
     assert found.unexplained
-    assert "no motion of cameras or pairs explains" in " ".join(concerns(found))
+    assert "motion-unexplained" in {notice.code for notice in concerns(found)}
     with pytest.raises(SurfaceError, match="expose all cameras together"):
         find(RIG, images, rows, settings=StillnessSettings(most_unexplained_mm=0.0))
     monkeypatch.setattr(stillness, "LEAST_EVIDENCE", 1e9)
@@ -257,7 +258,7 @@ def test_a_body_that_ripples_is_not_explained_and_refused_beyond_the_limit(monke
     assert not unsure.corrected
     assert unsure.carry(images[0], RIG) is images[0]
     assert np.linalg.eigvalsh(unsure.covariance - np.outer(unsure.motions, unsure.motions)).min() > -1e-9
-    assert "not corrected" in next(concerns(unsure))
+    assert {notice.code for notice in concerns(unsure)} & {"motion-not-corrected", "motion-not-confirmed"}
 
 
 @pytest.mark.requirement("R-CAL-2")
@@ -337,7 +338,7 @@ def test_the_unexplained_rest_is_said():
         unexplained=True,
         displaced=(stillness.Displaced(pair="left", effect_mm=0.2, std_mm=0.1, body_mm=0.19),),
     )
-    assert "0.30 mm in a way that no motion" in " ".join(concerns(found))
+    assert list(concerns(found))[-1] == Notice(code="motion-unexplained", values={"mm": 0.3})
 
 
 def dense_log_evidence(seen, asked, turn_rad, shift_mm, rest_mm):

@@ -10,25 +10,29 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 from mammometry.base.errors import MatchingError, SurfaceError
+from mammometry.base.notices import Notice
 
 OF_PARTNER = "its partner's silhouette is not known"
 """Reason given for a camera whose partner has a wrong silhouette: both pictures of a pair are treated alike."""
 
 
-def outline_advice(cameras: Sequence[str], doubts: Mapping[str, str]) -> str:
-    """What to do before a disagreement is put down to moved cameras. Empty where all outlines are known.
+def without_outline(cameras: Sequence[str], doubts: Mapping[str, str]) -> tuple[str, ...]:
+    """Cameras whose outlines must be drawn before a disagreement shows that cameras moved.
 
     Args:
         cameras: those of the pair that disagrees.
         doubts: camera → why its silhouette is not known.
     """
-    missing = [name for name in cameras if doubts.get(name, OF_PARTNER) != OF_PARTNER]
-    if not missing:
-        return ""
-    return (
-        f"The subject's outline in the photograph of {' and of '.join(missing)} is not known, so the background may "
-        f"have been matched. Draw {' and '.join(f'masks/{name}.png' for name in missing)}, and run again before you "
-        "calibrate again."
+    return tuple(name for name in cameras if doubts.get(name, OF_PARTNER) != OF_PARTNER)
+
+
+def outline_first(missing: Sequence[str]) -> Notice:
+    """Advice to draw these cameras' outlines before anything else."""
+    return Notice(
+        code="outline-first",
+        about=tuple(missing),
+        photographs=tuple(f"capture/{name}" for name in missing),
+        values={"masks": " and ".join(f"masks/{name}.png" for name in missing)},
     )
 
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from mammometry.base.notices import Notice
 from mammometry.base.rounding import at_95, half_width, rounded_words
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.measure.change import BreastChange, Change, LengthChange
@@ -21,6 +22,7 @@ from mammometry.report.models import change_scene
 from mammometry.report.pictures import encoded
 from mammometry.report.scene import to_json
 from mammometry.report.words.describe import versions
+from mammometry.report.words.notices import words_at
 from mammometry.report.words.volumes import change_sentence, measured_words, span_words, term_words
 from mammometry.study.tables import Table
 
@@ -45,10 +47,8 @@ class ChangeReport:
     """The earlier one first, in the earlier one's world frame."""
     frame: Float64[Array, "3 3"]
     """Rows: right, up and towards the viewer of the front view. World frame of the earlier date."""
-    warnings: tuple[str, ...]
-    """The gravest first."""
-    remarks: tuple[str, ...]
-    """How the comparison was made."""
+    notices: tuple[Notice, ...]
+    """Warnings, the gravest first, and how the comparison was made."""
     contains: str
     """What the page reveals of the patient."""
     settings: tuple[Fact, ...]
@@ -57,6 +57,16 @@ class ChangeReport:
     """The earlier date, where the page may name it."""
     at_one_date: Mapping[str, str] = field(default_factory=dict)
     """Breast → ``earlier`` or ``later``: the date at which alone it has a volume."""
+
+    @property
+    def warnings(self) -> list[str]:
+        """The warnings in words."""
+        return words_at("warning", self.notices)
+
+    @property
+    def remarks(self) -> list[str]:
+        """How the comparison was made, in words."""
+        return words_at("note", self.notices)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,8 +124,9 @@ def as_table(report: ChangeReport) -> dict[str, Any]:
         "title": report.title,
         "dates": report.subtitle,
         "subject": report.subject,
-        "warnings": list(report.warnings),
-        "remarks": list(report.remarks),
+        "warnings": report.warnings,
+        "remarks": report.remarks,
+        "notices": [notice.as_table() for notice in report.notices],
         "registration": {
             "before_from_after": fit.before_from_after.matrix.tolist(),
             "scatter_mm": round(fit.scatter_mm, 4),

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
-from mammometry.base.notices import Notice
+from mammometry.base.notices import Level, Notice
 from mammometry.measure.settings import NOT_TO_BE_COMPARED
 from mammometry.report.figures.names import NAMES
 
@@ -29,6 +29,7 @@ FOLD_NOT_SEEN = (
     "The fold is not seen because the breast hangs over it. The interval is therefore wider, and no ptosis is "
     "stated. Lift the breast, let the patient lean forward, or scan from below as well."
 )
+_AWAY = "Pair {about} measured its points {mm:.2f} ± {std_mm:.2f} mm away from where the others do."
 TEXTS: Mapping[str, Text] = MappingProxyType(
     {
         "skin-covered": Text(
@@ -47,7 +48,51 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
             "there, and the largest connected surface was taken. What else was near may be part of it. Look at the "
             "surface, or draw {masks}."
         ),
-        "moved": Text("{text}"),
+        "outline-first": Text(
+            "The subject's outline in the photograph of {about} is not known, so the background may have been matched. "
+            "Draw {masks}, and run again before you calibrate again."
+        ),
+        "pairs-matched-less-well": Text(
+            "Pairs measured the same skin {mm:.2f} mm apart (RMS), as if something had moved. What pairs share shows "
+            "that nothing did: they were matched less well, as where they see the skin aslant. Nothing was corrected; "
+            "the interval covers it. More overlap of neighbouring pairs, or more texture, helps."
+        ),
+        "camera-turned": Text(
+            "A camera turned after the calibration: {turns}. Calibrate again before the next capture."
+        ),
+        "camera-turned-probably": Text(
+            "A camera turned after the calibration, probably {about}. Calibrate again before the next capture."
+        ),
+        "cameras-turned": Text(
+            "Cameras turned after the calibration ({turns}). Calibrate again before the next capture."
+        ),
+        "cameras-and-body-moved": Text(
+            "Cameras turned after the calibration ({turns}), and body or pairs moved by {mm:.2f} mm. Calibrate again, "
+            "expose all cameras together."
+        ),
+        "body-moved": Text(
+            "The body, or a pair of cameras as a whole, moved between the exposures of the pairs, most for pair "
+            "{about}: {mm:.2f} mm. Expose all cameras together."
+        ),
+        "body-breathed": Text(
+            "The body breathed or swayed between the exposures of the pairs, most for pair {about}: {mm:.2f} mm. "
+            "Expose all cameras together."
+        ),
+        "motion-corrected": Text(
+            f"{_AWAY} That was corrected: the pairs now agree to {{after_mm:.2f}} mm ({{before_mm:.2f}} mm before); "
+            "the interval covers what is left."
+        ),
+        "motion-not-corrected": Text(
+            f"{_AWAY} That was not corrected, and the pairs disagree by {{before_mm:.2f}} mm; the interval covers it."
+        ),
+        "motion-not-confirmed": Text(
+            f"{_AWAY} That was not corrected, since nothing else that pairs share confirms it, and the pairs disagree "
+            "by {before_mm:.2f} mm; the interval covers it."
+        ),
+        "motion-unexplained": Text(
+            "Pairs still disagree by {mm:.2f} mm in a way that no motion of cameras or pairs explains, as when an arm "
+            "or a fold moves between exposures. The interval covers it. Expose all cameras together."
+        ),
         "head-not-shown": Text(
             "The body does not show where its head is: left and right rest on how the cameras are mounted. Check that "
             "none is upside down."
@@ -96,7 +141,17 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
         "size-unusual": Text(
             "The surface is rare: {text}. Check that the sizes of target or cameras are in millimetres."
         ),
-        "pair-doubtful": Text("{text}", "photographs"),
+        "pair-disagrees": Text("Pair {about}: a vertical disparity of {px:.2f} ± {std_px:.2f} px.", "photographs"),
+        "pair-moved": Text(
+            "Pair {about}: a vertical disparity of {px:.2f} ± {std_px:.2f} px shows that a camera moved after the "
+            "calibration, or that the photographs belong to another one.",
+            "photographs",
+        ),
+        "texture-weak": Text(
+            "Pair {about}: on {percent:.0f} % of the surface the texture is too weak to be matched; nothing was "
+            "invented there. Light it more, focus, or paint a pattern on a model.",
+            "photographs",
+        ),
         "pair-little-matched": Text(
             "Pair {about} matched only {percent:.0f} % of the subject's silhouette.", "photographs"
         ),
@@ -118,6 +173,36 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
             "Pose {pose} of camera {about} was left out of the calibration: it is {px:.1f} px off the others.",
             "photographs",
         ),
+        "postures-differ": Text(
+            f"The patient was {{before}} at the earlier date and {{after}} later. {NOT_TO_BE_COMPARED}."
+        ),
+        "trunks-fit-badly": Text(
+            "The trunks fit badly: 20 % of the skin beside the breasts is more than {within_mm:.1f} mm apart. Check "
+            "that both sessions show the same patient, with arms and breath alike."
+        ),
+        "trunks-lean-differently": Text(
+            "The trunk leaned differently by {turned_deg:.0f}°. Breasts then hang differently, by more than the "
+            "interval includes."
+        ),
+        "volume-at-one-date": Text("The {of} has a volume at the {date} date only, and is not compared."),
+        "date-not-confirmed": Text(
+            "Nobody has confirmed the automatic boundaries of the {date} date. Look at them with `mammometry edit`, "
+            "and confirm them or draw better ones."
+        ),
+        "drawn-at-one-date": Text(
+            "The boundaries of the {date} date were drawn by hand, the others found automatically. Part of the change "
+            "may come from that. Draw both with `mammometry edit`. (No automatic boundaries were found: {found}.)"
+        ),
+        "drawn-at-one-date-replaced": Text(
+            "The boundaries of the {date} date were drawn by hand, the others found automatically. They were measured "
+            "again within automatic boundaries. For a better comparison, draw both with `mammometry edit`."
+        ),
+        "walls-differ": Text(
+            "The dates used different chest walls ({walls}). Both were measured again with the wall “{wall}”."
+        ),
+        "dates-exchanged": Text("The sessions were named in the other order. The dates in their manifests were used."),
+        "date-missing": Text("A session has no date. The session named first was taken as the earlier one."),
+        "measured-again": Text("The {date} session had been measured with other settings. It was measured again."),
         "sentence": Text("{text}"),
     }
 )
@@ -136,6 +221,22 @@ def words_of(notice: Notice) -> str:
     )
 
 
+def words_at(level: Level, notices: Iterable[Notice]) -> list[str]:
+    """The notices of one level in words."""
+    return [words_of(notice) for notice in notices if notice.level == level]
+
+
+def in_json(notices: Iterable[Notice]) -> dict[str, list[Any]]:
+    """Notices for programs, in one order: words under ``warnings``, codes and values under ``notices``."""
+    listed = list(notices)
+    return {"warnings": list(map(words_of, listed)), "notices": [notice.as_table() for notice in listed]}
+
+
+def lines_of(notices: Iterable[Notice]) -> list[str]:
+    """Notices as lines in a terminal."""
+    return [f"{'Warning' if notice.level == 'warning' else 'note'}: {words_of(notice)}" for notice in notices]
+
+
 def concern_of(notice: Notice) -> Concern:
     """What kind of thing the notice concerns."""
     return TEXTS[notice.code].concern
@@ -145,7 +246,7 @@ _OF_1_0 = (
     ("Nobody has confirmed the automatic boundary", "boundary-not-confirmed"),
     ("Boundaries are drawn and confirmed with", "boundaries-drawn-with-edit"),
     ("Pose ", "board-photograph-doubtful"),
-    ("Pair ", "pair-doubtful"),
+    ("Pair ", "pair-moved"),
     ("Something hides part", "subject-hidden"),
     ("The subject was not separated", "subject-not-separated"),
     ("Left and right may be exchanged: the mesh was inside out", "sides-doubtful"),

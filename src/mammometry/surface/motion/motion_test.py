@@ -15,10 +15,12 @@ from types import MappingProxyType
 import numpy as np
 
 from mammometry.base.errors import SurfaceError
+from mammometry.base.notices import Notice
 from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import ParameterCovariance
 from mammometry.calibration.adjust.linear_model import Fit
 from mammometry.geometry import Array, Camera, Float64, Rig, Transform
+from mammometry.matching.foreground.outlines_first import outline_first
 from mammometry.surface.motion.agreement import RowErrors, differences
 from mammometry.surface.motion.feature_evidence import CorrectionEvidence, SharedFeatures, weigh_correction
 from mammometry.surface.motion.moved_images import displaced, retriangulated
@@ -385,62 +387,49 @@ _MOST_PART, _LITTLE = 0.7, 0.35
 _NAMED = 3  # cameras in a sentence, at most
 
 
-def concerns(found: Stillness, outline_advice: Mapping[str, str] = MappingProxyType({})) -> Iterator[str]:
-    """Sentences that a user must read beside the volume. None where nothing moved.
+def concerns(found: Stillness, missing: Mapping[str, Sequence[str]] = MappingProxyType({})) -> Iterator[Notice]:
+    """Notices that a user must read beside the volume. None where nothing moved.
 
     Args:
         found: what moved.
-        outline_advice: pair → advice of `outlines_first`, which comes before any cause.
+        missing: pair → its cameras without an outline, which must be drawn before any cause is named.
     """
     if not found.moved:
         return
     before_mm, after_mm = found.distance_mm
     if found.refuted:
-        yield (
-            f"Pairs measured the same skin {before_mm:.2f} mm apart (RMS), as if something had moved. What pairs share "
-            "shows that nothing did: they were matched less well, as where they see the skin aslant. Nothing was "
-            "corrected; the interval covers it. More overlap of neighbouring pairs, or more texture, helps."
-        )
+        yield Notice(code="pairs-matched-less-well", values={"mm": before_mm})
         return
     worst = found.displaced[0]
-    unconfirmed = "" if found.confirmation is None else ", since nothing else that pairs share confirms it"
-    done = (
-        f"That was corrected: the pairs now agree to {after_mm:.2f} mm ({before_mm:.2f} mm before)"
-        if found.corrected
-        else f"That was not corrected{unconfirmed}, and the pairs disagree by {before_mm:.2f} mm"
-    )
-    reason = outline_advice.get(worst.pair) or cause(found)
-    yield (
-        f"{reason} Pair {worst.pair} measured its points {worst.effect_mm:.2f} ± {worst.std_mm:.2f} mm away from "
-        f"where the others do. {done}; the interval covers what is left."
+    yield outline_first(missing[worst.pair]) if missing.get(worst.pair) else cause(found)
+    code = "motion-corrected" if found.corrected else "motion-not-corrected"
+    yield Notice(
+        code=code if found.corrected or found.confirmation is None else "motion-not-confirmed",
+        about=(worst.pair,),
+        values={"mm": worst.effect_mm, "std_mm": worst.std_mm, "before_mm": before_mm, "after_mm": after_mm},
     )
     if found.unexplained:
-        yield (
-            f"Pairs still disagree by {found.rest_mm:.2f} mm in a way that no motion of cameras or pairs explains, as "
-            "when an arm or a fold moves between exposures. The interval covers it. Expose all cameras together."
-        )
+        yield Notice(code="motion-unexplained", values={"mm": found.rest_mm})
 
 
-def cause(found: Stillness) -> str:
-    """The thing that moved, and the remedy, in two sentences."""
+def cause(found: Stillness) -> Notice:
+    """The thing that moved, and the remedy."""
     worst = found.displaced[0]
     share = worst.body_mm / worst.effect_mm if worst.effect_mm > 0 else 0.0
-    named = ", ".join(f"{turn.camera} by {turn.turn_deg:.3f} ± {turn.std_deg:.3f}°" for turn in found.turns[:_NAMED])
+    turns = found.turns[:_NAMED]
+    cameras = tuple(turn.camera for turn in turns)
+    named = ", ".join(f"{turn.camera} {turn.turn_deg:.3f} ± {turn.std_deg:.3f}°" for turn in turns)
     if found.alone in found.parameters.cameras:
-        turned = f"after the calibration: {named}" if named else f"after the calibration, probably {found.alone}"
-        return f"A camera turned {turned}. Calibrate again before the next capture."
+        if named:
+            return Notice(code="camera-turned", about=cameras, values={"turns": named})
+        return Notice(code="camera-turned-probably", about=(str(found.alone),))
     if share >= _MOST_PART or found.alone is not None:
-        who = "The body breathed or swayed" if found.breathed else "The body, or a pair of cameras as a whole, moved"
-        return (
-            f"{who} between the exposures of the pairs, most for pair {worst.pair}: {worst.body_mm:.2f} mm. Expose all "
-            "cameras together."
-        )
-    who = f"Cameras turned after the calibration ({named or 'which ones is not certain'})"
+        code = "body-breathed" if found.breathed else "body-moved"
+        return Notice(code=code, about=(worst.pair,), values={"mm": worst.body_mm})
+    values: dict[str, float | str] = {"turns": named or "which ones is not certain"}
     if share > _LITTLE:
-        return (
-            f"{who}, and body or pairs moved by {worst.body_mm:.2f} mm. Calibrate again, expose all cameras together."
-        )
-    return f"{who}. Calibrate again before the next capture."
+        return Notice(code="cameras-and-body-moved", about=cameras, values=values | {"mm": worst.body_mm})
+    return Notice(code="cameras-turned", about=cameras, values=values)
 
 
 def summary(found: Stillness) -> str:
