@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from mammometry.api.job import Job, open_session
     from mammometry.api.results import Results
     from mammometry.base.errors import MammometryError
+    from mammometry.job.method import method
     from mammometry.report.privacy import Privacy
     from mammometry.settings import Settings
 
@@ -29,6 +30,7 @@ __all__ = [
     "Settings",
     "__version__",
     "compare",
+    "method",
     "open_session",
 ]
 
@@ -40,6 +42,7 @@ _HOMES = {
     "Results": "mammometry.api.results",
     "Settings": "mammometry.settings",
     "compare": "mammometry.api.dates",
+    "method": "mammometry.job.method",
     "open_session": "mammometry.api.job",
 }
 

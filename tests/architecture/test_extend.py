@@ -30,9 +30,10 @@ from mammometry.capture.shots import Shot, take
 from mammometry.geometry.transform import Transform
 from mammometry.io.results.codecs import FORMATS
 from mammometry.io.results.store import Store
+from mammometry.job import method as method_page
 from mammometry.job.graph import Plan
 from mammometry.job.inputs import CameraSet, Inputs
-from mammometry.job.products import DEFINITIONS, at_hand
+from mammometry.job.products import at_hand
 from mammometry.job.stages import surface
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.wall import chest_wall
@@ -65,7 +66,6 @@ REGISTRIES: tuple[Registry[Any], ...] = (
     RENDERERS,
     SUBJECTS,
     DISTURBANCES,
-    DEFINITIONS,
     FORMATS,
     PREVIEWS,
     PAPER_FIGURES,
@@ -73,7 +73,7 @@ REGISTRIES: tuple[Registry[Any], ...] = (
 )
 
 
-_PLACED = re.compile(r"In a new file `([a-z_/]+\.py)`:\n\n```python\n(.*?)```", re.DOTALL)
+_PLACED = re.compile(r"In a (?:new file|file of your own,) `([a-z_/]+\.py)`:\n\n```python\n(.*?)```", re.DOTALL)
 
 
 def blocks(repository: Path) -> dict[str, dict[str, str]]:
@@ -121,6 +121,8 @@ def test_what_is_pasted_as_told_keeps_the_house_rules(repository: Path, tmp_path
             shutil.copy(repository / name, tmp_path / name)
     for files in blocks(repository).values():
         for place, code in files.items():
+            if "/" not in place:
+                continue  # it stands outside the package
             (tmp_path / "src" / "mammometry" / place).write_text(code, encoding="utf-8")
     for words in (["init", "-q", "."], ["add", "-A"]):  # some checks look at what is to be committed
         subprocess.run(["git", *words], cwd=tmp_path, check=True)
@@ -225,7 +227,8 @@ def test_a_product_is_made_once_kept_and_made_anew(run: Callable[[str], dict[str
     def area(radius_mm: float) -> tuple[dict[str, float], list[str]]:
         first = at_hand(ball(radius_mm, 4), stage="surface", name="first", version=1, inputs={"radius": str(radius_mm)})
         memo = Store(tmp_path / "results")
-        plan = Plan(NO_INPUTS, Settings(), memo, stages=("surface",), given={surface.initial_surface: first})
+        given = {surface.initial_surface: first}
+        plan = Plan(names["with_area"], NO_INPUTS, Settings(), memo, stages=("surface",), given=given)
         return dict(plan[names["area"]]()), memo.made
 
     value, made = area(50.0)
@@ -242,15 +245,22 @@ NO_INPUTS = Inputs(
 )  # fmt: skip
 
 
-def test_a_product_is_added_to_the_surface_stage_in_one_file(
+def test_a_product_is_a_function_and_a_line_of_the_method(
     repository: Path, run: object, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """The walk of CONTRIBUTING.md, in under thirty lines, as if they stood in the stage's file."""
+    """The walk of CONTRIBUTING.md, as if its function stood in the stage's file and its line in the method's."""
     page = (repository / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    (code,) = re.findall(r"```python\n(.*?)```", page.partition("## Add a product to the surface stage")[2], re.DOTALL)
+    section = page.partition("## Add a product to the surface stage")[2].partition("\n## ")[0]
+    code, line = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
     assert code.count("\n") < 30
     names = dict(vars(surface))
     exec(compile(code, "CONTRIBUTING.md", "exec", __future__.annotations.compiler_flag), names)
+    monkeypatch.setattr(surface, "facing_area", names["facing_area"], raising=False)
+    before, mesh, after = (
+        Path(method_page.__file__).read_text(encoding="utf-8").partition("    mesh = plan(surface.mesh,")
+    )
+    longer = dict(vars(method_page))
+    exec(compile(before + f"    {line.strip()}\n" + mesh + after, "method.py, with a line more", "exec"), longer)
 
     rig = rig_around()
     cameras = CameraSet(rig=rig, std={}, world="", rms_px=None)
@@ -259,7 +269,7 @@ def test_a_product_is_added_to_the_surface_stage_in_one_file(
         known: at_hand(value, stage="surface", name=known.name, version=1, inputs={}) for known, value in values.items()
     }
     memo = Store(tmp_path / "results")
-    plan = Plan(NO_INPUTS, Settings(), memo, stages=("surface",), given=given)
+    plan = Plan(longer["method"], NO_INPUTS, Settings(), memo, stages=("surface",), given=given)
     disc_cm2 = np.pi * 25.0
     assert plan[names["facing_area"]]() == pytest.approx(dict.fromkeys(rig.cameras, disc_cm2), rel=0.01)
     assert memo.state(plan[names["facing_area"]].key) == "current"

@@ -13,13 +13,13 @@ from __future__ import annotations
 import os
 import re
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from mammometry.api.previews import Drawing, Previews
@@ -42,7 +42,8 @@ from mammometry.io.results.store import State, Store, Watch, unwatched
 from mammometry.io.session import Session
 from mammometry.job.graph import Background, Plan
 from mammometry.job.inputs import CameraSet, FinishedSurface
-from mammometry.job.products import STAGES, Key, Stage
+from mammometry.job.method import method
+from mammometry.job.products import STAGES, Definition, Key, Stage
 from mammometry.job.stages import calibrate, match, measure, surface
 from mammometry.job.stages.report import PageInputs, previews_key
 from mammometry.report.words.doubts import torso_notices
@@ -66,13 +67,21 @@ _PAGE_KEY = re.compile(r'<meta name="mammometry-key" content="([0-9a-f,]+)">')
 class Job(Reported):
     """The main job on one session, resumed from disk where current."""
 
-    def __init__(self, session: Session, settings: Settings, watch: Watch = unwatched) -> None:
+    def __init__(
+        self,
+        session: Session,
+        settings: Settings,
+        watch: Watch = unwatched,
+        *,
+        method: Callable[[Plan], None] = method,
+        given: Mapping[Definition[Any], Definition[Any]] = MappingProxyType({}),
+    ) -> None:
         self.session = replace(session, limits=settings.limits)
         self.identity, self.folder = session.identity, session.path
         self.settings = settings
         self.store = Store(session.results, watch, session.manifest.subject.id)
         self.inputs = self.session.inputs()
-        self.plan = Plan(self.inputs, settings, self.store)
+        self.plan = Plan(method, self.inputs, settings, self.store, given=given)
         """Every product, made or read back when called: ``job.plan[match.disparity]["front"]()``."""
         self.stage_seconds: dict[str, float] = {}
         self._previews = Previews(
@@ -380,19 +389,28 @@ class Job(Reported):
         return self._previews.files(stage)
 
 
-def open_session(path: Path | str, settings: Settings | None = None, *, watch: Watch = unwatched) -> Job:
+def open_session(
+    path: Path | str,
+    settings: Settings | None = None,
+    *,
+    watch: Watch = unwatched,
+    method: Callable[[Plan], None] = method,
+    given: Mapping[Definition[Any], Definition[Any]] = MappingProxyType({}),
+) -> Job:
     """Open a session folder for the main job.
 
     Args:
         path: the session folder.
         settings: of all stages; None for the recommended ones.
         watch: called for every product that is made; gives the progress callback to use meanwhile.
+        method: enters the products of the session: `job.method.method`, or one that calls it and enters more.
+        given: product of the method → another function that makes it (`job.products.instead_of`).
 
     Raises:
         SessionError: the folder or its manifest is not as documented, or photographs are missing.
         ImageError: a photograph is unreadable, or of another size than its camera's others.
     """
-    return Job(Session.open(path), settings or Settings(), watch)
+    return Job(Session.open(path), settings or Settings(), watch, method=method, given=given)
 
 
 def _keys_in(page: Path) -> set[str]:

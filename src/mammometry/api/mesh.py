@@ -52,6 +52,7 @@ from mammometry.io.results.store import Store, Watch, unwatched
 from mammometry.io.subject import check_mesh
 from mammometry.job.graph import Plan
 from mammometry.job.inputs import CameraSet, FinishedSurface, Inputs, SubjectKind
+from mammometry.job.method import method
 from mammometry.job.products import Key, at_hand
 from mammometry.job.stages import calibrate, measure, surface
 from mammometry.job.stages.report import PageInputs
@@ -272,6 +273,7 @@ class MeshJob(Reported):
         digests = {"mesh": self.inputs.digests["mesh"]}
         given = partial(at_hand, stage="surface")
         self.plan = Plan(
+            method,
             self.inputs,
             self.settings,
             self.store,

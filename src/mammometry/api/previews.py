@@ -22,6 +22,7 @@ from mammometry.base.progress import Progress
 from mammometry.io.photographs.images import megapixels_of
 from mammometry.io.results.store import Reader, Store
 from mammometry.job.graph import Plan
+from mammometry.job.method import method
 from mammometry.job.products import Stage
 from mammometry.job.stages.report import previews_key
 
@@ -74,7 +75,8 @@ class Previews:
             stages: what will be made, in order. Without pictures to draw beside a later one there is no second process.
         """
         missing = any(not self.store.has(previews_key(stage, self.plan)) for stage in stages[:-1])
-        if not missing or available_cores() < 2 or self._megapixels() < _LEAST_MEGAPIXELS:
+        usual = self.plan.method is method and not self.plan.given  # other functions are known in this process only
+        if not missing or not usual or available_cores() < 2 or self._megapixels() < _LEAST_MEGAPIXELS:
             yield Drawing(self._ensure, None)
             return
         with ThreadPoolExecutor(1) as pool, ChildProcess() as child:
@@ -173,4 +175,4 @@ def _draw(session: Session, settings: Settings, stage: Stage) -> tuple[dict[str,
 
     inputs = session.inputs()
     stored = Reader(Store(session.results, subject=session.manifest.subject.id))
-    return drawn(stage, Plan(inputs, settings, stored), inputs)
+    return drawn(stage, Plan(method, inputs, settings, stored), inputs)

@@ -18,7 +18,7 @@ from mammometry.base.identity import as_utf_8
 from mammometry.io.results.verify import BATCH
 from mammometry.io.sealed import sealed, unsealed
 from mammometry.io.write import write_bytes
-from mammometry.job.products import versions
+from mammometry.job.method import versions
 from mammometry.job.stages.report import VERSIONS
 from mammometry.settings import Settings
 

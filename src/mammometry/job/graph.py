@@ -1,12 +1,13 @@
-"""The graph of a session's products: which there are, and on which threads they are made.
+"""The products of a session, as the method lays them out, and on which threads they are made.
 
 It computes nothing by itself: each product knows its key and is made, or read back, when its value is first needed. So
 one plan runs a job, resumes it, and knows what is stale.
 """
 
-from collections.abc import Mapping, Sequence
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
 from itertools import groupby
 from types import MappingProxyType
 from typing import Any, Self, TypeVar, overload
@@ -14,7 +15,6 @@ from typing import Any, Self, TypeVar, overload
 from mammometry.base.machine.cores import available_cores
 from mammometry.job.inputs import Inputs
 from mammometry.job.products import (
-    DEFINITIONS,
     STAGES,
     Context,
     Definition,
@@ -65,59 +65,65 @@ class Plan:
 
     def __init__(
         self,
+        method: Callable[[Plan], None],
         inputs: Inputs,
         settings: Settings,
         memo: Memo | None,
         *,
         stages: Sequence[Stage] = STAGES,
-        given: Mapping[Single[Any], Single[Any]] = MappingProxyType({}),
+        given: Mapping[Definition[Any], Definition[Any]] = MappingProxyType({}),
     ) -> None:
-        """Bind the declared products to a session.
+        """Lay out the method for a session.
 
         Args:
+            method: calls the plan once for each product, those first from which others are made.
             inputs: of the session.
             settings: of all stages.
             memo: remembers products between runs. None: nothing is remembered.
             stages: whose products are planned.
-            given: declared product → the one instead of it, `at_hand`.
+            given: product of the method → the one instead of it: a value (`at_hand`) or another function
+                (`instead_of`).
         """
-        self._job = Context(inputs=inputs, settings=settings)
+        self.inputs, self.settings = inputs, settings
         self._memo = memo
         self._stages = stages
-        self.bound: dict[Definition[Any], dict[str, Product[Any]]] = {
-            definition: {"": Product(instead, self._job, {}, None)} for definition, instead in given.items()
-        }
-        """Definition → its products by item, one of no name for a single one. Empty where the session has none."""
-        for definition in sorted(DEFINITIONS.values(), key=lambda known: (STAGES.index(known.stage), known.number)):
-            self._bind(definition)
+        self.method, self.given = method, given
+        self.bound: dict[Definition[Any], dict[str, Product[Any]]] = {}
+        """Definition → its products by item, one of no name for a single one."""
+        method(self)
 
-    def _bind(self, definition: Definition[Any]) -> dict[str, Product[Any]]:
-        """Products of one definition by item. Empty where the session has none."""
-        if definition in self.bound:
-            return self.bound[definition]
-        products: dict[str, Product[Any]] = {}
-        if definition.stage in self._stages and definition.when(self._job):
-            for item in self._job.inputs.items(definition.item_kind):
-                job = replace(self._job, item=item)
-                without = definition.without(job)
-                parents = {
-                    name: None if name in without else self._parents(definition, name, item)
-                    for name in definition.parents
-                }
-                products[item] = Product(definition, job, parents, self._memo)
-        self.bound[definition] = products
-        return products
+    def plans(self, stage: Stage) -> bool:
+        """Whether a stage's products are planned, and not only those that are given."""
+        return stage in self._stages
 
-    def _parents(self, definition: Definition[Any], name: str, item: str) -> Parents:
-        """What a parameter of a product stands for."""
-        if name in DEFINITIONS:
-            return self._bind(DEFINITIONS[name]).get(item if DEFINITIONS[name].item_kind else "")
-        if not name.endswith("s") or (family := DEFINITIONS.get(name[:-1])) is None or family.item_kind is None:
-            raise TypeError(f"{definition.function.__name__}: no product is called {name}")
-        products = self._bind(family)
-        if (definition.item_kind, family.item_kind) == ("pair", "camera"):
-            return {camera: products[camera] for camera in self._job.inputs.pair_names[item] if camera in products}
-        return products
+    def __call__(self, definition: Definition[T], *made: Parents, item: str = "") -> Product[T] | None:
+        """Enter a product, which is not made yet. A line of the method.
+
+        Args:
+            definition: the function that makes it.
+            made: what its parameters get the values of, in their order.
+            item: the pose, camera or pair that it is of.
+
+        Returns:
+            The product. None where its stage is not planned.
+
+        Raises:
+            TypeError: the function takes other parameters, or the product was entered before.
+        """
+        instead: Definition[T] = self.given.get(definition, definition)
+        if instead is definition and not self.plans(definition.stage):
+            return None
+        known, name = self.bound.setdefault(definition, {}), instead.function.__name__
+        if item in known:
+            raise TypeError(f"{name} {item}: entered twice in the method")
+        if instead is not definition and not instead.parents:
+            made = ()
+        if len(made) != len(instead.parents):
+            raise TypeError(f"{name}: the method gives {len(made)} products, expected {', '.join(instead.parents)}")
+        job = Context(inputs=self.inputs, settings=self.settings, item=item)
+        parents = dict(zip(instead.parents, made, strict=True))
+        known[item] = product = Product(instead, job, parents, self._memo)
+        return product
 
     @overload
     def __getitem__(self, definition: Single[T]) -> Product[T]: ...
@@ -131,12 +137,12 @@ class Plan:
         Raises:
             KeyError: the session has no such product.
         """
-        products = self.bound[definition]
-        return products if definition.item_kind else products[""]
+        products = self.bound.get(definition, {})
+        return products if isinstance(definition, Family) else products[""]
 
     def get(self, definition: Single[T]) -> Product[T] | None:
         """The product, or None where the session has none."""
-        return self.bound[definition].get("")
+        return self.bound.get(definition, {}).get("")
 
     def value(self, definition: Single[T]) -> T | None:
         """Value of a product, made or read back. None where the session has no such product."""

@@ -24,9 +24,6 @@ if TYPE_CHECKING:
 
 
 SubjectKind: TypeAlias = Literal["model", "torso", "surface"]
-ItemKind: TypeAlias = Literal["pose", "lens", "camera", "pair"]
-"""What a session has several of. A lens is a camera with photographs of its own for the calibration."""
-
 MISSING = "missing"
 """Digest of a photograph that the pairs name but that does not exist yet."""
 
@@ -126,13 +123,15 @@ class Inputs:
             )
         return self.cameras is None
 
-    def items(self, kind: ItemKind | None) -> tuple[str, ...]:
-        """Names of all poses, cameras or pairs. One empty name for None."""
-        if kind is None:
-            return ("",)
-        if kind == "pose":
-            return tuple(sorted({pose for pose, _ in self.calibration_photographs}))
-        return tuple({"lens": self.intrinsics_photographs, "camera": self.photographs, "pair": self.pair_names}[kind])
+    @property
+    def all_masks_given(self) -> bool:
+        """Whether the user gave a mask of every photograph."""
+        return set(self.photographs) <= set(self.masks)
+
+    @property
+    def poses(self) -> tuple[str, ...]:
+        """Names of the calibration target's poses."""
+        return tuple(sorted({pose for pose, _ in self.calibration_photographs}))
 
     def key_part(self, *names: str) -> dict[str, str]:
         """Digests of some inputs, for a product's key. What the session lacks is left out.

@@ -1,11 +1,11 @@
 """Products: what each is made from, its key, its storage, and its release from memory.
 
-A product is a function (`job.stages`) whose parameters name the products that it is made from::
+A product is a function (`job.stages`) of other products' values::
 
-    @product_of_each("pair", "surface", version=3, settings="surface.triangulate")
+    @product_of_each("surface", version=3, settings="surface.triangulate")
     def range_image(disparity: DisparityMap, *, job: Context) -> RangeImage: ...
 
-`graph.Plan` binds all such functions to one session.
+`job.method` calls all such functions, top to bottom. `graph.Plan` makes a product of each call, for one session.
 """
 
 from __future__ import annotations
@@ -16,14 +16,12 @@ import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
-from itertools import count
 from threading import Lock
 from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar
 
 from mammometry.base.machine.cores import available_cores
 from mammometry.base.progress import Progress, no_progress
-from mammometry.base.registry import Registry
-from mammometry.job.inputs import Inputs, ItemKind
+from mammometry.job.inputs import Inputs
 from mammometry.settings import Settings, key_table, keyed
 
 T = TypeVar("T")
@@ -92,10 +90,6 @@ class Definition(Generic[T_co]):
 
     function: Callable[..., T_co]
     stage: Stage
-    number: int
-    """Place in the order of declaration."""
-    item_kind: ItemKind | None
-    """A session has one such product for each of these. None: it has a single one."""
     version: int | None = None
     """Raise it when the result changes for the same inputs and settings. None: an intermediate value, never stored.
     What is made from it depends on what it is made from.
@@ -106,10 +100,8 @@ class Definition(Generic[T_co]):
     """Its own settings: their place in `Settings`, or a function that gives a dataclass or a tuple of them."""
     inputs: tuple[str, ...] | Callable[[Context], Mapping[str, str]] = ()
     """The session's own inputs in its key: names for `Inputs.key_part`, or a function that gives the part."""
-    when: Callable[[Context], bool] = lambda job: True
-    """Whether a session has this product. Where it does not, what is made from it gets None."""
-    without: Callable[[Context], tuple[str, ...]] = lambda job: ()
-    """Parameters that get None, for this pose, camera or pair."""
+    maker: str = ""
+    """Name of the function, in the key, where it is not the one of the method (`instead_of`)."""
     stored: bool = True
     """Whether it is written. False: made from others in a moment."""
     large: bool = False
@@ -123,7 +115,7 @@ class Definition(Generic[T_co]):
 
     @property
     def parents(self) -> tuple[str, ...]:
-        """Parameters of the function that name products."""
+        """Parameters of the function that get values of products, in their order."""
         return tuple(name for name in inspect.signature(self.function).parameters if name != "job")
 
     def key(self, job: Context, inputs: Mapping[str, str]) -> Key:
@@ -135,7 +127,7 @@ class Definition(Generic[T_co]):
             stage=self.stage,
             product=self.name.format(item=job.item),
             version=self.version or 0,
-            settings=table,
+            settings={**table, "made_by": self.maker} if self.maker else table,
             inputs={**own, **inputs},
         )
 
@@ -158,18 +150,11 @@ class Family(Definition[T_co]):
     __slots__ = ()
 
 
-DEFINITIONS: Registry[Definition[Any]] = Registry(
-    "product", modules=tuple(f"mammometry.job.stages.{stage}" for stage in ("calibrate", "match", "surface", "measure"))
-)
-"""All declared products, by the names of their functions."""
-_NUMBERS = count()
-
-
 def product(stage: Stage, **facts: Any) -> Callable[[Callable[..., T]], Single[T]]:
-    """Declare that a function makes a product.
+    """Declare that a function makes a product, of which a session has one.
 
-    Its parameters name the products that it is made from: ``cameras`` gives one product's value, ``range_images`` the
-    values of all ``range_image`` by pair, camera or pose. The last parameter, ``job``, is the `Context`.
+    Its parameters are values of the products that it is made from: those that `job.method` gives it, in the same order.
+    The last parameter, ``job``, is the `Context`.
 
     Args:
         stage: that it belongs to.
@@ -177,25 +162,34 @@ def product(stage: Stage, **facts: Any) -> Callable[[Callable[..., T]], Single[T
     """
 
     def declare(function: Callable[..., T]) -> Single[T]:
-        facts.setdefault("name", function.__name__)
-        single = Single(function=function, stage=stage, number=next(_NUMBERS), item_kind=None, **facts)
-        DEFINITIONS.add(function.__name__)(single)
-        return single
+        return Single(function=function, stage=stage, **({"name": function.__name__} | facts))
 
     return declare
 
 
-def product_of_each(item_kind: ItemKind, stage: Stage, **facts: Any) -> Callable[[Callable[..., T]], Family[T]]:
-    """Declare that a function makes a product of each pose, camera or pair, as `product` does.
-
-    There ``disparity`` gives the value of the same pair, and ``photographs`` those of a pair's two cameras by name.
-    """
+def product_of_each(stage: Stage, **facts: Any) -> Callable[[Callable[..., T]], Family[T]]:
+    """Declare, as `product` does, what makes a product of each pose, camera or pair (`Context.item`)."""
 
     def declare(function: Callable[..., T]) -> Family[T]:
-        facts.setdefault("name", f"{function.__name__}/{{item}}")
-        family = Family(function=function, stage=stage, number=next(_NUMBERS), item_kind=item_kind, **facts)
-        DEFINITIONS.add(function.__name__)(family)
-        return family
+        return Family(function=function, stage=stage, **({"name": f"{function.__name__}/{{item}}"} | facts))
+
+    return declare
+
+
+def instead_of(known: Definition[T], *, version: int, **facts: Any) -> Callable[[Callable[..., T]], Definition[T]]:
+    """Declare that a function makes a product of the method in another way, for `Plan(given=…)`.
+
+    It takes what the other function takes, and its result lies in the same place. Its name is in the key: what is made
+    from it is made anew.
+
+    Args:
+        known: the product.
+        version: raise it when the function gives another result for the same inputs and settings.
+        facts: further fields of `Definition`. Those that are not given are as they are of `known`.
+    """
+
+    def declare(function: Callable[..., T]) -> Definition[T]:
+        return replace(known, function=function, version=version, **({"maker": function.__name__} | facts))
 
     return declare
 
@@ -203,14 +197,8 @@ def product_of_each(item_kind: ItemKind, stage: Stage, **facts: Any) -> Callable
 def at_hand(value: T, *, stage: Stage, name: str, version: int | None, inputs: Mapping[str, str]) -> Single[T]:
     """Declare a product whose value is given. It is never written, but part of the keys of its children."""
     return Single(
-        function=lambda job: value, stage=stage, number=0, item_kind=None, version=version, name=name,
-        inputs=lambda job: inputs, stored=False,
+        function=lambda job: value, stage=stage, version=version, name=name, inputs=lambda job: inputs, stored=False,
     )  # fmt: skip
-
-
-def versions() -> dict[str, int]:
-    """Kind of product → version of its making."""
-    return {known.name.split("/")[0]: known.version for known in DEFINITIONS.values() if known.version is not None}
 
 
 # --- Products of one session -----------------------------------------------------------------------------------------
@@ -227,12 +215,12 @@ class Product(Generic[T]):
         Args:
             definition: how it is made.
             job: what it is made from beside other products.
-            parents: parameter → product, or several by name, or None.
+            parents: parameter → product, or several by name, or None. Those not planned are left out.
             memo: remembers it. None: nobody does.
         """
         self.definition = definition
         self.job = job
-        self.parents = parents
+        self.parents = {name: _planned(parent) for name, parent in parents.items()}
         self.children: list[Product[Any]] = []
         self.depth: int = 1 + max((parent.depth for parent in self.made_from), default=0)
         """Products on the longest path to it."""
@@ -312,11 +300,17 @@ class Product(Generic[T]):
         return self.is_stored or any(child._is_to_be_made(stage) for child in self.children)
 
 
-Parents: TypeAlias = "Product[Any] | Mapping[str, Product[Any]] | None"
-"""What a parameter stands for."""
+Parents: TypeAlias = "Product[Any] | Mapping[str, Product[Any] | None] | None"
+"""What a parameter gets the value of: one product, several by pose, camera or pair, or none."""
 
 
-def _flat(parents: Iterable[Parents]) -> Iterator[Product[Any]]:
+def _planned(parents: Parents) -> Product[Any] | Mapping[str, Product[Any]] | None:
+    if not isinstance(parents, Mapping):
+        return parents
+    return {name: parent for name, parent in parents.items() if parent is not None}
+
+
+def _flat(parents: Iterable[Product[Any] | Mapping[str, Product[Any]] | None]) -> Iterator[Product[Any]]:
     for parent in parents:
         if isinstance(parent, Product):
             yield parent
@@ -324,7 +318,7 @@ def _flat(parents: Iterable[Parents]) -> Iterator[Product[Any]]:
             yield from parent.values()
 
 
-def _values(parents: Parents) -> Any:
+def _values(parents: Product[Any] | Mapping[str, Product[Any]] | None) -> Any:
     """Value that a function gets for one parameter."""
     if parents is None:
         return None

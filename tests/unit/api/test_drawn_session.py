@@ -14,6 +14,7 @@ from mammometry.api.job import open_session
 from mammometry.cli.main import run
 from mammometry.io.drawn import Change, change_drawn, drawn_entries, drawn_entry, entry_digest
 from mammometry.job.graph import Plan
+from mammometry.job.method import method
 from mammometry.job.stages import measure
 from mammometry.measure.volume.attribution import attributed, curve_digest
 from mammometry.settings import Settings
@@ -98,7 +99,7 @@ def test_one_drawn_breast_leaves_the_other_automatic(session: Path, true: TrueVi
     change_drawn(session, "torso", {LEFT: Change(entry=entry, base=None)})
     assert json.loads((session / "boundaries.json").read_text())["boundaries"]["right"] == {"automatic": True}
     given = given_surface(true.torso.surface, rig())
-    plan = Plan(open_session(session).inputs, Settings(), None, stages=("measure",), given=given)
+    plan = Plan(method, open_session(session).inputs, Settings(), None, stages=("measure",), given=given)
     left, right = plan[measure.boundaries]()
     assert np.array_equal(left.points_world, drawn.points_world)
     assert left.method == f"given: {len(drawn.points_world)} points, edited by hand"

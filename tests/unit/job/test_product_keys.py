@@ -15,6 +15,7 @@ import pytest
 from planned_sessions import Planned, sessions
 
 from mammometry.job.graph import Plan
+from mammometry.job.method import method
 from mammometry.job.stages import measure, surface
 from mammometry.settings import key_table, keyed
 
@@ -35,7 +36,7 @@ def settings_table(places: list[str], planned: Planned) -> dict[str, Any]:
 def test_no_stored_result_becomes_stale(name: str, planned: Planned) -> None:
     """Digests are computed here anew, by what the file says. A raised version is meant to make a result stale."""
     stored = STORED[name]
-    plan = Plan(planned.inputs, planned.settings, None)
+    plan = Plan(method, planned.inputs, planned.settings, None)
     products = {f"{product.key.stage}/{product.key.product}": product.key for product in plan.products()}
     products["surface/data"] = plan[surface.valid_patches].key
     if (strands := plan.get(surface.strands)) is not None:
@@ -58,6 +59,6 @@ def test_no_stored_result_becomes_stale(name: str, planned: Planned) -> None:
 def test_views_bound_the_unseen_skin_of_a_cast_alone() -> None:
     """A patient's hidden fold is closed too far out: that no view leaves it room outwards does not make it known."""
     planned = sessions()
-    plans = {name: Plan(one.inputs, one.settings, None) for name, one in planned.items()}
+    plans = {name: Plan(method, one.inputs, one.settings, None) for name, one in planned.items()}
     bounded = {name for name, plan in plans.items() if plan.get(measure.views) is not None}
     assert bounded == {name for name, one in planned.items() if one.inputs.subject_kind == "model"} != set()

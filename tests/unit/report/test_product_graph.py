@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 from tests.unit.job.planned_sessions import inputs
 
 from mammometry.job.graph import Plan
+from mammometry.job.method import method
 from mammometry.report.figures.product_graph import Known, product_graph
 from mammometry.settings import Settings
 
@@ -14,7 +15,7 @@ SVG = "{http://www.w3.org/2000/svg}"
 
 
 def drawn(kind: str, known: dict[str, Known]) -> ElementTree.Element:
-    return ElementTree.fromstring(product_graph(Plan(inputs(kind), Settings(), None), known, "P-7"))
+    return ElementTree.fromstring(product_graph(Plan(method, inputs(kind), Settings(), None), known, "P-7"))
 
 
 def names(drawing: ElementTree.Element) -> set[str]:

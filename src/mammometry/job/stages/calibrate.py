@@ -21,10 +21,6 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.calibration.targets.target import Target
 
 
-def _calibrates(job: Context) -> bool:
-    return job.inputs.calibrates
-
-
 def _pose_inputs(job: Context) -> dict[str, str]:
     """Digests of a pose's photographs, of points measured in them elsewhere, and of the target."""
     shots = [shot for shot in job.inputs.calibration_photographs if shot[0] == job.item]
@@ -34,13 +30,11 @@ def _pose_inputs(job: Context) -> dict[str, str]:
 
 
 @product_of_each(
-    "pose",
     "calibrate",
     version=9,
     name="observations/{item}",
     settings="calibration.detect",
     inputs=_pose_inputs,
-    when=_calibrates,
 )
 def observation(*, job: Context) -> Observations:
     """Points of the target that all cameras saw in one pose."""
@@ -56,13 +50,11 @@ def _lens_inputs(job: Context) -> dict[str, str]:
 
 
 @product_of_each(
-    "lens",
     "calibrate",
     version=9,
     name="observations/intrinsics-{item}",
     settings="calibration.detect",
     inputs=_lens_inputs,
-    when=_calibrates,
 )
 def lens_observation(*, job: Context) -> Observations:
     """Points of the intrinsics target that one camera saw, in photographs that give its lens."""
@@ -86,7 +78,6 @@ def _judged_settings(job: Context) -> object:
     version=7,
     settings=_judged_settings,
     inputs=("rig", "subject", "prior", "mounting"),
-    when=_calibrates,
 )
 def calibration(
     observations: Mapping[str, Observations], lens_observations: Mapping[str, Observations], *, job: Context

@@ -57,17 +57,13 @@ def names(cameras: CameraSet, *, job: Context) -> Names:
     return compared
 
 
-@product_of_each("camera", "match", inputs=("capture/{item}",), large=True, threads=1)
+@product_of_each("match", inputs=("capture/{item}",), large=True, threads=1)
 def photograph(*, job: Context) -> Photograph:
     """The photograph of one camera, decoded once for its foreground and its rectification."""
     return job.inputs.photographs[job.item]
 
 
-def _masks_missing(job: Context) -> bool:
-    return bool(set(job.inputs.photographs) - set(job.inputs.masks))
-
-
-@product("match", version=4, settings="matching.foreground", inputs=("capture", "masks"), when=_masks_missing)
+@product("match", version=4, settings="matching.foreground", inputs=("capture", "masks"))
 def subjects(cameras: CameraSet, *, job: Context) -> Subjects:
     """Place of the subject, and its blocks in each photograph. None where all masks are given."""
     from mammometry.matching.foreground.all_cameras import find_subjects
@@ -75,17 +71,11 @@ def subjects(cameras: CameraSet, *, job: Context) -> Subjects:
     return find_subjects(cameras.rig, job.inputs.photographs, job.settings.matching.foreground, given=job.inputs.masks)
 
 
-def _given_mask(job: Context) -> tuple[str, ...]:
-    return ("subjects",) if job.item in job.inputs.masks else ()
-
-
 @product_of_each(
-    "camera",
     "match",
     version=13,
     settings="matching.foreground",
     inputs=("masks/{item}",),
-    without=_given_mask,
     large=True,
     threads=1,
 )
@@ -98,7 +88,7 @@ def foreground(photograph: Photograph, subjects: Subjects | None, *, job: Contex
     return estimate_foreground(photograph, job.item, given=given, subject=subject)
 
 
-@product_of_each("pair", "match", large=True)
+@product_of_each("match", large=True)
 def rectified(
     cameras: CameraSet,
     photographs: Mapping[str, Photograph],  # before the foregrounds, which are then made of the same ones
@@ -121,7 +111,7 @@ def rectified(
     )
 
 
-@product_of_each("pair", "match", version=17, settings="matching", large=True, threads=2)
+@product_of_each("match", version=17, settings="matching", large=True, threads=2)
 def disparity(rectified: RectifiedPair, *, job: Context) -> DisparityMap:
     """Place of each left pixel on the right."""
     from mammometry.matching.dense.match import match
@@ -129,7 +119,7 @@ def disparity(rectified: RectifiedPair, *, job: Context) -> DisparityMap:
     return match(rectified, job.settings.matching, progress=job.progress)
 
 
-@product_of_each("pair", "match", version=1, name="rows/{item}", threads=2)
+@product_of_each("match", version=1, name="rows/{item}", threads=2)
 def vertical_residual(disparity: DisparityMap, *, job: Context) -> RowErrors:
     """The vertical disparity of a pair, summed up while the whole of it is in memory."""
     from mammometry.surface.motion.agreement import row_errors

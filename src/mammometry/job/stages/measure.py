@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.job.inputs import CameraSet, FinishedSurface, earlier_errors
+from mammometry.job.inputs import CameraSet, FinishedSurface, Inputs, earlier_errors
 from mammometry.job.products import Context, product
+from mammometry.settings import Settings
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.adjust.calibrated import Calibration
@@ -31,23 +32,10 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.walk.motion import WalkMotion
 
 
-def _torso(job: Context) -> bool:
-    return job.inputs.subject_kind == "torso"
-
-
-def _photographed_cast(job: Context) -> bool:
-    return job.inputs.subject_kind == "model" and bool(job.inputs.pair_names)
-
-
-def _has_volume(job: Context) -> bool:
-    return job.inputs.subject_kind != "surface"
-
-
-def _outlined(job: Context) -> bool:
-    """Whether the breasts of a torso are looked for: they are not if all are drawn, removed, or given by landmarks."""
-    inputs = job.inputs
+def are_breasts_sought(inputs: Inputs, settings: Settings) -> bool:
+    """Whether a torso's breasts are looked for: not if all are drawn, removed, or given by landmarks."""
     wanted = inputs.automatic or not (inputs.boundaries or inputs.all_removed)
-    return _torso(job) and job.settings.measure.boundary != "landmarks" and bool(wanted)
+    return inputs.subject_kind == "torso" and settings.measure.boundary != "landmarks" and bool(wanted)
 
 
 def _frame(cameras: CameraSet, job: Context, body: Body | None = None) -> Float64[Array, "3 3"]:
@@ -57,7 +45,7 @@ def _frame(cameras: CameraSet, job: Context, body: Body | None = None) -> Float6
     return rig_frame(cameras.rig, job.inputs.mounting) if body is None else body.frame
 
 
-@product("measure", version=21, settings="measure", inputs=("subject", "mounting"), when=_outlined)
+@product("measure", version=21, settings="measure", inputs=("subject", "mounting"))
 def sides(corrected_cameras: CameraSet, repaired: RepairedSurface, *, job: Context) -> TorsoSides:
     """Breasts found on a torso, and sides without one."""
     from mammometry.measure.boundary.boundary import outline_torso
@@ -73,7 +61,7 @@ def _boundary_inputs(job: Context) -> dict[str, str]:
     return job.inputs.key_part("subject", "boundaries", "mounting", "rim", *picked)
 
 
-@product("measure", version=17, settings="measure", inputs=_boundary_inputs, when=_has_volume)
+@product("measure", version=17, settings="measure", inputs=_boundary_inputs)
 def boundaries(
     corrected_cameras: CameraSet,
     repaired: RepairedSurface,
@@ -105,7 +93,7 @@ def boundaries(
     elif sides is not None:
         with size_remarked(repaired, _frame(corrected_cameras, job)):
             curves = wanted_boundaries(sides, inputs.removed, required=not inputs.boundaries)
-    elif _torso(job):
+    elif inputs.subject_kind == "torso":
         frame = _frame(corrected_cameras, job)
         curves = boundary.landmark_boundaries(inputs.landmarks, repaired, frame, settings)
     else:
@@ -124,7 +112,7 @@ def boundaries(
     return tuple(sorted((*given, *wanted), key=lambda curve: curve.name))
 
 
-@product("measure", version=10, settings="measure.thorax", inputs=("mounting",), when=_torso)
+@product("measure", version=10, settings="measure.thorax", inputs=("mounting",))
 def body(
     corrected_cameras: CameraSet,
     repaired: RepairedSurface,
@@ -142,7 +130,7 @@ def body(
     return find_body(repaired, frame, boundaries=curves, stated=stated)
 
 
-@product("measure", version=1, settings="measure", when=_torso, threads=1)
+@product("measure", version=1, settings="measure", threads=1)
 def size(repaired: RepairedSurface, boundaries: tuple[Boundary, ...], body: Body, *, job: Context) -> BodySize:
     """Lengths of a torso that show a wrong scale."""
     from mammometry.measure.shape.body_lengths import find_body_size
@@ -150,7 +138,7 @@ def size(repaired: RepairedSurface, boundaries: tuple[Boundary, ...], body: Body
     return find_body_size(repaired, boundaries, body, job.settings.measure)
 
 
-@product("measure", version=1, when=_torso, threads=1)
+@product("measure", version=1, threads=1)
 def overlaps(repaired: RepairedSurface, boundaries: tuple[Boundary, ...], *, job: Context) -> tuple[Overlap, ...]:
     """Whether something covers a breast, such as a hand. No volume depends on it."""
     from mammometry.measure.boundary.grooves import find_overlap
@@ -158,7 +146,7 @@ def overlaps(repaired: RepairedSurface, boundaries: tuple[Boundary, ...], *, job
     return tuple(find_overlap(boundary, repaired) for boundary in boundaries)
 
 
-@product("measure", when=_photographed_cast, large=True)
+@product("measure", large=True)
 def views(
     corrected_cameras: CameraSet, valid_patches: ValidPatches, foregrounds: Mapping[str, Foreground], *, job: Context
 ) -> tuple[Bound, ...]:
@@ -168,7 +156,7 @@ def views(
     return bounds(foregrounds, valid_patches.range_images, corrected_cameras.rig)
 
 
-@product("measure", when=_has_volume, large=True)
+@product("measure", large=True)
 def evidence(
     corrected_cameras: CameraSet,
     views: tuple[Bound, ...] | None,
@@ -206,7 +194,6 @@ def evidence(
     name="measurement",
     settings="measure",
     inputs=("wall", "scale", "walk-errors"),
-    when=_has_volume,
 )
 def measurements(
     repaired: RepairedSurface,
@@ -258,7 +245,7 @@ def _covered(overlaps: tuple[Overlap, ...] | None, job: Context) -> dict[str, Me
     return {found.name: found.refusal for found in overlaps or () if found.is_covered}
 
 
-@product("measure", version=4, settings="measure", inputs=("wall",), when=_torso, threads=1)
+@product("measure", version=4, settings="measure", inputs=("wall",), threads=1)
 def absent(
     repaired: RepairedSurface,
     sides: TorsoSides | None,
@@ -286,7 +273,7 @@ def absent(
     return tuple(absent)
 
 
-@product("measure", version=4, settings="measure", when=_torso, threads=1)
+@product("measure", version=4, settings="measure", threads=1)
 def lacking(
     repaired: RepairedSurface, measurements: tuple[VolumeMeasurement, ...], body: Body, *, job: Context
 ) -> tuple[VolumeDeficit, ...]:
@@ -300,7 +287,7 @@ def lacking(
     return () if deficit is None else (deficit,)
 
 
-@product("measure", version=9, settings="measure", inputs=("landmarks",), when=_has_volume, threads=1)
+@product("measure", version=9, settings="measure", inputs=("landmarks",), threads=1)
 def landmarks(
     mesh: FinishedSurface,
     boundaries: tuple[Boundary, ...],
@@ -316,7 +303,7 @@ def landmarks(
     return find_landmarks(mesh.repaired, colours, measurements, picked, body, settings, boundaries=boundaries)
 
 
-@product("measure", version=5, when=_has_volume, threads=1)
+@product("measure", version=5, threads=1)
 def symmetry(
     corrected_cameras: CameraSet,
     mesh: FinishedSurface,
@@ -336,7 +323,7 @@ def symmetry(
         return None
 
 
-@product("measure", version=8, settings="measure", inputs=("mounting",), when=_has_volume, threads=1)
+@product("measure", version=8, settings="measure", inputs=("mounting",), threads=1)
 def dimensions(
     corrected_cameras: CameraSet,
     mesh: FinishedSurface,

@@ -28,7 +28,6 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
 
 
 @product_of_each(
-    "pair",
     "surface",
     version=3,
     name="range/{item}",
@@ -79,7 +78,7 @@ def stillness(
         )
 
 
-@product("surface", version=1, when=lambda job: job.inputs.walk is not None)
+@product("surface", version=1)
 def walk_motion(
     cameras: CameraSet,
     range_images: Mapping[str, RangeImage],
@@ -132,7 +131,7 @@ def keep_masks(
     return dents.KeepMasks(keep=tuple(keep), angles_rad=valid.angles_rad)
 
 
-@product("surface", version=1, stored=False, inputs=("capture",), when=lambda job: job.inputs.subject_kind == "torso")
+@product("surface", version=1, stored=False, inputs=("capture",))
 def strands(
     cameras: CameraSet, range_images: Mapping[str, RangeImage], *, job: Context
 ) -> Mapping[str, Bool[Array, "h w"]]:

@@ -6,7 +6,7 @@ from html import escape
 from typing import Any
 
 from mammometry.job.graph import Plan
-from mammometry.job.products import STAGES, Definition
+from mammometry.job.products import STAGES, Definition, Family
 from mammometry.report.figures.canvas import INK
 
 _BOX_WH, _ROW, _COLUMN, _LEFT, _TOP = (156, 38), 58, 172, 96, 16  # px; chosen by eye
@@ -181,7 +181,7 @@ def _box(
     words = "not stored" if not keys else state if state == "absent" else f"{state}, {seconds:.1f} s"
     shown = f'<text class="s" x="{middle[0]}" y="{y + 29}" text-anchor="middle">{words}</text>'
     below = shown if known or not keys else ""
-    name = _name(definition) + (f" × {len(products)}" if definition.item_kind else "")
+    name = _name(definition) + (f" × {len(products)}" if isinstance(definition, Family) else "")
     bar = f'<rect class="t" x="{x}" y="{y + tall - 3}" width="{wide * seconds / (longest or 1.0):.1f}" height="3"/>'
     summary = (definition.function.__doc__ or "").strip().partition("\n")[0]
     made_from = f" Made from: {', '.join(map(_name, parents))}." if parents else ""

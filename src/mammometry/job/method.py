@@ -1,0 +1,98 @@
+"""The whole method on one page, from photographs to volumes.
+
+Each line enters a product: the function that makes it, and what that function gets. Nothing is computed here. A product
+is made, or read back, when its value is wanted (`graph.Plan`). The functions stand in `job.stages`, a file a stage;
+what a product's key holds beside the products it is made from (version, settings, the session's own inputs) is said
+above each function.
+
+To work with another function in a line, or with a line more::
+
+    mm.open_session("SESSION", given={match.disparity: mine})
+    mm.open_session("SESSION", method=longer)
+
+docs/how-to/extend.md shows both.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, TypeVar
+
+from mammometry.job.graph import Plan
+from mammometry.job.products import Definition, Product
+from mammometry.job.stages import calibrate, match, measure, surface
+
+T = TypeVar("T")
+
+
+def method(plan: Plan) -> None:
+    """Enter all products of a session, or of a scan whose surface is given."""
+    inputs = plan.inputs
+    pairs, subject = inputs.pair_names, inputs.subject_kind
+
+    # Calibrate: from photographs of a target to cameras. Paper 2.2.
+    calibration = None
+    if plan.plans("calibrate") and inputs.calibrates:
+        seen = {pose: plan(calibrate.observation, item=pose) for pose in inputs.poses}
+        lenses = {camera: plan(calibrate.lens_observation, item=camera) for camera in inputs.intrinsics_photographs}
+        calibration = plan(calibrate.calibration, seen, lenses)
+    cameras = plan(calibrate.cameras, calibration)
+
+    # Match: from photographs and cameras to the subject's outlines and to disparities. Paper 2.3.
+    plan(match.names, cameras)
+    photographs = {camera: plan(match.photograph, item=camera) for camera in inputs.photographs}
+    subjects = None if inputs.all_masks_given else plan(match.subjects, cameras)
+    foregrounds = {
+        camera: plan(match.foreground, photograph, None if camera in inputs.masks else subjects, item=camera)
+        for camera, photograph in photographs.items()
+    }
+    rectified = {
+        pair: plan(match.rectified, cameras, of(both, photographs), of(both, foregrounds), subjects, item=pair)
+        for pair, both in pairs.items()
+    }
+    disparities = {pair: plan(match.disparity, rectified[pair], item=pair) for pair in pairs}
+    rows = {pair: plan(match.vertical_residual, disparities[pair], item=pair) for pair in pairs}
+
+    # Surface: from disparities to the closed, coloured surface. Paper 2.4 to 2.6.
+    ranges = {pair: plan(surface.range_image, disparities[pair], item=pair) for pair in pairs}
+    still = plan(surface.stillness, cameras, calibration, ranges, rows, subjects)
+    walked = plan(surface.walk_motion, cameras, ranges, rows) if inputs.walk is not None else None
+    stood = plan(surface.corrected_cameras, cameras, still, walked)
+    kept = plan(surface.keep_masks, cameras, still, walked, ranges, subjects)
+    strands = plan(surface.strands, cameras, ranges) if subject == "torso" else None
+    data = plan(surface.valid_patches, cameras, still, walked, ranges, kept, strands)
+    blocked = plan(surface.occlusions, stood, data, foregrounds)
+    solid = plan(surface.solid, stood, data, foregrounds, blocked, subjects)
+    first = plan(surface.initial_surface, data, solid)
+    repaired = plan(surface.repaired, first, data)
+    plan(surface.model, stood, repaired)
+    mesh = plan(surface.mesh, stood, repaired)
+
+    # Measure: from the surface to boundaries, volumes and lengths. An open surface has none.
+    if subject == "surface":
+        return
+    is_torso = subject == "torso"
+    sides = plan(measure.sides, stood, repaired) if measure.are_breasts_sought(inputs, plan.settings) else None
+    boundaries = plan(measure.boundaries, stood, repaired, sides, foregrounds)
+    body = plan(measure.body, stood, repaired, sides, boundaries) if is_torso else None
+    size = plan(measure.size, repaired, boundaries, body) if is_torso else None
+    covers = plan(measure.overlaps, repaired, boundaries) if is_torso else None
+    views = plan(measure.views, stood, data, foregrounds) if pairs and not is_torso else None
+    evidence = plan(measure.evidence, stood, views, calibration, still, walked)
+    volumes = plan(measure.measurements, repaired, boundaries, body, size, covers, evidence)
+    if is_torso:
+        plan(measure.absent, repaired, sides, boundaries, body, volumes, covers)
+        plan(measure.lacking, repaired, volumes, body)
+    landmarks = plan(measure.landmarks, mesh, boundaries, volumes, body)
+    plan(measure.symmetry, stood, mesh, volumes, body)
+    plan(measure.dimensions, stood, mesh, volumes, body, landmarks, boundaries)
+
+
+def of(cameras: Iterable[str], products: Mapping[str, Product[T] | None]) -> dict[str, Product[T] | None]:
+    """Those of some cameras that there are."""
+    return {camera: products[camera] for camera in cameras if camera in products}
+
+
+def versions() -> dict[str, int]:
+    """Kind of product → version of its making."""
+    known = (value for stage in (calibrate, match, surface, measure) for value in vars(stage).values())
+    declared: list[Definition[Any]] = [value for value in known if isinstance(value, Definition)]
+    return {each.name.partition("/")[0]: each.version for each in declared if each.version is not None}
