@@ -36,7 +36,7 @@ from mammometry.geometry.transform import Transform
 from mammometry.io.truth import read_truth
 from mammometry.job.graph import Plan
 from mammometry.job.method import method
-from mammometry.job.products import Definition, Key, at_hand
+from mammometry.job.products import Given, Key, at_hand
 from mammometry.job.stages import calibrate, match, measure, surface
 from mammometry.settings import Settings
 from mammometry.study.accuracy import align_surfaces, compare_surfaces
@@ -115,7 +115,7 @@ def judge_of(capture: Capture, job: Job) -> Judge:
 def measured(job: Job, rig: Rig, settings: Settings, judge: Judge) -> Iterator[dict[str, Any]]:
     """Match with a rig, then measure with and without putting right what moved; one row each."""
     calibration, cameras = job.plan[calibrate.calibration](), job.plan[calibrate.cameras]()
-    given: dict[Definition[Any], Definition[Any]] = {
+    given: Given = {
         product: at_hand(replace(value, rig=rig), stage="calibrate", name=product.name, version=0, inputs={})
         for product, value in ((calibrate.calibration, calibration), (calibrate.cameras, cameras))
     }
@@ -129,7 +129,7 @@ def measured(job: Job, rig: Rig, settings: Settings, judge: Judge) -> Iterator[d
             found = plan[surface.stillness]()
             if not correct:
                 left = at_hand(replace(found, corrected=False), stage="surface", name="stillness", version=0, inputs={})
-                plan = Plan(method, job.inputs, settings, memo, given=given | {surface.stillness: left})
+                plan = Plan(method, job.inputs, settings, memo, given={**given, surface.stillness: left})
             repaired = plan[surface.repaired]()
             measurements = plan[measure.measurements]()
         except MammometryError as error:

@@ -13,13 +13,13 @@ from __future__ import annotations
 import os
 import re
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from mammometry.api.previews import Drawing, Previews
@@ -40,10 +40,10 @@ from mammometry.geometry.camera import Rig
 from mammometry.io.outputs import require_apart, require_free, write_output
 from mammometry.io.results.store import State, Store, Watch, unwatched
 from mammometry.io.session import Session
-from mammometry.job.graph import Background, Plan
+from mammometry.job.graph import Background, Method, Plan
 from mammometry.job.inputs import CameraSet, FinishedSurface
 from mammometry.job.method import method
-from mammometry.job.products import STAGES, Definition, Key, Stage
+from mammometry.job.products import NONE_GIVEN, STAGES, Given, Key, Stage
 from mammometry.job.stages import calibrate, match, measure, surface
 from mammometry.job.stages.report import PageInputs, previews_key
 from mammometry.report.words.doubts import torso_notices
@@ -73,8 +73,8 @@ class Job(Reported):
         settings: Settings,
         watch: Watch = unwatched,
         *,
-        method: Callable[[Plan], None] = method,
-        given: Mapping[Definition[Any], Definition[Any]] = MappingProxyType({}),
+        method: Method = method,
+        given: Given = NONE_GIVEN,
     ) -> None:
         self.session = replace(session, limits=settings.limits)
         self.identity, self.folder = session.identity, session.path
@@ -394,8 +394,8 @@ def open_session(
     settings: Settings | None = None,
     *,
     watch: Watch = unwatched,
-    method: Callable[[Plan], None] = method,
-    given: Mapping[Definition[Any], Definition[Any]] = MappingProxyType({}),
+    method: Method = method,
+    given: Given = NONE_GIVEN,
 ) -> Job:
     """Open a session folder for the main job.
 

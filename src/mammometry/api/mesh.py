@@ -53,7 +53,7 @@ from mammometry.io.subject import check_mesh
 from mammometry.job.graph import Plan
 from mammometry.job.inputs import CameraSet, FinishedSurface, Inputs, SubjectKind
 from mammometry.job.method import method
-from mammometry.job.products import Key, at_hand
+from mammometry.job.products import Given, Key, at_hand
 from mammometry.job.stages import calibrate, measure, surface
 from mammometry.job.stages.report import PageInputs
 from mammometry.measure.landmarks.landmarks import PICKED_SIGMA_MM
@@ -272,20 +272,14 @@ class MeshJob(Reported):
         cameras = CameraSet(rig=self.rig, std={}, world=WORLD, rms_px=None)
         digests = {"mesh": self.inputs.digests["mesh"]}
         given = partial(at_hand, stage="surface")
-        self.plan = Plan(
-            method,
-            self.inputs,
-            self.settings,
-            self.store,
-            stages=("measure",),
-            given={
-                surface.corrected_cameras: given(
-                    cameras, name="cameras", version=calibrate.cameras.version, inputs={**digests, **by_drawing}
-                ),
-                surface.repaired: given(repaired, name="repaired", version=surface.repaired.version, inputs=digests),
-                surface.mesh: given(self.finished, name="mesh", version=surface.mesh.version, inputs=digests),
-            },
-        )
+        known: Given = {
+            surface.corrected_cameras: given(
+                cameras, name="cameras", version=calibrate.cameras.version, inputs={**digests, **by_drawing}
+            ),
+            surface.repaired: given(repaired, name="repaired", version=surface.repaired.version, inputs=digests),
+            surface.mesh: given(self.finished, name="mesh", version=surface.mesh.version, inputs=digests),
+        }
+        self.plan = Plan(method, self.inputs, self.settings, self.store, stages=("measure",), given=known)
 
     def require_sides(self) -> None:
         """Refuse a scan that may be a mirror image, before it is exported or compared.

@@ -9,16 +9,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import groupby
-from types import MappingProxyType
-from typing import Any, Self, TypeVar, overload
+from typing import Any, Self, TypeAlias, TypeVar, overload
 
 from mammometry.base.machine.cores import available_cores
 from mammometry.job.inputs import Inputs
 from mammometry.job.products import (
+    NONE_GIVEN,
     STAGES,
     Context,
     Definition,
     Family,
+    Given,
     Memo,
     Parents,
     Product,
@@ -60,18 +61,22 @@ class Background:
             self._begun.pop().result()
 
 
+Method: TypeAlias = "Callable[[Plan], None]"
+"""Calls a plan for each product: `job.method.method`, or a longer one."""
+
+
 class Plan:
     """Every product of a session, not yet made."""
 
     def __init__(
         self,
-        method: Callable[[Plan], None],
+        method: Method,
         inputs: Inputs,
         settings: Settings,
         memo: Memo | None,
         *,
         stages: Sequence[Stage] = STAGES,
-        given: Mapping[Definition[Any], Definition[Any]] = MappingProxyType({}),
+        given: Given = NONE_GIVEN,
     ) -> None:
         """Lay out the method for a session.
 
@@ -81,8 +86,7 @@ class Plan:
             settings: of all stages.
             memo: remembers products between runs. None: nothing is remembered.
             stages: whose products are planned.
-            given: product of the method → the one instead of it: a value (`at_hand`) or another function
-                (`instead_of`).
+            given: what stands in for products of the method.
         """
         self.inputs, self.settings = inputs, settings
         self._memo = memo

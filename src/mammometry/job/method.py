@@ -95,4 +95,4 @@ def versions() -> dict[str, int]:
     """Kind of product → version of its making."""
     known = (value for stage in (calibrate, match, surface, measure) for value in vars(stage).values())
     declared: list[Definition[Any]] = [value for value in known if isinstance(value, Definition)]
-    return {each.name.partition("/")[0]: each.version for each in declared if each.version is not None}
+    return {kind.name.partition("/")[0]: kind.version for kind in declared if kind.version is not None}

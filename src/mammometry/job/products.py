@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from threading import Lock
+from types import MappingProxyType
 from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar
 
 from mammometry.base.machine.cores import available_cores
@@ -192,6 +193,11 @@ def instead_of(known: Definition[T], *, version: int, **facts: Any) -> Callable[
         return replace(known, function=function, version=version, **({"maker": function.__name__} | facts))
 
     return declare
+
+
+Given: TypeAlias = Mapping[Definition[Any], Definition[Any]]
+"""Product of the method → the one instead of it: a value (`at_hand`) or another function (`instead_of`)."""
+NONE_GIVEN: Given = MappingProxyType({})
 
 
 def at_hand(value: T, *, stage: Stage, name: str, version: int | None, inputs: Mapping[str, str]) -> Single[T]:
