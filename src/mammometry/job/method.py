@@ -56,9 +56,10 @@ def method(plan: Plan) -> None:
     still = plan(surface.stillness, cameras, calibration, ranges, rows, subjects)
     walked = plan(surface.walk_motion, cameras, ranges, rows) if inputs.walk is not None else None
     stood = plan(surface.corrected_cameras, cameras, still, walked)
-    kept = plan(surface.keep_masks, cameras, still, walked, ranges, subjects)
+    moved = plan(surface.moved_ranges, cameras, still, walked, ranges)
+    kept = plan(surface.keep_masks, cameras, moved, subjects)
     strands = plan(surface.strands, cameras, ranges) if subject == "torso" else None
-    data = plan(surface.valid_patches, cameras, still, walked, ranges, kept, strands)
+    data = plan(surface.valid_patches, moved, kept, strands)
     blocked = plan(surface.occlusions, stood, data, foregrounds)
     solid = plan(surface.solid, stood, data, foregrounds, blocked, subjects)
     first = plan(surface.initial_surface, data, solid)
@@ -73,13 +74,14 @@ def method(plan: Plan) -> None:
     sides = plan(measure.sides, stood, repaired) if measure.are_breasts_sought(inputs, plan.settings) else None
     boundaries = plan(measure.boundaries, stood, repaired, sides, foregrounds)
     body = plan(measure.body, stood, repaired, sides, boundaries) if is_torso else None
-    size = plan(measure.size, repaired, boundaries, body) if is_torso else None
+    breasts = plan(measure.breasts, repaired, boundaries, body)
+    size = plan(measure.size, repaired, breasts, body) if is_torso else None
     covers = plan(measure.overlaps, repaired, boundaries) if is_torso else None
     views = plan(measure.views, stood, data, foregrounds) if pairs and not is_torso else None
     evidence = plan(measure.evidence, stood, views, calibration, still, walked)
-    volumes = plan(measure.measurements, repaired, boundaries, body, size, covers, evidence)
+    volumes = plan(measure.measurements, breasts, size, covers, evidence)
     if is_torso:
-        plan(measure.absent, repaired, sides, boundaries, body, volumes, covers)
+        plan(measure.absent, repaired, sides, breasts, body, volumes, covers)
         plan(measure.lacking, repaired, volumes, body)
     landmarks = plan(measure.landmarks, mesh, boundaries, volumes, body)
     plan(measure.symmetry, stood, mesh, volumes, body)

@@ -8,6 +8,7 @@ reconstructed from each pair as the skin will be. Each view alone is tested for 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 
 import numpy as np
 
@@ -90,8 +91,14 @@ def assess(calibration: Calibration, settings: QualitySettings = QualitySettings
     """Judge a calibration by residuals, standard deviations and reconstructed target.
 
     The target is reconstructed from each pair. ``pass``: nothing stands out. ``warn``: usable, but something deserves
-    a look. ``refuse``: measuring with it would give wrong volumes without any other sign.
+    a look. ``refuse``: measuring with it would give wrong volumes without any other sign. The last judgement is kept:
+    several products and pages ask for that of the same calibration.
     """
+    return _assessed(calibration, settings)
+
+
+@lru_cache(maxsize=1)
+def _assessed(calibration: Calibration, settings: QualitySettings) -> CalibrationQuality:
     views = view_qualities(calibration)
     pairs = tuple(reconstruct(calibration, pair) for pair in calibration.rig.pairs)
     moved = movements(calibration, sightings(calibration), _MOVED_SIGMA)

@@ -26,6 +26,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
     from mammometry.measure.volume.uncertainty import Evidence
     from mammometry.measure.volume.unseen_space import Bound
+    from mammometry.measure.wall.open_breast import OpenBreast
     from mammometry.surface.motion.motion_test import Stillness
     from mammometry.surface.ranges.dents import ValidPatches
     from mammometry.surface.repair.repair import RepairedSurface
@@ -130,12 +131,23 @@ def body(
     return find_body(repaired, frame, boundaries=curves, stated=stated)
 
 
+@product("measure", large=True)
+def breasts(
+    repaired: RepairedSurface, boundaries: tuple[Boundary, ...], body: Body | None, *, job: Context
+) -> tuple[OpenBreast, ...]:
+    """Each breast cut out along its boundary, to be closed with a wall."""
+    from mammometry.measure.wall.open_breast import open_breasts
+
+    frame = None if body is None else body.frame
+    return open_breasts(boundaries, repaired, job.settings.measure, frame=frame, back=job.inputs.wall)
+
+
 @product("measure", version=1, settings="measure", threads=1)
-def size(repaired: RepairedSurface, boundaries: tuple[Boundary, ...], body: Body, *, job: Context) -> BodySize:
+def size(repaired: RepairedSurface, breasts: tuple[OpenBreast, ...], body: Body, *, job: Context) -> BodySize:
     """Lengths of a torso that show a wrong scale."""
     from mammometry.measure.shape.body_lengths import find_body_size
 
-    return find_body_size(repaired, boundaries, body, job.settings.measure)
+    return find_body_size(repaired, breasts, body, job.settings.measure)
 
 
 @product("measure", version=1, threads=1)
@@ -196,9 +208,7 @@ def evidence(
     inputs=("wall", "scale", "walk-errors"),
 )
 def measurements(
-    repaired: RepairedSurface,
-    boundaries: tuple[Boundary, ...],
-    body: Body | None,
+    breasts: tuple[OpenBreast, ...],
     size: BodySize | None,
     overlaps: tuple[Overlap, ...] | None,
     evidence: Evidence,
@@ -213,12 +223,9 @@ def measurements(
     """
     from mammometry.measure.shape.body_size import require_adult
     from mammometry.measure.volume.volumes import measured_or_refused
-    from mammometry.measure.wall.open_breast import open_breasts
 
     if size is not None:
         require_adult(size, job.settings.measure)
-    frame = None if body is None else body.frame
-    breasts = open_breasts(boundaries, repaired, job.settings.measure, frame=frame, back=job.inputs.wall)
     remark = size.warning if size is not None and size.is_rare else ""  # a wrong scale may be the reason
     outcomes: dict[str, VolumeMeasurement | MeasureError] = {**_covered(overlaps, job)}
     bare = [breast for breast in breasts if breast.boundary.name not in outcomes]
@@ -249,7 +256,7 @@ def _covered(overlaps: tuple[Overlap, ...] | None, job: Context) -> dict[str, Me
 def absent(
     repaired: RepairedSurface,
     sides: TorsoSides | None,
-    boundaries: tuple[Boundary, ...],
+    breasts: tuple[OpenBreast, ...],
     body: Body,
     measurements: tuple[VolumeMeasurement, ...],
     overlaps: tuple[Overlap, ...],
@@ -258,18 +265,15 @@ def absent(
 ) -> tuple[NoBreast, ...]:
     """Sides that were not measured, with reasons: without a breast, removed, unclear or refused."""
     from mammometry.measure.volume.volumes import refused_side, removed_side
-    from mammometry.measure.wall.open_breast import open_breasts
 
     inputs = job.inputs
     sides_without = () if sides is None else sides.absent
     absent = [side for side in sides_without if side.name not in (*inputs.boundaries, *inputs.removed)]
     absent += [removed_side(name, body, repaired) for name in inputs.removed]
     measured = {measurement.name for measurement in measurements}
-    if any(curve.name not in measured for curve in boundaries):
-        breasts = open_breasts(boundaries, repaired, job.settings.measure, frame=body.frame, back=inputs.wall)
-        covered = _covered(overlaps, job)
-        refused = [breast for breast in breasts if breast.boundary.name not in measured]
-        absent += [refused_side(breast, covered.get(breast.boundary.name)) for breast in refused]
+    covered = _covered(overlaps, job)
+    refused = [breast for breast in breasts if breast.boundary.name not in measured]
+    absent += [refused_side(breast, covered.get(breast.boundary.name)) for breast in refused]
     return tuple(absent)
 
 

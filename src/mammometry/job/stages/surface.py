@@ -104,21 +104,28 @@ def _dent_settings(job: Context) -> object:
     return job.settings.surface.decompose, job.settings.surface.dents
 
 
-@product("surface", version=5, name="valid", settings=_dent_settings, inputs=("subject",), large=True)
-def keep_masks(
+@product("surface", large=True)
+def moved_ranges(
     cameras: CameraSet,
     stillness: Stillness,
     walk_motion: WalkMotion | None,
     range_images: Mapping[str, RangeImage],
-    subjects: Subjects | None,
     *,
     job: Context,
+) -> Mapping[str, RangeImage]:
+    """Pair → its range image with the cameras where they stood at the exposures."""
+    motion = walk_motion or stillness
+    return {name: motion.carry(image, cameras.rig) for name, image in range_images.items()}
+
+
+@product("surface", version=5, name="valid", settings=_dent_settings, inputs=("subject",), large=True)
+def keep_masks(
+    cameras: CameraSet, moved_ranges: Mapping[str, RangeImage], subjects: Subjects | None, *, job: Context
 ) -> KeepMasks:
     """Masks of the range data that survive the removal of dents (paper 2.6.1, 2.6.2)."""
     from mammometry.surface.ranges import dents
 
-    settings, rig = job.settings.surface, cameras.rig
-    images = tuple((walk_motion or stillness).carry(image, rig) for image in range_images.values())
+    settings, rig, images = job.settings.surface, cameras.rig, tuple(moved_ranges.values())
     patches = dents.decompose(images, settings.decompose) if settings.dents.rule == "patch" else None
     valid = dents.remove_dents(images, patches, settings.dents)
     keep = [image.valid for image in valid.range_images]
@@ -148,18 +155,15 @@ def strands(
 
 @product("surface", version=1, name="data", stored=False, large=True)
 def valid_patches(
-    cameras: CameraSet,
-    stillness: Stillness,
-    walk_motion: WalkMotion | None,
-    range_images: Mapping[str, RangeImage],
+    moved_ranges: Mapping[str, RangeImage],
     keep_masks: KeepMasks,
     strands: Mapping[str, Bool[Array, "h w"]] | None,
     *,
     job: Context,
 ) -> ValidPatches:
     """Range data that survive and show no strand, taken from the range images when they are wanted."""
-    masks = keep_masks if strands is None else keep_masks.without([strands[name] for name in range_images])
-    return masks.of([(walk_motion or stillness).carry(image, cameras.rig) for image in range_images.values()])
+    masks = keep_masks if strands is None else keep_masks.without([strands[name] for name in moved_ranges])
+    return masks.of(list(moved_ranges.values()))
 
 
 @product("surface", version=8, name="blocked")

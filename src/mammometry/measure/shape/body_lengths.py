@@ -9,13 +9,12 @@ import numpy as np
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry import Array, Float64
-from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.landmarks.proposals import propose_nipple, propose_on_midline
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.shape.body_size import BodySize
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.trunk.thorax import seen_skin, trunk_breadth_mm
-from mammometry.measure.wall.open_breast import open_breasts
+from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.surface.repair.repair import RepairedSurface
 
 _GREY = 128  # colour of skin on which only the shape shows a nipple
@@ -36,7 +35,7 @@ def size_remarked(surface: RepairedSurface, frame: Float64[Array, "3 3"]) -> Ite
 
 def find_body_size(
     surface: RepairedSurface,
-    boundaries: Sequence[Boundary],
+    breasts: Sequence[OpenBreast],
     body: Body,
     settings: MeasureSettings = MeasureSettings(),
 ) -> BodySize:
@@ -46,14 +45,14 @@ def find_body_size(
 
     Args:
         surface: the repaired mesh, world frame, mm.
-        boundaries: of the breasts.
+        breasts: cut out of it.
         body: the patient's own directions.
         settings: how probable a nipple must be.
     """
-    curves = [boundary.points_world for boundary in boundaries]
+    curves = [breast.boundary.points_world for breast in breasts]
     middle = np.mean([curve.mean(axis=0) for curve in curves], axis=0) if curves else None
     found = _trunk(surface, body.frame, middle)
-    nipples = _nipples(surface, boundaries, body, settings)
+    nipples = _nipples(breasts, settings)
     if len(nipples) == 2:
         found["nipples"] = float(np.linalg.norm(np.subtract(*nipples.values())))
     notch = _notch(surface, curves, body)
@@ -72,15 +71,10 @@ def _trunk(
     return {} if breadth_mm is None else {"trunk": breadth_mm}
 
 
-def _nipples(
-    surface: RepairedSurface,
-    boundaries: Sequence[Boundary],
-    body: Body,
-    settings: MeasureSettings,
-) -> dict[str, Float64[Array, 3]]:
+def _nipples(breasts: Sequence[OpenBreast], settings: MeasureSettings) -> dict[str, Float64[Array, 3]]:
     """Place of each nipple that the shape shows."""
     found: dict[str, Float64[Array, 3]] = {}
-    for breast in open_breasts(boundaries, surface, settings, frame=body.frame):
+    for breast in breasts:
         name = f"nipple_{breast.boundary.name}"
         try:
             skin = breast.part.mesh
