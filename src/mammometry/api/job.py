@@ -37,6 +37,7 @@ from mammometry.base.machine.cores import one_blas_thread
 from mammometry.base.machine.system import peak_memory_mb, reuse_freed_memory
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.camera import Rig
+from mammometry.io.looked_up import shared
 from mammometry.io.outputs import require_apart, require_free, write_output
 from mammometry.io.results.store import State, Store, Watch, unwatched
 from mammometry.io.session import Session
@@ -111,6 +112,7 @@ class Job(Reported):
         with (
             self.store.taken(),
             one_blas_thread(),
+            shared(self.inputs.photographs),
             self._previews.drawing(stages if drawn else ()) as drawing,
             Background() as background,
         ):

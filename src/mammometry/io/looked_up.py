@@ -5,14 +5,17 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import lru_cache
 from pathlib import Path
-from typing import Generic, TypeVar
+from threading import Lock
+from typing import Any, Generic, TypeVar
 
 from mammometry.base.errors import ImageError
 
 K = TypeVar("K")
 V = TypeVar("V")
+_ROOM_BYTES = 512 << 20  # fourteen photographs of 12 megapixels; surfaces of such rigs take several times as much
 
 
 class LazyMapping(Mapping[K, V], Generic[K, V]):
@@ -33,6 +36,43 @@ class LazyMapping(Mapping[K, V], Generic[K, V]):
 
     def __contains__(self, key: object) -> bool:
         return key in self._sources
+
+
+class SharedMapping(LazyMapping[K, V]):
+    """A mapping that makes each value once while somebody works with it (`shared`), and else at every look-up."""
+
+    def __init__(self, sources: Mapping[K, object], make: Callable[..., V], *, bytes_of: Callable[[V], int]) -> None:
+        super().__init__(sources, make)
+        self._bytes_of = bytes_of
+        self._locks = {key: Lock() for key in self._sources}
+        self._values: dict[K, V] = {}
+        self._left = 0
+
+    def __getitem__(self, key: K) -> V:
+        with self._locks[key]:  # two that need it at once wait for one making of it
+            if key in self._values:
+                return self._values[key]
+            value = super().__getitem__(key)
+            size = self._bytes_of(value)
+            if size <= self._left:
+                self._left -= size
+                self._values[key] = value
+            return value
+
+    @contextmanager
+    def kept(self) -> Iterator[None]:
+        """Keep what is made within the block, as far as it has room in memory."""
+        self._left = _ROOM_BYTES
+        try:
+            yield
+        finally:
+            self._left = 0
+            self._values.clear()
+
+
+def shared(values: Mapping[Any, Any]) -> AbstractContextManager[None]:
+    """Keep values that are made when they are looked up within a block, if they can be kept."""
+    return values.kept() if isinstance(values, SharedMapping) else nullcontext()
 
 
 class KeptMapping(LazyMapping[K, V]):

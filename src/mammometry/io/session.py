@@ -35,7 +35,7 @@ from mammometry.geometry import Array, Camera
 from mammometry.io.cameras.own import read_cameras, read_priors
 from mammometry.io.csv_tables import read_table
 from mammometry.io.drawn import boundaries_digest, landmarks_digest, read_boundaries, read_landmarks
-from mammometry.io.looked_up import KeptMapping, LazyMapping, digest_of, file_digest
+from mammometry.io.looked_up import KeptMapping, LazyMapping, SharedMapping, digest_of, file_digest
 from mammometry.io.manifest import MANIFEST, Manifest, read_manifest
 from mammometry.io.meshes.own import read_wall
 from mammometry.io.photographs.images import (
@@ -228,7 +228,11 @@ class Session:
             mounting=manifest.rig.turned,
             subject_kind=manifest.subject.kind,
             rim_radius_mm=manifest.subject.rim_radius_mm,
-            photographs=LazyMapping(capture, lambda camera, path: photograph(f"capture/{camera}", path)),
+            photographs=SharedMapping(
+                capture,
+                lambda camera, path: photograph(f"capture/{camera}", path),
+                bytes_of=lambda taken: taken.pixels.nbytes,
+            ),
             target=None if manifest.target is None else target_from_table(manifest.target),
             calibration_photographs=LazyMapping(
                 calibration, lambda shot, path: photograph(f"calibration/{shot[0]}/{shot[1]}", path)
