@@ -43,5 +43,5 @@ def test_a_run_does_nothing_twice(tiny_finished: Path, tiny_settings: Path, monk
     assert (done["judged"], done["cut out"]) == (1, 1)
     moved = {name: count for name, count in done.items() if name.startswith("moved")}
     assert len(moved) == len(job.inputs.pair_names)
-    # The surface, its picture and a cast's free space each have the range data made: between them they leave the memory.
+    # The surface, its picture and a cast's free space each make the range data: between them they leave the memory.
     assert max(moved.values()) <= 3
