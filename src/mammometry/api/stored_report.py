@@ -25,6 +25,7 @@ from mammometry.job.products import Key, Product
 from mammometry.job.stages import surface
 from mammometry.job.stages.report import PageInputs, report_key
 from mammometry.report.content import Picture, ReportContent
+from mammometry.report.scene import SCENE
 from mammometry.report.words.notices import words_of
 from mammometry.settings import Settings
 
@@ -201,7 +202,7 @@ def _write(folder: Path, files: Mapping[str, bytes]) -> None:
 
 
 CONTENT = "content.zip"
-_WORDS, _SCENE = "content.json", "scene.json"
+_WORDS = "content.json"
 _LARGEST = 256 << 20  # bytes of all members; ours have a few MB
 _ALWAYS = (1980, 1, 1, 0, 0, 0)  # time of every member: the same content gives the same bytes
 
@@ -219,7 +220,7 @@ def packed(content: ReportContent) -> bytes:
             archive.writestr(zipfile.ZipInfo(name, _ALWAYS), data)
 
         add(_WORDS, _adapter().dump_json(replace(content, pictures=bare, scene="")))
-        add(_SCENE, content.scene.encode())
+        add(SCENE, content.scene.encode())
         for name, data in _files(content.pictures):
             add(name, data)
     return buffer.getvalue()
@@ -248,7 +249,7 @@ def unpacked(data: bytes) -> ReportContent:
                 }
                 for stage, drawn in content.pictures.items()
             }
-            scene = archive.read(_SCENE).decode().replace("<", "\\u003c")  # safe inside a page, whoever wrote it
+            scene = archive.read(SCENE).decode().replace("<", "\\u003c")  # safe inside a page, whoever wrote it
     except (OSError, ValueError, LookupError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
         remedy = "Run the command again: it will be made again"
         expected = "the file as it was written"
@@ -256,6 +257,23 @@ def unpacked(data: bytes) -> ReportContent:
             CONTENT, found=f"a result that cannot be read back ({error})", expected=expected, remedy=remedy
         ) from None
     return replace(content, pictures=pictures, scene=scene)
+
+
+def stored_scene(results: Path) -> str | None:
+    """The report's 3D scene as JSON, from a results folder. None if there is none, or it cannot be read.
+
+    It is the one that the report's page shows: whether the page is current is not asked.
+    """
+    path = results / "report" / CONTENT
+    if not path.is_file() or path.is_symlink():
+        return None
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if archive.getinfo(SCENE).file_size > _LARGEST:
+                return None
+            return archive.read(SCENE).decode() or None
+    except (OSError, ValueError, LookupError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError):
+        return None
 
 
 def _files(pictures: Mapping[str, Mapping[str, Picture]]) -> Iterator[tuple[str, bytes]]:

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import ValidationError
 
+from mammometry.api.stored_report import stored_scene
 from mammometry.base.errors import MammometryError, StorageError
 from mammometry.editor.messages import Finish, Measure, Message, Save, sentence
 from mammometry.editor.session import Desk, Drawable
 from mammometry.io.drawn import LateError
 from mammometry.report.figures.shading import front_frame
 from mammometry.report.models import viewer_scene
-from mammometry.report.scene import json_in_page, to_json
+from mammometry.report.scene import to_json
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -84,8 +85,7 @@ def _scene(job: Drawable) -> dict[str, Any]:
     record = job.store.record(job.content_key)
     mesh = job.mesh.key
     if record is not None and record.inputs.get(f"{mesh.stage}/{mesh.product}", mesh.digest) == mesh.digest:
-        page = job.store.folder / "report" / "report.html"
-        text = json_in_page(page.read_text(encoding="utf-8")) if page.is_file() else None
+        text = stored_scene(job.store.folder)
         if text is not None:
             scene: dict[str, Any] = json.loads(text)
             return {**scene, "models": scene["models"][:1], "comparisons": []}

@@ -20,6 +20,8 @@ from mammometry.base.value import value
 from mammometry.geometry import Array, Float32, Float64, Int32, Transform, TriangleMesh, UInt8, bounds
 
 FORMAT_VERSION = 1  # of the data that the viewer reads
+SCENE = "scene.json"
+"""Name of the file that holds a scene for programs, beside a comparison's page and in a report's content."""
 _IN_PAGE = re.compile(r'<script type="application/json" id="mm-scene">(.*?)</script>', re.DOTALL)
 _MISSING = 65535  # code of a missing value: the largest 16 bit number
 _STEPS = 65535  # values are stored in 16 bits

@@ -330,7 +330,9 @@ def test_pictures_of_a_comparison_of_the_past_are_not_shown(
         reverse(name, args=[visits[0].patient_id, visits[0].pk, visits[1].pk])
         for name in ("compare-scene", "compare-page")
     ]
-    assert client.get(addresses[0]).json() == {"models": []}
+    assert client.get(addresses[0]).json() == {"models": []}, "as version 1.0 wrote it"
+    (folder / "scene.json").write_text('{"models": [1]}')
+    assert client.get(addresses[0]).json() == {"models": [1]}
     assert [client.get(address).status_code for address in addresses] == [200, 200]
     measure(visits[0], "a2")
     assert [client.get(address).status_code for address in addresses] == [404, 404]

@@ -8,6 +8,7 @@ import sqlite3
 from collections.abc import Callable
 from contextlib import closing
 from itertools import pairwise
+from zipfile import ZipFile
 
 import pytest
 from django.db import OperationalError
@@ -234,9 +235,13 @@ def test_a_report_is_sealed_off_and_its_scene_is_given(
     assert client.get(f"/visits/{visit.pk}/scene/").status_code == 404
     folder = visit.folder / "results" / "report"
     folder.mkdir(parents=True)
-    scene = json.dumps({"models": []})
-    page = f'<html><script type="application/json" id="mm-scene">{scene}</script><script>let x = 1;</script></html>'
+    page = "<html><script>let x = 1;</script></html>"
     (folder / "report.html").write_text(page)
+    assert client.get(f"/visits/{visit.pk}/scene/").status_code == 404
+    (folder / "content.zip").write_bytes(b"damaged")
+    assert client.get(f"/visits/{visit.pk}/scene/").status_code == 404
+    with ZipFile(folder / "content.zip", "w") as content:
+        content.writestr("scene.json", json.dumps({"models": []}))
     rendered = RenderedReport(html=page.encode(), pdf=b"", warnings=())
     monkeypatch.setattr(results, "rendered_report", lambda _: rendered)
     answer = client.get(f"/visits/{visit.pk}/report/")

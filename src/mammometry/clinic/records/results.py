@@ -17,7 +17,6 @@ from mammometry.clinic.records.clinical import clinical_of
 from mammometry.clinic.records.comparability import Basis, basis_of, why_apart
 from mammometry.clinic.records.confirmations import CHANGED
 from mammometry.clinic.site import the_clinic
-from mammometry.report.scene import json_in_page
 from mammometry.report.words.notices import TEXTS, code_of_1_0
 from mammometry.report.words.volumes import MEANINGS
 
@@ -224,8 +223,9 @@ def sides_doubtful(visit: Visit) -> bool:
 
 def scene_of(visit: Visit) -> str | None:
     """The 3D scene of the visit's report, as JSON. None if there is none."""
-    path = report_file(visit, "report.html")
-    return None if path is None else json_in_page(path.read_text(encoding="utf-8"))
+    from mammometry.api.stored_report import stored_scene
+
+    return stored_scene(visit.folder / "results")
 
 
 def measured_job(visit: Visit) -> Job | MeshJob:

@@ -32,7 +32,7 @@ from mammometry.editor.page import EditorPage, read, refusal
 from mammometry.editor.session import Drawable
 from mammometry.io.drawn import Group, drawn_entries, entry_digest
 from mammometry.job.inputs import SubjectKind
-from mammometry.report.scene import json_in_page
+from mammometry.report.scene import SCENE, json_in_page
 
 _LOG = logging.getLogger(__name__)
 _KEPT = 4  # surfaces in memory, about 300 MB each
@@ -327,7 +327,10 @@ def compare_page(request: HttpRequest, patient: uuid.UUID, before: uuid.UUID, af
 
 def compare_scene(request: HttpRequest, patient: uuid.UUID, before: uuid.UUID, after: uuid.UUID) -> HttpResponse:
     """Both surfaces for the 3D view, laid onto one another."""
-    scene = json_in_page(_page(patient, before, after).read_text(encoding="utf-8"))
+    page = _page(patient, before, after)
+    path = readable(page.with_name(SCENE))
+    # Version 1.0 wrote the scene into the page alone.
+    scene = json_in_page(page.read_text(encoding="utf-8")) if path is None else path.read_bytes()
     if scene is None:
         raise Http404
     return HttpResponse(scene, content_type="application/json")

@@ -20,14 +20,14 @@ from mammometry.report.figures.change import Dated
 from mammometry.report.figures.names import NAMES
 from mammometry.report.models import change_scene
 from mammometry.report.pictures import encoded
-from mammometry.report.scene import to_json
+from mammometry.report.scene import SCENE, to_json
 from mammometry.report.words.describe import versions
 from mammometry.report.words.notices import words_at
 from mammometry.report.words.volumes import change_sentence, measured_words, span_words, term_words
 from mammometry.study.tables import Table
 
 PAGE, DOCUMENT, NUMBERS = "compare.html", "compare.pdf", "compare.json"
-FILES = (PAGE, DOCUMENT, NUMBERS, "change.png", "sections.png")
+FILES = (PAGE, DOCUMENT, NUMBERS, SCENE, "change.png", "sections.png")
 _FORMAT = 1  # version of compare.json
 
 
@@ -91,7 +91,7 @@ def change_files(report: ChangeReport) -> dict[str, bytes]:
     }
     cards = [breast_card(breast, report.before) for breast in change.breasts]
     tables = length_tables(change.lengths)
-    scene = change_scene(report.frame, report.dates, change_figures.limit_mm(change))
+    scene = to_json(change_scene(report.frame, report.dates, change_figures.limit_mm(change)))
     page = render(
         "compare.html.j2",
         styles=(STYLE, "viewer.css"),
@@ -103,13 +103,14 @@ def change_files(report: ChangeReport) -> dict[str, bytes]:
         pictures=[embed(png) for png in pictures.values()],
         versions=versions(),
         disclaimer=DISCLAIMER,
-        scene=Markup(to_json(scene)),
+        scene=Markup(scene),
         viewer=Markup(viewer_program()),
     )
     document = paper.document(report.title, report.subtitle, lambda width: _story(report, cards, pictures, width))
     return {
         PAGE: page.encode(),
         DOCUMENT: document,
+        SCENE: scene.encode(),
         NUMBERS: (json.dumps(as_table(report), indent=1, ensure_ascii=False) + "\n").encode(),
         **pictures,
     }
