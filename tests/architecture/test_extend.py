@@ -17,9 +17,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.unit.hospital.exports import exported
+from tests.unit.job.planned_sessions import sessions
+from tests.unit.matching.textured_pair import make_pair
 from tests.unit.measure.solids import as_surface, ball, dome, rig_around
 from tests.unit.report import synthetic
 
+from mammometry.base.errors import SessionError
 from mammometry.base.registry import Registry
 from mammometry.calibration.detection.finders import find
 from mammometry.calibration.features.pixels import FoundPoints
@@ -27,14 +31,17 @@ from mammometry.calibration.targets.table import target_from_table
 from mammometry.calibration.targets.target import TARGETS
 from mammometry.capture.camera import BACKENDS, Devices
 from mammometry.capture.shots import Shot, take
+from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
+from mammometry.io.cameras.formats import import_cameras
+from mammometry.io.cameras.own import READERS
 from mammometry.io.results.codecs import FORMATS
 from mammometry.io.results.store import Store
 from mammometry.job import method as method_page
 from mammometry.job.graph import Plan
 from mammometry.job.inputs import CameraSet, Inputs
-from mammometry.job.products import at_hand
-from mammometry.job.stages import surface
+from mammometry.job.products import Context, at_hand
+from mammometry.job.stages import match, surface
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
@@ -67,6 +74,7 @@ REGISTRIES: tuple[Registry[Any], ...] = (
     SUBJECTS,
     DISTURBANCES,
     FORMATS,
+    READERS,
     PREVIEWS,
     PAPER_FIGURES,
     BACKENDS,
@@ -166,6 +174,54 @@ def test_a_chest_wall_closes_a_breast(run: Callable[[str], dict[str, Any]]) -> N
     a_mm = np.linalg.norm(cast.part.mesh.vertices[np.concatenate(cast.part.loops), :2], axis=1).mean()
     taken_cc = (plane.closed.volume_mm3() - bowl.closed.volume_mm3()) / 1000
     assert taken_cc == pytest.approx(np.pi * a_mm**4 / (4 * 300.0) / 1000, rel=0.01)
+
+
+def test_a_matcher_takes_the_place_of_a_line(run: Callable[[str], dict[str, Any]]) -> None:
+    matcher = run("A matcher")["block_matcher"]
+    pair, true_px = make_pair(np.random.default_rng(1))
+    found = matcher.function(pair, job=Context(inputs=NO_INPUTS, settings=Settings()))
+    assert found.valid[pair.left_mask].mean() > 0.6
+    assert np.median(np.abs(found.d_h_px - true_px)[found.valid]) < 0.25
+
+    planned = sessions()["cast"]
+    usual, other = (
+        Plan(method_page.method, planned.inputs, planned.settings, None, given=given)
+        for given in ({}, {match.disparity: matcher})
+    )
+    changed = {
+        one.key.product for one, two in zip(usual.products(), other.products(), strict=True) if one.key != two.key
+    }
+    assert {"disparity/front", "range/front", "repaired", "measurement"} <= changed
+    assert not changed & {"calibration", "cameras", "subjects", "foreground/back"}
+
+
+def test_a_camera_file_is_read(run: Callable[[str], dict[str, Any]], tmp_path: Path) -> None:
+    run("A camera format")
+    rig = make_rig("reference:front", 0.2, 7)
+    rows = tmp_path / "rig.rows"
+
+    def row(camera: Camera) -> str:
+        lens, pose = camera.matrix, camera.camera_from_world
+        values = [*camera.size_wh, lens[0, 0], lens[0, 2], lens[1, 2], *camera.distortion]
+        return " ".join(map(str, [camera.name, *values, *pose.rotation.ravel(), *pose.translation_mm]))
+
+    rows.write_text("\n".join(map(row, rig.cameras.values())))
+    read = import_cameras([rows], rig.pair_names)
+    point = np.array([[10.0, -20.0, 30.0]])
+    for name, camera in rig.cameras.items():
+        assert read[name].project(point) == pytest.approx(camera.project(point), abs=5.0)  # one focal length of two
+    rows.write_text("front_left 400 300 500")
+    with pytest.raises(SessionError, match="line 1"):
+        import_cameras([rows], rig.pair_names)
+
+
+def test_numbers_are_exported_in_a_format_of_ones_own(run: Callable[[str], dict[str, Any]], tmp_path: Path) -> None:
+    made = exported(tmp_path)
+    lines = run("An export format")["plain_lines"](made).splitlines()
+    assert len(lines) == len(made.quantities) > 2
+    side, code, value, unit, low, high = lines[0].split("\t")
+    assert (side, code, unit) == ("left", "volume", "cm3")
+    assert float(low) < float(value) < float(high)
 
 
 def test_a_camera_back_end_is_fired(run: Callable[[str], dict[str, Any]], tmp_path: Path) -> None:

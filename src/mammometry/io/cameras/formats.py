@@ -15,9 +15,8 @@ from mammometry.io.cameras.agisoft import read_agisoft
 from mammometry.io.cameras.colmap import colmap_texts, read_colmap
 from mammometry.io.cameras.halcon import read_halcon
 from mammometry.io.cameras.kalibr import kalibr_text, read_kalibr
-from mammometry.io.cameras.matlab import read_matlab
 from mammometry.io.cameras.opencv import opencv_text, read_opencv
-from mammometry.io.cameras.own import cameras_table, read_cameras, require_plausible, unfit
+from mammometry.io.cameras.own import READERS, cameras_table, read_cameras, require_plausible, unfit
 
 CameraFormat: TypeAlias = Literal["json", "opencv", "colmap", "kalibr"]
 _HEAD_BYTES = 1024  # in which a file says whose it is
@@ -29,7 +28,7 @@ def import_cameras(paths: Sequence[Path], pair_names: Mapping[str, tuple[str, st
     A ``.json`` is our own; ``.yml``, ``.yaml`` and ``.xml`` are OpenCV's (`read_opencv`), or Kalibr's where they do not
     begin with OpenCV's mark (`read_kalibr`), or Agisoft's ``<document>`` (`read_agisoft`); ``cameras.txt`` with
     ``images.txt`` are COLMAP's (`read_colmap`); a ``.mat`` is MATLAB's (`read_matlab`), ``.dat`` and ``.cal`` are
-    HALCON's (`read_halcon`).
+    HALCON's (`read_halcon`). `READERS` may hold others.
 
     Args:
         paths: the files.
@@ -47,18 +46,14 @@ def import_cameras(paths: Sequence[Path], pair_names: Mapping[str, tuple[str, st
         require_plausible(file, by_name)
         cameras.update(by_name)
 
-    known = [name for pair in pair_names.values() for name in pair]
+    known = _names(pair_names)
     texts = {path.name: path for path in paths if path.suffix == ".txt"}
     halcon = [path for path in paths if path.suffix.lower() in (".dat", ".cal")]
     for path in paths:
         if not path.is_file():
             raise unfit(str(path), "no file", "an existing file")
-        if path.suffix == ".json":
-            add(path.name, read_cameras(path))
-        elif path.suffix.lower() in (".yml", ".yaml", ".xml"):
-            add(path.name, _read_marked(path, pair_names, known))
-        elif path.suffix.lower() == ".mat":
-            add(path.name, read_matlab(path, pair_names))
+        if path.suffix.lower() in READERS:
+            add(path.name, READERS[path.suffix.lower()](path, pair_names))
         elif path not in halcon and path.suffix != ".txt":
             expected = "files of OpenCV, Kalibr, COLMAP, Agisoft, MATLAB or HALCON, or a cameras.json"
             raise unfit(path.name, "a file of unknown kind", expected)
@@ -101,17 +96,30 @@ def camera_file_names(names: Iterable[str], form: CameraFormat) -> tuple[str, ..
             return ("cameras.json",)
 
 
-def _read_marked(path: Path, pair_names: Mapping[str, tuple[str, str]], known: Sequence[str]) -> dict[str, Camera]:
+@READERS.add(".json")
+def _read_own(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[str, Camera]:
+    return read_cameras(path)
+
+
+@READERS.add(".yml")
+@READERS.add(".yaml")
+@READERS.add(".xml")
+def _read_marked(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[str, Camera]:
     """Read YAML or XML of the program whose mark it begins with.
 
     OpenCV's YAML is marked, and old enough that others do not read it. Agisoft's root is a document.
     """
+    known = _names(pair_names)
     with path.open("rb") as file:
         start = file.read(_HEAD_BYTES).removeprefix(b"\xef\xbb\xbf").lstrip()
     if b"<document" in start:
         return read_agisoft(path, known)
     is_opencv = path.suffix.lower() == ".xml" or start.startswith((b"%YAML", b"<?xml"))
     return read_opencv(path, pair_names) if is_opencv else read_kalibr(path, known)
+
+
+def _names(pair_names: Mapping[str, tuple[str, str]]) -> list[str]:
+    return [name for pair in pair_names.values() for name in pair]
 
 
 _ONE_PLACE_MM = 1e-6  # cameras nearer to each other stand in one place, but for rounding

@@ -20,7 +20,7 @@ import numpy as np
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import DEEPEST, numbers, parsing, read_bytes, shown
 from mammometry.geometry.camera import Camera
-from mammometry.io.cameras.own import camera_from_entry, pair_of_two, unfit
+from mammometry.io.cameras.own import READERS, camera_from_entry, pair_of_two, unfit
 
 Variable: TypeAlias = Any
 """An array of numbers, a text, a structure as a dictionary, a list (of cells or structures), or `OBJECT`."""
@@ -147,6 +147,7 @@ _FROM_ONE = 1.0  # px: the first pixel's centre is at 1
 _AS_STRUCT = "In MATLAB: s = toStruct(stereoParams); save('rig.mat', 's', '-v7')"
 
 
+@READERS.add(".mat")
 def read_matlab(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[str, Camera]:
     """Read a pair of cameras, or one camera that is named as the file.
 

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import json_value, numbers, parsing, read_text, shown, whole
+from mammometry.base.registry import Registry
 from mammometry.calibration.adjust.projection import LENS_NAMES, CameraPrior
 from mammometry.geometry import Array, Camera, Float64, Transform, lens
+
+Reader: TypeAlias = Callable[[Path, Mapping[str, tuple[str, str]]], Mapping[str, Camera]]
+"""Reads a file's cameras by name; the session's pairs say which camera a stereo file's first and second one are."""
+READERS: Registry[Reader] = Registry("kind of camera file", package=__package__)
+"""Ending of a file that holds whole cameras → its reader."""
 
 CONVENTION = (
     "x_cam = R x_world + t; then pinhole with K; dist = k1, k2, p1, p2, k3 (OpenCV); pixel centres at integers; mm"
