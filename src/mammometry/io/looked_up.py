@@ -39,7 +39,7 @@ class LazyMapping(Mapping[K, V], Generic[K, V]):
 
 
 class SharedMapping(LazyMapping[K, V]):
-    """A mapping that makes each value once while somebody works with it (`shared`), and else at every look-up."""
+    """A mapping that makes values at every look-up, but each once within `shared`."""
 
     def __init__(self, sources: Mapping[K, object], make: Callable[..., V], *, bytes_of: Callable[[V], int]) -> None:
         super().__init__(sources, make)
