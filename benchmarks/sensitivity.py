@@ -226,7 +226,7 @@ class Made:
 class Base:
     """A capture, measured once with every function noted, so that turned numbers make anew only what they reach."""
 
-    def __init__(self, opened: Callable[[Settings], Job | MeshJob]) -> None:
+    def __init__(self, opened: Callable[[Settings], Job]) -> None:
         self._opened = opened
         self.made: dict[str, Made] = {}
         self.opening: set[CodeType] = set()
@@ -293,7 +293,7 @@ def _reads(reading: set[str], code: CodeType) -> bool:
     return bool(reading) and not reading.isdisjoint(code.co_names)
 
 
-def _measured(job: Job | MeshJob, recall: Callable[..., Any]) -> dict[str, Any]:
+def _measured(job: Job, recall: Callable[..., Any]) -> dict[str, Any]:
     """Volumes and intervals of a capture, or its refusal."""
     job.store.recall = recall  # type: ignore[method-assign]  # nothing is stored
     job.store.has = lambda key: False  # type: ignore[method-assign]
@@ -332,7 +332,7 @@ def _feed(value: Any, digest: Any) -> None:
         digest.update(repr(value).encode())
 
 
-def opener(name: str, out: Path) -> Callable[[Settings], Job | MeshJob]:
+def opener(name: str, out: Path) -> Callable[[Settings], Job]:
     """Render a capture, unless it is there. Opens it."""
     recipe, place = CAPTURES[name], out / name
     if recipe is not None:

@@ -10,8 +10,8 @@ import pytest
 from tests.brought.scan_twins import in_unit, mirrored, scaled, written
 from tests.unit.measure.trunks import LEFT, RIGHT, edge_of, trunk_mesh
 
+from mammometry.api.job import open_session
 from mammometry.api.mesh import MeshFiles, MeshJob
-from mammometry.api.scan_folders import open_scan
 from mammometry.base.errors import MammometryError, SessionError
 from mammometry.base.units import MM_PER_UNIT, unit_in_comment, unit_named
 from mammometry.cli import main
@@ -110,11 +110,11 @@ def test_an_imported_scan_keeps_that_its_sides_were_compared(tmp_path: Path) -> 
     mesh = written(mirrored(front()), tmp_path / "a.ply")
     folder = tmp_path / "scan"
     write_outputs(folder, import_scan(mesh, Scan(scanner="A", units=""), units="mm"), command="import mesh")
-    assert open_scan(folder).sides_doubtful
+    assert open_session(folder).sides_doubtful
     assert read_scan(folder).sides == ""
     confirm_sides(folder)
     assert read_scan(folder).sides == "checked"
-    assert not open_scan(folder).sides_doubtful
+    assert not open_session(folder).sides_doubtful
 
 
 @pytest.mark.slow
@@ -223,12 +223,12 @@ def test_an_imported_scans_unit_is_noted_when_it_is_measured(tmp_path: Path) -> 
     mesh = written(in_unit(front(), "cm"), tmp_path / "a.ply")
     folder = tmp_path / "scan"
     write_outputs(folder, import_scan(mesh, Scan(scanner="A", units="")), command="import mesh")
-    assert str(open_scan(folder).notices[0].values["text"]).startswith(
+    assert str(open_session(folder).notices[0].values["text"]).startswith(
         "The unit of the mesh is taken to be cm, as the body's size shows."
     )
     lines = [line for line in (folder / ABOUT).read_text().splitlines() if not line.startswith("remarks")]
     (folder / ABOUT).write_text("\n".join(lines))  # as version 1.0 wrote it
-    assert str(open_scan(folder).notices[0].values["text"]).startswith(
+    assert str(open_session(folder).notices[0].values["text"]).startswith(
         "The unit of the mesh is taken to be cm, as the body's size shows."
     )
 

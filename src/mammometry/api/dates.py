@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mammometry.api.dated import Dated, check_posture, open_dated, posture_warnings
+from mammometry.api.job import Job, open_session
+from mammometry.api.posture import check_posture, posture_warnings
 from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.identity import NAMELESS, one_subject
 from mammometry.base.machine.cores import one_blas_thread
@@ -100,7 +101,7 @@ def compare(
     from mammometry.report.privacy import Privacy
 
     settings = settings or Settings()
-    jobs = [open_dated(path, settings, watch) for path, watch in zip((before, after), watches, strict=True)]
+    jobs = [open_session(path, settings, watch=watch) for path, watch in zip((before, after), watches, strict=True)]
     _check(jobs)
     subject = _one_subject(jobs)
     if not settings.compare.other_posture:
@@ -137,7 +138,7 @@ def compare_visits(
     """
     from mammometry.report.privacy import Privacy
 
-    jobs = [open_dated(path, settings, unwatched) for path in (before, after)]
+    jobs = [open_session(path, settings) for path in (before, after)]
     _check(jobs)
     return _compare(jobs, _Request(settings=settings, out=out, privacy=Privacy(), in_clinic=True), progress)
 
@@ -157,21 +158,21 @@ class _Request:
     """Whether confirmations and the posture come from elsewhere, such as a clinic's visit."""
 
 
-def _compare(jobs: list[Dated], request: _Request, progress: Progress) -> Comparison:
+def _compare(jobs: list[Job], request: _Request, progress: Progress) -> Comparison:
     """Compare two dates, the earlier one first."""
     from mammometry.report.documents import change_page
 
     settings, privacy = request.settings, request.privacy
     remarks = [*request.remarks]
     dates = [job.date for job in jobs]
-    folder = request.out or jobs[1].results / FOLDER / _folder_name(jobs[0], privacy)
+    folder = request.out or jobs[1].store.folder / FOLDER / _folder_name(jobs[0], privacy)
     require_apart(folder, [path for job in jobs for path in job.brought])
     require_free(folder, change_page.FILES, command=_COMMAND)
     for which, job in zip(_WHICH, jobs, strict=True):
         measurements = job.plan.get(measure.measurements)
         if measurements is not None and job.store.state(measurements.key) == "stale":
             remarks.append(Notice(code="measured-again", level="note", values={"date": which}))
-        job.ensure()
+        job.ensure("measure", drawn=False)
     measured, protocol = _one_protocol(jobs, part(progress, 0.0, 0.4))
 
     from mammometry.measure.change import compare as compare_measured
@@ -203,8 +204,8 @@ def _compare(jobs: list[Dated], request: _Request, progress: Progress) -> Compar
     write_outputs(folder, marked, command=_COMMAND)
     progress(1.0)
     return Comparison(
-        before=jobs[0].path,
-        after=jobs[1].path,
+        before=jobs[0].folder,
+        after=jobs[1].folder,
         change=change,
         notices=notices,
         folder=folder,
@@ -226,7 +227,7 @@ class _Heading:
     """Identifier that both sessions tell."""
 
 
-def _heading(jobs: list[Dated], dates: list[datetime.date | None], subject: str | None, deidentify: bool) -> _Heading:
+def _heading(jobs: list[Job], dates: list[datetime.date | None], subject: str | None, deidentify: bool) -> _Heading:
     if deidentify:
         return _Heading(title=NAMELESS.title, subtitle="two dates of one torso", subject=None)
     known = [job.identity for job in jobs]
@@ -236,34 +237,35 @@ def _heading(jobs: list[Dated], dates: list[datetime.date | None], subject: str 
     return _Heading(title=" → ".join(identity.title for identity in known), subtitle=_dates_words(dates), subject=None)
 
 
-def _check(jobs: list[Dated]) -> None:
+def _check(jobs: list[Job]) -> None:
     """Refuse two dates that cannot be compared."""
     for job in jobs:
+        job.require_sides()
         kind = job.inputs.subject_kind
         if kind != "torso":
             remedy = "Compare casts by their volumes: `mammometry run` on each"
             expected = "'torso' in both sessions: dates are registered on the body beside the breasts"
-            raise SessionError(f"{job.path}: subject.kind", found=repr(kind), expected=expected, remedy=remedy)
+            raise SessionError(f"{job.folder}: subject.kind", found=repr(kind), expected=expected, remedy=remedy)
     first, second = jobs
-    same = first.path.resolve() == second.path.resolve()
+    same = first.folder.resolve() == second.folder.resolve()
     if same or first.pictures & second.pictures:
         raise SessionError(
-            str(second.path),
-            found="the same session twice" if same else f"photographs that {first.path} has too",
+            str(second.folder),
+            found="the same session twice" if same else f"photographs that {first.folder} has too",
             expected="two sessions with photographs of their own",
             remedy="Name the session of the other date",
         )
 
 
-def _one_subject(jobs: list[Dated]) -> str | None:
+def _one_subject(jobs: list[Job]) -> str | None:
     """Return the subject that the manifests name, or refuse two subjects."""
     return one_subject(
-        [(f"{job.path}: subject.id", job.identity.subject) for job in jobs],
+        [(f"{job.folder}: subject.id", job.identity.subject) for job in jobs],
         remedy="Name two sessions of one subject, or correct subject.id in the one that is wrong",
     )
 
 
-def _one_protocol(jobs: list[Dated], progress: Progress) -> tuple[list[tuple[VolumeMeasurement, ...]], list[Notice]]:
+def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[VolumeMeasurement, ...]], list[Notice]]:
     """Volumes of both dates by the same protocol.
 
     They are measured again where boundaries or walls were made in different ways.
@@ -320,7 +322,7 @@ def _at_one_date(measured: Sequence[tuple[VolumeMeasurement, ...]]) -> dict[str,
 
 
 def _measured_again(
-    job: Dated, boundaries: list[Boundary], wall: str | None, back: TriangleMesh | None, progress: Progress
+    job: Job, boundaries: list[Boundary], wall: str | None, back: TriangleMesh | None, progress: Progress
 ) -> tuple[VolumeMeasurement, ...]:
     """Measure breasts of one date within these boundaries.
 
@@ -337,49 +339,49 @@ def _measured_again(
     if not boundaries:
         return ()
     settings = job.settings.measure if wall is None else replace(job.settings.measure, wall=wall)
-    breasts = open_breasts(boundaries, job.finished().repaired, settings, frame=job.frame(), back=back)
+    breasts = open_breasts(boundaries, job.surface().repaired, settings, frame=job.frame(), back=back)
     return measure_volumes(breasts, _evidence(job), progress=progress)
 
 
-def _evidence(job: Dated) -> Evidence:
+def _evidence(job: Job) -> Evidence:
     """Collect the errors that the earlier stages state, as input of a volume's interval."""
     return job.plan[measure.evidence]()
 
 
-def _measurements(job: Dated) -> tuple[VolumeMeasurement, ...]:
+def _measurements(job: Job) -> tuple[VolumeMeasurement, ...]:
     from mammometry.measure.volume.attribution import attributed
 
     made = job.plan.value(measure.measurements) or ()
     return tuple(attributed(measurement, job.inputs.attributions, named=False) for measurement in made)
 
 
-def _boundaries(job: Dated) -> tuple[Boundary, ...]:
+def _boundaries(job: Job) -> tuple[Boundary, ...]:
     return job.plan.value(measure.boundaries) or ()
 
 
-def _automatic(job: Dated) -> tuple[Boundary, ...]:
+def _automatic(job: Job) -> tuple[Boundary, ...]:
     if (sides := job.plan.value(measure.sides)) is not None:  # found when it was measured
         return sides.boundaries
     from mammometry.measure.boundary.boundary import outline_torso
     from mammometry.measure.trunk.body import rig_frame
 
-    frame = rig_frame(job.rig(), job.inputs.mounting)
-    return outline_torso(job.finished().repaired, frame).boundaries
+    frame = rig_frame(job.rig, job.inputs.mounting)
+    return outline_torso(job.surface().repaired, frame).boundaries
 
 
-def _visit(job: Dated, volumes: tuple[VolumeMeasurement, ...]) -> Visit:
+def _visit(job: Job, volumes: tuple[VolumeMeasurement, ...]) -> Visit:
     from mammometry.measure.change import Visit
 
     sizes = job.plan.value(measure.dimensions)
     return Visit(
-        surface=job.finished().repaired,
+        surface=job.surface().repaired,
         measurements=volumes,
         frame=job.frame(),
         lengths=() if sizes is None else sizes.lengths,
     )
 
 
-def _common_scale(jobs: list[Dated]) -> bool:
+def _common_scale(jobs: list[Job]) -> bool:
     """Whether both were calibrated with one target, as it was measured once."""
     if not all(job.has_own_scale for job in jobs):
         return False
@@ -401,15 +403,15 @@ def _unconfirmed(change: Change) -> Iterator[Notice]:
             yield Notice(code="date-not-confirmed", values={"date": which})
 
 
-def _folder_name(before: Dated, privacy: Privacy) -> str:
-    name = before.path.resolve().name
+def _folder_name(before: Job, privacy: Privacy) -> str:
+    name = before.folder.resolve().name
     if privacy.deidentify:
         return "deidentified"  # a folder's name is a name too
     return f"{name}-geometry-only" if privacy.geometry_only else name
 
 
 def _report(
-    jobs: list[Dated],
+    jobs: list[Job],
     heading: _Heading,
     change: Change,
     visits: list[Visit],
@@ -425,7 +427,7 @@ def _report(
     shown, holds = [], []
     for number, (job, visit) in enumerate(zip(jobs, visits, strict=True)):
         guarded = guard(
-            job.finished().textured,
+            job.surface().textured,
             privacy,
             subject_kind="torso",
             up_world=visit.frame[1],
@@ -448,7 +450,7 @@ def _report(
         title=heading.title,
         subtitle=heading.subtitle,
         subject=heading.subject,
-        keys=(jobs[0].page_digest(privacy.deidentify), jobs[1].page_digest(privacy.deidentify)),
+        keys=(jobs[0].page_digest(deidentify=privacy.deidentify), jobs[1].page_digest(deidentify=privacy.deidentify)),
         change=change,
         dates=(shown[0], shown[1]),
         frame=visits[0].frame,

@@ -21,21 +21,22 @@ from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from mammometry.api.previews import load
-from mammometry.api.results import Results, is_refusal_shown, show_refusal, withdraw_refusal
-from mammometry.api.stored_report import Reported
+from mammometry.api.results import is_refusal_shown, show_refusal, withdraw_refusal
+from mammometry.api.session_job import Job
 from mammometry.base.child_process import ChildProcess, Ended, NotDone
 from mammometry.base.errors import MammometryError, MeasureError, SessionError
 from mammometry.base.identity import Identity
 from mammometry.base.machine.cores import available_cores, one_blas_thread
-from mammometry.base.machine.system import peak_memory_mb
 from mammometry.base.notices import Notice
 from mammometry.base.progress import Progress, no_progress
-from mammometry.geometry import Array, Float64, TriangleMesh
+from mammometry.base.shell import command_line
+from mammometry.geometry import Array, Float64, Rig, TriangleMesh
 from mammometry.geometry.nearest import barycentric, closest_on_mesh
 from mammometry.io.drawn import (
     DrawnBoundaries,
@@ -49,20 +50,22 @@ from mammometry.io.meshes.merged import merge_scans, sigma_mm, stored_sources
 from mammometry.io.meshes.scans import Scan, skin_colours
 from mammometry.io.outputs import require_apart, require_own_folder, take_folder
 from mammometry.io.results.store import Store, Watch, unwatched
+from mammometry.io.session import Session
 from mammometry.io.subject import check_mesh
-from mammometry.job.graph import Plan
+from mammometry.job.graph import Method, Plan
 from mammometry.job.inputs import CameraSet, FinishedSurface, Inputs, SubjectKind
 from mammometry.job.method import method
-from mammometry.job.products import Given, Key, at_hand
+from mammometry.job.products import NONE_GIVEN, Given, Key, Stage, at_hand
 from mammometry.job.stages import calibrate, measure, surface
 from mammometry.job.stages.report import PageInputs
 from mammometry.measure.landmarks.landmarks import PICKED_SIGMA_MM
-from mammometry.report.words.doubts import torso_notices
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
     from mammometry.report.content import Picture, ReportContent
     from mammometry.report.privacy import Privacy
+    from mammometry.report.scene import ViewerScene
+    from mammometry.report.words.stage_facts import Facts
     from mammometry.surface.repair.repair import RepairedSurface
 
 
@@ -120,11 +123,22 @@ class MeshFiles:
     """Further scans of the same visit and posture, in the same unit, which are merged with `mesh`."""
 
 
-class MeshJob(Reported):
-    """Measure a mesh. What is in the folder and current is not done again."""
+class MeshJob(Job):
+    """The job on a mesh, whose surface is given. What is in the folder and current is not done again."""
+
+    stages = ("measure", "report")
+    world = WORLD
+    date = None
 
     def __init__(
-        self, files: MeshFiles, folder: Path, settings: Settings | None = None, *, watch: Watch = unwatched
+        self,
+        files: MeshFiles,
+        folder: Path,
+        settings: Settings | None = None,
+        *,
+        watch: Watch = unwatched,
+        method: Method = method,
+        given: Given = NONE_GIVEN,
     ) -> None:
         """Read the mesh and the files that belong to it.
 
@@ -133,6 +147,8 @@ class MeshJob(Reported):
             folder: for the results, laid out as those of a session.
             settings: of the measurement; None for the recommended ones.
             watch: called for every product that is made.
+            method: enters the products, as for `api.job.open_session`.
+            given: product of the method → another function that makes it.
 
         Raises:
             StorageError: the folder holds one of the files, or results of something else.
@@ -141,7 +157,7 @@ class MeshJob(Reported):
             MeasureError: the mesh is no surface to be measured, the boundary does not lie on it, or a landmark is off
                 it or on the wrong side.
         """
-        self._assumed = ""
+        self._assumed, self._method, self._given = "", method, given
         try:
             self._open(files, folder, settings or Settings(), watch)
         except MammometryError as error:
@@ -178,13 +194,14 @@ class MeshJob(Reported):
             others = [(path, read_foreign(path, files.units, of_torso=of_torso)) for path in files.also]
             merged = merge_scans(foreign, others, largest=files.largest, of_torso=of_torso)
             foreign = merged.foreign
+        self.stage_seconds = {}
         self.also = merged.also if merged is not None else files.scan.also if files.scan is not None else ()
         own = replace(settings.measure, surface_sigma_mm=float(np.hypot(files.surface_std_mm, sigma_mm(self.also))))
         if files.boundary is None and not files.automatic:
             own = replace(own, boundary="landmarks")
         self.settings = replace(settings, measure=own)
         self.files = files
-        self.folder = files.mesh.parent
+        self.folder, self.brought = files.mesh.parent, (files.mesh,)
         self.identity = Identity.of(files.mesh if files.scan is None else self.folder, files.subject)
         self.store: Store = _StoreOfMesh(folder, watch, files.subject)
         self.units = foreign.units if files.scan is None else files.scan.units
@@ -206,6 +223,7 @@ class MeshJob(Reported):
             )
         self.kind: SubjectKind = "model" if "model" in curves else "torso"
         places = {} if files.landmarks is None else landmarks_in(files.landmarks, self.kind)
+        self.merged = tuple(also.as_table() for also in self.also)
         scan = repair_scan(foreign.mesh, largest=files.largest, skin_alone=self.kind == "torso")
         by_axes = self.kind == "torso" and (files.automatic or files.head is not None)
         frame = scanned.frame_from_axes(scan.mesh, files.head, files.ahead) if by_axes else None
@@ -234,7 +252,7 @@ class MeshJob(Reported):
         middle = np.mean([curve.mean(axis=0) for curve in curves.values()], axis=0) if len(curves) == 2 else None
         sides = frame if self.kind == "torso" else None
         picked_landmarks(places, fine, sides, sigma_mm=PICKED_SIGMA_MM, middle_world=middle)
-        self.rig = scanned.viewer(frame, fine)
+        self._rig = scanned.viewer(frame, fine)
         self.inputs = _inputs(files, self.kind, drawn, places)
         by_drawing = {} if self.kind == "torso" and files.automatic else _drawn(self.inputs)
         self._lay_out(repaired, foreign, by_drawing)
@@ -242,6 +260,22 @@ class MeshJob(Reported):
         if self.also:
             skin = repaired.mesh.vertices
             self._sources = stored_sources(files.mesh, skin) if merged is None else merged.sources_at(skin)
+
+    @property
+    def session(self) -> Session:
+        """No photographs: always an error."""
+        raise self._without_photographs()
+
+    def _without_photographs(self) -> SessionError:
+        return SessionError(
+            str(self.folder), found="a scan, whose surface is given", expected="a session with photographs",
+            remedy=f"Measure it: {command_line('mammometry', 'run', self.folder)}",
+        )  # fmt: skip
+
+    @property
+    def rig(self) -> Rig:
+        """A viewer straight ahead of the patient."""
+        return self._rig
 
     def surface(self) -> FinishedSurface:
         """The surface with its colours."""
@@ -265,11 +299,11 @@ class MeshJob(Reported):
         if self.files.scan is not None and len(foreign.mesh.faces) < _DENSE:
             colours = skin_colours(self.folder, self.files.scan, repaired.mesh.vertices, colours)
         if not np.ptp(foreign.colours, axis=0).any():  # one colour shows no shape: shaded as by a lamp at the viewer's
-            facing = np.abs(repaired.mesh.vertex_normals() @ rig_frame(self.rig)[2])
+            facing = np.abs(repaired.mesh.vertex_normals() @ rig_frame(self._rig)[2])
             colours = np.repeat((_DARK + _LIGHT * facing[:, None]).astype(np.uint8), 3, axis=1)
         textured = TexturedMesh(mesh=repaired.mesh, colours=colours)
         self.finished = FinishedSurface(repaired=repaired, textured=textured)
-        cameras = CameraSet(rig=self.rig, std={}, world=WORLD, rms_px=None)
+        cameras = CameraSet(rig=self._rig, std={}, world=WORLD, rms_px=None)
         digests = {"mesh": self.inputs.digests["mesh"]}
         given = partial(at_hand, stage="surface")
         known: Given = {
@@ -279,7 +313,8 @@ class MeshJob(Reported):
             surface.repaired: given(repaired, name="repaired", version=surface.repaired.version, inputs=digests),
             surface.mesh: given(self.finished, name="mesh", version=surface.mesh.version, inputs=digests),
         }
-        self.plan = Plan(method, self.inputs, self.settings, self.store, stages=("measure",), given=known)
+        known = {**known, **self._given}
+        self.plan = Plan(self._method, self.inputs, self.settings, self.store, stages=("measure",), given=known)
 
     def require_sides(self) -> None:
         """Refuse a scan that may be a mirror image, before it is exported or compared.
@@ -294,53 +329,49 @@ class MeshJob(Reported):
                 remedy="Compare a mole, the operated side or a tattoo, and then measure it with --sides-checked",
             )  # fmt: skip
 
-    def run(self, *, report: bool = True) -> Results:
-        """Measure, and write the report.
+    def ensure(self, stage: Stage, *, drawn: bool = True) -> None:
+        """Measure, and write the report, where they are not current.
+
+        Args:
+            stage: ``measure`` or ``report``.
+            drawn: whether a picture of what is refused is drawn.
 
         Raises:
+            SessionError: another stage, which takes photographs.
             MammometryError: whatever stands in the way, in one sentence.
         """
-        begun, before = time.monotonic(), len(self.store.made)
+        if stage not in self.stages:
+            raise self._without_photographs()
+        report, begun = stage == "report", time.monotonic()
         take_folder(self.store.folder, command=_COMMAND)
         beside = report and len(self.finished.repaired.mesh.faces) >= _LEAST_FACES and available_cores() > 1
         pages = [self.content_key, self.report_key] if report else []
-        wanted = [*(product.key for product in self.plan.products()), *pages]
-        current = self.store.all_current(wanted) and not is_refusal_shown(self.store.folder)
+        current = self.store.all_current([*self.keys("measure"), *pages]) and not is_refusal_shown(self.store.folder)
         with nullcontext() if current else self.store.taken(), one_blas_thread(), ExitStack() as stack:
             begin = None
             if beside and not self.store.has(self.content_key):
                 begin = stack.enter_context(self._drawing_beside())
             try:
-                made = self.plan.value(measure.measurements) or ()
-                drawn = None if begin is None else begin()
+                self.plan.value(measure.measurements)
+                pictures = None if begin is None else begin()
                 self.plan.ensure("measure")
             except MeasureError as refused:
                 error = refused.with_remark(self._assumed or f"The unit of the mesh: {self.units}")
-                show_refusal(self.store.folder, self.identity, error, self._seen)
+                if drawn:
+                    show_refusal(self.store.folder, self.identity, error, self._refused)
                 raise error from None
             withdraw_refusal(self.store.folder)
-            measurements = {str(measured.name): measured for measured in made}
-            no_breast: dict[str, str] = {side.name: side.why for side in self.plan.value(measure.absent) or ()}
-            seconds = time.monotonic() - begun
+            self.stage_seconds["measure"] = time.monotonic() - begun
             if report:
-                self._write_report(partial(self._gathered, drawn=drawn))
-        return Results(
-            measurements=measurements,
-            watertight=all(measured.watertight for measured in measurements.values()),
-            seconds=time.monotonic() - begun,
-            stage_seconds={"measure": seconds},
-            peak_memory_mb=peak_memory_mb(),
-            world=WORLD,
-            folder=self.store.folder,
-            report=self.page if report else None,
-            no_breast=no_breast,
-            notices=(*self.notices, *torso_notices(self.plan, self.posture if self.kind == "torso" else None)),
-            merged=tuple(scan.as_table() for scan in self.also),
-            made=tuple(self.store.made[before:]),
-            made_at=self.store.made_at(
-                [*(product.key for product in self.plan.products()), *([self.content_key] if report else [])]
-            ),
-        )
+                self._write_report(partial(self._gathered, drawn=pictures))
+
+    def keys(self, stage: Stage) -> tuple[Key, ...]:
+        """Keys of a stage's products, or of the report's content. None of a stage that takes photographs."""
+        return (self.content_key,) if stage == "report" else tuple(each.key for each in self.plan.products(stage))
+
+    def previews(self, stage: Stage) -> dict[str, bytes]:
+        """None: the pictures are drawn for the report."""
+        return {}
 
     @contextmanager
     def _drawing_beside(self) -> Iterator[Callable[[], Callable[[], Mapping[str, Picture]]]]:
@@ -352,7 +383,7 @@ class MeshJob(Reported):
         from mammometry.report.gather import drawn_mesh, mesh_result
 
         def draw() -> Mapping[str, Picture]:
-            shown = mesh_result(self.plan, self.rig, self.finished.textured, self._sources)
+            shown = mesh_result(self.plan, self._rig, self.finished.textured, self._sources)
             try:
                 return child.call(drawn_mesh, shown)
             except Ended:
@@ -375,28 +406,31 @@ class MeshJob(Reported):
             pool.submit(child.call, load)
             yield begin
 
-    def _seen(self) -> Mapping[str, bytes]:
+    def _refused(self) -> Mapping[str, bytes]:
         """Pictures for the page of a refusal: the mesh, and the boundaries where they were found."""
         from mammometry.measure.trunk.body import rig_frame
         from mammometry.report.figures.refused import surface_seen
 
         drawn = surface_seen(
             self.finished,
-            rig_frame(self.rig),
+            rig_frame(self._rig),
             self.plan.current(measure.boundaries) or (),
             of_patient=self.kind == "torso",
         )
         return {"surface": drawn}
 
-    def share(self, folder: Path, privacy: Privacy) -> Path:
-        """Write a report for others into a folder, and return its page. As `api.job.Job.share`."""
+    def _report_content(
+        self,
+        privacy: Privacy,
+        progress: Progress = no_progress,
+        facts: Mapping[Stage, Facts] = MappingProxyType({}),
+        scene: ViewerScene | None = None,
+    ) -> ReportContent:
+        return self._gathered(progress, privacy)
 
-        def gather() -> ReportContent:
-            self.run(report=False)
-            with one_blas_thread():
-                return self._gathered(no_progress, privacy)
-
-        return self._write_for_others(folder, privacy, gather, [self.files.mesh])
+    @property
+    def _posture_noted(self) -> str | None:
+        return self.posture if self.kind == "torso" else None
 
     def _gathered(
         self,
@@ -420,7 +454,7 @@ class MeshJob(Reported):
         )
         return gather_mesh(
             self.plan,
-            self.rig,
+            self._rig,
             self._page_inputs,
             origin,
             drawn=drawn,

@@ -9,10 +9,9 @@ from pathlib import Path
 
 from mammometry.api.changes import Changes, changes, source_of
 from mammometry.api.job import Job, open_session
-from mammometry.api.scan_folders import open_scan
 from mammometry.io.drawn import BOUNDARIES, LANDMARK_FILE
 from mammometry.io.manifest import MANIFEST
-from mammometry.io.meshes.scans import ABOUT, MESH, RESULTS, is_scan
+from mammometry.io.meshes.scans import ABOUT, MESH, RESULTS
 from mammometry.io.results.verify import shown
 from mammometry.job.products import STAGES, Key
 from mammometry.settings import Settings
@@ -45,29 +44,22 @@ def sources(folder: Path, settings: Settings, recorded: frozenset[str]) -> Sourc
     Raises:
         MammometryError: it cannot be opened.
     """
-    if is_scan(folder):
-        scan = open_scan(folder, settings)
-        store, plan = scan.store, scan.plan
-        keys = [product.key for product in plan.products()]
-        pages = [scan.content_key, scan.report_key]
-        used: set[str] = set()
-    else:
-        job = open_session(folder, settings)
-        store, plan = job.store, job.plan
-        keys = [key for stage in STAGES[:-1] if plan.products(stage) for key in job.keys(stage)]
-        pages = [job.content_key, job.report_key]
-        used = _used_files(job, keys)
-    keys += pages
+    job = open_session(folder, settings)
+    keys = [key for stage in STAGES[:-1] if job.plan.products(stage) for key in job.keys(stage)]
+    keys += [job.content_key, job.report_key]
+    used = _used_files(job, keys)
     names = (shown(name) for name in _files(folder) if name not in {*used, *_BY_VALUE, *recorded})
     return Sources(
         wanted=frozenset(f"{key.stage}/{key.product}" for key in keys),
-        changed=changes(store, plan, keys),
+        changed=changes(job.store, job.plan, keys),
         not_compared=tuple(_by_folder(names)),
     )
 
 
 def _used_files(job: Job, keys: list[Key]) -> set[str]:
     """Files whose digests are in the keys of results."""
+    if "calibrate" not in job.stages:
+        return set()
     named = {source_of(key, name) for key in keys for name in key.inputs}
     found = job.session.files()
     files = {name: path.relative_to(job.session.path).as_posix() for name, path in found.items()} | _WHOLE

@@ -24,7 +24,7 @@ from mammometry.batch import storage
 from mammometry.batch.record import RECORD, Entry, Measured, Record, Row, key_of, read_record, stats_of, write_record
 from mammometry.io.photographs.images import megapixels_of
 from mammometry.io.write import disk_errors
-from mammometry.job.products import STAGES, Key
+from mammometry.job.products import Key
 from mammometry.settings import Settings
 
 _R = TypeVar("_R")
@@ -119,8 +119,8 @@ def _when_free(run: Callable[[], _R]) -> _R:
 
 
 def _row_of(job: Job, peak_mb: float | None) -> Row:
-    warnings = json.loads((job.session.results / "report" / WARNINGS).read_text(encoding="utf-8"))["warnings"]
-    made = [job.store.record(key) for stage in STAGES for key in job.keys(stage)]
+    warnings = json.loads((job.store.folder / "report" / WARNINGS).read_text(encoding="utf-8"))["warnings"]
+    made = [job.store.record(key) for stage in job.stages for key in job.keys(stage)]
     return Row(
         session=job.identity.name,
         subject=job.identity.subject,
@@ -134,9 +134,9 @@ def _row_of(job: Job, peak_mb: float | None) -> Row:
         made_at=job.made_at("report"),
         seconds=round(sum(record.seconds for record in made if record is not None), 3),
         peak_memory_mb=peak_mb,
-        megapixels=megapixels_of(job.session.path / "capture"),
+        megapixels=megapixels_of(job.folder / "capture") if job.inputs.photographs else 0.0,
         page="report/report.html",
-        thumbnail=_thumbnail(job.session.results),
+        thumbnail=_thumbnail(job.store.folder),
     )
 
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 SessionFolder = Annotated[Path, typer.Argument(metavar="SESSION", help="The session folder.", show_default=False)]
 SessionOrScan = Annotated[
-    Path, typer.Argument(metavar="SESSION", help="A session's folder, or an imported scan's.", show_default=False)
+    Path, typer.Argument(metavar="SESSION", help="A session's folder, or a scan's.", show_default=False)
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the answer as one JSON object.")]

@@ -265,15 +265,9 @@ def _tables(
 
 
 def _gathered(session: Path, options: Options, *, deidentify: bool, parts: list[Any] | None = None) -> Exported:
-    from mammometry.hospital.gather import gather, gather_scan
-    from mammometry.io.meshes.scans import is_scan
+    from mammometry.hospital.gather import gather
 
     with Bars(options.silent) as bars:
-        if is_scan(session):
-            from mammometry.api.scan_folders import open_scan
-
-            job = open_scan(session, options.settings(), watch=bars.watch)
-            return gather_scan(job, deidentify=deidentify, parts=parts or ())
         return gather(opened(session, options, bars), deidentify=deidentify, parts=parts or ())
 
 

@@ -93,8 +93,8 @@ def measure_mesh(
         typer.BadParameter: an option is not what it says.
         MammometryError: the mesh cannot be measured.
     """
+    from mammometry.api.job import folder_for, scan_files
     from mammometry.api.mesh import SCALE_STD, SURFACE_STD_MM, MeshFiles, MeshJob
-    from mammometry.api.scan_folders import folder_for, scan_files
     from mammometry.io.meshes.scans import MESH, confirm_sides, is_scan, read_scan
     from mammometry.io.outputs import require_apart
 

@@ -6,16 +6,13 @@ import sys
 import webbrowser
 from contextlib import suppress
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from mammometry.base.shell import command_line
 from mammometry.cli.common import Answer, Bars, Options, OutputOptions, SessionFolder, SessionOrScan, command
-from mammometry.cli.stages import opened
-
-if TYPE_CHECKING:
-    from mammometry.editor.session import Drawable
+from mammometry.cli.stages import expect
 
 app = typer.Typer()
 
@@ -117,16 +114,16 @@ def edit(
     browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
     author: Annotated[str | None, typer.Option(help="Your name. Without it, the page asks.")] = None,
 ) -> Answer:
-    """Draw or confirm boundaries and landmarks of a session or an imported scan in the browser.
+    """Draw or confirm boundaries and landmarks of a session or a scan in the browser.
 
     Ctrl-C stops it.
     """
     from mammometry.base.extras import WEB, require
 
     require("edit", *WEB)
+    from mammometry.api.job import drawable
     from mammometry.editor.server import serve
     from mammometry.io.drawn import BOUNDARIES, LANDMARK_FILE
-    from mammometry.io.meshes.scans import is_scan
 
     def ready(address: str, local_page: str) -> None:
         # Standard output belongs to the answer, which comes after the page was closed.
@@ -134,19 +131,13 @@ def edit(
         if browser:
             webbrowser.open(local_page)
 
-    def drawable() -> Drawable:
-        from mammometry.api.job import open_session
-        from mammometry.api.scan_folders import drawable_scan
-
-        chosen = options.settings()
-        return drawable_scan(session, chosen) if scan else open_session(session, chosen)
-
-    scan = is_scan(session)
-    if not scan:
-        with Bars(options.silent) as bars:
-            opened(session, options, bars).ensure("surface")
+    chosen = options.settings()
+    with Bars(options.silent) as bars:
+        job = drawable(session, chosen, watch=bars.watch)
+        expect(job, bars)
+        job.surface()
     with suppress(KeyboardInterrupt):  # the way to stop it
-        serve(drawable, ready=ready, author=author)
+        serve(lambda: drawable(session, chosen), ready=ready, author=author)
     present = [name for name in (BOUNDARIES, LANDMARK_FILE) if (session / name).is_file()]
-    then = command_line("mammometry", "measure" if scan else "run", session, *options.words)
+    then = command_line("mammometry", "run", session, *options.words)
     return Answer({"session": str(session), "drawn": present}, [f"Then: {then}"] if present else [])

@@ -38,7 +38,7 @@ def scan_demo(folder: Path, options: Options) -> Answer:
     Raises:
         MammometryError: the folder holds something else, or the scan cannot be measured.
     """
-    from mammometry.api.scan_folders import open_scan
+    from mammometry.api.job import open_session
     from mammometry.io.meshes.scans import FILES, is_scan, read_scan
     from mammometry.io.outputs import require_free, write_outputs
 
@@ -55,7 +55,7 @@ def scan_demo(folder: Path, options: Options) -> Answer:
                 write_outputs(folder, _scanned(woman), command=_COMMAND)
         simulated = time.monotonic() - begun
         with bars.task("measure", "mesh"):
-            job = open_scan(folder, chosen, watch=bars.watch)
+            job = open_session(folder, chosen, watch=bars.watch)
         results = job.run()
     table = results.as_table()
     table["seconds"] = round(time.monotonic() - begun, 3)

@@ -26,15 +26,19 @@ _SET = "mammometry {} SESSION --set {}"
 def opened(session: Path, options: Options, bars: Bars, *assignments: str) -> Job:
     """Open the session's job with some more assignments, and set the total of the bars."""
     from mammometry.api.job import open_session
-    from mammometry.job.products import STAGES
 
     job = open_session(session, options.settings(*assignments), watch=bars.watch)
-    for stage in STAGES:
+    expect(job, bars)
+    return job
+
+
+def expect(job: Job, bars: Bars) -> None:
+    """Set the total of the bars: the results that are not current."""
+    for stage in job.stages:
         keys = job.keys(stage)
         records = {key.product: job.store.record(key) for key in keys}
         seconds = {name: record.seconds for name, record in records.items() if record is not None}
         bars.expect(stage, sum(state != "current" for state in job.store.states(keys)), seconds)
-    return job
 
 
 def _stage(stage: Stage, session: Path, options: Options) -> tuple[Job, dict[str, Any]]:
@@ -55,7 +59,7 @@ def _summary(job: Job, stage: Stage, begun: float) -> dict[str, Any]:
         "seconds": round(time.monotonic() - begun, 3),
         "stage_seconds": {name: round(value, 3) for name, value in job.stage_seconds.items()},
         "peak_memory_mb": peak_memory_mb(),
-        "results": str(job.session.results),
+        "results": str(job.store.folder),
     }
 
 
@@ -65,8 +69,8 @@ def _made(table: dict[str, Any]) -> str:
 
 
 @command(app, "mammometry run SESSION", "mammometry run SESSION --json", _SET.format("run", "measure.wall=plane"))
-def run(options: Options, session: SessionFolder) -> Answer:
-    """Do the whole job: calibrate, match, build the surface, measure, report.
+def run(options: Options, session: SessionOrScan) -> Answer:
+    """Do the whole job: calibrate, match, build the surface, measure, report. A scan is measured and reported.
 
     Results that are current are kept. Only what changed is computed again.
     """
@@ -144,7 +148,7 @@ def surface(options: Options, session: SessionFolder) -> Answer:
     from mammometry.surface.motion.motion_test import concerns, summary
 
     mesh, stillness = job.surface().repaired.mesh, job.plan[product]()
-    path = job.session.results / "surface" / "mesh.ply"
+    path = job.store.folder / "surface" / "mesh.ply"
     notices = list(concerns(stillness, _without_outline(job)))
     table |= {
         "mesh": str(path),
@@ -173,9 +177,7 @@ def measure(
     options: Options,
     session: Annotated[
         Path,
-        typer.Argument(
-            metavar="SESSION|MESH", help="A session, an imported scan, or a mesh: PLY, OBJ, STL, GLB or USDZ."
-        ),
+        typer.Argument(metavar="SESSION|MESH", help="A session, a scan, or a mesh: PLY, OBJ, STL, GLB or USDZ."),
     ],
     mesh: MeshOptions,
     wall: Annotated[
@@ -192,11 +194,12 @@ def measure(
     """
     from mammometry.io.meshes.scans import MESH, is_scan
 
-    session = session / MESH if is_scan(session) else session
     back = Path(wall) if wall is not None and Path(wall).suffix.lower() in MESHES else None
     assignments = [f"measure.wall={wall}"] if wall is not None and back is None else []
     if session.suffix.lower() in MESHES and not session.is_dir():
         results, remarks = measure_mesh(session, mesh, back, options, assignments)
+    elif is_scan(session):
+        results, remarks = measure_mesh(session / MESH, mesh, back, options, assignments)
     elif (option := "--wall MESH" if back is not None else mesh.given()) is not None:
         raise typer.BadParameter(f"{option} is for a mesh. A session has this in its files")
     else:
@@ -227,24 +230,15 @@ def report(
     With --deidentify, --geometry-only or --out, the report is a copy for others. The session's own report is
     results/report/report.html and report.pdf.
     """
-    from mammometry.io.meshes.scans import RESULTS, is_scan
     from mammometry.io.outputs import require_apart
     from mammometry.report.privacy import Privacy
 
     privacy = Privacy(deidentify=deidentify, geometry_only=geometry_only)
     if out is not None and not privacy.guarded:
         raise typer.BadParameter("--out needs --deidentify or --geometry-only")
-    folder = out or session / RESULTS / ("deidentified" if deidentify else "geometry-only")
-    if privacy.guarded:
-        require_apart(folder, [options.file])
-    if is_scan(session):
-        from mammometry.api.scan_folders import open_scan
-
-        with Bars(options.silent) as bars:
-            scan = open_scan(session, options.settings(), watch=bars.watch)
-            table = scan.run(report=not privacy.guarded).as_table()
-            table["report"] = str(scan.share(folder, privacy) if privacy.guarded else scan.page)
-        return Answer(table, [f"Report: {table['report']}"])
+    name = "deidentified" if deidentify else "geometry-only"
+    if out is not None:
+        require_apart(out, [options.file])
     if not privacy.guarded:
         job, table = _stage("report", session, options)
         table["report"] = str(job.report())
@@ -252,7 +246,7 @@ def report(
     begun = time.monotonic()
     with Bars(options.silent) as bars:
         job = opened(session, options, bars)
-        page = job.share(folder, privacy)
+        page = job.share(out or job.store.folder / name, privacy)
     table = {**_summary(job, "measure", begun), "report": str(page)}
     return Answer(table, [f"Report: {table['report']}", "The last lines of the report say what it contains."])
 
@@ -292,18 +286,18 @@ def volume_lines(results: Results) -> list[Any]:
 def figure(
     options: Options,
     number: Annotated[int, typer.Argument(metavar="N", help="Number of the figure in the paper, 1 to 7.")],
-    session: SessionFolder,
+    session: SessionOrScan,
     out: Annotated[
         Path | None, typer.Option(help="File to write: .pdf, .svg or .png.", show_default="figure-N.pdf in results/")
     ] = None,
 ) -> Answer:
-    """Draw a figure of the paper from a session, for print.
+    """Draw a figure of the paper from a session, for print. From a scan, figure 7: its surface.
 
     Text and lines are vectors, pictures have 300 dpi.
     """
     from mammometry.io.outputs import require_apart, require_free
     from mammometry.report.figures.catalogue import PAPER_FIGURES
-    from mammometry.report.figures.paper import FORMATS, write_figure
+    from mammometry.report.figures.paper import FORMATS, OF_SURFACE, write_figure
 
     if str(number) not in PAPER_FIGURES:
         raise typer.BadParameter(f"N is one of {', '.join(PAPER_FIGURES)}, found {number}")
@@ -311,10 +305,13 @@ def figure(
         raise typer.BadParameter(f"--out ends with one of {', '.join(FORMATS)}, found {out.name}")
     with Bars(options.silent) as bars:
         job = opened(session, options, bars)
-        path = out or job.session.results / f"figure-{number}.pdf"
-        require_apart(path, [*job.session.brought, options.file])
+        path = out or job.store.folder / f"figure-{number}.pdf"
+        require_apart(path, [*job.brought, options.file])
         require_free(path.parent, [path.name], command="figure")
-        job.ensure("surface")
+        if str(number) in OF_SURFACE:
+            job.surface()
+        else:
+            job.ensure("surface")
         with bars.task("figure", str(number)):
             write_figure(number, (job.plan, job.inputs, job.settings), path, job.identity.subject)
     return Answer({"figure": str(path)}, [f"Figure {number}: {path}"])
@@ -323,7 +320,7 @@ def figure(
 @command(app, "mammometry graph SESSION", "mammometry graph SESSION --out products.svg")
 def graph(
     options: Options,
-    session: SessionFolder,
+    session: SessionOrScan,
     out: Annotated[
         Path | None, typer.Option(help="SVG file to write.", show_default="products.svg in results/")
     ] = None,
@@ -339,8 +336,8 @@ def graph(
     if out is not None and out.suffix != ".svg":
         raise typer.BadParameter(f"--out ends with .svg, found {out.name}")
     job = open_session(session, options.settings())
-    path = out or job.session.results / "products.svg"
-    require_apart(path, [*job.session.brought, options.file])
+    path = out or job.store.folder / "products.svg"
+    require_apart(path, [*job.brought, options.file])
     keys = [product.key for product in job.plan.products()]
     known = {}
     for key, state in zip(keys, job.store.states(keys), strict=True):

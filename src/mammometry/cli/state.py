@@ -14,6 +14,7 @@ from mammometry.cli.common import Answer, Options, SessionOrScan, command
 
 if TYPE_CHECKING:
     from mammometry.api.job import Job
+    from mammometry.api.mesh import MeshJob
     from mammometry.api.sources import Sources
     from mammometry.io.results.store import Store
     from mammometry.io.results.verify import Findings
@@ -32,16 +33,15 @@ def info(options: Options, session: SessionOrScan) -> Answer:
     All result files are read, which takes a second or two per gigabyte.
     """
     from mammometry.api.job import open_session
-    from mammometry.io.meshes.scans import is_scan
+    from mammometry.api.mesh import MeshJob
     from mammometry.job.inputs import MISSING
-    from mammometry.job.products import STAGES
 
-    if is_scan(session):
-        return _scan_info(session, options)
     job = open_session(session, options.settings())
+    stages: dict[str, Any] = {stage: _stage_about(job.store, job.plan, job.keys(stage)) for stage in job.stages}
+    if isinstance(job, MeshJob):
+        return _scan_info(session, job, stages, options)
     inputs = job.inputs
     poses = sorted({pose for pose, _ in inputs.calibration_photographs})
-    stages = {stage: _stage_about(job.store, job.plan, job.keys(stage)) for stage in STAGES}
     table: dict[str, Any] = {
         "session": str(session),
         "rig": inputs.rig_name,
@@ -60,25 +60,16 @@ def info(options: Options, session: SessionOrScan) -> Answer:
         "pages": job.pages(),
         "at_work": job.store.at_work,
     }
-    table["next"] = _next(table, session, options)
+    table["next"] = _next(table, session, job.page, options)
     return Answer(table, _info_lines(table, every_product=options.verbose > 0))
 
 
-def _scan_info(folder: Path, options: Options) -> Answer:
-    """Contents of an imported scan, its current results, and the next step."""
-    from mammometry.api.scan_folders import open_scan
+def _scan_info(folder: Path, scan: MeshJob, stages: dict[str, Any], options: Options) -> Answer:
+    """Contents of a scan, its current results, and the next step."""
     from mammometry.report.words.notices import words_of
 
-    scan = open_scan(folder, options.settings())
-    keys = [product.key for product in scan.plan.products()]
-    stages = {
-        stage: _stage_about(scan.store, scan.plan, made)
-        for stage, made in (("measure", keys), ("report", [scan.content_key]))
-    }
     words = _drawn_words(scan.plan, scan.inputs)
     drawn = [f"boundary {name}: {how}" for name, how in words.items()]
-    done = all(about["state"] == "current" for about in stages.values())
-    then = _opening(scan.page) if done else command_line("mammometry", "measure", folder, *options.words)
     notes = list(map(words_of, scan.notices))
     table: dict[str, Any] = {
         "scan": str(folder),
@@ -92,12 +83,14 @@ def _scan_info(folder: Path, options: Options) -> Answer:
         "boundaries": sorted(scan.inputs.boundaries),
         "drawn": words,
         "stages": stages,
+        "pages": scan.pages(),
         "at_work": scan.store.at_work,
-        "next": then,
+        "missing": [],
     }
+    table["next"] = _next(table, folder, scan.page, options)
     first = f"scanner {scan.scanner}, unit {scan.units}, posture {scan.posture or 'not given'}"
     shown = _products_table(stages) if options.verbose > 0 else _stages_table(stages)
-    lines = [first, *drawn, *notes, "", shown, *_after_table(table), "", f"Next: {then}"]
+    lines = [first, *drawn, *notes, "", shown, *_after_table(table), "", f"Next: {table['next']}"]
     return Answer(table, lines)
 
 
@@ -218,18 +211,14 @@ def _products_table(stages: dict[str, Any]) -> Any:
     return shown
 
 
-def _next(table: dict[str, Any], session: Path, options: Options) -> str:
+def _next(table: dict[str, Any], session: Path, page: Path, options: Options) -> str:
     """The next step: a command that can be pasted, if there is one."""
     if table["missing"]:
         return f"put the missing photographs into {session.absolute() / 'capture'}"
     states = [about["state"] for about in table["stages"].values()]
     if all(state in ("current", "not needed") for state in states):
-        return _opening(session / "results" / "report" / "report.html")
+        return f"open {command_line(page)}"
     return command_line("mammometry", "run", session, *options.words)
-
-
-def _opening(page: Path) -> str:
-    return f"open {command_line(page)}"
 
 
 def _after_table(table: dict[str, Any]) -> list[str]:

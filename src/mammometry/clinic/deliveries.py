@@ -141,16 +141,12 @@ def gathered(config: ClinicConfig, visit: Visit, *, whole: bool = True, deidenti
     Raises:
         MammometryError: it is not measured, was changed since, or would have to be measured again.
     """
-    from mammometry.api.job import Job
-    from mammometry.hospital.gather import PARTS, gather, gather_scan
+    from mammometry.hospital.gather import PARTS, gather
 
     job, parts = measured_job(visit), PARTS if whole else ()
     clinical = Clinical() if deidentify else clinical_of(visit)
-    if isinstance(job, Job):
-        exported = gather(job, clinical=clinical, deidentify=deidentify, parts=parts)
-    else:
-        taken = timezone.localtime(visit.taken_at).date()
-        exported = gather_scan(job, taken=taken, clinical=clinical, deidentify=deidentify, parts=parts)
+    taken = timezone.localtime(visit.taken_at).date()
+    exported = gather(job, taken=taken, clinical=clinical, deidentify=deidentify, parts=parts)
     if deidentify:
         return exported
     conclusion, measurement = visit.conclusions.first(), visit.measurements.first()

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from mammometry.api.stored_report import stored_scene
 from mammometry.base.errors import MammometryError, StorageError
 from mammometry.editor.messages import Finish, Measure, Message, Save, sentence
-from mammometry.editor.session import Desk, Drawable
+from mammometry.editor.session import Desk
 from mammometry.io.drawn import LateError
 from mammometry.report.figures.shading import front_frame
 from mammometry.report.models import viewer_scene
@@ -21,6 +21,8 @@ from mammometry.report.scene import to_json
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from mammometry.api.job import Job
 
 _TRIANGLES = 150_000  # of the surface on the page: fine enough to see the nipple, light enough to load; chosen by eye
 _LOG = logging.getLogger(__name__)
@@ -30,7 +32,7 @@ _Message = TypeVar("_Message", bound=Message)
 class EditorPage:
     """One session or scan that is drawn on. Its methods may be called from several threads."""
 
-    def __init__(self, job: Drawable, *, author: str | None = None) -> None:
+    def __init__(self, job: Job, *, author: str | None = None) -> None:
         """Prepare the surface and the scene of the page.
 
         Args:
@@ -80,7 +82,7 @@ class EditorPage:
         self.desk.finish(read(Finish, body))
 
 
-def _scene(job: Drawable) -> dict[str, Any]:
+def _scene(job: Job) -> dict[str, Any]:
     """The surface with its photographs as the report shows it, if that is current; else as it is made here."""
     record = job.store.record(job.content_key)
     mesh = job.mesh.key

@@ -15,16 +15,16 @@ from django.http import HttpRequest, HttpResponse, HttpResponseBase, JsonRespons
 from django.urls import URLPattern, path
 from pydantic import ValidationError
 
+from mammometry.api.job import Job
 from mammometry.base.errors import MammometryError
 from mammometry.editor.auth import HOST, Door, entrance, local_page, sealed
 from mammometry.editor.page import EditorPage, refusal, resource
-from mammometry.editor.session import Drawable
 
 Application = Callable[[Any, Any, Any], Awaitable[None]]
 """What an ASGI server calls: scope, receive, send."""
 
 
-def editor_app(opened: Callable[[], Drawable], door: Door, *, author: str | None = None) -> Application:
+def editor_app(opened: Callable[[], Job], door: Door, *, author: str | None = None) -> Application:
     """Make the server of the page for one session or scan.
 
     Args:
@@ -62,7 +62,7 @@ def guarded_app(routes: tuple[URLPattern, ...], door: Door) -> Application:
     return application
 
 
-def serve(opened: Callable[[], Drawable], *, ready: Callable[[str, str], None], author: str | None = None) -> None:
+def serve(opened: Callable[[], Job], *, ready: Callable[[str, str], None], author: str | None = None) -> None:
     """Serve the page until interrupted.
 
     Args:
@@ -110,7 +110,7 @@ def _handler() -> ASGIHandler:
 class _LocalPage:
     """The page of a session that this computer measures."""
 
-    def __init__(self, opened: Callable[[], Drawable], author: str | None) -> None:
+    def __init__(self, opened: Callable[[], Job], author: str | None) -> None:
         self._opened, self._author = opened, author
         self.page = EditorPage(opened(), author=author)
 

@@ -8,16 +8,15 @@ from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
 from threading import Lock
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mammometry.base.errors import MammometryError, SessionError, StorageError
-from mammometry.base.identity import Identity
 from mammometry.base.machine.cores import one_blas_thread
 from mammometry.editor.drawing import DrawingBoard, Handle, LiveVolume, drawing_board, handle_indices
 from mammometry.editor.messages import Finish, Measure, Point, Save, Sketch
-from mammometry.geometry import Array, Float64, Rig
+from mammometry.geometry import Array, Float64
 from mammometry.io.drawn import (
     BREASTS,
     Change,
@@ -32,17 +31,15 @@ from mammometry.io.drawn import (
     read_boundaries,
     read_landmarks,
 )
-from mammometry.io.results.store import Store
-from mammometry.job.graph import Plan
-from mammometry.job.inputs import FinishedSurface, Inputs
-from mammometry.job.products import Key, Product
 from mammometry.job.stages import measure
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.landmarks.landmarks import LANDMARKS
 from mammometry.measure.trunk.body import rig_frame
 from mammometry.measure.volume.attribution import curve_digest
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.settings import Settings
+
+if TYPE_CHECKING:
+    from mammometry.api.job import Job
 
 _LOG = logging.getLogger(__name__)
 DRAWN, EDITED = "drawn by hand", "edited by hand"
@@ -51,57 +48,10 @@ _FARTHEST_MM = 10_000.0  # from the surface: a wrong unit is reported, and nothi
 _LASTING = ("method", "author", "drawn")
 
 
-class Drawable(Protocol):
-    """A subject that can be drawn on: a session (`api.job.Job`) or a scan (`api.mesh.MeshJob`)."""
-
-    inputs: Inputs
-    settings: Settings
-    store: Store
-    plan: Plan
-    """Its products, those of the measurement at least."""
-
-    @property
-    def identity(self) -> Identity:
-        """Identity of the person whose breasts are drawn on."""
-        ...
-
-    @property
-    def folder(self) -> Path:
-        """Folder of boundaries.json and landmarks.json."""
-        ...
-
-    @property
-    def rig(self) -> Rig:
-        """Cameras that show left, up and ahead."""
-        ...
-
-    @property
-    def mesh(self) -> Product[FinishedSurface]:
-        """The surface that is measured, with its colours."""
-        ...
-
-    @property
-    def content_key(self) -> Key:
-        """Key of the report's content."""
-        ...
-
-    def surface(self) -> FinishedSurface:
-        """The surface with its colours, made if it is not current."""
-        ...
-
-    def render_report(self) -> None:
-        """Render the report again with who drew and confirmed the boundaries by now."""
-        ...
-
-    def run(self) -> object:
-        """Measure, and write the report."""
-        ...
-
-
 class Desk:
     """A session or a scan that is drawn on. Its methods may be called from several threads."""
 
-    def __init__(self, job: Drawable, subject: str | None = None) -> None:
+    def __init__(self, job: Job, subject: str | None = None) -> None:
         """Prepare the surface for drawing.
 
         Args:

@@ -23,7 +23,6 @@ from mammometry.report.words.anthropometry import quantities_of
 
 if TYPE_CHECKING:
     from mammometry.api.job import Job
-    from mammometry.api.mesh import MeshJob
     from mammometry.geometry.mesh import TriangleMesh
     from mammometry.job.graph import Plan
     from mammometry.measure.boundary.breasts import NoBreast
@@ -40,12 +39,20 @@ _MTL, _JPEG = "model.mtl", "model.jpg"
 
 
 def gather(
-    job: Job, *, clinical: Clinical | None = None, deidentify: bool = False, parts: Sequence[Part] = PARTS
+    job: Job,
+    *,
+    taken: datetime.date | None = None,
+    clinical: Clinical | None = None,
+    deidentify: bool = False,
+    parts: Sequence[Part] = PARTS,
 ) -> Exported:
     """Gather what is exported. What is not current is made first.
 
+    A scan has no photographs, and no report without names: its pictures show the skin.
+
     Args:
-        job: an open session.
+        job: an open session or scan.
+        taken: day of a session or scan that gives none.
         clinical: what a clinic knows of the visit. None: confirmations in the session's own boundaries.json count.
         deidentify: leave out names, dates, photographs and photographic colours.
         parts: what to gather beside the numbers.
@@ -55,27 +62,29 @@ def gather(
     """
     import mammometry
 
+    job.require_sides()
     plain = "pdf" in parts and not deidentify
     job.ensure("report" if plain else "measure")
     made = job.made_at("report" if plain else "measure")
     measured = tuple(job.measure().values())
     known = clinical or Clinical(confirmed=confirmed(job.inputs.attributions, measured))
-    atlas = job.plan[surface.model]() if "models" in parts else None
+    models = "models" in parts
+    atlas = job.plan.value(surface.model) if models else None
     shown = "photographs" in parts and not deidentify
     return Exported(
         subject="" if deidentify else job.identity.title,
         kind=job.inputs.subject_kind,
-        taken=None if deidentify else job.session.manifest.date,
+        taken=None if deidentify else job.date or taken,
         made=None if deidentify or made is None else datetime.datetime.fromisoformat(made),
         software=mammometry.__version__,
         source=_source(job, deidentify),
         quantities=tuple(quantity.rounded() for quantity in quantities(measured, job.plan)),
         absent=tuple(_absent(side) for side in job.plan.value(measure.absent) or ()),
-        report_pdf=_report(job, clinical, deidentify) if "pdf" in parts else None,
-        models=() if atlas is None else tuple(_models(measured, atlas.mesh)),
+        report_pdf=_report(job, clinical, deidentify) if plain or ("pdf" in parts and job.inputs.photographs) else None,
+        models=tuple(_models(measured, job.surface().repaired.mesh if atlas is None else atlas.mesh)) if models else (),
         covered=None if atlas is None or deidentify else covered(atlas, measured),
         photographs=job.inputs.photographs if shown else {},
-        photograph_files=_photograph_files(job) if shown else {},
+        photograph_files=_photograph_files(job) if shown and job.inputs.photographs else {},
         deidentified=deidentify,
         clinical=Clinical() if deidentify else known,
     )
@@ -97,64 +106,11 @@ def confirmed(attributions: Mapping[str, Attribution], measured: Sequence[Volume
     return Signed(by=newest.by, at=datetime.datetime.fromisoformat(newest.at))
 
 
-def gather_scan(
-    job: MeshJob,
-    *,
-    taken: datetime.date | None = None,
-    clinical: Clinical | None = None,
-    deidentify: bool = False,
-    parts: Sequence[Part] = PARTS,
-) -> Exported:
-    """Gather what is exported of another device's scan. It has no photographs.
-
-    Args:
-        job: a measured scan.
-        taken: day of the scan.
-        clinical: what a clinic knows of the visit. None: confirmations in its file of boundaries count.
-        deidentify: leave out names, dates and the report, whose pictures show the skin.
-        parts: what to gather beside the numbers.
-
-    Raises:
-        MammometryError: whatever stands in the way, in one sentence.
-    """
-    import mammometry
-
-    job.require_sides()
-    results = job.run(report="pdf" in parts and not deidentify)
-    measured = tuple(results.measurements.values())
-    known = clinical or Clinical(confirmed=confirmed(job.inputs.attributions, measured))
-    made = results.made_at
-    return Exported(
-        subject="" if deidentify else job.identity.title,
-        kind=job.kind,
-        taken=None if deidentify else taken,
-        made=None if deidentify or made is None else datetime.datetime.fromisoformat(made),
-        software=mammometry.__version__,
-        source=_source_of_scan(job, measured, deidentify),
-        quantities=tuple(quantity.rounded() for quantity in quantities(measured, job.plan)),
-        absent=tuple(_absent(side) for side in job.plan.value(measure.absent) or ()),
-        report_pdf=_report_of_scan(job, clinical) if "pdf" in parts and not deidentify else None,
-        models=tuple(_models(measured, job.finished.repaired.mesh)) if "models" in parts else (),
-        deidentified=deidentify,
-        clinical=Clinical() if deidentify else known,
-    )
-
-
-def _source_of_scan(job: MeshJob, measured: Sequence[VolumeMeasurement], deidentify: bool) -> str:
-    if deidentify:
-        return _shapes(measured, job.kind)
-    return hashlib.sha256(json.dumps([job.files.subject, job.inputs.digests["mesh"]]).encode()).hexdigest()
-
-
-def _document(job: Job | MeshJob) -> bytes:
+def _document(job: Job) -> bytes:
     """The stored report."""
     from mammometry.report.documents.pdf import DOCUMENT
 
     return job.store.files(job.report_key)[DOCUMENT]
-
-
-def _report_of_scan(job: MeshJob, clinical: Clinical | None) -> bytes:
-    return _document(job) if clinical is None else job.rendered(clinical).pdf
 
 
 def _shapes(measured: Sequence[VolumeMeasurement], kind: str) -> str:
@@ -191,9 +147,11 @@ def covered(atlas: Atlas, measured: Sequence[VolumeMeasurement]) -> CoveredModel
 
 
 def _source(job: Job, deidentify: bool) -> str:
-    """Digest of the capture, and of who was photographed. De-identified: of the measured solids alone."""
+    """Digest of the photographs or the mesh, and of whose they are. De-identified: of the measured solids alone."""
     if deidentify:
         return _shapes(tuple(job.measure().values()), str(job.inputs.subject_kind))
+    if not job.inputs.photographs:
+        return hashlib.sha256(json.dumps([job.identity.subject, job.inputs.digests["mesh"]]).encode()).hexdigest()
     shots = {name: job.inputs.digests[name] for name in job.inputs.digests if name.startswith("capture/")}
     about = [job.session.manifest.subject.id, str(job.session.manifest.date or ""), sorted(shots.items())]
     return hashlib.sha256(json.dumps(about).encode()).hexdigest()

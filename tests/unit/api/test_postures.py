@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from mammometry.api.dated import check_posture, posture_warnings
+from mammometry.api.posture import check_posture, posture_warnings
 from mammometry.base.errors import SessionError
 
 
 def dated(path: str, posture: str) -> Any:
-    return SimpleNamespace(path=Path(path), posture=posture)
+    return SimpleNamespace(folder=Path(path), posture=posture)
 
 
 @pytest.mark.requirement("R-DATE-1")

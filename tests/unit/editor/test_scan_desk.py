@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from tests.unit.io.scan_files import scanned
 
-from mammometry.api.dated import open_dated
-from mammometry.api.scan_folders import drawable_scan, open_scan
+from mammometry.api.job import drawable, open_session
 from mammometry.base.errors import CrossingError
 from mammometry.cli.main import run
 from mammometry.editor.messages import PlaceChange, Save, SentHandle, Sketch, SketchChange
@@ -17,9 +16,7 @@ from mammometry.editor.page import EditorPage
 from mammometry.editor.session import Desk
 from mammometry.io.meshes.scans import Scan, import_scan
 from mammometry.io.outputs import write_outputs
-from mammometry.io.results.store import unwatched
 from mammometry.measure.volume.attribution import curve_digest
-from mammometry.settings import Settings
 
 
 @pytest.fixture
@@ -51,7 +48,7 @@ def test_all_commands_find_a_scans_results_in_one_place(
     for again in (("measure", scan), ("measure", scan / "scan.ply"), ("report", scan)):
         assert answer(*again)["made"] == []
     assert answer("verify", scan)["damaged"] == []
-    open_dated(scan, Settings(), unwatched).ensure()  # as `compare` does
+    open_session(scan).ensure("measure", drawn=False)  # as `compare` does
     assert answer("info", scan)["stages"]["measure"]["state"] == "current"
 
     shared = tmp_path / "for-others"
@@ -75,7 +72,7 @@ def test_a_scan_is_exported_as_a_session_is(scan: Path, tmp_path: Path) -> None:
 def test_a_scan_measured_elsewhere_says_whose_line_it_uses(
     scan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    page = EditorPage(drawable_scan(scan))
+    page = EditorPage(drawable(scan))
     left = page.drawing("C. Eye")["boundaries"]["left"]
     sketch = Sketch(of=left["of"], handles=[SentHandle.model_validate(each) for each in left["handles"]])
     page.desk.save(Save(author="A. Nurse", boundaries={"left": SketchChange(base=left["base"], sketch=sketch)}))
@@ -88,8 +85,8 @@ def test_a_scan_measured_elsewhere_says_whose_line_it_uses(
 
 @pytest.mark.slow
 def test_a_scan_is_drawn_on_measured_and_shown(scan: Path) -> None:
-    first = open_scan(scan).run()
-    page = EditorPage(drawable_scan(scan))
+    first = open_session(scan).run()
+    page = EditorPage(drawable(scan))
     drawing = page.drawing("C. Eye")
     (model,) = drawing["scene"]["models"]
     assert model["texture"] or model["colours"]  # the report's, with the scanner's picture
@@ -108,17 +105,17 @@ def test_a_scan_is_drawn_on_measured_and_shown(scan: Path) -> None:
     sketch.handles[0] = SentHandle(point=tuple(moved.tolist()))
     page.desk.save(Save(author="A", boundaries={"left": SketchChange(base=left["base"], sketch=sketch)}))
     assert set(json.loads((scan / "boundaries.json").read_text())["boundaries"]) == {"left", "right"}
-    again = open_scan(scan)
+    again = open_session(scan)
     second = again.run()
     assert second.volumes_cc["left"] != first.volumes_cc["left"]
     low, high = first.intervals_cc["right"]  # the trunk's own plane is fitted beside both borders, and moves a little
     assert second.volumes_cc["right"] == pytest.approx(first.volumes_cc["right"], abs=0.01 * (high - low) / 2)
-    state = Desk(drawable_scan(scan)).state()["boundaries"]
+    state = Desk(drawable(scan)).state()["boundaries"]
     assert state["left"]["measured"]["of"] == state["left"]["of"] != left["of"]
     assert state["right"]["automatic"]
 
     # A line that crosses itself is refused; a landmark that the measurement refuses can be corrected.
-    desk = Desk(drawable_scan(scan))
+    desk = Desk(drawable(scan))
     places = np.array([handle["point"] for handle in state["left"]["handles"]])
     places[[1, 5]] = places[[5, 1]]
     crossed = Sketch(handles=[SentHandle(point=tuple(point)) for point in places.tolist()])
@@ -127,6 +124,6 @@ def test_a_scan_is_drawn_on_measured_and_shown(scan: Path) -> None:
     right = np.array(state["right"]["curve"]).mean(axis=0)
     wrong = Save(author="A", landmarks={"nipple_left": PlaceChange(base=None, points=[tuple(right.tolist())])})
     desk.save(wrong)
-    opened = Desk(drawable_scan(scan)).state()
+    opened = Desk(drawable(scan)).state()
     assert opened["places"]["nipple_left"]["points"]
     assert curve_digest(np.array(opened["boundaries"]["left"]["curve"])) == state["left"]["of"]

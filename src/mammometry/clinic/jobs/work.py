@@ -100,13 +100,11 @@ def measure_scan(progress: StageProgress, folder: str, settings: str) -> dict[st
     Raises:
         MammometryError: whatever stands in the way, in one sentence.
     """
-    from mammometry.api.scan_folders import open_scan
-
     progress("prepare", 0.0)
-    job = open_scan(Path(folder), Settings.from_toml(settings), watch=lambda key: watched(key, progress))
+    job = open_session(folder, Settings.from_toml(settings), watch=lambda key: watched(key, progress))
     results = job.run()
     return {
-        "digest": _digest([product.key.digest for product in job.plan.products()]),
+        "digest": _digest([key.digest for key in job.keys("measure")]),
         "made_at": results.made_at,
         "software": mammometry.__version__,
         "volumes": volume_rows(results.measurements, results.no_breast),
@@ -291,13 +289,12 @@ def compare(
     Raises:
         MammometryError: whatever stands in the way, in one sentence.
     """
-    from mammometry.api.dated import measured_keys
     from mammometry.api.dates import compare_visits
 
     chosen = Settings.from_toml(settings)
     progress("compare", 0.0)
     for which, session, digest in zip(("earlier", "later"), (before, after), digests.split(":"), strict=True):
-        if _digest(measured_keys(session, chosen)) != digest:
+        if _digest([key.digest for key in open_session(session, chosen).keys("measure")]) != digest:
             raise SessionError(
                 f"The {which} visit",
                 found="results of another version of the software, of other settings or of other drawings",

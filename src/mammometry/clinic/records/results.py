@@ -22,7 +22,6 @@ from mammometry.report.words.volumes import MEANINGS
 
 if TYPE_CHECKING:
     from mammometry.api.job import Job
-    from mammometry.api.mesh import MeshJob
     from mammometry.report.documents.rendering import RenderedReport
     from mammometry.report.figures.canvas import Caption
 
@@ -228,7 +227,7 @@ def scene_of(visit: Visit) -> str | None:
     return stored_scene(visit.folder / "results")
 
 
-def measured_job(visit: Visit) -> Job | MeshJob:
+def measured_job(visit: Visit) -> Job:
     """Open a visit whose newest boundaries and landmarks are measured.
 
     Raises:
@@ -236,14 +235,12 @@ def measured_job(visit: Visit) -> Job | MeshJob:
         MammometryError: its folder cannot be opened.
     """
     from mammometry.api.job import open_session
-    from mammometry.api.scan_folders import open_scan
 
     if visit.is_changed:
         remedy = "Wait until it is measured, or measure it"
         expected = "a visit whose newest boundaries and landmarks are measured"
         raise SessionError(str(visit), found=CHANGED, expected=expected, remedy=remedy)
-    settings = the_clinic().measuring()
-    job: Job | MeshJob = open_scan(visit.folder, settings) if visit.is_scan else open_session(visit.folder, settings)
+    job = open_session(visit.folder, the_clinic().measuring())
     if not job.store.has(job.content_key):
         remedy = "Measure it again"
         expected = "a measured visit"

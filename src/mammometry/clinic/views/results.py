@@ -17,6 +17,8 @@ from django.utils.html import format_html
 from django.utils.safestring import mark_safe
 from pydantic import ValidationError
 
+from mammometry.api.job import Job as Measuring
+from mammometry.api.job import drawable
 from mammometry.base.errors import MammometryError, StorageError
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.jobs.events import table_of
@@ -29,7 +31,6 @@ from mammometry.clinic.templatetags.pages import isolated, queued
 from mammometry.clinic.views.responses import download, not_now, person_of, sealed_page, visit_or_404
 from mammometry.editor.messages import Base, Breast, Message
 from mammometry.editor.page import EditorPage, read, refusal
-from mammometry.editor.session import Drawable
 from mammometry.io.drawn import Group, drawn_entries, entry_digest
 from mammometry.job.inputs import SubjectKind
 from mammometry.report.scene import SCENE, json_in_page
@@ -85,14 +86,8 @@ class _Desks:
 _DESKS = _Desks()
 
 
-def _opened(visit: Visit) -> Drawable:
-    from mammometry.api.job import open_session
-    from mammometry.api.scan_folders import drawable_scan
-
-    settings = the_clinic().measuring()
-    if visit.is_scan:
-        return drawable_scan(visit.folder, settings)
-    return open_session(visit.folder, settings)
+def _opened(visit: Visit) -> Measuring:
+    return drawable(visit.folder, the_clinic().measuring())
 
 
 def report(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:

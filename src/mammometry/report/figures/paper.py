@@ -31,6 +31,8 @@ from mammometry.surface.ranges.dents import DentGrid
 from mammometry.surface.ranges.range_image import RangeImage
 from mammometry.surface.ranges.visibility import Label
 
+OF_SURFACE = ("7",)
+"""Figures of the finished surface alone, which a scan has as well."""
 FORMATS = (".pdf", ".svg", ".png")
 _PANEL_PX = 250  # width of a panel, px; chosen by eye
 _PRINT_PX = 900
@@ -208,7 +210,8 @@ def _at_least_two(plan: Plan, number: int) -> list[RangeImage]:
 
 
 def _surface(plan: Plan, mesh: TriangleMesh) -> Sheet:
-    frame = front_frame(plan[calibrate.cameras]().rig)
+    cameras = plan.value(calibrate.cameras) or plan[surface.corrected_cameras]()  # a scan has its viewer alone
+    frame = front_frame(cameras.rig)
     half = np.sqrt(0.5)
     turns = {
         "front": np.eye(3),

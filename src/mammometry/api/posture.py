@@ -1,0 +1,31 @@
+"""Postures of two dates: volumes of different ones are not to be compared."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from mammometry.api.job import Job
+from mammometry.base.errors import SessionError
+from mammometry.base.notices import Notice
+
+
+def check_posture(before: Job, after: Job) -> None:
+    """Refuse dates of two postures.
+
+    Raises:
+        SessionError: names both folders and postures.
+    """
+    if before.posture and after.posture and before.posture != after.posture:
+        raise SessionError(
+            f"{before.folder}, {after.folder}",
+            found=f"the patient {before.posture} at one date and {after.posture} at the other",
+            expected="one posture, since volumes of different ones are not to be compared",
+            remedy="Compare dates of one posture, or add --set compare.other_posture=true",
+        )
+
+
+def posture_warnings(before: Job, after: Job) -> Iterator[Notice]:
+    """Yield a warning where the postures differ, or one alone is known."""
+    if before.posture != after.posture:
+        earlier, later = (posture or "in a posture that was not given" for posture in (before.posture, after.posture))
+        yield Notice(code="postures-differ", values={"before": earlier, "after": later})
