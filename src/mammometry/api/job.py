@@ -11,11 +11,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from mammometry.api.session_job import Job
 from mammometry.base.errors import MeasureError
 from mammometry.io.drawn import BOUNDARIES, LANDMARK_FILE
+from mammometry.io.meshes.measured import MeshFiles, is_measured, read_measured
 from mammometry.io.meshes.scans import MESH, RESULTS, is_scan, read_scan
 from mammometry.io.results.store import Watch, unwatched
 from mammometry.io.session import Session
@@ -23,9 +23,6 @@ from mammometry.job.graph import Method
 from mammometry.job.method import method
 from mammometry.job.products import NONE_GIVEN, Given
 from mammometry.settings import Settings
-
-if TYPE_CHECKING:
-    from mammometry.api.mesh import MeshFiles
 
 __all__ = ["Job", "drawable", "folder_for", "open_session", "scan_files"]
 
@@ -41,7 +38,8 @@ def open_session(
     """Open a folder for the main job, whatever is in it: a session of photographs, or a scan.
 
     Args:
-        path: of a session, or of a scan as ``mammometry import mesh`` makes it.
+        path: of a session, of a scan as ``mammometry import mesh`` makes it, or the one into which
+            ``mammometry measure`` measured a mesh.
         settings: of all stages; None for the recommended ones.
         watch: called for every product that is made; gives the progress callback to use meanwhile.
         method: enters the products of the session: `job.method.method`, or one that calls it and enters more.
@@ -53,10 +51,8 @@ def open_session(
         MeasureError: a scan's mesh is no surface that can be measured.
     """
     folder = Path(path)
-    if is_scan(folder):
-        from mammometry.api.mesh import MeshJob
-
-        return MeshJob(scan_files(folder), folder / RESULTS, settings, watch=watch, method=method, given=given)
+    if is_scan(folder) or is_measured(folder):
+        return _scan(folder, settings, watch, method=method, given=given)
     return Job(Session.open(folder), settings or Settings(), watch, method=method, given=given)
 
 
@@ -71,11 +67,26 @@ def drawable(folder: Path, settings: Settings | None = None, *, watch: Watch = u
     try:
         return open_session(folder, settings, watch=watch)
     except MeasureError:
-        if not is_scan(folder):
+        if not (is_scan(folder) or is_measured(folder)):
             raise
-        from mammometry.api.mesh import MeshJob
+        return _scan(folder, settings, watch, drawn=False)
 
-        return MeshJob(scan_files(folder, drawn=False), folder / RESULTS, settings, watch=watch)
+
+def _scan(
+    folder: Path,
+    settings: Settings | None,
+    watch: Watch,
+    *,
+    drawn: bool = True,
+    method: Method = method,
+    given: Given = NONE_GIVEN,
+) -> Job:
+    from mammometry.api.mesh import MeshJob
+
+    imported = is_scan(folder)
+    files = scan_files(folder, drawn=drawn) if imported else read_measured(folder, drawn=drawn)
+    results, edited = (folder / RESULTS, True) if imported else (folder, drawn)
+    return MeshJob(files, results, settings, watch=watch, edited=edited, method=method, given=given)
 
 
 def scan_files(folder: Path, *, subject: str | None = None, drawn: bool = True) -> MeshFiles:
@@ -89,8 +100,6 @@ def scan_files(folder: Path, *, subject: str | None = None, drawn: bool = True) 
     Raises:
         SessionError: the folder's description is not as documented.
     """
-    from mammometry.api.mesh import MeshFiles
-
     scan = read_scan(folder)
     boundary, landmarks = (
         path if drawn and path.is_file() else None for path in (folder / BOUNDARIES, folder / LANDMARK_FILE)

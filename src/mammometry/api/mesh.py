@@ -12,13 +12,12 @@ Boundaries, walls, interval, files and report are the same.
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -26,6 +25,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from mammometry.api.mesh_inputs import copies_of, inputs_of
 from mammometry.api.previews import load
 from mammometry.api.results import is_refusal_shown, show_refusal, withdraw_refusal
 from mammometry.api.session_job import Job
@@ -36,18 +36,19 @@ from mammometry.base.machine.cores import available_cores, one_blas_thread
 from mammometry.base.notices import Notice
 from mammometry.base.progress import Progress, no_progress
 from mammometry.base.shell import command_line
-from mammometry.geometry import Array, Float64, Rig, TriangleMesh
+from mammometry.geometry import Rig
 from mammometry.geometry.nearest import barycentric, closest_on_mesh
 from mammometry.io.drawn import (
+    BOUNDARIES,
+    LANDMARK_FILE,
     DrawnBoundaries,
-    boundaries_digest,
     boundaries_in,
-    landmarks_digest,
     landmarks_in,
 )
 from mammometry.io.meshes.foreign import ForeignMesh, read_foreign, unit_remark
+from mammometry.io.meshes.measured import MeshFiles, describe, has_own_folder, with_edits
 from mammometry.io.meshes.merged import merge_scans, sigma_mm, stored_sources
-from mammometry.io.meshes.scans import Scan, skin_colours
+from mammometry.io.meshes.scans import skin_colours
 from mammometry.io.outputs import require_apart, require_own_folder, take_folder
 from mammometry.io.results.store import Store, Watch, unwatched
 from mammometry.io.session import Session
@@ -69,11 +70,8 @@ if TYPE_CHECKING:
     from mammometry.surface.repair.repair import RepairedSurface
 
 
+__all__ = ["MeshFiles", "MeshJob"]
 T = TypeVar("T")
-SCALE_STD = 0.001
-"""Relative standard uncertainty of a scanner's lengths if none is given: 0.1 %, 1 mm in a metre."""
-SURFACE_STD_MM = 0.1
-"""Standard uncertainty of a scanner's whole surface along its normal if none is given, mm."""
 _NAMES = ("model", "left", "right")
 _COMMAND = "measure"
 _LOG = logging.getLogger(__name__)
@@ -81,46 +79,6 @@ _LEAST_FACES = 10_000  # from which a second process that draws, one processor s
 _DENSE = 300_000  # faces, from which the colours of vertices are as fine as a page shows them
 _DARK, _LIGHT = 70.0, 160.0  # 8-bit grey of a colourless mesh in shade, and what full light adds; chosen by eye
 WORLD = "The mesh file's own frame, in mm."
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MeshFiles:
-    """Files and statements that come with a foreign mesh."""
-
-    mesh: Path
-    """PLY, OBJ, STL, GLB or USDZ."""
-    units: str | None = None
-    """``mm``, ``cm``, ``m``, ``in`` or ``ft``. None where the file states it."""
-    boundary: Path | None = None
-    """boundaries.json of the mesh, in mm or the mesh's unit. None: found by landmarks or automatically."""
-    landmarks: Path | None = None
-    """landmarks.json of the mesh, as of a session, in mm."""
-    back: Path | None = None
-    """Mesh of the measured wall behind the breast, in the same unit and frame."""
-    automatic: bool = False
-    """Whether the boundaries are found along a torso's creases, as in a session."""
-    head: str | None = None
-    """The file's axis towards the head (``y``, ``-z`` …). None: ``y``, or ``z`` if ``y`` points ahead. Used by
-    `automatic`, or if only one breast is drawn.
-    """
-    ahead: str | None = None
-    """The axis straight ahead. None: the direction in which an open mesh faces."""
-    largest: bool = False
-    """Whether to measure the largest of several pieces alone."""
-    scale_std: float = SCALE_STD
-    """Relative standard uncertainty of its lengths."""
-    surface_std_mm: float = SURFACE_STD_MM
-    """Standard uncertainty of its whole surface along its normal, mm."""
-    subject: str | None = None
-    """Identifier of the subject, a pseudonym, carried by every result. None: not given."""
-    posture: str = ""
-    """How the patient held herself: ``standing``, ``leaning`` or ``lying``. Empty: as the scan's folder says."""
-    sides_checked: bool = False
-    """Whether a person has confirmed that left and right of the mesh are the patient's."""
-    scan: Scan | None = None
-    """What an imported scan's folder says. None: the mesh was not imported."""
-    also: tuple[Path, ...] = ()
-    """Further scans of the same visit and posture, in the same unit, which are merged with `mesh`."""
 
 
 class MeshJob(Job):
@@ -137,6 +95,7 @@ class MeshJob(Job):
         settings: Settings | None = None,
         *,
         watch: Watch = unwatched,
+        edited: bool = True,
         method: Method = method,
         given: Given = NONE_GIVEN,
     ) -> None:
@@ -147,6 +106,7 @@ class MeshJob(Job):
             folder: for the results, laid out as those of a session.
             settings: of the measurement; None for the recommended ones.
             watch: called for every product that is made.
+            edited: whether boundaries and landmarks that were drawn in the folder count.
             method: enters the products, as for `api.job.open_session`.
             given: product of the method → another function that makes it.
 
@@ -159,19 +119,24 @@ class MeshJob(Job):
         """
         self._assumed, self._method, self._given = "", method, given
         try:
-            self._open(files, folder, settings or Settings(), watch)
+            self._open(files, folder, settings or Settings(), watch, edited=edited)
         except MammometryError as error:
             raise (error.of_mesh() if isinstance(error, MeasureError) else error).with_remark(self._assumed) from None
 
-    def _open(self, files: MeshFiles, folder: Path, settings: Settings, watch: Watch) -> None:
+    def _open(self, files: MeshFiles, folder: Path, settings: Settings, watch: Watch, *, edited: bool) -> None:
         from mammometry.measure import scanned
         from mammometry.measure.boundary.trace import check_curve
         from mammometry.measure.landmarks.landmarks import picked_landmarks
         from mammometry.measure.scan_front import front_of_body
         from mammometry.measure.scan_repair import repair_scan
 
-        require_apart(folder, (files.mesh, *files.also, files.boundary, files.landmarks, files.back))
+        given = (files.boundary, files.landmarks)
+        apart = [path for path in given if path not in (folder / BOUNDARIES, folder / LANDMARK_FILE)]
+        require_apart(folder, (files.mesh, *files.also, *apart, files.back))
         require_own_folder(folder, command=_COMMAND)
+        self._described = has_own_folder(files, folder)
+        if self._described and edited:
+            files = with_edits(files, folder)
         check_mesh(files.mesh, (files.boundary, files.landmarks), folder, files.subject)
         drawn = DrawnBoundaries() if files.boundary is None else boundaries_in(files.boundary, _NAMES)
         of_torso = "model" not in drawn.curves
@@ -183,7 +148,7 @@ class MeshJob(Job):
             raise SessionError(
                 str(files.mesh), found="neither a boundary nor landmarks", expected=expected, remedy=remedy
             )
-        if files.boundary is not None and files.automatic and files.scan is None:
+        if given[0] is not None and given[0] in apart and files.automatic and files.scan is None:
             remedy = "Leave out --boundary or --automatic"
             expected = "one of the two"
             raise SessionError(
@@ -197,12 +162,12 @@ class MeshJob(Job):
         self.stage_seconds = {}
         self.also = merged.also if merged is not None else files.scan.also if files.scan is not None else ()
         own = replace(settings.measure, surface_sigma_mm=float(np.hypot(files.surface_std_mm, sigma_mm(self.also))))
-        if files.boundary is None and not files.automatic:
+        if given[0] is None and not files.automatic:
             own = replace(own, boundary="landmarks")
         self.settings = replace(settings, measure=own)
         self.files = files
-        self.folder, self.brought = files.mesh.parent, (files.mesh,)
-        self.identity = Identity.of(files.mesh if files.scan is None else self.folder, files.subject)
+        self.folder, self.brought = folder if self._described else files.mesh.parent, (files.mesh,)
+        self.identity = Identity.of(files.mesh if files.scan is None else files.mesh.parent, files.subject)
         self.store: Store = _StoreOfMesh(folder, watch, files.subject)
         self.units = foreign.units if files.scan is None else files.scan.units
         self.posture = files.posture or ("" if files.scan is None else files.scan.posture)
@@ -253,7 +218,8 @@ class MeshJob(Job):
         sides = frame if self.kind == "torso" else None
         picked_landmarks(places, fine, sides, sigma_mm=PICKED_SIGMA_MM, middle_world=middle)
         self._rig = scanned.viewer(frame, fine)
-        self.inputs = _inputs(files, self.kind, drawn, places)
+        self.inputs = inputs_of(files, self.kind, drawn, places)
+        self._copies = copies_of(files, drawn)
         by_drawing = {} if self.kind == "torso" and files.automatic else _drawn(self.inputs)
         self._lay_out(repaired, foreign, by_drawing)
         self._sources = None
@@ -297,7 +263,7 @@ class MeshJob(Job):
         weights = barycentric(closest.points, foreign.mesh.vertices[faces])
         colours = np.einsum("nk,nkj->nj", weights, foreign.colours[faces]).round().clip(0, 255).astype(np.uint8)
         if self.files.scan is not None and len(foreign.mesh.faces) < _DENSE:
-            colours = skin_colours(self.folder, self.files.scan, repaired.mesh.vertices, colours)
+            colours = skin_colours(self.files.mesh.parent, self.files.scan, repaired.mesh.vertices, colours)
         if not np.ptp(foreign.colours, axis=0).any():  # one colour shows no shape: shaded as by a lamp at the viewer's
             facing = np.abs(repaired.mesh.vertex_normals() @ rig_frame(self._rig)[2])
             colours = np.repeat((_DARK + _LIGHT * facing[:, None]).astype(np.uint8), 3, axis=1)
@@ -344,6 +310,8 @@ class MeshJob(Job):
             raise self._without_photographs()
         report, begun = stage == "report", time.monotonic()
         take_folder(self.store.folder, command=_COMMAND)
+        if self._described:
+            describe(self.store.folder, self.files, self._copies)
         beside = report and len(self.finished.repaired.mesh.faces) >= _LEAST_FACES and available_cores() > 1
         pages = [self.content_key, self.report_key] if report else []
         current = self.store.all_current([*self.keys("measure"), *pages]) and not is_refusal_shown(self.store.folder)
@@ -367,7 +335,7 @@ class MeshJob(Job):
 
     def keys(self, stage: Stage) -> tuple[Key, ...]:
         """Keys of a stage's products, or of the report's content. None of a stage that takes photographs."""
-        return (self.content_key,) if stage == "report" else tuple(each.key for each in self.plan.products(stage))
+        return (self.content_key,) if stage == "report" else tuple(product.key for product in self.plan.products(stage))
 
     def previews(self, stage: Stage) -> dict[str, bytes]:
         """None: the pictures are drawn for the report."""
@@ -472,51 +440,9 @@ class MeshJob(Job):
         return PageInputs(identity=self.identity, settings=self.settings)
 
 
-def _inputs(
-    files: MeshFiles, kind: SubjectKind, drawn: DrawnBoundaries, places: dict[str, Float64[Array, "k 3"]]
-) -> Inputs:
-    back: TriangleMesh | None = None if files.back is None else read_foreign(files.back, files.units).mesh
-    return Inputs(
-        rig_name="none",
-        pair_names={},
-        subject_kind=kind,
-        photographs={},
-        target=None,
-        calibration_photographs={},
-        boundaries=drawn.curves,
-        automatic=drawn.automatic,
-        removed=drawn.removed,
-        head_stated=files.head is not None,
-        attributions=drawn.attributions,
-        landmarks=places,
-        wall=back,
-        scale_std=files.scale_std,
-        digests={
-            "mesh": _digest(
-                files.mesh,
-                files.units,
-                files.largest,
-                files.automatic,
-                files.head,
-                files.ahead,
-                *(_digest(path) for path in files.also),
-            ),
-            "subject": kind,
-            "boundaries": boundaries_digest(drawn),
-            "landmarks": landmarks_digest(places),
-            "wall": _digest(files.back, files.units),
-        },
-    )
-
-
 def _drawn(inputs: Inputs) -> dict[str, str]:
     """Inputs beside the mesh that decide where the viewer stands."""
     return {name: inputs.digests[name] for name in ("boundaries", "landmarks")}
-
-
-def _digest(path: Path | None, *options: object) -> str:
-    content = b"" if path is None else path.read_bytes()
-    return hashlib.sha256(repr(options).encode() + content).hexdigest()
 
 
 class _StoreOfMesh(Store):

@@ -351,6 +351,8 @@ class Job(Reported):
         )
 
     def _photographs(self) -> Mapping[str, str]:
+        if not self.inputs.photographs:
+            return {}
         here = self.page.parent
         return {
             name: quote(os.fsencode(os.path.relpath(path, here)))

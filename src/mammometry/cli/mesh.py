@@ -94,7 +94,8 @@ def measure_mesh(
         MammometryError: the mesh cannot be measured.
     """
     from mammometry.api.job import folder_for, scan_files
-    from mammometry.api.mesh import SCALE_STD, SURFACE_STD_MM, MeshFiles, MeshJob
+    from mammometry.api.mesh import MeshJob
+    from mammometry.io.meshes.measured import SCALE_STD, SURFACE_STD_MM, MeshFiles
     from mammometry.io.meshes.scans import MESH, confirm_sides, is_scan, read_scan
     from mammometry.io.outputs import require_apart
 

@@ -70,9 +70,9 @@ def _made(table: dict[str, Any]) -> str:
 
 @command(app, "mammometry run SESSION", "mammometry run SESSION --json", _SET.format("run", "measure.wall=plane"))
 def run(options: Options, session: SessionOrScan) -> Answer:
-    """Do the whole job: calibrate, match, build the surface, measure, report. A scan is measured and reported.
+    """Do the whole job: calibrate, match, build the surface, measure, report.
 
-    Results that are current are kept. Only what changed is computed again.
+    A scan is measured and reported. Results that are current are kept. Only what changed is computed again.
     """
     with Bars(options.silent) as bars:
         job = opened(session, options, bars)

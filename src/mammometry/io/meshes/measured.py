@@ -1,0 +1,212 @@
+"""The folder into which a mesh was measured: what was measured, so that every command can open it.
+
+``mesh.toml`` names the mesh, which stays where it is, and what was said about it. Boundaries and landmarks are copied
+beside it, where they can be edited.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote, unquote_to_bytes
+
+from mammometry.base.errors import SessionError, StorageError
+from mammometry.base.parse import read_text, toml_table
+from mammometry.base.value import value
+from mammometry.io.drawn import BOUNDARIES, LANDMARK_FILE
+from mammometry.io.meshes.scans import MESH, RESULTS, Scan, is_scan, read_scan
+from mammometry.io.outputs import write_output
+from mammometry.io.write import disk_errors, file_digest, write_text
+
+ABOUT_MESH = "mesh.toml"
+SCALE_STD = 0.001
+"""Relative standard uncertainty of a scanner's lengths if none is given: 0.1 %, 1 mm in a metre."""
+SURFACE_STD_MM = 0.1
+"""Standard uncertainty of a scanner's whole surface along its normal if none is given, mm."""
+_FORM = "the description of a measured mesh, as `mammometry measure` writes it"
+_REMEDY = "Measure the mesh into this folder again: mammometry measure MESH --out FOLDER"
+_DRAWN = {"boundary": BOUNDARIES, "landmarks": LANDMARK_FILE}
+_TEXTS, _FLAGS = ("units", "head", "ahead", "subject", "posture"), ("automatic", "largest", "sides_checked")
+_NUMBERS = ("scale_std", "surface_std_mm")
+_MOST_COPIES = 8  # digests of former copies that are kept
+
+
+@value
+class MeshFiles:
+    """Files and statements that come with a foreign mesh."""
+
+    mesh: Path
+    """PLY, OBJ, STL, GLB or USDZ."""
+    units: str | None = None
+    """``mm``, ``cm``, ``m``, ``in`` or ``ft``. None where the file states it."""
+    boundary: Path | None = None
+    """boundaries.json of the mesh, in mm or the mesh's unit. None: found by landmarks or automatically."""
+    landmarks: Path | None = None
+    """landmarks.json of the mesh, as of a session, in mm."""
+    back: Path | None = None
+    """Mesh of the measured wall behind the breast, in the same unit and frame."""
+    automatic: bool = False
+    """Whether the boundaries are found along a torso's creases, as in a session."""
+    head: str | None = None
+    """The file's axis towards the head (``y``, ``-z`` …). None: ``y``, or ``z`` if ``y`` points ahead. Used by
+    `automatic`, or if only one breast is drawn.
+    """
+    ahead: str | None = None
+    """The axis straight ahead. None: the direction in which an open mesh faces."""
+    largest: bool = False
+    """Whether to measure the largest of several pieces alone."""
+    scale_std: float = SCALE_STD
+    """Relative standard uncertainty of its lengths."""
+    surface_std_mm: float = SURFACE_STD_MM
+    """Standard uncertainty of its whole surface along its normal, mm."""
+    subject: str | None = None
+    """Identifier of the subject, a pseudonym, carried by every result. None: not given."""
+    posture: str = ""
+    """How the patient held herself: ``standing``, ``leaning`` or ``lying``. Empty: as the scan's folder says."""
+    sides_checked: bool = False
+    """Whether a person has confirmed that left and right of the mesh are the patient's."""
+    scan: Scan | None = None
+    """What an imported scan's folder says. None: the mesh was not imported."""
+    also: tuple[Path, ...] = ()
+    """Further scans of the same visit and posture, in the same unit, which are merged with `mesh`."""
+
+
+def is_measured(folder: Path) -> bool:
+    """Whether a mesh was measured into this folder, by a version that describes it."""
+    return (folder / ABOUT_MESH).is_file()
+
+
+def has_own_folder(files: MeshFiles, results: Path) -> bool:
+    """Whether these results are described by themselves: not those in an imported scan's folder."""
+    return files.scan is None or results.resolve() != (files.mesh.parent / RESULTS).resolve()
+
+
+def with_edits(files: MeshFiles, folder: Path) -> MeshFiles:
+    """The files, with boundaries and landmarks that were edited in the folder since they were copied there.
+
+    Raises:
+        StorageError: others are given as well.
+        SessionError: the folder's description is not as documented.
+    """
+    copies = _copies(folder)
+    for field, name in _DRAWN.items():
+        own, given = folder / name, getattr(files, field)
+        if not own.is_file() or given == own or file_digest(own) in copies:
+            continue
+        if given is not None:
+            raise StorageError(
+                str(own), found=f"another drawing than {given}", expected="one of the two",
+                remedy=f"Measure the folder as it is, mammometry measure {folder}, or choose another --out",
+            )  # fmt: skip
+        files = replace(files, boundary=own) if field == "boundary" else replace(files, landmarks=own)
+    return files
+
+
+def describe(folder: Path, files: MeshFiles, drawn: dict[str, str]) -> None:
+    """Write what is measured into a folder, and copies of the drawings. What is there already is not written.
+
+    Args:
+        folder: of the results, which `io.outputs.take_folder` has made.
+        files: what is measured.
+        drawn: name → content of a drawing in mm, boundaries.json or landmarks.json.
+
+    Raises:
+        StorageError: the disk is full or refuses.
+    """
+    before = _copies(folder)
+    given = {name: getattr(files, field) for field, name in _DRAWN.items()}
+    copied = {name: text for name, text in drawn.items() if given[name] != folder / name}
+    digests = [_sha256(text) for text in copied.values()]
+    text = _text(folder, files, tuple(dict.fromkeys([*digests, *before]))[:_MOST_COPIES])
+    path = folder / ABOUT_MESH
+    if not path.is_file() or path.read_bytes() != text.encode():
+        write_output(path, text.encode(), command="measure")
+    with disk_errors(folder):
+        for name, path in ((name, folder / name) for name in given):
+            if name in copied and (not path.is_file() or path.read_bytes() != copied[name].encode()):
+                write_text(path, copied[name])
+            elif given[name] is None and path.is_file():
+                path.unlink()  # our own copy of an earlier drawing: `with_edits` takes any other
+
+
+def read_measured(folder: Path, *, drawn: bool = True) -> MeshFiles:
+    """What was measured into a folder, with what is drawn there now.
+
+    Args:
+        folder: with ``mesh.toml``.
+        drawn: whether drawn boundaries and landmarks count.
+
+    Raises:
+        SessionError: the description is not as documented, or the mesh is not where it was.
+    """
+    table = _read(folder)
+    try:
+        said: dict[str, Any] = {name: str(table[name]) for name in _TEXTS if name in table}
+        said |= {name: bool(table[name]) for name in _FLAGS if name in table}
+        said |= {name: float(table[name]) for name in _NUMBERS}
+        mesh, *also = (_path(folder, text) for text in [table["mesh"], *table.get("also", [])])
+        back = _path(folder, table["back"]) if "back" in table else None
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise _unreadable(folder, f"another content ({error})") from None
+    for path in (mesh, *also, back):
+        if path is not None and not path.is_file():
+            raise SessionError(
+                str(path), found="no such file", expected=f"the mesh that was measured into {folder}",
+                remedy="Put it back, or measure it where it is now: mammometry measure MESH --out FOLDER",
+            )  # fmt: skip
+    scan = read_scan(mesh.parent) if mesh.name == MESH and is_scan(mesh.parent) else None
+    boundary, landmarks = (folder / name if drawn and (folder / name).is_file() else None for name in _DRAWN.values())
+    said["automatic"] = said.get("automatic", False) or not drawn
+    return MeshFiles(
+        mesh=mesh, also=tuple(also), back=back, scan=scan, boundary=boundary, landmarks=landmarks, **said
+    )  # fmt: skip
+
+
+def _text(folder: Path, files: MeshFiles, copies: tuple[str, ...]) -> str:
+    here = folder.resolve()
+
+    def address(path: Path) -> str:
+        try:
+            below = os.path.relpath(path.resolve(), here)
+        except ValueError:  # another drive
+            below = str(path.resolve())
+        return quote(os.fsencode(below), safe="/ ()+,:\\")
+
+    made: dict[str, Any] = {"format": 1, "mesh": address(files.mesh)}
+    made |= {"also": [address(path) for path in files.also]} if files.also else {}
+    made |= {} if files.back is None else {"back": address(files.back)}
+    made |= {name: text for name in _TEXTS if (text := getattr(files, name))}
+    made |= {name: True for name in _FLAGS if getattr(files, name)}
+    made |= {name: getattr(files, name) for name in _NUMBERS}
+    made |= {"copies": list(copies)} if copies else {}
+    lines = [f"{name} = {json.dumps(given, ensure_ascii=False)}" for name, given in made.items()]
+    return "# What `mammometry measure` measured into this folder.\n" + "\n".join(lines) + "\n"
+
+
+def _path(folder: Path, text: str) -> Path:
+    return folder / os.fsdecode(unquote_to_bytes(text))
+
+
+def _read(folder: Path) -> dict[str, Any]:
+    table = toml_table(read_text(folder / ABOUT_MESH, ABOUT_MESH, _FORM), ABOUT_MESH, _FORM)
+    if table.get("format") != 1:
+        raise _unreadable(folder, f"format {table.get('format')!r:.20}")
+    return table
+
+
+def _copies(folder: Path) -> tuple[str, ...]:
+    """Digests of the drawings that were copied into a folder."""
+    copies = _read(folder).get("copies", []) if is_measured(folder) else []
+    return tuple(map(str, copies)) if isinstance(copies, list) else ()
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _unreadable(folder: Path, found: str) -> SessionError:
+    return SessionError(str(folder / ABOUT_MESH), found=found, expected=_FORM, remedy=_REMEDY)
