@@ -13,10 +13,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from mammometry.api.session_job import Job
-from mammometry.base.errors import MeasureError
+from mammometry.base.errors import MeasureError, SessionError
 from mammometry.io.drawn import BOUNDARIES, LANDMARK_FILE
-from mammometry.io.meshes.measured import MeshFiles, is_measured, read_measured
+from mammometry.io.meshes.measured import ABOUT_MESH, MeshFiles, can_be_opened, is_measured, read_measured
 from mammometry.io.meshes.scans import MESH, RESULTS, is_scan, read_scan
+from mammometry.io.results.records import RECORDS
 from mammometry.io.results.store import Watch, unwatched
 from mammometry.io.session import Session
 from mammometry.job.graph import Method
@@ -53,6 +54,11 @@ def open_session(
     folder = Path(path)
     if is_scan(folder) or is_measured(folder):
         return _scan(folder, settings, watch, method=method, given=given)
+    if not can_be_opened(folder) and (folder / "measure" / RECORDS).is_file():
+        raise SessionError(
+            str(folder), found="the results of a mesh, without a record of where the mesh is", expected=ABOUT_MESH,
+            remedy="Measure it into this folder again: mammometry measure MESH --out FOLDER. What is current is kept",
+        )  # fmt: skip
     return Job(Session.open(folder), settings or Settings(), watch, method=method, given=given)
 
 

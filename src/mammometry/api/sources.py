@@ -11,6 +11,7 @@ from mammometry.api.changes import Changes, changes, source_of
 from mammometry.api.job import Job, open_session
 from mammometry.io.drawn import BOUNDARIES, LANDMARK_FILE
 from mammometry.io.manifest import MANIFEST
+from mammometry.io.meshes.measured import is_measured
 from mammometry.io.meshes.scans import ABOUT, MESH, RESULTS
 from mammometry.io.results.verify import shown
 from mammometry.job.products import STAGES, Key
@@ -67,7 +68,9 @@ def _used_files(job: Job, keys: list[Key]) -> set[str]:
 
 
 def _files(folder: Path) -> Iterator[str]:
-    """Files of a session beside its results, hidden ones left out."""
+    """Files of a folder beside its results, hidden ones left out. A measured mesh's folder holds nothing else."""
+    if is_measured(folder):
+        return
     for path in sorted(folder.rglob("*")):
         below = path.relative_to(folder)
         if path.is_file() and below.parts[0] != RESULTS and not any(part.startswith(".") for part in below.parts):

@@ -14,6 +14,7 @@ from mammometry.batch.cluster import Machines
 from mammometry.batch.engine import Began, Ended, Engine, StopRequest, Task
 from mammometry.batch.record import Entry, Row, key_of
 from mammometry.batch.session import measure_entry
+from mammometry.io.meshes.measured import results_of
 from mammometry.io.photographs.images import megapixels_of
 from mammometry.settings import Settings
 
@@ -42,7 +43,7 @@ class Line:
         """Address of its results. None where there are none."""
         if self.row is None:
             return None
-        return storage.results_of(self.entry) if self.entry.remote else f"{self.entry.address}/results"
+        return storage.results_of(self.entry) if self.entry.remote else str(results_of(Path(self.entry.address)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,7 +117,9 @@ def measure_batch(
         Task(name=address, call=Call(function=measure_entry, arguments=(entry, text)), megapixels=size)
         for (address, entry), size in zip(todo.items(), sizes, strict=True)
     ]
-    known = [(row.megapixels, row.peak_memory_mb) for row in looked.known.values() if row.peak_memory_mb]
+    known = [
+        (row.megapixels, row.peak_memory_mb) for row in looked.known.values() if row.megapixels and row.peak_memory_mb
+    ]
     lines = {
         address: Line(entry=entry, state="current", row=looked.current[address])
         for address, entry in ((entry.address, entry) for entry in entries)
@@ -134,9 +137,9 @@ def measure_batch(
 def _size(entry: Entry, looked: Looked) -> float | None:
     """Megapixels of its photographs. None where they cannot be read from here."""
     if (row := looked.known.get(entry.address)) is not None:
-        return row.megapixels
+        return row.megapixels or None
     try:
-        return None if entry.remote else megapixels_of(Path(entry.address) / "capture")
+        return None if entry.remote else megapixels_of(Path(entry.address) / "capture") or None
     except (OSError, MammometryError):  # its own task will say what is wrong with it
         return None
 
@@ -166,7 +169,7 @@ def _line(entry: Entry, event: Ended) -> Line:
 
 def _record_at(session: Path) -> record.Record | None:
     try:
-        return record.read_record((session / "results" / record.RECORD).read_bytes())
+        return record.read_record((results_of(session) / record.RECORD).read_bytes())
     except OSError:
         return None
 

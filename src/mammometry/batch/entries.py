@@ -14,7 +14,7 @@ from mammometry.base.listing import visible
 from mammometry.batch.record import Entry, is_address
 from mammometry.batch.storage import sessions_at
 from mammometry.io.csv_tables import Table, read_table
-from mammometry.io.manifest import MANIFEST
+from mammometry.io.meshes.measured import can_be_opened, is_measured
 
 _SESSION, _SET = "session", "set"
 _REFERENCE = re.compile(r"reference(?:_(\w+?))?_cc")
@@ -47,6 +47,12 @@ def find_entries(wanted: Sequence[str], results: str | None = None) -> tuple[Ent
                 )
     if results is None:
         return tuple(entries.values())
+    for address in entries:
+        if not is_address(address) and is_measured(Path(address)):
+            raise SessionError(
+                address, found="a measured mesh, which lies outside this folder", expected="folders that hold all",
+                remedy="Measure it without --results, or take the mesh over with `mammometry import mesh`",
+            )  # fmt: skip
     base = results.rstrip("/") if is_address(results) else str(Path(results).resolve())
     named: dict[str, str] = {}
     for entry in entries.values():
@@ -78,7 +84,7 @@ def _entries(text: str) -> Iterator[Entry]:
     sessions = [session for path in paths for session in _sessions_in(path)]
     if not sessions:
         remedy = "Check the name; `mammometry new SESSION` makes a session"
-        expected = f"a folder with a {MANIFEST}, or of such folders; a pattern; a .csv; or an address"
+        expected = "the folder of a session or a scan, or of such folders; a pattern; a .csv; or an address"
         raise SessionError(text, found="no session" if paths else "no such folder", expected=expected, remedy=remedy)
     yield from (Entry(address=str(session)) for session in sessions)
 
@@ -86,9 +92,9 @@ def _entries(text: str) -> Iterator[Entry]:
 def _sessions_in(folder: Path) -> list[Path]:
     """The folder itself, or the sessions right below it."""
     resolved = folder.resolve()
-    if (resolved / MANIFEST).is_file():
+    if can_be_opened(resolved):
         return [resolved]
-    return [path.resolve() for path in visible(resolved) if (path / MANIFEST).is_file()]
+    return [path.resolve() for path in visible(resolved) if path.is_dir() and can_be_opened(path)]
 
 
 def _of_table(path: Path) -> Iterator[Entry]:
@@ -116,11 +122,11 @@ def _of_table(path: Path) -> Iterator[Entry]:
             yield Entry(address=text.rstrip("/"), assignments=tuple(given.split()), reference_cc=known)
             continue
         folder = (path.parent / text).resolve()
-        if not (folder / MANIFEST).is_file():
+        if not can_be_opened(folder):
             raise SessionError(
                 f"{path}, row {table.lines[place]}",
-                found=f"{text!r}, where there is no {MANIFEST}",
-                expected="a session's folder, from the table's own folder on",
+                found=f"{text!r}, which is no session and no scan",
+                expected="the folder of a session or a scan, from the table's own folder on",
                 remedy="Correct the line, or remove it",
             )
         yield Entry(address=str(folder), assignments=tuple(given.split()), reference_cc=known)

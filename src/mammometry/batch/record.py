@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 import mammometry
 from mammometry.base.identity import as_utf_8
+from mammometry.io.meshes.measured import ABOUT_MESH, is_measured, results_of, sources_of
 from mammometry.io.results.verify import BATCH
 from mammometry.io.sealed import sealed, unsealed
 from mammometry.io.write import write_bytes
@@ -168,7 +169,10 @@ def stats_of(session: Path) -> dict[str, Stat]:
     The time at which the system changed a file (ctime) is one of them: programs that copy keep a file's own time, and
     cannot set this one. A copied session so counts as changed, and what it is made of is compared by content.
     """
-    return {name: stat for name, stat in _stats(str(session), "") if name != f"results/{RECORD}"}
+    own = as_utf_8((results_of(session) / RECORD).relative_to(session).as_posix())
+    outside = sources_of(session) if is_measured(session) else {}
+    elsewhere = {f"{ABOUT_MESH}: {name}": _stat(path.stat()) for name, path in outside.items() if path.is_file()}
+    return elsewhere | {name: stat for name, stat in _stats(str(session), "") if name != own}
 
 
 def _stats(folder: str, above: str) -> Iterator[tuple[str, Stat]]:
@@ -179,8 +183,11 @@ def _stats(folder: str, above: str) -> Iterator[tuple[str, Stat]]:
             if path.is_dir():
                 yield from _stats(path.path, f"{above}{path.name}/")
             else:
-                about = path.stat()
-                yield as_utf_8(f"{above}{path.name}"), (about.st_size, f"{about.st_mtime_ns} {about.st_ctime_ns}")
+                yield as_utf_8(f"{above}{path.name}"), _stat(path.stat())
+
+
+def _stat(about: os.stat_result) -> Stat:
+    return (about.st_size, f"{about.st_mtime_ns} {about.st_ctime_ns}")
 
 
 def write_record(session: Path, record: Record) -> None:
@@ -189,7 +196,7 @@ def write_record(session: Path, record: Record) -> None:
     Raises:
         StorageError: the disk is full or refuses.
     """
-    write_bytes(session / "results" / RECORD, content_of(record))
+    write_bytes(results_of(session) / RECORD, content_of(record))
 
 
 def content_of(record: Record) -> bytes:
@@ -207,7 +214,7 @@ def read_record(data: bytes) -> Record | None:
 
 def look_up(session: Path, key: str) -> tuple[Row | None, bool]:
     """Record of a session, and whether its files still match it. Files match by size and times."""
-    path = session / "results" / RECORD
+    path = results_of(session) / RECORD
     try:
         record = read_record(path.read_bytes()) if path.stat().st_size <= _MOST_BYTES else None
         if record is None:

@@ -22,6 +22,7 @@ from mammometry.base.machine.system import peak_memory_mb
 from mammometry.base.progress import Progress, StageProgress
 from mammometry.batch import storage
 from mammometry.batch.record import RECORD, Entry, Measured, Record, Row, key_of, read_record, stats_of, write_record
+from mammometry.io.meshes.measured import is_result, results_of
 from mammometry.io.photographs.images import megapixels_of
 from mammometry.io.write import disk_errors
 from mammometry.job.products import Key
@@ -87,8 +88,8 @@ def _measured(session: Path, settings: Settings, progress: StageProgress) -> Rec
     made = _when_free(lambda: job.run().made)
     earlier = None if made else _earlier(session)
     row = _row_of(job, peak_memory_mb() if earlier is None else earlier.peak_memory_mb)
-    brought = {name: stat for name, stat in before.items() if not name.startswith("results/")}
-    made_now = {name: stat for name, stat in stats_of(session).items() if name.startswith("results/")}
+    brought = {name: stat for name, stat in before.items() if not is_result(session, name)}
+    made_now = {name: stat for name, stat in stats_of(session).items() if is_result(session, name)}
     record = Record(key=key_of(settings), files={**brought, **made_now}, row=row)
     write_record(session, record)
     return record
@@ -100,7 +101,7 @@ def _earlier(session: Path) -> Row | None:
     Such a run needs little memory, so its own peak says nothing.
     """
     try:
-        record = read_record((session / "results" / RECORD).read_bytes())
+        record = read_record((results_of(session) / RECORD).read_bytes())
     except OSError:
         return None
     return None if record is None else record.row

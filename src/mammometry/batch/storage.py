@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from mammometry.base.errors import SessionError, StorageError
 from mammometry.batch.record import RECORD, Entry, Record, Row, Stat, is_address, read_record
 from mammometry.io.manifest import MANIFEST
+from mammometry.io.meshes.scans import ABOUT
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
@@ -33,14 +34,18 @@ def sessions_at(address: str) -> list[str]:
     with _answers(address):
         system, root = _opened(address)
         system.invalidate_cache()
-        if system.isfile(f"{root}/{MANIFEST}"):
+        if _has_session(system, root):
             return [address.rstrip("/")]
         below = sorted(folder.rstrip("/") for folder in system.ls(root, detail=False)) if system.isdir(root) else []
-        sessions = [folder for folder in below if system.isfile(f"{folder}/{MANIFEST}")]
+        sessions = [folder for folder in below if _has_session(system, folder)]
     if not sessions:
-        expected = f"a folder with a {MANIFEST}, or of such folders"
+        expected = f"a folder with a {MANIFEST} or a {ABOUT}, or of such folders"
         raise SessionError(address, found="no session", expected=expected, remedy="Check the address")
     return [f"{address.rstrip('/')}/{folder.rpartition('/')[2]}" for folder in sessions]
+
+
+def _has_session(system: AbstractFileSystem, folder: str) -> bool:
+    return any(system.isfile(f"{folder}/{name}") for name in (MANIFEST, ABOUT))
 
 
 def fetch(entry: Entry, folder: Path) -> dict[str, Stat]:

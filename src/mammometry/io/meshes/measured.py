@@ -18,6 +18,7 @@ from mammometry.base.errors import SessionError, StorageError
 from mammometry.base.parse import read_text, toml_table
 from mammometry.base.value import value
 from mammometry.io.drawn import BOUNDARIES, LANDMARK_FILE
+from mammometry.io.manifest import MANIFEST
 from mammometry.io.meshes.scans import MESH, RESULTS, Scan, is_scan, read_scan
 from mammometry.io.outputs import write_output
 from mammometry.io.write import disk_errors, file_digest, write_text
@@ -78,6 +79,21 @@ class MeshFiles:
 def is_measured(folder: Path) -> bool:
     """Whether a mesh was measured into this folder, by a version that describes it."""
     return (folder / ABOUT_MESH).is_file()
+
+
+def can_be_opened(folder: Path) -> bool:
+    """Whether a folder is a session, an imported scan, or one into which a mesh was measured."""
+    return (folder / MANIFEST).is_file() or is_scan(folder) or is_measured(folder)
+
+
+def results_of(folder: Path) -> Path:
+    """Where the results of such a folder lie."""
+    return folder if is_measured(folder) else folder / RESULTS
+
+
+def is_result(folder: Path, name: str) -> bool:
+    """Whether a file of such a folder, by its path below it, is a result, and not brought or drawn by people."""
+    return name not in (ABOUT_MESH, *_DRAWN.values()) if is_measured(folder) else name.startswith(f"{RESULTS}/")
 
 
 def has_own_folder(files: MeshFiles, results: Path) -> bool:
@@ -143,17 +159,17 @@ def read_measured(folder: Path, *, drawn: bool = True) -> MeshFiles:
     Raises:
         SessionError: the description is not as documented, or the mesh is not where it was.
     """
-    table = _read(folder)
+    table, sources = _read(folder), sources_of(folder)
     try:
         said: dict[str, Any] = {name: str(table[name]) for name in _TEXTS if name in table}
         said |= {name: bool(table[name]) for name in _FLAGS if name in table}
         said |= {name: float(table[name]) for name in _NUMBERS}
-        mesh, *also = (_path(folder, text) for text in [table["mesh"], *table.get("also", [])])
-        back = _path(folder, table["back"]) if "back" in table else None
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise _unreadable(folder, f"another content ({error})") from None
-    for path in (mesh, *also, back):
-        if path is not None and not path.is_file():
+    back = sources.pop("back", None)
+    mesh, *also = sources.values()
+    for path in filter(None, (mesh, *also, back)):
+        if not path.is_file():
             raise SessionError(
                 str(path), found="no such file", expected=f"the mesh that was measured into {folder}",
                 remedy="Put it back, or measure it where it is now: mammometry measure MESH --out FOLDER",
@@ -164,6 +180,21 @@ def read_measured(folder: Path, *, drawn: bool = True) -> MeshFiles:
     return MeshFiles(
         mesh=mesh, also=tuple(also), back=back, scan=scan, boundary=boundary, landmarks=landmarks, **said
     )  # fmt: skip
+
+
+def sources_of(folder: Path) -> dict[str, Path]:
+    """``mesh``, ``also-1`` …, ``back`` → file that was measured into a folder. It may be gone.
+
+    Raises:
+        SessionError: the folder's description is not as documented.
+    """
+    table = _read(folder)
+    try:
+        texts = {"mesh": table["mesh"]} | {f"also-{n}": text for n, text in enumerate(table.get("also", []), 1)}
+        texts |= {"back": table["back"]} if "back" in table else {}
+        return {name: _path(folder, text) for name, text in texts.items()}
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise _unreadable(folder, f"another content ({error})") from None
 
 
 def _text(folder: Path, files: MeshFiles, copies: tuple[str, ...]) -> str:
@@ -188,7 +219,7 @@ def _text(folder: Path, files: MeshFiles, copies: tuple[str, ...]) -> str:
 
 
 def _path(folder: Path, text: str) -> Path:
-    return folder / os.fsdecode(unquote_to_bytes(text))
+    return Path(os.path.normpath(folder.resolve() / os.fsdecode(unquote_to_bytes(text))))
 
 
 def _read(folder: Path) -> dict[str, Any]:

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mammometry.base.errors import SessionError, StorageError
-from mammometry.io.manifest import MANIFEST
-from mammometry.io.meshes.scans import RESULTS, is_scan
+from mammometry.io.meshes.measured import can_be_opened, results_of
 from mammometry.io.outputs import RECORD, written_in
 from mammometry.io.results.lock import LOCK
 from mammometry.io.results.records import (
@@ -70,8 +69,8 @@ def results_in(folder: Path) -> Path:
     Raises:
         SessionError: it holds neither.
     """
-    if (folder / MANIFEST).is_file() or is_scan(folder):
-        return folder / RESULTS
+    if can_be_opened(folder):
+        return results_of(folder)
     if (folder / RECORD).is_file() or any((folder / stage).is_dir() for stage in STAGES):
         return folder
     remedy = "Name the folder that `mammometry run` or another command has written to"
