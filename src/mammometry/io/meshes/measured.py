@@ -92,7 +92,7 @@ def results_of(folder: Path) -> Path:
 
 
 def is_result(folder: Path, name: str) -> bool:
-    """Whether a file of such a folder, by its path below it, is a result, and not brought or drawn by people."""
+    """Whether a file, by its path below such a folder, is a result."""
     return name not in (ABOUT_MESH, *_DRAWN.values()) if is_measured(folder) else name.startswith(f"{RESULTS}/")
 
 
@@ -102,7 +102,7 @@ def has_own_folder(files: MeshFiles, results: Path) -> bool:
 
 
 def with_edits(files: MeshFiles, folder: Path) -> MeshFiles:
-    """The files, with boundaries and landmarks that were edited in the folder since they were copied there.
+    """The files, with the drawings that were edited in the folder since.
 
     Raises:
         StorageError: others are given as well.
@@ -123,7 +123,7 @@ def with_edits(files: MeshFiles, folder: Path) -> MeshFiles:
 
 
 def describe(folder: Path, files: MeshFiles, drawn: dict[str, str]) -> None:
-    """Write what is measured into a folder, and copies of the drawings. What is there already is not written.
+    """Write what is measured into a folder, and copies of the drawings, where they differ.
 
     Args:
         folder: of the results, which `io.outputs.take_folder` has made.
@@ -161,9 +161,9 @@ def read_measured(folder: Path, *, drawn: bool = True) -> MeshFiles:
     """
     table, sources = _read(folder), sources_of(folder)
     try:
-        said: dict[str, Any] = {name: str(table[name]) for name in _TEXTS if name in table}
-        said |= {name: bool(table[name]) for name in _FLAGS if name in table}
-        said |= {name: float(table[name]) for name in _NUMBERS}
+        statements: dict[str, Any] = {name: str(table[name]) for name in _TEXTS if name in table}
+        statements |= {name: bool(table[name]) for name in _FLAGS if name in table}
+        statements |= {name: float(table[name]) for name in _NUMBERS}
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise _unreadable(folder, f"another content ({error})") from None
     back = sources.pop("back", None)
@@ -176,9 +176,9 @@ def read_measured(folder: Path, *, drawn: bool = True) -> MeshFiles:
             )  # fmt: skip
     scan = read_scan(mesh.parent) if mesh.name == MESH and is_scan(mesh.parent) else None
     boundary, landmarks = (folder / name if drawn and (folder / name).is_file() else None for name in _DRAWN.values())
-    said["automatic"] = said.get("automatic", False) or not drawn
+    statements["automatic"] = statements.get("automatic", False) or not drawn
     return MeshFiles(
-        mesh=mesh, also=tuple(also), back=back, scan=scan, boundary=boundary, landmarks=landmarks, **said
+        mesh=mesh, also=tuple(also), back=back, scan=scan, boundary=boundary, landmarks=landmarks, **statements
     )  # fmt: skip
 
 
