@@ -12,6 +12,7 @@ from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.adjust.initialise import initialise
 from mammometry.calibration.adjust.robust import bad_views
 from mammometry.calibration.detection import detect as detection
+from mammometry.calibration.judge import quality
 from mammometry.calibration.judge.check import Reference, check
 from mammometry.calibration.judge.quality import assess
 from mammometry.calibration.settings import BundleSettings, CalibrateSettings, CheckSettings, QualitySettings
@@ -56,7 +57,8 @@ def warning_of_nothing(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
         if refuse.isupper():
             monkeypatch.setattr(FINDINGS + refuse, 1e9)
     monkeypatch.setattr(FINDINGS + "RESIDUAL_GOOD_MM", 1e9)
-    monkeypatch.setattr("mammometry.calibration.judge.quality._MOVED_SIGMA", 1e9)
+    monkeypatch.setattr(quality, "_MOVED_SIGMA", 1e9)
+    monkeypatch.setattr(quality, "_assessed", quality._assessed.__wrapped__)  # the constants change, so nothing is kept
     return monkeypatch
 
 
