@@ -1,6 +1,6 @@
-"""Linear model of small motions: value = derivatives · motions + noise, with normal priors of the motions.
+"""Linear model of small motions, with normal priors.
 
-Every motion is estimated here: of a target in one view (`judge.sighting`), of cameras between views of a target
+An observation is its derivatives by the unknowns, times the unknowns, plus noise. Every motion is estimated here: of a target in one view (`judge.sighting`), of cameras between views of a target
 (`judge.moved_cameras`, `judge.pose_motion`), of cameras and body from pairs (`surface.motion.rigid_motion`,
 `walk.motion`). Those modules state what is observed, as rows in units of their noise. A hypothesis is one prior
 standard deviation for each unknown: 0 if it did not move, infinite if nothing is known of its motion. Hypotheses are
@@ -42,7 +42,10 @@ class Fit:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LinearModel:
-    """Observations in units of their noise, summed up: H is their derivative by the unknowns, y their values."""
+    """Observations in units of their noise, summed up.
+
+    H is their derivative by the unknowns, y their values.
+    """
 
     matrix: Float64[Array, "p p"]
     """HᵀH."""
