@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from virtual_rig import PAIRS, cameras_in_rig, observe, placements, smooth_errors, with_views
+from virtual_rig import PAIRS, cameras_in_rig, observe, placements, shifted, smooth_errors, with_views
 
 from mammometry.base.errors import CalibrationError, ImageError
 from mammometry.calibration.adjust.bundle import calibrate
+from mammometry.calibration.adjust.linear_model import FREE
 from mammometry.calibration.judge.check import Reference, check
-from mammometry.calibration.judge.sighting import covariance_of, sightings
+from mammometry.calibration.judge.sighting import disagreement, sightings
 from mammometry.calibration.settings import BundleSettings, CalibrateSettings
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
@@ -56,9 +57,13 @@ def test_rig_that_stands_still_gives_no_alarm_and_its_errors_are_counted_once(re
 
 def test_inflation_of_the_exposure_leaves_the_calibration_s_errors_as_they_are(calibration):
     seen = sightings(calibration)[:3]
-    own = covariance_of(seen, None)
-    once = covariance_of(seen, calibration.covariance)
-    thrice = covariance_of(seen, calibration.covariance, inflation=3.0)
+
+    def covariance_of(cameras, inflation=1.0):
+        model = disagreement(seen, calibration.world_from_target, np.eye(3), cameras, inflation=inflation)
+        return model.fit(np.full(18, FREE)).covariance
+
+    own, once = covariance_of(None), covariance_of(calibration.covariance)
+    thrice = covariance_of(calibration.covariance, inflation=3.0)
     np.testing.assert_allclose(thrice - 9 * own, once - own, rtol=1e-6, atol=1e-9 * np.abs(once).max())
     assert np.linalg.norm(once - own) > 0
 
@@ -79,6 +84,15 @@ def test_camera_that_moved_is_named(reference):
     assert found.cameras["floor_left"].shift_px == pytest.approx(0.7, rel=0.25)
     assert set(found.pairs) == {"floor"}
     assert found.effect_mm == pytest.approx(0.28 * 800 / 225, rel=0.25)
+
+
+def test_either_of_two_cameras_may_have_moved(reference):
+    """Both explain everything exactly: rounding does not choose the order."""
+    moved = shifted(CAMERAS["front_left"], (0.5, 0.0, 0.0))
+    for seed in range(3):
+        seen = exposed({**CAMERAS, "front_left": moved}, "00", seed)
+        front = replace(seen, detections=tuple(each for each in seen.detections if each.camera.startswith("front")))
+        assert check(reference, front).alternatives == (("front_left",), ("front_right",))
 
 
 def test_what_cannot_be_compared_is_said(reference):

@@ -1,10 +1,11 @@
 """Linear model of small motions, with normal priors.
 
-An observation is its derivatives by the unknowns, times the unknowns, plus noise. Every motion is estimated here: of a target in one view (`judge.sighting`), of cameras between views of a target
-(`judge.moved_cameras`, `judge.pose_motion`), of cameras and body from pairs (`surface.motion.rigid_motion`,
-`walk.motion`). Those modules state what is observed, as rows in units of their noise. A hypothesis is one prior
-standard deviation for each unknown: 0 if it did not move, infinite if nothing is known of its motion. Hypotheses are
-compared by χ² (`Fit.misfit`) or by their evidence (MacKay 1992, Neural Computation 4, 415).
+An observation is its derivatives by the unknowns, times the unknowns, plus noise. Every motion is estimated here: of a
+target in one view (`judge.sighting`), of cameras between views of a target (`judge.moved_cameras`,
+`judge.pose_motion`), of cameras and body from pairs (`surface.motion.rigid_motion`, `walk.motion`). Those modules state
+what is observed, in units of its noise. A hypothesis is one prior standard deviation for each unknown: 0 if it did not
+move, infinite if nothing is known of its motion. Hypotheses are compared by χ² (`Fit.misfit`) or by their evidence
+(MacKay 1992, Neural Computation 4, 415).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ FREE = np.inf
 """Prior standard deviation of an unknown of which nothing is known."""
 _UNDETERMINED = 1e-12
 """Eigenvalue of the scaled matrix, relative to the largest, below which a direction is not determined: rounding leaves
-1e-15 to 1e-14 of those that are not, and weak ones of calibrated rigs have 1e-7."""
+1e-16 of those that are not, and the weakest that rigs and boards determine has 1e-4."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -136,9 +137,14 @@ def linear_model(white: Sequence[Float64[Array, "_ q"]], unknowns: int, *, log_d
 
 
 def square_root(matrix: Float64[Array, "q q"]) -> Float64[Array, "q q"]:
-    """A matrix that gives a covariance or an information when multiplied by its transpose."""
-    values, vectors = np.linalg.eigh(matrix)
-    root: Float64[Array, "q q"] = vectors * np.sqrt(np.maximum(values, 0.0))
+    """Find a matrix that gives a covariance or an information when multiplied by its transpose.
+
+    Rows may have different units: the result is exact to rounding in each.
+    """
+    diagonal = np.diag(matrix)
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    root: Float64[Array, "q q"] = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     return root
 
 

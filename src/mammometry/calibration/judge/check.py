@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -18,23 +19,17 @@ from mammometry.base.errors import CalibrationError, ImageError
 from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import Calibration, ParameterCovariance
 from mammometry.calibration.adjust.initialise import resect
+from mammometry.calibration.adjust.linear_model import FREE
 from mammometry.calibration.adjust.projection import intrinsics_of
 from mammometry.calibration.detection.detect import Detection, Observations
 from mammometry.calibration.judge.camera_names import check_board_names
 from mammometry.calibration.judge.moved_cameras import Agreement, Motion
 from mammometry.calibration.judge.reconstruction import MovedPair, moved_pair
-from mammometry.calibration.judge.sighting import (
-    Sighting,
-    as_twist,
-    camera_parameters,
-    covariance_of,
-    moved,
-    sight,
-    sightings,
-)
+from mammometry.calibration.judge.sighting import Sighting, disagreement, sight, sightings
 from mammometry.calibration.settings import CheckSettings
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry import Array, Camera, Float64, Rig, Transform
+from mammometry.geometry.twist import as_twist, moved_camera
 
 _CHANCE = 1e-6
 """Probability, in a rig that did not move, below which a disagreement is called a motion. It is very small because real
@@ -142,12 +137,8 @@ def scatter(calibration: Calibration, seen: Sequence[Sighting]) -> float:
         views = [sighting for sighting in seen if sighting.pose == pose]
         if len(views) < 2:
             continue
-        twists = [view.twist_from(placed) for view in views]
-        weights = [view.information for view in views]
-        pulled = np.sum([weight @ twist for weight, twist in zip(weights, twists, strict=True)], axis=0)
-        mean = np.linalg.lstsq(np.sum(weights, axis=0), pulled, rcond=None)[0]
-        misfit = sum((twist - mean) @ weight @ (twist - mean) for weight, twist in zip(weights, twists, strict=True))
-        ratios.append(float(misfit) / (6 * (len(views) - 1)))
+        mean = disagreement(views, {pose: placed}, np.ones((len(views), 1))).fit(np.full(6, FREE))
+        ratios.append(mean.misfit / mean.freedom)
     return max(1.0, float(np.sqrt(np.median(ratios)))) if ratios else 1.0
 
 
@@ -167,17 +158,11 @@ def check(reference: Reference, observations: Observations, settings: CheckSetti
     seen = _sightings(reference, observations)
     cameras = tuple(name for name in reference.rig.cameras if any(sighting.camera == name for sighting in seen))
     inflation = max(reference.inflation, _LEAST_INFLATION)
-    agreement = Agreement(
-        seen=seen,
-        cameras=cameras,
-        placed=_nearest_to_all(seen),
-        covariance=covariance_of(seen, reference.covariance, inflation=inflation),
-    )
+    about = partial(Agreement.about, seen=seen, cameras=cameras, calibrated=reference.covariance, inflation=inflation)
+    agreement = about(_nearest_to_all(seen))
     candidates = agreement.explanations(_CHANCE)
     for _ in range(_ROUNDS):  # motions add up only when they are small: again from where the still cameras see it
-        agreement = Agreement(
-            seen=seen, cameras=cameras, placed=agreement.placements(candidates[0]), covariance=agreement.covariance
-        )
+        agreement = about(agreement.placements(candidates[0]))
         candidates = agreement.explanations(_CHANCE)
     chosen = candidates[0]
     checks = {name: _camera_check(agreement, reference.rig.cameras[name], chosen) for name in cameras}
@@ -251,7 +236,7 @@ def _sightings(reference: Reference, observations: Observations) -> tuple[Sighti
                 reference.target_points,
                 start,
                 noise_factor=reference.noise_factor,
-                parameters=camera_parameters(names, camera.name),
+                parameters=names,
             )
             found += [] if sighting is None else [sighting]
     together = tuple(sighting for sighting in found if sum(other.pose == sighting.pose for other in found) > 1)
@@ -301,7 +286,7 @@ def _moved_pairs(reference: Reference, agreement: Agreement, checks: Mapping[str
     if not len(volume):
         volume = np.concatenate([placed.apply(reference.target_points) for placed in agreement.placed.values()])
     after = {
-        name: moved(camera, checks[name].motion.motion) if name in checks and checks[name].moved else camera
+        name: moved_camera(camera, checks[name].motion.motion) if name in checks and checks[name].moved else camera
         for name, camera in reference.rig.cameras.items()
     }
     effects = {

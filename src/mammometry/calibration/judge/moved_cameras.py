@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal, TypeAlias
@@ -10,14 +10,21 @@ from typing import Literal, TypeAlias
 import numpy as np
 from scipy.special import chdtrc
 
-from mammometry.calibration.judge.sighting import Sighting, as_motion
+from mammometry.calibration.adjust.calibrated import ParameterCovariance
+from mammometry.calibration.adjust.linear_model import FREE, Fit, LinearModel
+from mammometry.calibration.judge.sighting import Sighting, disagreement, moves_of
 from mammometry.geometry import Array, Camera, Float64, Transform
+from mammometry.geometry.twist import as_motion
 
 Kind: TypeAlias = Literal["shift", "turn", "either", "both"]
 """Motion of a camera: displacement, rotation about its perspective centre, either as far as the data show, or certainly
 both."""
 _MOST_SETS = 5000
 """Sets of cameras that are tried, at most. Chosen by eye."""
+_SINGULAR = 1e-14
+"""Relative eigenvalue of a covariance below which nothing is known of a direction: rounding."""
+_SAME = 6
+"""Decimals of χ² that count: all sets that leave a single camera explain the same, apart from rounding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -52,8 +59,30 @@ class Agreement:
     cameras: tuple[str, ...]
     placed: Mapping[str, Transform]
     """Exposure → approximate placement of the target."""
-    covariance: Float64[Array, "s s"]
-    """Covariance of the sightings' twists, six each, in their order."""
+    model: LinearModel
+    """Of the target's twists, then of the cameras', six each."""
+
+    @classmethod
+    def about(
+        cls,
+        placed: Mapping[str, Transform],
+        seen: Sequence[Sighting],
+        cameras: Sequence[str],
+        calibrated: ParameterCovariance | None,
+        inflation: float,
+    ) -> Agreement:
+        """Linearise about placements of the target.
+
+        Args:
+            placed: exposure → placement.
+            seen: the sightings.
+            cameras: those that may have moved.
+            calibrated: covariance of the cameras; None where it is not known.
+            inflation: factor on the standard deviations of the sightings' own noise.
+        """
+        moves = moves_of(seen, list(placed), cameras)
+        model = disagreement(seen, placed, moves, calibrated, inflation=inflation)
+        return cls(seen=tuple(seen), cameras=tuple(cameras), placed=placed, model=model)
 
     def explanations(self, chance: float) -> list[tuple[str, ...]]:
         """Find the fewest cameras whose motion explains all. Several sets, best first, where each does.
@@ -65,10 +94,10 @@ class Agreement:
         for count in range(len(self.cameras)):
             found = []
             for moved in combinations(self.cameras, count):
-                *_, misfit, freedom = self._solved(moved)
+                fit = self._fit(moved)
                 tried += 1
-                if freedom <= 0 or chdtrc(freedom, misfit) > chance:
-                    found.append((misfit, moved))
+                if fit.freedom <= 0 or chdtrc(fit.freedom, fit.misfit) > chance:
+                    found.append((round(fit.misfit, _SAME), moved))
             if found:
                 return [moved for _, moved in sorted(found)]
             if tried > _MOST_SETS:
@@ -77,78 +106,54 @@ class Agreement:
 
     def placements(self, moved: Sequence[str]) -> dict[str, Transform]:
         """Exposure → target placement, from the cameras that stood still."""
-        unknown = self._solved(moved)[0]
+        twists = self._fit(moved).motions.reshape(-1, 6)
         return {
-            pose: as_motion(unknown[6 * i : 6 * i + 6]) @ place for i, (pose, place) in enumerate(self.placed.items())
+            pose: as_motion(twist) @ place for twist, (pose, place) in zip(twists, self.placed.items(), strict=False)
         }
 
     def motion(self, camera: Camera, moved: Sequence[str], chance: float) -> Motion:
         """Motion of a camera against those that stood still. The camera itself is not counted among them."""
-        others = (*(name for name in moved if name != camera.name), camera.name)
-        unknown, covariance, *_ = self._solved(others)
-        motion = as_motion(-unknown[-6:]).inverse()  # exact for one exposure, however far it moved
+        fit, own = self._fit({*moved, camera.name}), self._of_camera(camera.name)
+        motion = as_motion(-fit.motions[own]).inverse()  # exact for one exposure, however far it moved
         centre = camera.centre_world
         both = np.concatenate([motion.rotation_vector_rad, motion.apply(centre) - centre])
         about_centre = np.eye(6)
         about_centre[3:, :3] = -_cross(centre)
-        covariance = about_centre @ covariance[-6:, -6:] @ about_centre.T
-        information = np.linalg.pinv(covariance, rcond=1e-14, hermitian=True)
-        turn, shift = (_restricted(both, information, part) for part in (slice(0, 3), slice(3, 6)))
+        covariance = about_centre @ fit.covariance[own, own] @ about_centre.T
+        std = np.sqrt(np.maximum(np.diag(covariance), np.finfo(np.float64).tiny))
+        units = np.outer(std, std)  # radians beside millimetres
+        information = np.linalg.pinv(covariance / units, rcond=_SINGULAR, hermitian=True) / units
+        model = LinearModel(
+            matrix=information, right=information @ both, squares=float(both @ information @ both), count=6
+        )
+        turn, shift = (model.fit(np.repeat(free, 3)) for free in ([FREE, 0.0], [0.0, FREE]))
         fits = [pure for pure in (turn, shift) if chdtrc(3, pure.misfit) > chance]
         best = min(fits, key=lambda pure: pure.misfit) if fits else None
-        value, spread = (both, covariance) if best is None else (best.value, best.covariance)
+        value, spread = (both, covariance) if best is None else (best.motions, best.covariance)
         kind: Kind = "both" if best is None else "either" if len(fits) > 1 else "turn" if best is turn else "shift"
-        rotation = as_motion(np.concatenate([value[:3], np.zeros(3)])).rotation
         return Motion(
-            motion=Transform(rotation=rotation, translation_mm=value[3:] + centre - rotation @ centre),
+            motion=as_motion(value, about=centre),
             shift_mm=value[3:],
             turn_rad=value[:3],
             shift_std_mm=_largest_std(spread[3:, 3:]),
             turn_std_rad=_largest_std(spread[:3, :3]),
             kind=kind,
-            alone_mm=float(np.linalg.norm(shift.value)),
-            alone_rad=float(np.linalg.norm(turn.value)),
-            sigma=float(np.sqrt(both @ information @ both)),
+            alone_mm=float(np.linalg.norm(shift.motions[3:])),
+            alone_rad=float(np.linalg.norm(turn.motions[:3])),
+            sigma=float(np.sqrt(model.squares)),
         )
 
-    def _solved(self, moved: Sequence[str]) -> tuple[Float64[Array, " q"], Float64[Array, "q q"], float, int]:
-        """Placements, motions of `moved`, covariance, misfit χ², degrees of freedom.
+    def _of_camera(self, camera: str) -> slice:
+        start = 6 * (len(self.placed) + self.cameras.index(camera))
+        return slice(start, start + 6)
 
-        Placements are the exposures'.
-        """
-        poses = list(self.placed)
-        rows = np.zeros((len(self.seen), len(poses) + len(moved)))
-        for i, sighting in enumerate(self.seen):
-            rows[i, poses.index(sighting.pose)] = 1.0
-            if sighting.camera in moved:
-                rows[i, len(poses) + list(moved).index(sighting.camera)] = -1.0
-        twists = np.concatenate([sighting.twist_from(self.placed[sighting.pose]) for sighting in self.seen])
-        scale = np.sqrt(np.diag(self.covariance))  # radians beside millimetres
-        root = np.linalg.cholesky(self.covariance / np.outer(scale, scale) + 1e-12 * np.eye(len(scale)))
-        design = np.linalg.solve(root, np.kron(rows, np.eye(6)) / scale[:, None])
-        right = np.linalg.solve(root, twists / scale)
-        per_unknown = np.maximum(np.linalg.norm(design, axis=0), np.finfo(np.float64).tiny)
-        unknown, _, rank, _ = np.linalg.lstsq(design / per_unknown, right, rcond=1e-9)
-        misfit = float(np.sum((right - design / per_unknown @ unknown) ** 2))
-        normal = (design / per_unknown).T @ (design / per_unknown)
-        covariance = np.linalg.pinv(normal, rcond=1e-14, hermitian=True) / np.outer(per_unknown, per_unknown)
-        return unknown / per_unknown, covariance, misfit, len(right) - int(rank)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Restricted:
-    value: Float64[Array, 6]
-    covariance: Float64[Array, "6 6"]
-    misfit: float
-
-
-def _restricted(value: Float64[Array, 6], information: Float64[Array, "6 6"], free: slice) -> _Restricted:
-    """Estimate with some numbers held at zero, and its cost in χ²."""
-    spread = np.zeros((6, 6))
-    spread[free, free] = np.linalg.pinv(information[free, free], rcond=1e-14, hermitian=True)
-    fitted = spread @ (information @ value)
-    rest = value - fitted
-    return _Restricted(value=fitted, covariance=spread, misfit=float(rest @ information @ rest))
+    def _fit(self, moved: Collection[str]) -> Fit:
+        """The target's twists and those of the cameras that moved."""
+        std = np.full(len(self.model.right), FREE)
+        for camera in self.cameras:
+            if camera not in moved:
+                std[self._of_camera(camera)] = 0.0
+        return self.model.fit(std)
 
 
 def _cross(vector: Float64[Array, 3]) -> Float64[Array, "3 3"]:

@@ -15,17 +15,23 @@ from scipy.special import chdtri
 
 from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import Calibration
+from mammometry.calibration.adjust.linear_model import FREE, Fit, LinearModel
 from mammometry.calibration.judge.expected_error import derivatives
 from mammometry.calibration.judge.reconstruction import moved_pair
-from mammometry.calibration.judge.sighting import Sighting, as_motion, moved
+from mammometry.calibration.judge.sighting import Sighting, disagreement, moves_of
 from mammometry.geometry import Array, Float64, StereoPair
+from mammometry.geometry.twist import as_motion, moved_camera
 
 _MOST_MOVEMENTS = 6
 """Movements that are named, at most: with more, nothing stood still."""
 _MEDIAN = float(chdtri(6, 0.5))
 """Median of χ² with the six degrees of freedom of one sighting."""
-_UNDETERMINED = 1e-9
-"""Relative singular value below which a direction is not determined: rounding."""
+_EXPLAINED = 1e-10
+"""Share of a motion's information below which the motions found so far explain it as well: rounding leaves 1e-13."""
+_ALIKE = 1e-6
+"""Relative difference of what two motions explain below which they are the same motion, apart from rounding."""
+_LEAST_FREEDOM = 0.05
+"""Least share of the observations that is left for the noise."""
 
 
 @value(eq=False)
@@ -66,36 +72,33 @@ def movements(calibration: Calibration, seen: Sequence[Sighting], least_sigma: f
         seen: its views, each by itself (`sighting.sightings`).
         least_sigma: length in standard errors from which on a movement is reported.
     """
-    poses = [pose for pose in calibration.world_from_target if any(sighting.pose == pose for sighting in seen)]
-    cameras = [name for name in calibration.rig.cameras if any(sighting.camera == name for sighting in seen)]
+    poses = [pose for pose in calibration.world_from_target if pose in {sighting.pose for sighting in seen}]
+    cameras = [name for name in calibration.rig.cameras if name in {sighting.camera for sighting in seen}]
     if len(poses) < 2 or len(cameras) < 2:
         return ()
-    roots = [_root(sighting.information) for sighting in seen]
-    twists = [
-        root @ sighting.twist_from(calibration.world_from_target[sighting.pose])
-        for root, sighting in zip(roots, seen, strict=True)
-    ]
-    right = np.concatenate(twists)
-    columns = np.zeros((len(right), 6 * (len(poses) + len(cameras))))
-    for i, sighting in enumerate(seen):
-        for at, sign in ((poses.index(sighting.pose), 1.0), (len(poses) + cameras.index(sighting.camera), -1.0)):
-            columns[6 * i : 6 * i + 6, 6 * at : 6 * at + 6] = sign * roots[i]
     suspicions = list(_suspicions(calibration.rig.pair_names, seen, poses))
+    own = moves_of(seen, poses, cameras)
+    suspected = -np.array([[float(i in suspicion.views) for suspicion in suspicions] for i in range(len(seen))])
+    moves = np.concatenate([own, suspected.reshape(len(seen), -1)], axis=1)
+    model = disagreement(seen, calibration.world_from_target, moves)
+    std = np.repeat([FREE, 0.0], [6 * own.shape[1], 6 * len(suspicions)])
+    parts = [slice(start, start + 6) for start in range(6 * own.shape[1], len(std), 6)]
+    twists = np.array([sighting.twist_from(calibration.world_from_target[sighting.pose]) for sighting in seen])
+    information = np.array([sighting.information for sighting in seen])
     found: list[Movement] = []
-    explained = _basis(columns)
+    fit = model.fit(std)
     while len(found) < _MOST_MOVEMENTS:
-        rest = right - explained @ (explained.T @ right)
-        noise = max(1.0, float(np.median(np.sum(rest.reshape(-1, 6) ** 2, axis=1))) / (_MEDIAN * _freedom(explained)))
-        best = max(
-            ((_gain(suspicion, roots, explained, rest), i) for i, suspicion in enumerate(suspicions)), default=(0.0, 0)
-        )
-        sigma = float(np.sqrt(best[0] / noise))
+        left = twists - moves @ fit.motions.reshape(-1, 6)
+        typical = float(np.median(np.einsum("vi,vij,vj->v", left, information, left)))
+        noise = max(1.0, typical / (_MEDIAN * max(fit.freedom / model.count, _LEAST_FREEDOM)))
+        gains = np.array([_gain(model, fit, part) for part in parts])
+        sigma = float(np.sqrt(gains.max(initial=0.0) / noise))
         if sigma < least_sigma:
             break
-        suspicion = suspicions[best[1]]
-        block = _columns(suspicion, roots)
-        found.append(_movement(calibration, seen, suspicion, _solved(block, explained, rest), sigma))
-        explained = _basis(np.concatenate([explained, block], axis=1))
+        best = int(np.argmax(gains > (1 - _ALIKE) * gains.max()))  # the first of those that explain the same
+        std[parts[best]] = FREE
+        fit = model.fit(std)
+        found.append(_movement(calibration, seen, suspicions[best], fit.motions[parts[best]], sigma))
     return tuple(found)
 
 
@@ -103,75 +106,26 @@ def _suspicions(
     pair_names: Mapping[str, tuple[str, str]], seen: Sequence[Sighting], poses: Sequence[str]
 ) -> Iterator[_Suspicion]:
     """A camera from one pose on. A camera, or a pair, in one pose only."""
-    for camera in dict.fromkeys(sighting.camera for sighting in seen):
-        mine = [pose for pose in poses if any((sighting.camera, sighting.pose) == (camera, pose) for sighting in seen)]
+    views = {(sighting.camera, sighting.pose): i for i, sighting in enumerate(seen)}
+    for camera in dict.fromkeys(camera for camera, _ in views):
+        mine = [pose for pose in poses if (camera, pose) in views]
         for k, pose in enumerate(mine):
-            here = tuple(i for i, sighting in enumerate(seen) if (sighting.camera, sighting.pose) == (camera, pose))
-            yield _Suspicion((camera,), pose, True, here)
+            yield _Suspicion((camera,), pose, True, (views[camera, pose],))
             if 2 <= k <= len(mine) - 2:  # nearer to the ends it is the same as one or two single poses
-                later = tuple(
-                    i for i, sighting in enumerate(seen) if sighting.camera == camera and sighting.pose in mine[k:]
-                )
-                yield _Suspicion((camera,), pose, False, later)
+                yield _Suspicion((camera,), pose, False, tuple(views[camera, later] for later in mine[k:]))
     for pair in pair_names.values():
         for pose in poses:
-            both = tuple(i for i, sighting in enumerate(seen) if sighting.camera in pair and sighting.pose == pose)
-            others = [sighting for sighting in seen if sighting.pose == pose and sighting.camera not in pair]
-            if len(both) == 2 and len(others) > 1:
+            both = tuple(views[camera, pose] for camera in pair if (camera, pose) in views)
+            if len(both) == 2 and sum(other == pose for _, other in views) > 3:
                 yield _Suspicion(pair, pose, True, both)
 
 
-def _root(information: Float64[Array, "6 6"]) -> Float64[Array, "6 6"]:
-    """A matrix whose square, transposed from the left, is the information."""
-    values, vectors = np.linalg.eigh(information)
-    return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-
-
-def _columns(suspicion: _Suspicion, roots: Sequence[Float64[Array, "6 6"]]) -> Float64[Array, "s 6"]:
-    block = np.zeros((6 * len(roots), 6))
-    for i in suspicion.views:
-        block[6 * i : 6 * i + 6] = -roots[i]
-    return block
-
-
-def _basis(columns: Float64[Array, "s q"]) -> Float64[Array, "s r"]:
-    """Orthonormal basis of what the columns span."""
-    scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), np.finfo(np.float64).tiny)
-    left, values, _ = np.linalg.svd(scaled, full_matrices=False)
-    return left[:, values > _UNDETERMINED * values[0]]
-
-
-def _freedom(basis: Float64[Array, "s r"]) -> float:
-    """Share of the numbers that the basis leaves free."""
-    return max(1.0 - basis.shape[1] / basis.shape[0], 0.05)
-
-
-def _cleared(block: Float64[Array, "s 6"], explained: Float64[Array, "s r"]) -> Float64[Array, "s 6"]:
-    return block - explained @ (explained.T @ block)
-
-
-def _gain(
-    suspicion: _Suspicion,
-    roots: Sequence[Float64[Array, "6 6"]],
-    explained: Float64[Array, "s r"],
-    rest: Float64[Array, " s"],
-) -> float:
-    """Fall of χ² if the suspicion is true."""
-    block = _cleared(_columns(suspicion, roots), explained)
-    scale = np.linalg.norm(block, axis=0)
-    if not (scale > _UNDETERMINED * np.linalg.norm(_columns(suspicion, roots), axis=0)).all():
+def _gain(model: LinearModel, fit: Fit, part: slice) -> float:
+    """Fall of χ² if one more thing moved."""
+    further = model.beyond(fit, part)
+    if not (np.diag(further.matrix) > _EXPLAINED * np.diag(model.matrix)[part]).all():
         return 0.0
-    basis = _basis(block / scale)
-    return float(np.sum((basis.T @ rest) ** 2))
-
-
-def _solved(
-    block: Float64[Array, "s 6"], explained: Float64[Array, "s r"], rest: Float64[Array, " s"]
-) -> Float64[Array, 6]:
-    cleared = _cleared(block, explained)
-    scale = np.linalg.norm(cleared, axis=0)
-    solution: Float64[Array, 6] = np.linalg.lstsq(cleared / scale, rest, rcond=_UNDETERMINED)[0] / scale
-    return solution
+    return fit.misfit - further.fit(np.full(6, FREE)).misfit
 
 
 def _movement(
@@ -187,7 +141,7 @@ def _movement(
     for pair in calibration.rig.pairs:
         if {pair.left.name, pair.right.name} & set(suspicion.cameras):
             left, right = (
-                moved(camera_model, motion) if camera_model.name in suspicion.cameras else camera_model
+                moved_camera(camera_model, motion) if camera_model.name in suspicion.cameras else camera_model
                 for camera_model in (pair.left, pair.right)
             )
             effect = moved_pair(pair, left, right, volume)

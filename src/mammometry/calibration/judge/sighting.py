@@ -1,25 +1,25 @@
 """Placement of the target by one camera alone, with covariance.
 
-It shows whether the camera moved. A small motion is six numbers, a *twist*: rotation, rad, then translation, mm, of
-the world, ``x' = x + r × x + t``. If the target is displaced by the twist w and the camera by the twist m, the camera
-sees the target displaced by w − m. So whatever moved, everything that a view of a known target shows is linear in the
-twists.
+It shows whether the camera moved. If the target is displaced by the twist w (`geometry.twist`) and the camera by the
+twist m, the camera sees the target displaced by w − m. So whatever moved, everything that a view of a known target
+shows is linear in the twists.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import Calibration, ParameterCovariance
 from mammometry.calibration.adjust.initialise import LEAST_POINTS
-from mammometry.calibration.adjust.projection import INTRINSIC_NAMES, intrinsics_of, project_with_derivatives
+from mammometry.calibration.adjust.linear_model import FREE, LinearModel, linear_model, square_root
+from mammometry.calibration.adjust.robust import RAYLEIGH_MEDIAN
 from mammometry.calibration.detection.detect import Detection
+from mammometry.calibration.judge.expected_error import derivatives
 from mammometry.geometry import Array, Bool, Camera, Float64, Transform
+from mammometry.geometry.twist import as_motion, as_twist
 
 _STEPS = 10
 """Gauss–Newton steps, at most."""
@@ -41,7 +41,7 @@ class Sighting:
     information: Float64[Array, "6 6"]
     """Inverse covariance of that placement, as a twist of the world. Singular directions are kept."""
     by_camera: Float64[Array, "6 k"]
-    """Derivative of the placement's twist by the camera's own parameters (`camera_parameters`)."""
+    """Derivative of the placement's twist by the camera's own parameters, in the order of their covariance."""
     uv_by_twist: Float64[Array, "n 2 6"]
     """Derivative of the points' image by a twist of the target, px."""
     residual_px: Float64[Array, "n 2"]
@@ -59,21 +59,6 @@ class Sighting:
     def shift_px(self, twist: Float64[Array, 6]) -> float:
         """RMS image displacement of the points by a target twist, px."""
         return float(np.sqrt(np.mean(np.sum((self.uv_by_twist @ twist) ** 2, axis=1))))
-
-
-def as_twist(motion: Transform) -> Float64[Array, 6]:
-    """A small motion as rotation, rad, and translation, mm."""
-    return np.concatenate([motion.rotation_vector_rad, motion.translation_mm])
-
-
-def as_motion(twist: Float64[Array, 6]) -> Transform:
-    """The inverse of `as_twist`."""
-    return Transform(rotation=Rotation.from_rotvec(twist[:3]).as_matrix(), translation_mm=twist[3:].copy())
-
-
-def camera_parameters(model: Sequence[str], camera: str) -> list[str]:
-    """Names, without the camera's, of its parameters among those of a covariance."""
-    return [name.removeprefix(f"{camera}.") for name in model if name.startswith(f"{camera}.")]
 
 
 def sight(
@@ -94,7 +79,7 @@ def sight(
         target_points: the target's points in its own frame, mm.
         start: world_from_target near the answer.
         noise_factor: on the standard deviations of the detection.
-        parameters: names of the camera's parameters, for `Sighting.by_camera`.
+        parameters: names of calibrated parameters. Of those, the camera's own are used for `Sighting.by_camera`.
         keep: points to use; where not given, those within six robust standard deviations.
 
     Returns:
@@ -113,22 +98,21 @@ def sight(
         placed = found
         if keep is None:
             length = np.linalg.norm(camera.project(placed.apply(target_points[detection.ids])) - detection.uv, axis=1)
-            fresh = length <= _OUTLIER_SIGMA * max(float(np.nanmedian(length)) / np.sqrt(2 * np.log(2)), 1e-6)
+            fresh = length <= _OUTLIER_SIGMA * max(float(np.nanmedian(length)) / RAYLEIGH_MEDIAN, 1e-6)
             if (fresh == chosen).all():
                 break
             chosen = fresh
-    projected, by_twist, by_parameters = _linearised(camera, placed.apply(points), parameters)
-    whitened = np.einsum("nij,njk->nik", whitener, by_twist).reshape(-1, 6)
-    information = whitened.T @ whitened
-    effect = np.einsum("nij,njk->nik", whitener, by_parameters).reshape(len(whitened), -1)
+    own = tuple(name for name in parameters if name.startswith(f"{camera.name}."))
+    model, by_twist = _model(camera, placed.apply(points), uv, whitener, own)
+    fit = model.fit(np.repeat([FREE, 0.0], [6, len(own)]))
     return Sighting(
         camera=camera.name,
         pose=detection.pose,
         world_from_target=placed,
-        information=information,
-        by_camera=-np.linalg.pinv(information, hermitian=True) @ (whitened.T @ effect),
+        information=model.matrix[:6, :6],
+        by_camera=-fit.covariance[:6, :6] @ model.matrix[:6, 6:],
         uv_by_twist=by_twist,
-        residual_px=projected - uv,
+        residual_px=camera.project(placed.apply(points)) - uv,
     )
 
 
@@ -146,7 +130,7 @@ def sightings(calibration: Calibration) -> tuple[Sighting, ...]:
             calibration.target_points,
             start,
             noise_factor=calibration.noise_factor,
-            parameters=camera_parameters(calibration.covariance.names, detection.camera),
+            parameters=calibration.covariance.names,
             keep=good,
         )
         if seen is not None:
@@ -154,34 +138,43 @@ def sightings(calibration: Calibration) -> tuple[Sighting, ...]:
     return tuple(found)
 
 
-def covariance_of(
-    seen: Sequence[Sighting], cameras: ParameterCovariance | None, *, inflation: float = 1.0
-) -> Float64[Array, "s s"]:
-    """Joint covariance of the sightings' twists, six each. Their own noise, and the cameras' calibration.
+def disagreement(
+    seen: Sequence[Sighting],
+    placed: Mapping[str, Transform],
+    moves: Float64[Array, "s m"],
+    cameras: ParameterCovariance | None = None,
+    *,
+    inflation: float = 1.0,
+) -> LinearModel:
+    """Model of m motions, six numbers each, that make sightings disagree with placements of the target.
 
     Args:
         seen: the sightings.
+        placed: exposure → placement.
+        moves: effect of each motion on each sighting's twist: 1 of the target's, −1 of the camera's, else 0.
         cameras: covariance of the calibrated cameras; None where it is not known.
         inflation: factor on the standard deviations of the sightings' own noise.
     """
-    size = 6 * len(seen)
-    covariance = np.zeros((size, size))
-    for i, sighting in enumerate(seen):
-        covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] = inflation**2 * np.linalg.pinv(
-            sighting.information, hermitian=True
-        )
+    twists = np.array([sighting.twist_from(placed[sighting.pose]) for sighting in seen])
+    columns = [np.kron(moves, np.eye(6)), twists.reshape(-1, 1)]
     if cameras is not None:
-        effect = np.zeros((size, len(cameras.names)))
+        of_seen = [n for n, name in enumerate(cameras.names) if name.rpartition(".")[0] in {s.camera for s in seen}]
+        effect = np.zeros((len(seen), 6, len(of_seen)))
         for i, sighting in enumerate(seen):
-            columns = [k for k, name in enumerate(cameras.names) if name.startswith(f"{sighting.camera}.")]
-            effect[6 * i : 6 * i + 6, columns] = sighting.by_camera
-        covariance += effect @ cameras.matrix @ effect.T
-    return covariance
+            own = [k for k, n in enumerate(of_seen) if cameras.names[n].startswith(f"{sighting.camera}.")]
+            effect[i][:, own] = sighting.by_camera
+        columns.append(effect.reshape(-1, len(of_seen)) @ square_root(cameras.matrix[np.ix_(of_seen, of_seen)]))
+    roots = np.array([square_root(sighting.information).T for sighting in seen]) / inflation
+    rows = np.concatenate(columns, axis=1)
+    white = (roots @ rows.reshape(len(seen), 6, -1)).reshape(rows.shape)
+    return linear_model([white], 6 * moves.shape[1])
 
 
-def moved(camera: Camera, motion: Transform) -> Camera:
-    """The camera after a motion, in the world's frame, carried it along."""
-    return replace(camera, camera_from_world=camera.camera_from_world @ motion.inverse())
+def moves_of(seen: Sequence[Sighting], poses: Sequence[str], cameras: Sequence[str]) -> Float64[Array, "s m"]:
+    """Effects of the target's motions in poses, then of cameras' motions, on sightings (`disagreement`)."""
+    of_poses = [[float(sighting.pose == pose) for pose in poses] for sighting in seen]
+    of_cameras = [[-float(sighting.camera == camera) for camera in cameras] for sighting in seen]
+    return np.concatenate([np.array(of_poses), np.array(of_cameras).reshape(len(seen), -1)], axis=1)
 
 
 def _resected(
@@ -196,36 +189,26 @@ def _resected(
         world = placed.apply(points)
         if (camera.camera_from_world.apply(world)[:, 2] <= 0).any():
             return None
-        projected, by_twist, _ = _linearised(camera, world, ())
-        rows = np.einsum("nij,njk->nik", whitener, by_twist).reshape(-1, 6)
-        right = np.einsum("nij,nj->ni", whitener, uv - projected).ravel()
-        step = np.linalg.lstsq(rows, right, rcond=None)[0]
-        if not np.isfinite(step).all():
+        model, by_twist = _model(camera, world, uv, whitener, ())
+        if not np.isfinite(model.squares):
             return None
+        step = model.fit(np.full(6, FREE)).motions
         placed = as_motion(step) @ placed
         if np.abs(by_twist @ step).max() < _SETTLED_PX:
             break
     return placed
 
 
-def _linearised(
-    camera: Camera, world: Float64[Array, "n 3"], parameters: Sequence[str]
-) -> tuple[Float64[Array, "n 2"], Float64[Array, "n 2 6"], Float64[Array, "n 2 k"]]:
-    """Image points and derivatives by a world twist and camera parameters."""
-    rotation = camera.camera_from_world.rotation
-    inside = camera.camera_from_world.apply(world)
-    projection = project_with_derivatives(inside, np.tile(intrinsics_of(camera), (len(world), 1)))
-    by_world = projection.by_point @ rotation
+def _model(
+    camera: Camera,
+    world: Float64[Array, "n 3"],
+    uv: Float64[Array, "n 2"],
+    whitener: Float64[Array, "n 2 2"],
+    parameters: tuple[str, ...],
+) -> tuple[LinearModel, Float64[Array, "n 2 6"]]:
+    """Model of the target's twist and of camera parameters, and the derivatives of the image by the twist."""
+    by_world, by_parameters = derivatives(camera, world, parameters)
     by_twist = np.concatenate([np.cross(world[:, None, :], by_world), by_world], axis=2)
-    by_rotation = np.cross(inside[:, None, :], projection.by_point)
-    columns = np.empty((len(world), 2, len(parameters)))
-    for k, name in enumerate(parameters):
-        if name == "f_px":
-            columns[:, :, k] = projection.by_intrinsics[:, :, :2].sum(axis=2)
-        elif name in INTRINSIC_NAMES:
-            columns[:, :, k] = projection.by_intrinsics[:, :, INTRINSIC_NAMES.index(name)]
-        elif name.startswith("rotation_"):
-            columns[:, :, k] = by_rotation[:, :, "xyz".index(name[9])]
-        else:
-            columns[:, :, k] = -by_world[:, :, "xyz".index(name[7])]
-    return projection.uv, by_twist, columns
+    left = (uv - camera.project(world))[:, :, None]
+    white = whitener @ np.concatenate([by_twist, by_parameters, left], axis=2)
+    return linear_model([white.reshape(2 * len(uv), -1)], 6 + len(parameters)), by_twist

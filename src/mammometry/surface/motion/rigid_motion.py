@@ -20,7 +20,7 @@ from scipy.spatial.distance import cdist
 from mammometry.base.normal import MAD
 from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import ParameterCovariance
-from mammometry.calibration.adjust.linear_model import Fit, LinearModel, linear_model, square_root
+from mammometry.calibration.adjust.linear_model import Fit, LinearModel, linear_model
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA
 from mammometry.calibration.judge.pose_motion import shifts
 from mammometry.geometry import Array, Bool, Float64, Int64, Rig
@@ -278,7 +278,8 @@ def observed(
     common = np.zeros((sum(map(len, values)), 0))
     if covariance is not None:
         index = [covariance.names.index(name) for name in names]
-        common = np.concatenate(of_calibration) @ square_root(covariance.matrix[np.ix_(index, index)])
+        sizes, vectors = np.linalg.eigh(covariance.matrix[np.ix_(index, index)])
+        common = np.concatenate(of_calibration) @ (vectors * np.sqrt(np.maximum(sizes, 0.0)))
     return Observed(
         values=np.concatenate(values),
         by_unknown=np.concatenate(design),
