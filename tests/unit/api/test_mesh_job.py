@@ -4,6 +4,7 @@ import json
 import re
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -87,12 +88,13 @@ def test_what_the_second_process_cannot_draw_is_drawn_here(tmp_path: Path, monke
     mesh = export(dome(sink_mm=10.0), tmp_path / "dome.ply")
     files = MeshFiles(mesh=mesh, units="mm", boundary=curves(tmp_path / "b.json", model=RIM))
 
-    def fails(self: object, function: object, *arguments: object) -> None:
-        raise NotDone("no memory")
+    class Failing(api_mesh.ChildProcess):
+        def call(self, function: Any, *arguments: Any) -> Any:
+            raise NotDone("no memory")
 
     monkeypatch.setattr(api_mesh, "_LEAST_FACES", 0)
     monkeypatch.setattr(api_mesh, "available_cores", lambda: 2)
-    monkeypatch.setattr(api_mesh.ChildProcess, "call", fails)
+    monkeypatch.setattr(api_mesh, "ChildProcess", Failing)
     MeshJob(files, tmp_path / "out").run()
     assert (tmp_path / "out" / "report" / "report.pdf").is_file()
 
