@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 from mammometry.base.normal import COVERAGE_95
+from mammometry.base.notices import Notice
 from mammometry.base.photograph import Photograph
 from mammometry.base.rounding import half_width, rounded
 from mammometry.hospital.codes import require_text
@@ -218,7 +219,8 @@ class Exported:
     """SHA-256 of what was photographed: equal for results of the same photographs."""
     quantities: tuple[Quantity, ...] = ()
     absent: tuple[Absent, ...] = ()
-    warnings: tuple[str, ...] = ()
+    notices: tuple[Notice, ...] = ()
+    """Warnings about the volumes, worst first."""
     report_pdf: bytes | None = None
     models: tuple[Model, ...] = ()
     covered: CoveredModels | None = None
@@ -259,9 +261,10 @@ class Exported:
     @property
     def digest(self) -> str:
         """SHA-256 digest of the exported numbers."""
-        rows = [
+        rows: list[list[object]] = [
             [quantity.name, quantity.value, quantity.interval_95, quantity.sigma, quantity.wall]
             for quantity in self.quantities
         ]
         rows += [[absence.side, absence.kind, absence.why] for absence in self.absent]
+        rows += [[notice.code, notice.about, sorted(notice.values.items())] for notice in self.notices]
         return hashlib.sha256(json.dumps([self.source, rows]).encode()).hexdigest()

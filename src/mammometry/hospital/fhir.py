@@ -14,6 +14,7 @@ from mammometry.hospital import codes
 from mammometry.hospital.codes import Coded, identifier
 from mammometry.hospital.exported import Absent, Exported, Operation, Patient, Quantity, Side, as_patient_id
 from mammometry.report.content import Signed
+from mammometry.report.words.notices import concerns, words_of
 
 Release = Literal["R4", "R5"]
 _PACKAGES = {"R4": "fhir.resources.R4B", "R5": "fhir.resources"}
@@ -107,8 +108,9 @@ def _observation(
     components = list(_components(quantity))
     if components:
         made["component"] = components
-    if quantity.note:
-        made["note"] = [{"text": quantity.note}]
+    warned = (notice for notice in exported.notices if quantity.boundary and concerns(notice, quantity.side))
+    if notes := [*filter(None, [quantity.note]), *map(words_of, warned)]:
+        made["note"] = [{"text": words} for words in notes]
     return made
 
 

@@ -19,6 +19,7 @@ from mammometry.job.stages import measure, surface
 from mammometry.measure.volume.attribution import Attribution
 from mammometry.measure.volume.difference import difference
 from mammometry.report.content import Clinical, Signed
+from mammometry.report.warnings import scan_warnings, session_warnings
 from mammometry.report.words.anthropometry import quantities_of
 
 if TYPE_CHECKING:
@@ -71,6 +72,10 @@ def gather(
     models = "models" in parts
     atlas = job.plan.value(surface.model) if models else None
     shown = "photographs" in parts and not deidentify
+    of_photographs = bool(job.inputs.photographs)
+    warned = (
+        session_warnings(job.plan, job.settings.measure) if of_photographs else scan_warnings(job.plan, job.notices)
+    )
     return Exported(
         subject="" if deidentify else job.identity.title,
         kind=job.inputs.subject_kind,
@@ -80,6 +85,7 @@ def gather(
         source=_source(job, deidentify),
         quantities=tuple(quantity.rounded() for quantity in quantities(measured, job.plan)),
         absent=tuple(_absent(side) for side in job.plan.value(measure.absent) or ()),
+        notices=warned,
         report_pdf=_report(job, clinical, deidentify) if plain or ("pdf" in parts and job.inputs.photographs) else None,
         models=tuple(_models(measured, job.surface().repaired.mesh if atlas is None else atlas.mesh)) if models else (),
         covered=None if atlas is None or deidentify else covered(atlas, measured),

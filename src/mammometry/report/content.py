@@ -78,8 +78,6 @@ class BreastReport:
     interval_note: str
     facts: tuple[Fact, ...]
     """Further measures of the breast."""
-    cautions: tuple[str, ...] = ()
-    """What changes the meaning of the volume. Stands beside it."""
     wall_label: str
     """Name of this subject's wall: "Chest wall", or "Base" of a cast."""
     wall: str

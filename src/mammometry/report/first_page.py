@@ -5,9 +5,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from mammometry.base.letters import isolated
+from mammometry.base.notices import Notice
 from mammometry.measure.volume.attribution import Attribution
 from mammometry.report.content import BreastReport, Clinical, LargeNumber, Picture, ReportContent, Signed
 from mammometry.report.figures.canvas import CYCLE
+from mammometry.report.words.notices import caution_of, concerns
 from mammometry.report.words.volumes import date_words
 
 NOT_CONFIRMED = "not confirmed"
@@ -66,7 +68,7 @@ def first_page(
         when=_joined(taken, known.occasion, known.posture) or made,
         operations=known.operations,
         numbers=(*_volumes(content.breasts), *([content.difference] if content.difference else [])),
-        cautions=_cautions(measured),
+        cautions=_cautions(measured, (*content.warnings, *content.concerns)),
         pictures=_pictures(content),
         change=known.change,
         confirmation=confirmation,
@@ -125,13 +127,14 @@ def _volumes(breasts: Sequence[BreastReport]) -> list[LargeNumber]:
     return [breast.number if breast.unmeasured else replace(breast.number, colour=next(colours)) for breast in breasts]
 
 
-def _cautions(measured: Sequence[BreastReport]) -> tuple[str, ...]:
-    """Each caution once: of all breasts, or with the breast's name before it."""
+def _cautions(measured: Sequence[BreastReport], notices: Sequence[Notice]) -> tuple[str, ...]:
+    """What changes the meaning of the volumes: of all breasts, or with the breast's name before it."""
     lines = []
-    for caution in dict.fromkeys(caution for breast in measured for caution in breast.cautions):
-        of = [breast.number.title for breast in measured if caution in breast.cautions]
-        lines.append(caution if len(of) == len(measured) else f"{of[0]}: {caution[0].lower()}{caution[1:]}")
-    return tuple(lines)
+    for notice in notices:
+        of = [breast.number.title for breast in measured if concerns(notice, breast.name)]
+        if (caution := caution_of(notice)) and of:
+            lines.append(caution if len(of) == len(measured) else f"{of[0]}: {caution[0].lower()}{caution[1:]}")
+    return tuple(dict.fromkeys(lines))
 
 
 def _pictures(content: ReportContent) -> tuple[Picture, ...]:

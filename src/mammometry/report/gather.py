@@ -3,34 +3,23 @@
 So little is held in memory.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import fields, replace
 from datetime import datetime
 
-import numpy as np
-
 from mammometry.base.identity import NAMELESS
-from mammometry.base.notices import Notice
 from mammometry.base.progress import Progress, no_progress
-from mammometry.base.sizes import subject_extent
-from mammometry.calibration.adjust.calibrated import Calibration
-from mammometry.calibration.judge.quality import CalibrationQuality, assess
+from mammometry.calibration.judge.quality import assess
 from mammometry.geometry import Array, UInt8
 from mammometry.geometry.camera import Rig
 from mammometry.job.graph import Plan
-from mammometry.job.inputs import Inputs, Walk
+from mammometry.job.inputs import Inputs
 from mammometry.job.products import Stage
-from mammometry.job.stages import calibrate, match, measure, surface
+from mammometry.job.stages import calibrate, measure, surface
 from mammometry.job.stages.report import PageInputs
-from mammometry.matching import quality as match_quality
-from mammometry.matching.foreground.foreground import Foreground
-from mammometry.matching.foreground.outlines_first import OF_PARTNER, without_outline
-from mammometry.matching.quality import MatchQuality
-from mammometry.measure.boundary.breasts import NoBreast
-from mammometry.measure.trunk.body import Body
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report import content
-from mammometry.report.content import Picture, ReportContent, sentence
+from mammometry.report.content import Picture, ReportContent
 from mammometry.report.figures import stage_results
 from mammometry.report.figures.shading import front_of
 from mammometry.report.figures.stage_results import MeasureResult, draw_stage
@@ -38,6 +27,14 @@ from mammometry.report.models import viewer_scene, with_lengths
 from mammometry.report.pictures import all_encoded
 from mammometry.report.privacy import Privacy, guard, without_photographs
 from mammometry.report.scene import ViewerScene, to_json
+from mammometry.report.warnings import (
+    RunResults,
+    photograph_doubts,
+    run_concerns,
+    scan_warnings,
+    volume_doubts,
+    warnings,
+)
 from mammometry.report.words import describe
 from mammometry.report.words.anthropometry import (
     comparison,
@@ -45,133 +42,11 @@ from mammometry.report.words.anthropometry import (
     dimension_tables,
     planning_lengths,
     symmetry_facts,
-    without_nipple,
 )
-from mammometry.report.words.doubts import body_cautions, body_doubts
+from mammometry.report.words.doubts import body_doubts
 from mammometry.report.words.mesh_facts import MeshOrigin, mesh_facts
-from mammometry.report.words.photographs import photograph_doubts, rig_doubts
 from mammometry.report.words.stage_facts import MatchingFacts, Shown, matching_facts, surface_facts
-from mammometry.report.words.walk import walk_concerns
-from mammometry.surface.motion.motion_test import concerns
-from mammometry.surface.occlusion import Occlusion
-from mammometry.surface.repair.repair import Provenance, RepairedSurface
 from mammometry.surface.texture.texture import TexturedMesh
-from mammometry.walk.motion import WalkMotion
-
-_MATCHED = 0.6  # of a silhouette that a pair should match; flanks seen obliquely cost up to a third
-_BLOCKED = 0.005  # of the subject in a photograph, hidden: less is a strap or a shadow; chosen by eye
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RunResults:
-    """Results of a run that may call for a warning."""
-
-    quality: CalibrationQuality | None
-    """Verdict on the calibration. None for imported cameras."""
-    calibration: Calibration | None
-    """With what was left out of it. None for imported cameras."""
-    camera_doubts: Sequence[str] = ()
-    """Sentences on what makes imported cameras doubtful."""
-    shares: Mapping[str, float]
-    """Pair → share of the subject's silhouette that was matched. It lacks pairs without silhouettes."""
-    matching: Mapping[str, MatchQuality]
-    """Pair → how well it was matched."""
-    foregrounds: Mapping[str, Foreground]
-    """Camera → its silhouette."""
-    measurements: Sequence[VolumeMeasurement]
-    """One a breast."""
-    repaired: RepairedSurface
-    """The surface, world frame."""
-    blocked: Mapping[str, Occlusion] = field(default_factory=dict)
-    """Camera → where something stands before the subject."""
-    moved: Sequence[Notice] = ()
-    """What moved."""
-    absent: Sequence[NoBreast] = ()
-    """Sides of a torso without a measurement."""
-    body: Body | None = None
-    """The body's frame."""
-    doubtful: Sequence[str] = ()
-    """Breasts on which no nipple was seen."""
-    unseparated: Mapping[str, str] = field(default_factory=dict)
-    """Camera → why its silhouette was sought and is not used."""
-    without_outline: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    """Pair → its cameras whose outlines are not known."""
-    walk: Walk | None = None
-    """What is known of one telephone's photographs. None for a rig's."""
-    walk_motion: WalkMotion | None = None
-    """Motion of the body between one telephone's photographs."""
-
-
-def captured(cameras: Iterable[str]) -> tuple[str, ...]:
-    """Names of the cameras' photographs of the subject."""
-    return tuple(f"capture/{camera}" for camera in cameras)
-
-
-def warnings(run: RunResults) -> Iterator[Notice]:
-    """Warn of what the volumes rest on, the gravest first."""
-    for measured in run.measurements:
-        if not measured.watertight:
-            yield Notice(code="solid-not-watertight", about=(measured.name,))
-    if run.body is not None and run.body.plane is None:
-        yield Notice(code="upright-unknown", values={"text": sentence(run.body.how)})
-    if run.doubtful:
-        yield Notice(code="nipple-not-seen", about=tuple(run.doubtful))
-    if run.unseparated:
-        reasons = "; ".join(dict.fromkeys(run.unseparated.values()))
-        drawn = [f"masks/{name}.png" for name, reason in run.unseparated.items() if reason != OF_PARTNER]
-        values = {"reasons": reasons, "masks": " and ".join(drawn)}
-        cameras = tuple(run.unseparated)
-        yield Notice(code="outline-not-used", about=cameras, photographs=captured(cameras), values=values)
-    yield from run.moved
-    if any("head-not-shown" in measured.boundary_remarks for measured in run.measurements):
-        yield Notice(code="head-not-shown")
-
-
-def run_concerns(run: RunResults) -> Iterator[Notice]:
-    """Warn of what went less well in calibration and matching."""
-    of_rig = rig_doubts(run.quality)
-    if of_rig:
-        yield Notice(code="calibration-doubtful", values={"text": sentence(of_rig[0])})
-    if run.walk is not None and run.walk_motion is not None:
-        yield from walk_concerns(run.walk, run.walk_motion)
-    elif run.calibration is None:
-        yield Notice(code="cameras-imported")
-        for doubt in run.camera_doubts:
-            yield Notice(code="imported-camera-doubtful", values={"text": sentence(doubt)})
-    extent = subject_extent(float(np.ptp(run.repaired.mesh.vertices, axis=0).max()))
-    if not extent.is_usual():
-        yield Notice(code="size-unusual", values={"text": str(extent)})
-    for name, judged in run.matching.items() if run.walk is None else ():  # a walk's pairs are tested by `walk.motion`
-        yield from match_quality.concerns(name, judged, run.without_outline.get(name, ()))
-    for name, share in run.shares.items():
-        if share < _MATCHED and run.walk is None:  # a walk's masks show where the body may be
-            yield Notice(code="pair-little-matched", level="note", about=(name,), values={"percent": 100 * share})
-    hidden = {name: occlusion.share for name, occlusion in run.blocked.items() if occlusion.share > _BLOCKED}
-    if hidden:
-        shares = ", ".join(f"{name} ({100 * share:.0f} %)" for name, share in hidden.items())
-        yield Notice(
-            code="subject-hidden",
-            level="note",
-            about=tuple(hidden),
-            photographs=captured(hidden),
-            values={"shares": shares},
-        )
-    blind = [name for name, known in run.foregrounds.items() if known.everything and name not in run.unseparated]
-    if blind:
-        yield Notice(code="subject-not-separated", level="note", about=tuple(blind), photographs=captured(blind))
-    for measured in run.measurements:
-        share = describe.skin_shares(measured, run.repaired)[Provenance.MEASURED]
-        if share < describe.SKIN_MEASURED:
-            yield Notice(code="skin-not-measured", about=(measured.name,), values={"percent": float(100 * share)})
-
-
-def run_cautions(run: RunResults) -> Iterator[str]:
-    """Warn of what changes every volume of a run."""
-    if run.moved:
-        yield "Cameras or body moved: see the warnings."
-    if run.calibration is None and run.walk is None:
-        yield "The interval does not cover the cameras' errors."
-
 
 _COLOURED: tuple[Stage, ...] = ("surface", "measure")  # stages whose pictures show the surface in its colours
 
@@ -225,7 +100,6 @@ def gather(
     if privacy.guarded:
         redrawn: dict[str, dict[str, bytes]] = {stage: draw_stage(stage, plan, inputs, textured) for stage in _COLOURED}
         pictures = without_photographs({**pictures, **redrawn})
-    stillness = plan[surface.stillness]()
     surfaced = shown.facts.get("surface")
     stages.append(surfaced if isinstance(surfaced, content.StageReport) else surface_facts(plan))
     progress(0.7)
@@ -245,8 +119,7 @@ def gather(
     lengths, lengths_note = planning_lengths(sizes, marks)
     progress(0.9)
 
-    unseparated = {} if (subjects := plan.value(match.subjects)) is None else subjects.doubts
-    missing = {pair: without_outline(names, unseparated) for pair, names in rig.pair_names.items()}
+    known = volume_doubts(plan, settings.measure)
     run = RunResults(
         quality=quality,
         calibration=calibration,
@@ -254,23 +127,13 @@ def gather(
         shares=matched.shares,
         matching=matched.quality,
         foregrounds=matched.foregrounds,
-        measurements=measurements,
         repaired=finished.repaired,
         blocked=plan[surface.occlusions](),
-        moved=tuple(concerns(stillness, missing)),
-        absent=absent,
-        body=body,
-        doubtful=without_nipple(measurements, marks, settings.measure),
-        unseparated=unseparated,
-        without_outline=missing,
+        **{member.name: getattr(known, member.name) for member in fields(known)},
         walk=inputs.walk,
         walk_motion=plan.value(surface.walk_motion),
     )
-    beside, of_body = tuple(run_cautions(run)), body_cautions(plan)
-    breasts = [
-        describe.breast_report(measured, finished.repaired, (*of_body[measured.name], *beside))
-        for measured in measurements
-    ]
+    breasts = [describe.breast_report(measured, finished.repaired) for measured in measurements]
     breasts += [describe.absent_report(side) for side in absent]
     changed, everything = describe.settings_facts(settings)
     return ReportContent(
@@ -323,14 +186,6 @@ def _scene(plan: Plan, measurements: tuple[VolumeMeasurement, ...], textured: Te
     return scene if sizes is None else with_lengths(scene, sizes.lengths)
 
 
-_HUNG_UPWARDS = -0.04
-"""Share of half the boundary's height by which both breasts' mass lies above its middle (with the sign of below). 25
-virtual bodies had .05 to .6 below it; mounds, which are alike at both ends, have 0."""
-
-
-_SIDES_DOUBTFUL = "Left and right may be exchanged: compare a mole or the operated side. See the warnings."
-
-
 def gather_mesh(
     plan: Plan,
     viewer: Rig,
@@ -368,7 +223,6 @@ def gather_mesh(
         textured, contains = guarded.textured, guarded.contains
         page = replace(page, identity=NAMELESS) if privacy.deidentify else page
     words = describe.measure_report(measurements)
-    cautions, of_body = (_SIDES_DOUBTFUL,) if origin.sides_doubtful else (), body_cautions(plan)
     lengths, lengths_note = planning_lengths(sizes, marks)
     changed, everything = describe.settings_facts(page.settings)
     scene = viewer_scene(frame, finished.repaired, textured, measurements, symmetry=sides)
@@ -383,18 +237,13 @@ def gather_mesh(
         subject=f"{describe.SUBJECTS[origin.kind]}; a mesh of another scanner",
         world=origin.world,
         warnings=(
-            *body_doubts(plan),
-            *(notice for notice in origin.notices if notice.level == "warning"),
-            *_warnings(measurements, body),
+            *scan_warnings(plan, origin.notices),
             *(notice for notice in origin.notices if notice.level == "note"),
         ),
         breasts=tuple(
             sorted(
                 [
-                    *(
-                        describe.breast_report(measured, cautions=(*of_body[measured.name], *cautions))
-                        for measured in measurements
-                    ),
+                    *map(describe.breast_report, measurements),
                     *(describe.absent_report(side) for side in absent),
                 ],
                 key=lambda breast: breast.name,
@@ -443,17 +292,3 @@ def mesh_result(
 def drawn_mesh(result: MeasureResult) -> Mapping[str, Picture]:
     """Pictures of a measured mesh."""
     return all_encoded({"measure": stage_results.draw(result)})["measure"]
-
-
-def _warnings(measurements: Sequence[VolumeMeasurement], body: Body | None) -> Iterator[Notice]:
-    yield Notice(code="mesh-of-another-scanner")
-    sunk = (
-        []
-        if body is None
-        else [measurement.sunk(body.up) for measurement in measurements if measurement.name != "model"]
-    )
-    if len(sunk) == 2 and sum(sunk) / 2 < _HUNG_UPWARDS:
-        yield Notice(code="breasts-fuller-above")
-    for measurement in measurements:
-        if not measurement.watertight:
-            yield Notice(code="solid-not-watertight", about=(measurement.name,))

@@ -1,6 +1,7 @@
 """Objects of a study: the same bytes each time, what they say, and what they do not tell."""
 
 import io
+import json
 import shutil
 import subprocess
 from dataclasses import replace
@@ -13,8 +14,11 @@ from pydicom import Dataset, config, dcmread
 from pydicom.encaps import generate_frames
 from tests.unit.hospital.exports import ANNA, NAMES, ORDER, deidentified, exported, one_sided, quantities, signed
 
+from mammometry.base.notices import Notice
 from mammometry.hospital.dicom.frame import encoded
 from mammometry.hospital.dicom.objects import baseline, files, objects
+from mammometry.hospital.fhir import bundle
+from mammometry.report.words.notices import words_of
 
 DCMTK = pytest.mark.skipif(shutil.which("dsrdump") is None, reason="dcmtk is not installed (apt-get install dcmtk)")
 
@@ -163,6 +167,27 @@ def test_dcmtk_reads_the_report(made: list[Dataset], tmp_path: Path) -> None:
     assert shown.count('(24028007,SCT,"Right")') == 1
     assert '"+, range of upper measurement uncertainty")="42.25" (cm3' in shown
     assert '"+, range of upper measurement uncertainty")="3.75" (mm' in shown
+
+
+def test_warnings_go_with_the_numbers(tmp_path: Path) -> None:
+    headless = Notice(code="head-not-shown", about=("left", "right"))
+    leaking = Notice(code="solid-not-watertight", about=("right",))
+    warned = exported(tmp_path, notices=(headless, leaking))
+    (report,) = of_kind(objects(warned, ANNA), "SR")
+    concepts = [(item.ConceptNameCodeSequence[0], item) for item in report.ContentSequence]
+    texts = {code_of(name): item.TextValue for name, item in concepts if name.CodeMeaning.startswith("Warning")}
+    assert texts == {notice.code: words_of(notice) for notice in warned.notices}
+    notes: dict[str, set[str]] = {}
+    for entry in json.loads(bundle(warned, ANNA))["entry"]:
+        if entry["resource"].get("code", {}).get("coding", [{}])[0].get("code") == "volume":
+            side = entry["resource"]["bodySite"]["text" if "text" in entry["resource"]["bodySite"] else "coding"]
+            notes[str(side)] = {note["text"] for note in entry["resource"]["note"]} & set(texts.values())
+    assert sorted(map(len, notes.values())) == [1, 2]
+    assert exported(tmp_path).digest != warned.digest
+
+
+def code_of(concept: Dataset) -> str:
+    return str(concept.get("CodeValue") or concept.LongCodeValue)
 
 
 def test_a_side_without_a_breast_says_so(tmp_path: Path) -> None:

@@ -2,22 +2,24 @@
 
 import re
 from dataclasses import replace
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 import synthetic
+import test_pdf
 
+from mammometry.base.notices import Notice
 from mammometry.calibration.judge.findings import Doubt, Shot
 from mammometry.calibration.judge.quality import assess
 from mammometry.measure.volume.measurement import DefinedVolume, Meaning
 from mammometry.report.figures.thinning import thinned_ranges
-from mammometry.report.gather import RunResults, run_cautions, run_concerns, warnings
+from mammometry.report.first_page import first_page
+from mammometry.report.warnings import RunResults, photograph_doubts, run_concerns, warnings
 from mammometry.report.words import describe
 from mammometry.report.words.anthropometry import comparison
 from mammometry.report.words.describe import skin_shares
-from mammometry.report.words.notices import words_of
-from mammometry.report.words.photographs import photograph_doubts
+from mammometry.report.words.notices import caution_of, words_of
 from mammometry.report.words.volumes import MEANINGS, meaning_sentences, measured_words, volume_words
 from mammometry.settings import Settings
 from mammometry.surface.occlusion import Occlusion
@@ -86,34 +88,35 @@ def test_every_meaning_is_said_in_plain_words() -> None:
 
 def test_what_changes_a_volumes_meaning_stands_beside_it(rig) -> None:
     sound = synthetic.measurement("left")
-    assert describe.breast_report(sound).cautions == ()
-    leaking = replace(sound, watertight=False)
+    calibration = synthetic.calibration(rig)
     repaired = synthetic.repaired(synthetic.ball())
     unseen = replace(repaired, provenance=repaired.provenance * 0)
-    assert describe.breast_report(leaking, unseen, ("Of the run.",)).cautions == (
+
+    def cautions(**changes: Any) -> list[str]:
+        known = {"calibration": calibration, "measurements": [sound], "repaired": repaired, **changes}
+        run = RunResults(quality=None, shares={}, matching={}, foregrounds={}, **known)
+        return [caution for notice in (*warnings(run), *run_concerns(run)) if (caution := caution_of(notice))]
+
+    assert cautions() == []
+    leaking = replace(sound, watertight=False)
+    assert cautions(measurements=[leaking], repaired=unseen) == [
         "Do not use this volume: its solid is not watertight.",
         "Only 0 % of its skin was measured.",
-        "Of the run.",
-    )
-    headless = replace(sound, boundary_remarks=("head-not-shown",))
-    assert describe.breast_report(headless).cautions == (
-        "Left and right may be exchanged: the body does not show where its head is. See the warnings.",
-    )
-    calibration = synthetic.calibration(rig)
-    still = RunResults(
-        quality=None,
-        calibration=calibration,
-        shares={},
-        matching={},
-        foregrounds={},
-        measurements=[sound],
-        repaired=repaired,
-    )
-    assert list(run_cautions(still)) == []
-    assert list(run_cautions(replace(still, moved=("Cameras turned.",)))) == [
-        "Cameras or body moved: see the warnings."
     ]
-    assert list(run_cautions(replace(still, calibration=None))) == ["The interval does not cover the cameras' errors."]
+    assert cautions(measurements=[replace(sound, boundary_remarks=("head-not-shown",))]) == [
+        "Left and right may be exchanged: the body does not show where its head is. See the warnings.",
+    ]
+    moved = Notice(code="motion-corrected", values={"mm": 1.0, "std_mm": 0.1, "before_mm": 1.0, "after_mm": 0.1})
+    assert cautions(moved=[moved]) == ["Cameras or body moved: see the warnings."]
+    assert cautions(calibration=None) == ["The interval does not cover the cameras' errors."]
+
+
+def test_a_caution_names_the_breast_that_it_is_about() -> None:
+    content = test_pdf.page_content("left", "right")
+    notices = (Notice(code="solid-not-watertight", about=("left",)), Notice(code="cameras-imported"))
+    made = first_page(replace(content, warnings=notices), {}, None, named=True)
+    assert made.cautions[0].startswith("Left breast: do not use this volume")
+    assert made.cautions[1].startswith("The interval")
 
 
 def test_the_skins_origin_is_looked_up_on_the_surface() -> None:

@@ -68,7 +68,8 @@ def page_content() -> ReportContent:
         subject=describe.SUBJECTS["torso"],
         world="The board in pose 00.",
         warnings=(sentence_notice("Pair one: <script>alert(1)</script>"),),
-        breasts=tuple(describe.breast_report(each, cautions=("Cameras moved.",)) for each in measured),
+        concerns=(Notice(code="cameras-imported"),),
+        breasts=tuple(describe.breast_report(each) for each in measured),
         comparison=comparison(measured),
         stages=(describe.matching_report({}, synthetic.matching(rig), {"one": 0.9, "two": 0.8}),),
         timings=describe.timings({"calibrate": 1.25, "match": 2.0}),
@@ -92,7 +93,7 @@ def test_the_page_says_what_it_must(page_content: ReportContent) -> None:
     order = (
         "<b>Case</b> & co",
         "95 %: 400 to 500 cc",
-        "Cameras moved.",
+        "The interval does not cover the cameras' errors.",
         "Boundaries: not confirmed.",
         "Pair one: <script>",
         "Left breast: what was measured",

@@ -17,10 +17,10 @@ from mammometry.report.figures import stage_results
 from mammometry.report.figures.shading import front_frame
 from mammometry.report.figures.thinning import thinned_ranges
 from mammometry.report.first_page import first_page
-from mammometry.report.gather import RunResults, warnings
 from mammometry.report.models import viewer_scene
 from mammometry.report.pictures import all_encoded
 from mammometry.report.scene import to_json
+from mammometry.report.warnings import RunResults, warnings
 from mammometry.report.words import describe
 from mammometry.report.words.anthropometry import comparison
 from mammometry.settings import Settings

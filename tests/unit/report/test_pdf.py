@@ -12,6 +12,7 @@ import synthetic
 from synthetic import sentence_notice
 
 from mammometry.base.identity import Identity
+from mammometry.base.notices import Notice
 from mammometry.report import content
 from mammometry.report.content import Clinical, ReportContent, Signed
 from mammometry.report.documents import pdf
@@ -69,7 +70,8 @@ def page_content(*names: str) -> ReportContent:
         subject=describe.SUBJECTS["torso"],
         world="The board in pose 00.",
         warnings=(sentence_notice("Pair one: only 12 % of the subject's silhouette could be matched."),),
-        breasts=tuple(describe.breast_report(each, cautions=("Cameras moved.",)) for each in measured),
+        concerns=(Notice(code="cameras-imported"),),
+        breasts=tuple(describe.breast_report(each) for each in measured),
         comparison=comparison(measured),
         difference=difference_number(measured),
         meanings=describe.meanings(measured),
@@ -109,7 +111,7 @@ def test_it_says_what_it_must(names: tuple[str, ...]) -> None:
         assert breast.number.title in pages[0]
         assert breast.number.value in pages[0]
         assert "95 %: 400 to 500 cc" in pages[0]
-    assert pages[0].count("Cameras moved.") == bool(names)  # once, though it concerns both
+    assert pages[0].count("does not cover the cameras' errors.") == bool(names)  # once, though it concerns both
     assert "name, date, signature" in pages[0]
     assert ("Boundaries: not confirmed." in pages[0]) == ("left" in names)  # a cast needs nobody's eye
     rest = " ".join(pages[1:])

@@ -9,7 +9,7 @@ from synthetic import measurement
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.report.gather import _warnings
+from mammometry.report.warnings import mesh_warnings
 
 BASE = np.array([[-50.0, -50, 0], [50, -50, 0], [50, 50, 0], [-50, 50, 0]])
 FACES = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4], [0, 2, 1], [0, 3, 2]], dtype=np.int32)
@@ -28,7 +28,7 @@ def body(up: float) -> Body:
 
 
 def said(tip_y_mm: float, up: float, names: tuple[str, ...] = ("left", "right")) -> bool:
-    found = _warnings([pyramid(name, tip_y_mm) for name in names], body(up))
+    found = mesh_warnings([pyramid(name, tip_y_mm) for name in names], body(up))
     return any(notice.code == "breasts-fuller-above" for notice in found)
 
 

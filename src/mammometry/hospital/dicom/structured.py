@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from pydicom import Dataset
 
+from mammometry.base.notices import Notice
 from mammometry.hospital import codes
 from mammometry.hospital.codes import Coded, uid
 from mammometry.hospital.dicom.frame import Study, coded, describe, finished
 from mammometry.hospital.exported import Quantity, Side, person_name
 from mammometry.report.content import Signed
+from mammometry.report.words.notices import words_of
 
 if TYPE_CHECKING:
     from highdicom.sr import CodedConcept
@@ -58,6 +60,7 @@ def report(study: Study, evidence: Sequence[Dataset], *, series: int) -> list[Da
     )
     conclusions = exported.clinical.conclusions[:1]
     content[0].ContentSequence.extend(_conclusions(conclusions))
+    content[0].ContentSequence.extend(_warnings(exported.notices))
     confirmed = exported.clinical.confirmed
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="The string .* is unlikely to represent")  # a name of one part
@@ -111,6 +114,17 @@ def _conclusions(conclusions: Sequence[Signed]) -> Iterator[Any]:
         )
         whole.ContentSequence = ContentSequence([item])
         yield whole
+
+
+def _warnings(notices: Sequence[Notice]) -> Iterator[Any]:
+    """Warnings about the volumes: code and words."""
+    from highdicom.sr import RelationshipTypeValues, TextContentItem
+
+    for notice in notices:
+        name = codes.own(notice.code, f"Warning: {notice.code.replace('-', ' ')}")
+        yield TextContentItem(
+            name=_concept(name), value=words_of(notice), relationship_type=RelationshipTypeValues.CONTAINS
+        )
 
 
 def _moment(signed: Signed) -> str:

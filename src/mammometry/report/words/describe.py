@@ -44,15 +44,12 @@ from mammometry.surface.repair.repair import Provenance, RepairedSurface
 _PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "scikit-image", "trimesh", "manifold3d")
 
 
-def breast_report(
-    measured: VolumeMeasurement, repaired: RepairedSurface | None = None, cautions: Sequence[str] = ()
-) -> BreastReport:
+def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None = None) -> BreastReport:
     """Describe one measurement in words.
 
     Args:
         measured: one breast.
         repaired: the whole surface, to tell what of the skin was measured.
-        cautions: of the run, which change the meaning of its volumes.
     """
     facts = [
         Fact("Projection", f"{measured.projection_mm:.1f} mm"),
@@ -78,7 +75,6 @@ def breast_report(
         ),
         interval_note=sentence(measured.interval_note),
         facts=tuple(facts),
-        cautions=(*own_cautions(measured, shares), *cautions),
         wall=f"{measured.wall_kind.capitalize()}: {sentence(measured.wall_definition, capital=False)}",
         boundary=measured.boundary_method,
         boundary_remarks=measured.boundary_remarks,
@@ -409,21 +405,6 @@ def _value_words(value: object) -> str:
 
 SKIN_MEASURED = 0.8
 """Share of a breast's skin that should be measured, not closed by the elastic repair. Chosen by eye."""
-
-
-def own_cautions(measured: VolumeMeasurement, shares: Mapping[Provenance, float] | None = None) -> Iterator[str]:
-    """Warn of what changes the meaning of one volume.
-
-    Args:
-        measured: one breast.
-        shares: of its skin, by origin. None if they are not known.
-    """
-    if not measured.watertight:
-        yield "Do not use this volume: its solid is not watertight."
-    if "head-not-shown" in measured.boundary_remarks:
-        yield "Left and right may be exchanged: the body does not show where its head is. See the warnings."
-    if shares is not None and shares[Provenance.MEASURED] < SKIN_MEASURED:
-        yield f"Only {100 * shares[Provenance.MEASURED]:.0f} % of its skin was measured."
 
 
 _AROUND_MM = 10.0  # around a breast: its skin is a part of the surface, a cube's edge from its vertices at most

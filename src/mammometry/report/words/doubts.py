@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from mammometry.base.notices import Notice
 from mammometry.job.graph import Plan
 from mammometry.job.stages import measure
-from mammometry.report.words.notices import FOLD_NOT_SEEN
-
-_RARE_SIZE = "The body is {} for an adult. Check the unit, or the size of the printed board. See the warnings."
+from mammometry.measure.shape.body_size import BodySize
 
 
 def body_doubts(plan: Plan) -> tuple[Notice, ...]:
@@ -26,19 +22,14 @@ def body_doubts(plan: Plan) -> tuple[Notice, ...]:
         for curve in plan.value(measure.boundaries) or ()
         if curve.hidden_fold_cm2 and curve.name in measured
     )
-    rare = [] if size is None or not size.warning else [Notice(code="body-size", values={"text": size.warning})]
-    return (*covered, *hidden, *rare)
+    sized = () if size is None or not size.warning else (_size_notice(size),)
+    return (*covered, *hidden, *sized)
 
 
-def body_cautions(plan: Plan) -> Mapping[str, tuple[str, ...]]:
-    """Breast → what to say of its volume on the first page."""
-    size = plan.value(measure.size)
-    common = () if size is None or not size.is_rare else (_RARE_SIZE.format(size.words),)
-    hidden = {curve.name for curve in plan.value(measure.boundaries) or () if curve.hidden_fold_cm2}
-    return {
-        measured.name: (*common, *([FOLD_NOT_SEEN] if measured.name in hidden else []))
-        for measured in plan.value(measure.measurements) or ()
-    }
+def _size_notice(size: BodySize) -> Notice:
+    if not size.is_rare:
+        return Notice(code="body-size-unknown", values={"text": size.warning})
+    return Notice(code="body-size-rare", values={"text": size.warning, "size": size.words})
 
 
 def torso_notices(plan: Plan, posture: str | None) -> tuple[Notice, ...]:

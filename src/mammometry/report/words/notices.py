@@ -23,6 +23,8 @@ class Text:
     the notice's values."""
     concern: Concern = "volume"
     """``confirmation``: the state of a clinic's visit shows it. ``photographs``: how photographs were matched."""
+    caution: str = ""
+    """Shown beside the volumes on the first page. Empty: nothing."""
 
 
 FOLD_NOT_SEEN = (
@@ -30,15 +32,24 @@ FOLD_NOT_SEEN = (
     "stated. Lift the breast, let the patient lean forward, or scan from below as well."
 )
 _AWAY = "Pair {about} measured its points {mm:.2f} ± {std_mm:.2f} mm away from where the others do."
+_MOVED = "Cameras or body moved: see the warnings."
 TEXTS: Mapping[str, Text] = MappingProxyType(
     {
         "skin-covered": Text(
             "{cm2:.0f} cm² of the skin inside the border of the {of} is a groove, as a hand or a strap on it leaves. "
             "It is measured because measure.bare_confirmed is set."
         ),
-        "fold-not-seen": Text(f"The {{of}}: {FOLD_NOT_SEEN}"),
-        "body-size": Text("{text}"),
-        "solid-not-watertight": Text("The closed solid of the {of} is not watertight. Do not use its volume."),
+        "fold-not-seen": Text(f"The {{of}}: {FOLD_NOT_SEEN}", caution=FOLD_NOT_SEEN),
+        "body-size-rare": Text(
+            "{text}",
+            caution="The body is {size} for an adult. Check the unit, or the size of the printed board. See the "
+            "warnings.",
+        ),
+        "body-size-unknown": Text("{text}"),
+        "solid-not-watertight": Text(
+            "The closed solid of the {of} is not watertight. Do not use its volume.",
+            caution="Do not use this volume: its solid is not watertight.",
+        ),
         "upright-unknown": Text("{text} What depends on left and up is only as exact as the cameras are level."),
         "nipple-not-seen": Text(
             "No nipple was seen on the {on}. What is measured from a nipple is left out there: pick it if there is one."
@@ -80,14 +91,17 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
         ),
         "motion-corrected": Text(
             f"{_AWAY} That was corrected: the pairs now agree to {{after_mm:.2f}} mm ({{before_mm:.2f}} mm before); "
-            "the interval covers what is left."
+            "the interval covers what is left.",
+            caution=_MOVED,
         ),
         "motion-not-corrected": Text(
-            f"{_AWAY} That was not corrected, and the pairs disagree by {{before_mm:.2f}} mm; the interval covers it."
+            f"{_AWAY} That was not corrected, and the pairs disagree by {{before_mm:.2f}} mm; the interval covers it.",
+            caution=_MOVED,
         ),
         "motion-not-confirmed": Text(
             f"{_AWAY} That was not corrected, since nothing else that pairs share confirms it, and the pairs disagree "
-            "by {before_mm:.2f} mm; the interval covers it."
+            "by {before_mm:.2f} mm; the interval covers it.",
+            caution=_MOVED,
         ),
         "motion-unexplained": Text(
             "Pairs still disagree by {mm:.2f} mm in a way that no motion of cameras or pairs explains, as when an arm "
@@ -95,12 +109,14 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
         ),
         "head-not-shown": Text(
             "The body does not show where its head is: left and right rest on how the cameras are mounted. Check that "
-            "none is upside down."
+            "none is upside down.",
+            caution="Left and right may be exchanged: the body does not show where its head is. See the warnings.",
         ),
         "sides-doubtful": Text(
             "Left and right may be exchanged: the mesh was inside out, as a mirror image is. Compare a mole, the "
             "operated side or a tattoo with the patient. If they are exchanged, export the mesh again without "
-            "mirroring. If they are right: --sides-checked."
+            "mirroring. If they are right: --sides-checked.",
+            caution="Left and right may be exchanged: compare a mole or the operated side. See the warnings.",
         ),
         "posture": Text(f"Posture: {{posture}}. {NOT_TO_BE_COMPARED}."),
         "mesh-of-another-scanner": Text(
@@ -127,7 +143,8 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
         ),
         "calibration-doubtful": Text("Check the calibration. {text}"),
         "cameras-imported": Text(
-            "The cameras were imported. Their errors are not known, and the interval does not cover them."
+            "The cameras were imported. Their errors are not known, and the interval does not cover them.",
+            caution="The interval does not cover the cameras' errors.",
         ),
         "imported-camera-doubtful": Text("{text}"),
         "board-not-measured": Text(
@@ -166,7 +183,8 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
             "photographs",
         ),
         "skin-not-measured": Text(
-            "Only {percent:.0f} % of the skin of the {of} was measured. The elastic repair closed the rest."
+            "Only {percent:.0f} % of the skin of the {of} was measured. The elastic repair closed the rest.",
+            caution="Only {percent:.0f} % of its skin was measured.",
         ),
         "board-photograph-doubtful": Text("{text}", "photographs"),
         "board-photograph-left-out": Text(
@@ -211,8 +229,22 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
 
 def words_of(notice: Notice) -> str:
     """The notice in words."""
+    return _filled(TEXTS[notice.code].words, notice)
+
+
+def concerns(notice: Notice, breast: str) -> bool:
+    """Whether a notice is about a breast: about it by name, or about all."""
+    return breast in notice.about or not set(notice.about) & NAMES.keys()
+
+
+def caution_of(notice: Notice) -> str:
+    """What the first page says beside the volumes. Empty: nothing."""
+    return _filled(TEXTS[notice.code].caution, notice)
+
+
+def _filled(template: str, notice: Notice) -> str:
     names = [NAMES.get(name, name) for name in notice.about]
-    return TEXTS[notice.code].words.format(
+    return template.format(
         of=" and of the ".join(names),
         on=" and on the ".join(names),
         about=", ".join(notice.about),

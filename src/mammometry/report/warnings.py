@@ -1,0 +1,253 @@
+"""Warnings of a report, and what they are made from.
+
+`words.doubts` has those of the body, which a run shows in the terminal as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mammometry.base.normal import COVERAGE_95
+from mammometry.base.notices import Notice
+from mammometry.base.sizes import subject_extent
+from mammometry.calibration.adjust.calibrated import Calibration
+from mammometry.calibration.judge.quality import CalibrationQuality
+from mammometry.job.graph import Plan
+from mammometry.job.inputs import Walk
+from mammometry.job.stages import calibrate, match, measure, surface
+from mammometry.matching import quality as match_quality
+from mammometry.matching.foreground.foreground import Foreground
+from mammometry.matching.foreground.outlines_first import OF_PARTNER, without_outline
+from mammometry.matching.quality import MatchQuality
+from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.trunk.body import Body
+from mammometry.measure.volume.measurement import VolumeMeasurement
+from mammometry.report.content import sentence
+from mammometry.report.words import describe
+from mammometry.report.words.anthropometry import without_nipple
+from mammometry.report.words.doubts import body_doubts
+from mammometry.surface.motion.motion_test import concerns
+from mammometry.surface.occlusion import Occlusion
+from mammometry.surface.repair.repair import Provenance, RepairedSurface
+from mammometry.walk.motion import WalkMotion
+
+_MATCHED = 0.6  # of a silhouette that a pair should match; flanks seen obliquely cost up to a third
+_BLOCKED = 0.005  # of the subject in a photograph, hidden: less is a strap or a shadow; chosen by eye
+_SIZE_KNOWN = 0.004  # relative uncertainty of the board's size, above which it is the larger part of most intervals
+_MOVED_MM = 0.1  # size of the body's motions between photographs from which they are worth a sentence
+_HUNG_UPWARDS = -0.04
+"""Share of half the boundary's height by which both breasts' mass lies above its middle (with the sign of below). 25
+virtual bodies had .05 to .6 below it; mounds, which are alike at both ends, have 0."""
+
+
+def session_warnings(plan: Plan, settings: MeasureSettings) -> tuple[Notice, ...]:
+    """Warnings about the volumes of a session, worst first."""
+    return (*body_doubts(plan), *warnings(volume_doubts(plan, settings)))
+
+
+def scan_warnings(plan: Plan, notices: Sequence[Notice]) -> tuple[Notice, ...]:
+    """Warnings about the volumes of another scanner's mesh, worst first.
+
+    Args:
+        plan: of its measurement.
+        notices: on how the mesh was read.
+    """
+    of_file = (notice for notice in notices if notice.level == "warning")
+    return (
+        *body_doubts(plan),
+        *of_file,
+        *mesh_warnings(plan.value(measure.measurements) or (), plan.value(measure.body)),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class VolumeDoubts:
+    """Results of a run on which its volumes depend."""
+
+    measurements: Sequence[VolumeMeasurement]
+    """One a breast."""
+    moved: Sequence[Notice] = ()
+    """What moved."""
+    body: Body | None = None
+    """The body's frame."""
+    doubtful: Sequence[str] = ()
+    """Breasts on which no nipple was seen."""
+    unseparated: Mapping[str, str] = field(default_factory=dict)
+    """Camera → why its silhouette was sought and is not used."""
+    without_outline: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    """Pair → its cameras whose outlines are not known."""
+
+
+def volume_doubts(plan: Plan, settings: MeasureSettings) -> VolumeDoubts:
+    """Collect them from the products of a session's plan. Those that are missing are made."""
+    measurements = plan.value(measure.measurements) or ()
+    unseparated = {} if (subjects := plan.value(match.subjects)) is None else subjects.doubts
+    pairs = plan[calibrate.cameras]().rig.pair_names
+    missing = {pair: without_outline(names, unseparated) for pair, names in pairs.items()}
+    return VolumeDoubts(
+        measurements=measurements,
+        moved=tuple(concerns(plan[surface.stillness](), missing)),
+        body=plan.value(measure.body),
+        doubtful=without_nipple(measurements, plan.value(measure.landmarks) or (), settings),
+        unseparated=unseparated,
+        without_outline=missing,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RunResults(VolumeDoubts):
+    """Results of a run that may call for a warning."""
+
+    quality: CalibrationQuality | None
+    """Verdict on the calibration. None for imported cameras."""
+    calibration: Calibration | None
+    """With what was left out of it. None for imported cameras."""
+    camera_doubts: Sequence[str] = ()
+    """Sentences on what makes imported cameras doubtful."""
+    shares: Mapping[str, float]
+    """Pair → share of the subject's silhouette that was matched. It lacks pairs without silhouettes."""
+    matching: Mapping[str, MatchQuality]
+    """Pair → how well it was matched."""
+    foregrounds: Mapping[str, Foreground]
+    """Camera → its silhouette."""
+    repaired: RepairedSurface
+    """The surface, world frame."""
+    blocked: Mapping[str, Occlusion] = field(default_factory=dict)
+    """Camera → where something is in front of the subject."""
+    walk: Walk | None = None
+    """What is known of one telephone's photographs. None for a rig's."""
+    walk_motion: WalkMotion | None = None
+    """Motion of the body between one telephone's photographs."""
+
+
+def captured(cameras: Iterable[str]) -> tuple[str, ...]:
+    """Names of the cameras' photographs of the subject."""
+    return tuple(f"capture/{camera}" for camera in cameras)
+
+
+def warnings(run: VolumeDoubts) -> Iterator[Notice]:
+    """Warnings about the volumes, worst first."""
+    for measured in run.measurements:
+        if not measured.watertight:
+            yield Notice(code="solid-not-watertight", about=(measured.name,))
+    if run.body is not None and run.body.plane is None:
+        yield Notice(code="upright-unknown", values={"text": sentence(run.body.how)})
+    if run.doubtful:
+        yield Notice(code="nipple-not-seen", about=tuple(run.doubtful))
+    if run.unseparated:
+        reasons = "; ".join(dict.fromkeys(run.unseparated.values()))
+        drawn = [f"masks/{name}.png" for name, reason in run.unseparated.items() if reason != OF_PARTNER]
+        values = {"reasons": reasons, "masks": " and ".join(drawn)}
+        cameras = tuple(run.unseparated)
+        yield Notice(code="outline-not-used", about=cameras, photographs=captured(cameras), values=values)
+    yield from run.moved
+    headless = tuple(each.name for each in run.measurements if "head-not-shown" in each.boundary_remarks)
+    if headless:
+        yield Notice(code="head-not-shown", about=headless)
+
+
+def run_concerns(run: RunResults) -> Iterator[Notice]:
+    """Warn of what went less well in calibration and matching."""
+    of_rig = rig_doubts(run.quality)
+    if of_rig:
+        yield Notice(code="calibration-doubtful", values={"text": sentence(of_rig[0])})
+    if run.walk is not None and run.walk_motion is not None:
+        yield from walk_concerns(run.walk, run.walk_motion)
+    elif run.calibration is None:
+        yield Notice(code="cameras-imported")
+        for doubt in run.camera_doubts:
+            yield Notice(code="imported-camera-doubtful", values={"text": sentence(doubt)})
+    extent = subject_extent(float(np.ptp(run.repaired.mesh.vertices, axis=0).max()))
+    if not extent.is_usual():
+        yield Notice(code="size-unusual", values={"text": str(extent)})
+    for name, judged in run.matching.items() if run.walk is None else ():  # a walk's pairs are tested by `walk.motion`
+        yield from match_quality.concerns(name, judged, run.without_outline.get(name, ()))
+    for name, share in run.shares.items():
+        if share < _MATCHED and run.walk is None:  # a walk's masks show where the body may be
+            yield Notice(code="pair-little-matched", level="note", about=(name,), values={"percent": 100 * share})
+    hidden = {name: occlusion.share for name, occlusion in run.blocked.items() if occlusion.share > _BLOCKED}
+    if hidden:
+        shares = ", ".join(f"{name} ({100 * share:.0f} %)" for name, share in hidden.items())
+        yield Notice(
+            code="subject-hidden",
+            level="note",
+            about=tuple(hidden),
+            photographs=captured(hidden),
+            values={"shares": shares},
+        )
+    blind = [name for name, known in run.foregrounds.items() if known.everything and name not in run.unseparated]
+    if blind:
+        yield Notice(code="subject-not-separated", level="note", about=tuple(blind), photographs=captured(blind))
+    for measured in run.measurements:
+        share = describe.skin_shares(measured, run.repaired)[Provenance.MEASURED]
+        if share < describe.SKIN_MEASURED:
+            yield Notice(code="skin-not-measured", about=(measured.name,), values={"percent": float(100 * share)})
+
+
+def mesh_warnings(measurements: Sequence[VolumeMeasurement], body: Body | None) -> Iterator[Notice]:
+    """Warnings of another scanner's mesh."""
+    yield Notice(code="mesh-of-another-scanner")
+    sunk = (
+        []
+        if body is None
+        else [measurement.sunk(body.up) for measurement in measurements if measurement.name != "model"]
+    )
+    if len(sunk) == 2 and sum(sunk) / 2 < _HUNG_UPWARDS:
+        yield Notice(code="breasts-fuller-above")
+    for measurement in measurements:
+        if not measurement.watertight:
+            yield Notice(code="solid-not-watertight", about=(measurement.name,))
+
+
+def rig_doubts(quality: CalibrationQuality | None) -> list[str]:
+    """Warnings of a whole calibration."""
+    return [] if quality is None else [doubt.sentence for doubt in quality.doubts if not doubt.shots]
+
+
+def photograph_doubts(quality: CalibrationQuality | None, calibration: Calibration | None) -> tuple[Notice, ...]:
+    """Warnings of single photographs of a calibration, which a technician may leave out."""
+    doubts = () if quality is None else quality.doubts
+    left_out = () if calibration is None else calibration.set_aside
+    return (
+        *(
+            Notice(
+                code="board-photograph-doubtful",
+                level="note",
+                about=tuple(dict.fromkeys(shot.camera for shot in doubt.shots)),
+                photographs=tuple(f"calibration/{shot.pose}/{shot.camera}" for shot in doubt.shots),
+                values={"text": sentence(doubt.sentence)},
+            )
+            for doubt in doubts
+            if doubt.shots
+        ),
+        *(
+            Notice(
+                code="board-photograph-left-out",
+                level="note",
+                about=(away.camera,),
+                photographs=(f"calibration/{away.pose}/{away.camera}",),
+                values={"pose": away.pose, "px": away.residual_px},
+            )
+            for away in left_out
+        ),
+    )
+
+
+def walk_concerns(walk: Walk, motion: WalkMotion) -> Iterator[Notice]:
+    """Notices on the board's size and on motion between the photographs.
+
+    Args:
+        walk: what is known of the photographs.
+        motion: of the body between them.
+    """
+    if walk.scale_std > _SIZE_KNOWN:
+        share = 100 * COVERAGE_95 * 3 * walk.scale_std
+        yield Notice(code="board-not-measured", values={"percent": float(share)})
+    if motion.size_mm >= _MOVED_MM:
+        yield Notice(
+            code="body-moved-against-board",
+            values={"moved_mm": motion.size_mm, "after_mm": motion.rest_mm, "before_mm": motion.before_mm},
+        )
