@@ -1,6 +1,7 @@
 """Drawn files are read as documented, changed item by item, and every version of them is kept."""
 
 import json
+import re
 import threading
 from collections.abc import Mapping
 from pathlib import Path
@@ -66,12 +67,12 @@ def test_a_landmark_file_that_is_not_as_documented_is_named(tmp_path: Path, tabl
 @pytest.mark.parametrize(
     ("text", "found"),
     [
-        ('{"boundaries": {"left": {"points": []}, "left": {"points": []}}}', "two values of .left"),
-        ("[" * 100_000, "JSON that cannot be read"),
-        ("{", "JSON that cannot be read"),
-        ('{"boundaries": {"left": {"points": [[0,0,0],[1,0,0],[1,1,0]], "method": 3}}}', "not text"),
+        ('{"boundaries": {"left": {"points": []}, "left": {"points": []}}}', ".left"),
+        ("[" * 100_000, "JSON"),
+        ("{", "JSON"),
+        ('{"boundaries": {"left": {"points": [[0,0,0],[1,0,0],[1,1,0]], "method": 3}}}', "text"),
         ('{"boundaries": {"left": {"automatic": true, "confirmed": {"by": "A"}}}}', "'at'"),
-        ('{"boundaries": {"left": {}}}', "no points"),
+        ('{"boundaries": {"left": {}}}', "points"),
     ],
 )
 def test_a_boundary_file_that_is_not_as_documented_is_named(tmp_path: Path, text: str, found: str) -> None:
@@ -93,7 +94,7 @@ def test_a_drawing_of_another_subject_is_refused(tmp_path: Path) -> None:
     path = put(tmp_path, "boundaries.json", {"subject": "P-7", "boundaries": {}})
     for subject in (None, "P-7"):
         assert boundaries_in(path, ("left",), subject).curves == {}
-    with pytest.raises(SessionError, match="subject 'P-7', expected one of subject 'P-8'"):
+    with pytest.raises(SessionError, match=r"'P-7', .*'P-8'"):
         boundaries_in(path, ("left",), "P-8")
     put(tmp_path, "boundaries.json", {"boundaries": {}})
     assert boundaries_in(path, ("left",), "P-8").curves == {}
@@ -148,7 +149,7 @@ def test_who_comes_late_is_told_and_loses_nothing(tmp_path: Path) -> None:
     mine = entry(2.0, author="B. Late")
     mark = drawn_entry(np.array([[1.0, 2.0, 3.0]]), method="picked by hand", author="B. Late")
     changes = {LEFT: Change(entry=mine, base=None), NOTCH: Change(entry=mark, base=None)}
-    with pytest.raises(LateError, match=r"left: found a change by somebody else meanwhile \(drawn by hand by A. Test"):
+    with pytest.raises(LateError, match=r"left: .*A\. Test"):
         change_drawn(tmp_path, "torso", changes)
     assert (tmp_path / "boundaries.json").read_bytes() == before
     assert not (tmp_path / "landmarks.json").exists()  # all or nothing
@@ -178,7 +179,7 @@ def test_changes_of_two_at_once_never_lose_one(tmp_path: Path) -> None:
 
 def test_a_file_that_cannot_be_read_is_never_replaced(tmp_path: Path) -> None:
     (tmp_path / "boundaries.json").write_text("{")
-    with pytest.raises(SessionError, match=r"boundaries.json: found JSON that cannot be read"):
+    with pytest.raises(SessionError, match=r"boundaries.json: .*JSON"):
         change_drawn(tmp_path, "torso", {LEFT: Change(entry=entry(), base=None)})
     assert (tmp_path / "boundaries.json").read_text() == "{"
 
@@ -191,10 +192,12 @@ def test_how_a_curve_came_to_be_is_told_from_the_last_hand_to_the_first(tmp_path
     edited = drawn_entry(np.array(CURVE), method="edited by hand", author="B. Second", earlier=earlier)
     change_drawn(tmp_path, "model", {("boundaries", "model"): Change(entry=edited, base=None)})
     of_model = read_boundaries(tmp_path, "model").attributions["model"]
-    assert of_model.method == "edited by hand, from edited by hand, from the automatic boundary"
+    assert of_model.method.split(", from ") == ["edited by hand", "edited by hand", "the automatic boundary"]
     assert of_model.origin is not None
-    assert of_model.origin.startswith("edited by hand by B. Second on 20")
-    assert of_model.origin.endswith(", from edited by hand by A. First on 2026-01-02, from the automatic boundary")
+    last, first, automatic = of_model.origin.split(", from ")
+    assert re.search(r"B\. Second .*\b20\d\d-", last)
+    assert re.search(r"A\. First .*\b2026-01-02", first)
+    assert automatic == "the automatic boundary"
 
 
 @pytest.mark.requirement("R-WHO-5")

@@ -39,9 +39,9 @@ def test_without_columns_for_them_there_is_one_mesh_and_one_drawing_each(tmp_pat
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("mesh,boundary,observer\nf.ply,a.json,\n", "row 2: found an empty cell"),
-        ("mesh,boundary,observer\nf.ply,a.json,Anna\nf.ply,b.json,Anna\n", "a second drawing 1 of f.ply by Anna"),
-        ("mesh,boundary\nf.ply,a.json\n", "one column observer"),
+        ("mesh,boundary,observer\nf.ply,a.json,\n", r"row 2: .*empty"),
+        ("mesh,boundary,observer\nf.ply,a.json,Anna\nf.ply,b.json,Anna\n", r"second.* 1 .*f\.ply.*Anna"),
+        ("mesh,boundary\nf.ply,a.json\n", "observer"),
     ],
 )
 def test_a_table_that_tells_too_little_is_refused(tmp_path: Path, text: str, said: str) -> None:
@@ -71,12 +71,12 @@ def test_a_name_is_one_person_however_its_letters_are_stored(tmp_path: Path) -> 
     assert {name for name, _ in found} == {"Anna", found[-1][0]}
     table = tmp_path / "who.csv"
     table.write_text("boundary,observer,repeat\na.json,J\u00fcrg,1\nb.json,ju\u0308rg,1\n", encoding="utf-8")
-    with pytest.raises(TableError, match="row 3: found a second drawing 1"):
+    with pytest.raises(TableError, match=r"row 3: .*\b1\b"):
         read_drawn_by(table, tmp_path / "front.ply")
 
 
 def test_one_drawing_under_two_names_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SessionError, match=r"drawing 1 by Anna, as Anna-1\.json"):
+    with pytest.raises(SessionError, match=r"\b1 .*Anna, .*Anna-1\.json"):
         persons(tmp_path, "Anna-1.json", "anna-1.json", "ben.json")
 
 
@@ -84,7 +84,7 @@ def test_one_drawing_under_two_names_is_refused(tmp_path: Path) -> None:
     "name", ["anna-1 (1).json", "anna-1 copy.json", "anna-1 - Kopie (2).json", "Copy of anna-1.json"]
 )
 def test_copies_are_refused_by_name(tmp_path: Path, name: str) -> None:
-    with pytest.raises(SessionError, match="a copy, by its name"):
+    with pytest.raises(SessionError, match="copy"):
         persons(tmp_path, "anna-1.json", name)
 
 
@@ -103,7 +103,7 @@ UNCLEAR = [("anna_1.json", "anna_2.json"), ("anna1.json", "Anna2.json"), ("anna 
 
 @pytest.mark.parametrize("names", UNCLEAR)
 def test_numbers_without_a_hyphen_may_mean_two_things(tmp_path: Path, names: tuple[str, str]) -> None:
-    with pytest.raises(SessionError, match=r"expected [Aa]nna-[12]\.json for drawing [12]"):
+    with pytest.raises(SessionError, match=r"[Aa]nna-[12]\.json .*[12]"):
         persons(tmp_path, *names)
 
 

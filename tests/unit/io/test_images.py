@@ -90,7 +90,7 @@ def test_what_is_wrong_with_a_file_is_seen_in_its_bytes_and_not_in_its_name(tmp_
     path.write_text("not a picture at all")
     with pytest.raises(ImageError) as caught:
         read_photograph(path, "a")
-    assert caught.value.found == "a file that is not an image"
+    assert "image" in caught.value.found
     if ending == "tif":
         import tifffile
 
@@ -102,19 +102,19 @@ def test_what_is_wrong_with_a_file_is_seen_in_its_bytes_and_not_in_its_name(tmp_
         path.write_bytes(whole[: int(keep * len(whole))])
         with pytest.raises(ImageError) as caught:
             read_photograph(path, "a")
-        assert caught.value.found == "a truncated image"
+        assert "truncated" in caught.value.found
     if ending != "tif":  # whose pixels have no checksum
         path.write_bytes(whole[: len(whole) // 2] + bytes(40) + whole[len(whole) // 2 + 40 :])
         with pytest.raises(ImageError) as caught:
             read_photograph(path, "a")
-        assert caught.value.found.startswith("a damaged image")
+        assert "damaged" in caught.value.found
 
 
 def test_no_image_and_no_file_are_told_apart(tmp_path: Path) -> None:
     (tmp_path / "a.jpg").write_text("not a picture at all")
-    with pytest.raises(ImageError, match="a file that is not an image"):
+    with pytest.raises(ImageError, match=r"^a: .*image"):
         read_photograph(tmp_path / "a.jpg", "a")
-    with pytest.raises(ImageError, match="no file"):
+    with pytest.raises(ImageError, match=r"^b: (?!.*image)"):
         read_photograph(tmp_path / "b.jpg", "b")
 
 
@@ -143,8 +143,8 @@ def test_consistent_photographs_pass(headers: list[ImageHeader]) -> None:
 @pytest.mark.parametrize(
     ("headers", "said"),
     [
-        ([header(60, 40), header(30, 20)], "30 × 20 pixels, expected 60 × 40 pixels, as in 0.jpg of camera left"),
-        ([header(60, 40), header(40, 60)], "turned the same way"),
+        ([header(60, 40), header(30, 20)], r"30 × 20 pixels, .*60 × 40 pixels, .*0\.jpg .*left"),
+        ([header(60, 40), header(40, 60)], "turned"),
         ([header(60, 40), header(60, 40, 6)], "EXIF orientation 6"),
         ([header(60, 40), header(60, 40, 3)], "EXIF orientation 3, expected 1"),  # upside down: size cannot tell
         ([header(50, 50), header(50, 50, 8)], "EXIF orientation 8, expected 1"),
@@ -156,7 +156,7 @@ def test_inconsistent_photographs_are_refused(headers: list[ImageHeader], said: 
 
 
 def test_ready_made_cameras_fix_the_size() -> None:
-    with pytest.raises(ImageError, match=r"60 × 40 pixels, expected 120 × 80 pixels, as in cameras.json"):
+    with pytest.raises(ImageError, match=r"60 × 40 pixels, .*120 × 80 pixels, .*cameras\.json"):
         check_sizes({"0.jpg": header(60, 40)}, "left", (120, 80))
 
 

@@ -71,7 +71,7 @@ def test_a_variable_that_unpacks_to_more_than_is_allowed_is_refused(monkeypatch:
     monkeypatch.setattr(matlab, "_MOST_BYTES", 2 << 20)
     packed = zlib.compress(bytes(3 << 20))
     head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<HH", 0x0100, 0x4D49)
-    with pytest.raises(ValueError, match="more than 2 MiB"):
+    with pytest.raises(ValueError, match=r"\b2 MiB"):
         read_variables(head + struct.pack("<II", 15, len(packed)) + packed)
 
 
@@ -79,5 +79,5 @@ def test_variables_that_lie_within_one_another_without_end_are_refused() -> None
     value: Any = 1.0
     for _ in range(40):
         value = {"a": value}
-    with pytest.raises(ValueError, match="nested more than 32 deep"):
+    with pytest.raises(ValueError, match=r"\b32\b"):
         read_variables(saved({"s": value}))
