@@ -83,7 +83,7 @@ def test_a_confirmed_automatic_boundary_is_told_and_nothing_is_measured_anew(
     assert left.boundary_remarks == ("confirmed",)
     assert attributed(made["right"], given_attributions).boundary_remarks == ("to-be-confirmed",)
     assert run(["info", str(session)]) == 0
-    assert "boundary left: automatic; confirmed by eye by C. Eye on 2026-11-22" in capsys.readouterr().out
+    assert "C. Eye on 2026-11-22" in capsys.readouterr().out
 
     confirm(session, made["left"].boundary_world + 1.0)  # settings were others then
     left = attributed(made["left"], open_session(session).inputs.attributions)

@@ -65,14 +65,14 @@ def test_one_calibration_serves_all_and_nothing_is_simulated_twice(tmp_path: Pat
     again = measure_phantoms(out, scale=0.5, seed=3, models=MODELS)
     assert again == first
     assert len(bench.simulated) == 3
-    with pytest.raises(SessionError, match="a study with scale"):
+    with pytest.raises(SessionError, match="scale"):
         measure_phantoms(out, scale=0.25, seed=3, models=MODELS)
 
 
 @pytest.mark.parametrize("record", ["[" * 100_000, '{"scale": 1' + "0" * 400 + "}", "[]"])
 def test_a_folder_with_another_study_json_is_not_taken(tmp_path: Path, bench: Bench, record: str) -> None:
     (tmp_path / "study.json").write_text(record)
-    with pytest.raises(SessionError, match=r"a study.json of something else"):
+    with pytest.raises(SessionError, match=r"study.json"):
         measure_phantoms(tmp_path, scale=0.5, seed=3, models=MODELS)
     assert bench.simulated == []
 
@@ -102,10 +102,10 @@ def test_a_refused_model_does_not_end_the_study(tmp_path: Path, bench: Bench, mo
     assert [result.measured_cc for result in results] == [101, 201, None, 401]
     assert [bool(result.failed) for result in results] == [False, False, True, False]
     assert (results[2].true_cc, results[2].holds) == (300, None)
-    assert "found a hole" in results[2].failed
+    assert "hole" in results[2].failed
     assert paired(results).names == ("plaster_1", "plaster_2", "plaster_4")
     assert [row.split(",")[0] for row in as_csv(results).splitlines()[1:]] == ["plaster_1", "plaster_2", "plaster_4"]
-    with pytest.raises(MeasureError, match="2 measured models, since surface: found a hole"):
+    with pytest.raises(MeasureError, match=r"^plaster_3: .*\b2 .*hole"):
         paired(results[:3])
 
 
@@ -116,7 +116,7 @@ def test_a_refused_calibration_ends_the_study_with_its_own_error(
         raise CalibrationError("camera a", found="2 views", expected="3", remedy="Take them again")
 
     monkeypatch.setattr(truth, "open_session", refusing)
-    with pytest.raises(CalibrationError, match=r"found 2 views, expected 3\. Choose a larger --scale") as caught:
+    with pytest.raises(CalibrationError, match=r"\b2 .*\b3\. .*--scale") as caught:
         measure_phantoms(tmp_path / "study", models=MODELS)
     assert caught.value.exit_code == 5
     assert [name for name, *_ in bench.simulated] == ["plaster_1"]

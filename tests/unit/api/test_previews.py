@@ -29,5 +29,5 @@ def test_a_picture_that_is_none_is_one_sentence_although_its_record_agrees(tmp_p
     job.store.write_folder(previews_key("calibrate", job.plan), holding(whole))
     assert job.previews("calibrate") == {"rig": whole}
     job.store.write_folder(previews_key("match", job.plan), holding(noise))
-    with pytest.raises(StorageError, match=r"match/rig.png: found a picture that cannot be read back"):
+    with pytest.raises(StorageError, match=r"^match/rig\.png: "):
         job.previews("match")

@@ -69,7 +69,7 @@ def test_a_stage_that_reports_nothing_is_reported_all_the_same() -> None:
 
 def test_an_error_there_is_told_and_the_next_call_is_done() -> None:
     with ChildProcess() as child:
-        with pytest.raises(NotDone, match="math domain error"):
+        with pytest.raises(NotDone, match=r"\bmath\b"):
             child.call(math.sqrt, -1)
         assert child.call(math.sqrt, 4) == 2
 

@@ -35,7 +35,7 @@ def test_a_pseudonym_is_taken_in_its_composed_form(text: str) -> None:
     "text", ["", "x" * 65, "a/b", "a\\b", "two\nlines", "\x00", " P1", "P1 ", "\udcfc", "P\u202e1", "P\u200d1"]
 )
 def test_what_is_no_identifier_is_refused(text: str) -> None:
-    with pytest.raises(ValueError, match="1 to 64 printable characters"):
+    with pytest.raises(ValueError, match=r"\b1 .*\b64\b"):
         subject_id(text)
 
 
@@ -50,5 +50,5 @@ def test_the_subject_is_the_heading_and_the_folder_stands_below() -> None:
 def test_those_who_tell_nothing_contradict_nobody() -> None:
     assert one_subject([("a", None), ("b", "P-1"), ("c", None), ("d", "P-1")], remedy="none") == "P-1"
     assert one_subject([("a", None)], remedy="none") is None
-    with pytest.raises(SessionError, match=r"^d: found subject 'P-2', expected 'P-1', as b says: .* Do"):
+    with pytest.raises(SessionError, match=r"^d: .*'P-2', .*'P-1'.*\bb\b"):
         one_subject([("a", None), ("b", "P-1"), ("d", "P-2")], remedy="Do")

@@ -38,7 +38,7 @@ def test_what_is_not_seen_or_turns_a_name_round_is_refused(letter: str, name: st
     assert unicodedata.category(letter) == REFUSED[letter]
     fault = name_fault(name.format(letter))
     assert fault is not None
-    assert f"at place {name.index('{') + 1}" in fault
+    assert f" {name.index('{') + 1}" in fault
 
 
 def test_the_character_is_named() -> None:

@@ -50,7 +50,7 @@ def test_any_other_text_is_read_as_python_does_or_refused(text: str) -> None:
     "text", ["", " 1", "1_0", "٣", "nan", "inf", "1e308", "-1e16", "1e9999", "0x10", "1,5", "1e", "."]
 )
 def test_what_is_no_number(text: str) -> None:
-    with pytest.raises(ValueError, match="which is not a number"):
+    with pytest.raises(ValueError, match="number"):
         number(text)
 
 
@@ -117,7 +117,7 @@ HOSTILE: list[tuple[Callable[..., Any], str, str]] = [
 def test_hostile_text_is_one_sentence(parse: Callable[..., Any], text: str, said: str) -> None:
     with pytest.raises(SessionError, match=re.escape(said)) as caught:
         parse(text, "some file", "a table")
-    assert str(caught.value).startswith("some file: found ")
+    assert str(caught.value).startswith("some file: ")
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 400
 
@@ -137,16 +137,16 @@ def test_sane_json_is_read_as_it_is(tree: Any) -> None:
 
 def test_files_that_are_none(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.json")
-    with pytest.raises(SessionError, match="a pipe or a device"):  # and does not wait for a writer
+    with pytest.raises(SessionError, match="pipe"):  # and does not wait for a writer
         read_bytes(tmp_path / "pipe.json", "pipe.json", "JSON")
     with pytest.raises(SessionError, match="a folder"):
         read_bytes(tmp_path, "a", "JSON")
-    with pytest.raises(SessionError, match="cannot be read"):
+    with pytest.raises(SessionError, match=r"\(No such"):
         read_bytes(tmp_path / "none", "a", "JSON")
-    with pytest.raises(SessionError, match="a pipe or a device"):
+    with pytest.raises(SessionError, match="pipe"):
         read_bytes(Path("/dev/zero"), "a", "JSON")
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
-    with pytest.raises(SessionError, match="cannot be read"):
+    with pytest.raises(SessionError, match=r"\(Too many"):
         read_bytes(tmp_path / "loop", "a", "JSON")
 
 
@@ -159,7 +159,7 @@ def test_size_and_encoding(tmp_path: Path) -> None:
         read_text(path, "a", "JSON")
     with path.open("wb") as file:
         file.truncate((1 << 20) + 1)
-    with pytest.raises(SessionError, match="more than 1 MiB"):
+    with pytest.raises(SessionError, match=r"\b1 MiB"):
         read_text(path, "a", "JSON", most_mib=1)
 
 

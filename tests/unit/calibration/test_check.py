@@ -97,7 +97,7 @@ def test_either_of_two_cameras_may_have_moved(reference):
 
 def test_what_cannot_be_compared_is_said(reference):
     alone = observe({"front_left": CAMERAS["front_left"]}, {"00": LATER["00"]})
-    with pytest.raises(CalibrationError, match="no two cameras of the rig"):
+    with pytest.raises(CalibrationError, match="front_left"):
         check(reference, alone)
     seen = exposed(CAMERAS, "00", 1)
     cropped = replace(seen, sizes_wh={**seen.sizes_wh, "front_left": (1126, 700)})

@@ -74,13 +74,13 @@ def test_both_cameras_agree_on_the_columns_and_centres_are_exact(views, photogra
 def test_labels_that_do_not_agree_are_said(views, photographs):
     other = np.random.default_rng(6).random((16, 8, 8)) < 0.35
     mixed = photographs | {("00", "right"): photograph_of_cylinder(views["right"], CYLINDER, other)}
-    with pytest.raises(CalibrationError, match="columns of the dotted cylinder in 00/right"):
+    with pytest.raises(CalibrationError, match="00/right"):
         detect(mixed, CYLINDER)
 
 
 def test_more_columns_than_the_target_has_are_said(photographs):
     few = DottedCylinderTarget(dots=(8, 9), radius_mm=50.0, row_pitch_mm=12.0, column_pitch_mm=12.0, dot_mm=5.0)
-    with pytest.raises(CalibrationError, match="at most 9"):
+    with pytest.raises(CalibrationError, match=r"\b9\b"):
         detect(photographs, few)
 
 

@@ -49,7 +49,7 @@ def test_components_group_what_hangs_together() -> None:
     views = [("a", "1"), ("b", "2"), ("c", "3"), ("b", "1"), ("d", "3"), ("e", "9"), ("a", "2")]
     assert components(views) == [({"a", "b"}, {"1", "2"}), ({"c", "d"}, {"3"}), ({"e"}, {"9"})]
     require_connected([*views[:2], ("a", "2")])
-    with pytest.raises(CalibrationError, match="cameras c with d, e: found no pose shared with a, b"):
+    with pytest.raises(CalibrationError, match=r"cameras c with d, e: .*\ba, b"):
         require_connected(views)
 
 
@@ -71,7 +71,7 @@ def test_network_of_exact_poses_comes_back_in_the_first_poses_frame() -> None:
 
 
 def test_network_that_falls_apart_is_refused() -> None:
-    with pytest.raises(ValueError, match="no pose leads to"):
+    with pytest.raises(ValueError, match=r"\['b'\]"):
         average_network({("a", "1"): Transform.identity(), ("b", "2"): Transform.identity()})
 
 
@@ -161,9 +161,7 @@ def test_views_with_few_points_or_points_on_a_line_do_not_count() -> None:
     line, few = np.arange(11), np.array([0, 40, 60])
     a, b, c, d = clean.detections
     views = (reduced(a, line), reduced(b, few), c, d)
-    with pytest.raises(
-        CalibrationError, match="camera front_left: found 2 usable views of the target, expected at least 3"
-    ):
+    with pytest.raises(CalibrationError, match=r"^camera front_left: .*\b2 .*\b3\b"):
         initialise(Observations(target=clean.target, sizes_wh=clean.sizes_wh, detections=views))
 
 
@@ -186,4 +184,4 @@ def test_views_that_are_never_tilted_determine_no_focal_length() -> None:
         assert "front_left" in str(error)  # noqa: PT017
     else:
         assert quality.verdict == "refuse"
-        assert any("focal length of front_left" in reason for reason in quality.reasons)
+        assert any("of front_left" in reason for reason in quality.reasons)

@@ -96,7 +96,7 @@ def test_a_movement_between_poses_is_named_and_refused(
     warning_of_nothing.setattr(FINDINGS + "_MOVED_REFUSE_MM", most_mm)
     quality = assess(calibration, REFUSING_NOTHING)
     assert quality.verdict == verdict
-    assert any("standard errors)" in reason for reason in quality.reasons)
+    assert any("errors)" in reason for reason in quality.reasons)
 
 
 def test_view_ratio_decides_which_views_are_set_aside() -> None:

@@ -248,7 +248,7 @@ def test_what_is_too_large_or_of_another_kind_is_refused_before_it_is_read(clien
 
     large = client.ask("POST", "/save", b" " * (LARGEST_BYTES + 1), JSON)
     assert large.status == 413
-    assert "larger than 1 MB" in large.json()["error"]
+    assert "1 MB" in large.json()["error"]
     assert client.ask("POST", "/save", endless(), JSON).status == 411
     assert client.ask("POST", "/save", b"{}", {"Content-Type": "text/plain"}).status == 415
     assert client.ask("PUT", "/save", b"{}", JSON).status == 405
@@ -328,7 +328,7 @@ def test_an_edited_curve_keeps_its_other_points_and_tells_where_it_comes_from(cl
     (history,) = (tmp_path / "history").glob("*.json")
     assert history.read_bytes() == first
     how = answer.json()["boundaries"]["model"]["how"]
-    assert how.endswith(", from traced in a CT by Dr. C on 2026-01-02")
+    assert how.endswith("Dr. C on 2026-01-02")
 
     removed = {"author": "A", "boundaries": {"model": {"base": answer.json()["boundaries"]["model"]["base"]}}}
     removed["boundaries"]["model"]["sketch"] = None  # type: ignore[index]
@@ -433,11 +433,11 @@ def test_a_line_that_was_loaded_before_the_server_began_anew_is_still_known(tmp_
     ("sent", "said"),
     [
         ({"boundaries": {"elbow": {"base": None, "sketch": None}}}, "elbow"),
-        ({"boundaries": {"left": {"base": None, "sketch": None}}}, "left: found an unknown name"),  # this is a cast
-        ({"boundaries": {"model": {"base": None, "sketch": {"handles": [{"point": [0, 0, 0]}] * 2}}}}, "at least 3"),
+        ({"boundaries": {"left": {"base": None, "sketch": None}}}, "left: "),  # this is a cast
+        ({"boundaries": {"model": {"base": None, "sketch": {"handles": [{"point": [0, 0, 0]}] * 2}}}}, "least 3"),
         ({"boundaries": {"model": {"base": None, "sketch": {"handles": [{"point": [0, 0]}] * 3}}}}, "point"),
         ({"boundaries": {"model": {"base": None, "sketch": {"of": "x", "handles": HANDLES}}}}, "does not know"),
-        ({"landmarks": {"elbow": {"base": None, "points": [[0, 0, 0]]}}}, "elbow: found an unknown name"),
+        ({"landmarks": {"elbow": {"base": None, "points": [[0, 0, 0]]}}}, "elbow: "),
         ({"landmarks": {"nipple_model": {"base": None, "points": [[0, 0, 0], [1, 1, 1]]}}}, "found 2 points"),
         ({"landmarks": {"nipple_model": {"base": None, "points": [[0, 0, 1e300]]}}}, "1e+297 m away"),
         ({"landmarks": {"nipple_model": {"base": None, "points": [[0, 0, 60_000]]}}}, "59.9 m away"),
@@ -471,7 +471,7 @@ def test_an_unreadable_file_is_told_and_never_replaced(client: Client, tmp_path:
     (tmp_path / "boundaries.json").write_text("{ not what it should be")
     shown = client.get("/drawing")
     assert shown.status == 422
-    assert shown.json()["error"].startswith("boundaries.json: found JSON that cannot be read")
+    assert shown.json()["error"].startswith("boundaries.json: found JSON")
     sketch = {"of": None, "handles": HANDLES}
     sent = {"author": "A", "boundaries": {"model": {"base": item["base"], "sketch": sketch}}}
     assert client.post("/save", sent).status == 422
@@ -507,7 +507,7 @@ def test_without_an_automatic_boundary_the_page_says_why(tmp_path: Path, door: D
 
 
 def test_an_open_surface_has_nothing_to_draw(tmp_path: Path, door: Door) -> None:
-    with pytest.raises(SessionError, match="open surface"):
+    with pytest.raises(SessionError, match=r"^session\.toml: .*open"):
         editor_app(lambda: job(tmp_path, "surface"), door)  # type: ignore[arg-type,return-value]
 
 

@@ -123,11 +123,11 @@ def test_a_submesh_keeps_geometry_and_drops_unused_vertices() -> None:
 
 def test_impossible_meshes_are_refused() -> None:
     vertices = np.zeros((3, 3))
-    with pytest.raises(ValueError, match="refer to vertices"):
+    with pytest.raises(ValueError, match="vertices"):
         TriangleMesh(vertices=vertices, faces=np.array([[0, 1, 3]], dtype=np.int32))
-    with pytest.raises(ValueError, match="refer to vertices"):
+    with pytest.raises(ValueError, match="vertices"):
         TriangleMesh(vertices=vertices, faces=np.array([[0, 1, -1]], dtype=np.int32))
-    with pytest.raises(ValueError, match="not finite"):
+    with pytest.raises(ValueError, match="finite"):
         TriangleMesh(vertices=np.full((3, 3), np.inf), faces=np.array([[0, 1, 2]], dtype=np.int32))
 
 

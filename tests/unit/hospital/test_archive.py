@@ -140,7 +140,7 @@ def test_an_archive_promises_to_keep_the_objects(made: list[Dataset], tmp_path: 
         send(made, peer)
         assert committed(made, peer, listen=port) is True
         never = objects(exported(tmp_path / "other", subject="another", source="ef" * 32), ANNA)
-        with pytest.raises(ArchiveError, match="does not keep 12 of 12"):
+        with pytest.raises(ArchiveError, match=r"\b12 of 12\b"):
             committed(never, peer, listen=port)
 
 
@@ -169,7 +169,7 @@ def test_the_worklist_fills_patient_and_order(tmp_path: Path) -> None:
         assert found.patient.name == "Zypernkatze^Quirina"
         assert found.patient.born == datetime.date(1980, 2, 29)
         assert (found.order.study_uid, found.order.procedure) == ("1.2.3.0", "Breast volumes")
-        with pytest.raises(ArchiveError, match="0 entries of the worklist for A999"):
+        with pytest.raises(ArchiveError, match=r"\b0 .*A999"):
             only_entry(entries(peer, accession="A999"), peer, "A999")
 
 
@@ -225,7 +225,7 @@ def test_an_archive_that_takes_no_models_gets_nothing(made: list[Dataset]) -> No
         return 0x0000
 
     without = [each for each in made if each.Modality != "M3D"]
-    with archive(stored, without) as peer, pytest.raises(ArchiveError, match="does not take Encapsulated MTL"):
+    with archive(stored, without) as peer, pytest.raises(ArchiveError, match="Encapsulated MTL"):
         send(made, peer)
     assert not came
 
@@ -265,12 +265,12 @@ def test_an_encrypted_archive_must_be_the_one_whose_certificate_is_trusted(
     context.load_cert_chain(*certificate)
     with archive(lambda event: 0x0000, made, context) as peer:
         assert send(made, peer, tls=Tls(authorities=certificate[0])).sent == len(made)
-        with pytest.raises(ArchiveError, match="nobody who answers, expected a DICOM application, with TLS"):
+        with pytest.raises(ArchiveError, match="TLS"):
             send(made, peer, tls=Tls())
 
 
 def test_a_certificate_that_is_none_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SettingsError, match="no certificate that can be read"):
+    with pytest.raises(SettingsError, match="certificate"):
         Tls(authorities=tmp_path / "none.pem").context()
 
 
@@ -292,11 +292,11 @@ def test_an_address_is_read_as_it_is_written() -> None:
 
 @pytest.mark.parametrize("url", ["pacs", "ftp://pacs/x", "https://", "https://pacs/x?y=1"])
 def test_a_web_address_that_is_none_is_refused(url: str) -> None:
-    with pytest.raises(SettingsError, match="no address of a DICOMweb service"):
+    with pytest.raises(SettingsError, match="DICOMweb"):
         web_address(url)
 
 
 def test_a_password_has_no_place_in_an_address() -> None:
-    with pytest.raises(SettingsError, match="name or password") as caught:
+    with pytest.raises(SettingsError, match="password") as caught:
         web_address("https://me:secret@pacs/dicom-web")
     assert "secret" not in str(caught.value)

@@ -109,7 +109,7 @@ def test_every_measured_number_has_its_field_in_the_dictionary(tmp_path: Path) -
 
 
 def test_the_same_visit_twice_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(TableError, match="two sessions of the same photographs"):
+    with pytest.raises(TableError, match=r"^P-EXAMPLE: .*photographs"):
         tables.records([exported(tmp_path), exported(tmp_path)])
 
 
@@ -146,9 +146,9 @@ def test_parquet_says_the_same_as_csv(tmp_path: Path) -> None:
 
 def test_a_missing_library_is_one_sentence() -> None:
     require("hospital", "csv")
-    with pytest.raises(StorageError, match=r"no library no_such_library.*pip install 'mammometry\[hospital\]'"):
+    with pytest.raises(StorageError, match=r"no_such_library\b.*'mammometry\[hospital\]'"):
         require("hospital", "csv", "no_such_library")
-    with pytest.raises(StorageError, match=r"no library no_such_library\.inner"):
+    with pytest.raises(StorageError, match=r"no_such_library\.inner"):
         require("hospital", "no_such_library.inner")
 
 

@@ -134,16 +134,16 @@ def test_what_cannot_be_rectified_is_refused_by_name(fault: str, texture: Textur
     pair = converging()
     if fault == "size":
         small = foreground(disc[:-10])
-        with pytest.raises(ImageError, match=r"capture/left\.tif.*as calibrated for left"):
+        with pytest.raises(ImageError, match=r"capture/left\.tif.*left"):
             rectify(pair, grey(texture), grey(texture), small, small)
     elif fault == "same place":
-        with pytest.raises(MatchingError, match="pair front"):
+        with pytest.raises(MatchingError, match=r"\bfront\b"):
             rectified(StereoPair(name="front", left=pair.left, right=pair.left), texture, disc)
     elif fault == "apart":
         with pytest.raises(MatchingError, match="100°"):
             rectified(converging(100.0), texture, disc)
     else:
-        with pytest.raises(MatchingError, match="camera left"):
+        with pytest.raises(MatchingError, match=r"\bleft\b"):
             rectified(pair, texture, np.zeros_like(disc))
 
 

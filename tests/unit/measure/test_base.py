@@ -97,14 +97,14 @@ def test_the_same_photographs_give_the_same_base() -> None:
 def test_too_few_candidates_are_no_rim() -> None:
     base = a_base(0.0)
     rng = np.random.default_rng(0)
-    with pytest.raises(MeasureError, match=r"10 possible rim points, expected its rim in at least 36 of 72"):
+    with pytest.raises(MeasureError, match=r"model: .*\b10 .*36 of 72"):
         fit_base(rim_on(base)[:10], cast_over(base, rng), TILTED[2])
 
 
 def test_candidates_on_one_line_are_no_rim() -> None:
     rng = np.random.default_rng(0)
     line = np.linspace(0, 50, 100)[:, None] * [1.0, 0, 0] + PLACE
-    with pytest.raises(MeasureError, match="on one line"):
+    with pytest.raises(MeasureError, match=r"model: .*line"):
         fit_base(line, cast_over(a_base(0.0), rng), TILTED[2])
 
 

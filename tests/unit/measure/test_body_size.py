@@ -136,7 +136,7 @@ def test_the_trunks_breadth_scales_with_the_body(factor: float) -> None:
 def test_centimetres_as_inches_are_refused_with_factor_and_unit(tmp_path: Path) -> None:
     """Before there is a volume, for every road that asks for one."""
     job = MeshJob(files(tmp_path, 2.54), tmp_path / "out")
-    with pytest.raises(MeasureError, match=r"too large.* lengths × 0\.4\d") as refused:
+    with pytest.raises(MeasureError, match=r"^torso: .*× 0\.4\d") as refused:
         job.plan[measure.measurements]()
     assert "--units" in refused.value.remedy
 

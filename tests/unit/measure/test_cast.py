@@ -210,21 +210,21 @@ def test_rays_go_through_their_candidates() -> None:
 
 def test_without_silhouettes_there_is_no_rim() -> None:
     everything = {name: replace(seen, everything=True) for name, seen in photographed(None).items()}
-    with pytest.raises(MeasureError, match="0 possible rim points"):
+    with pytest.raises(MeasureError, match=r"model: .*\b0 "):
         find_boundaries(seen_surface(None), everything, RIG, "model")
 
 
 def test_a_base_far_from_the_surface_does_not_cut_it() -> None:
     whole = seen_surface(None)
     far = Boundary(name="model", points_world=dome().vertices[-300:-1] - [0, 0, 40.0], method="test")
-    with pytest.raises(MeasureError, match="without an opening"):
+    with pytest.raises(MeasureError, match=r"model: .*opening"):
         chest_wall.fit(OpenBreast(boundary=far, surface=whole))
 
 
 @pytest.mark.parametrize("kind", ["mirrored", "cylinder-membrane", "thorax-fit"])
 def test_a_cast_has_no_chest_wall(kind: str) -> None:
     rim = Boundary(name="model", points_world=dome().vertices[-300:-1], method="test")
-    with pytest.raises(MeasureError, match=r"measure\.wall: found .* expected one of default, plane, convex-cylinder"):
+    with pytest.raises(MeasureError, match=r"^measure\.wall: .*default, plane, convex-cylinder"):
         chest_wall.fit(OpenBreast(boundary=rim, surface=seen_surface(None)), kind)
 
 

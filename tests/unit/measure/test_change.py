@@ -123,7 +123,7 @@ def test_a_date_that_shows_more_of_the_flanks_is_the_same_body() -> None:
 @pytest.mark.requirement("R-DATE-1")
 def test_another_body_is_refused_and_a_doubtful_one_told() -> None:
     other = visit(name="torso_5")[1]
-    with pytest.raises(MeasureError, match="the trunks of both dates"):
+    with pytest.raises(MeasureError, match="trunks"):
         compare(visit()[1], other)
     sure_change = compare(visit()[1], visit(place=3, growth=GROWTH)[1], CompareSettings(doubt_mm=1e-9))
     assert sure_change.doubtful
@@ -131,14 +131,14 @@ def test_another_body_is_refused_and_a_doubtful_one_told() -> None:
 
 def test_a_breast_and_its_wall_must_be_there_at_both_dates() -> None:
     whole = visit()[1]
-    with pytest.raises(MeasureError, match="found right before, left after"):
+    with pytest.raises(MeasureError, match=r"dates: .*right .*left"):
         compare(
             replace(whole, measurements=whole.measurements[1:]), replace(whole, measurements=whole.measurements[:1])
         )
-    with pytest.raises(MeasureError, match="found none before"):
+    with pytest.raises(MeasureError, match=r"dates: .*none"):
         compare(replace(whole, measurements=()), whole)
     flat = tuple(replace(each, wall_kind="plane") for each in whole.measurements)
-    with pytest.raises(MeasureError, match="found rounded-membrane before, plane after"):
+    with pytest.raises(MeasureError, match=r"breast: .*rounded-membrane .*plane"):
         compare(whole, replace(whole, measurements=flat))
 
 
@@ -169,7 +169,7 @@ def test_a_picked_midline_is_not_compared_with_a_computed_one() -> None:
 
 
 def test_settings_must_be_in_order() -> None:
-    with pytest.raises(ValueError, match="not above refuse_mm"):
+    with pytest.raises(ValueError, match="refuse_mm"):
         CompareSettings(doubt_mm=5.0)
 
 

@@ -243,7 +243,7 @@ def test_a_mound_without_a_crease_is_refused() -> None:
     scale = np.where(side, (RADIUS_MM + hills) / np.where(side, radius_mm(theta, y), 1), 1)
     gentle = np.stack([x * scale, y, z * scale], axis=1)
     surface = as_surface(TriangleMesh(vertices=gentle, faces=mesh.faces), gentle[:, 2] > -40)
-    with pytest.raises(MeasureError, match=r"left breast: found a crease around \d+ % of it.*mammometry edit"):
+    with pytest.raises(MeasureError, match=r"breast: .*\d+ %.*mammometry edit"):
         find_breasts(surface, np.eye(3))
 
 
@@ -283,7 +283,7 @@ def test_a_base_that_no_breast_has_is_refused(across_mm: float, up_mm: float, fo
     flat = np.stack([across_mm * np.cos(turn), up_mm * np.sin(turn)], axis=1) * np.reshape(ragged, (-1, 1))
     trunk = Trunk(frame=np.eye(3), origin=np.zeros(3), half_width_mm=150.0)
     if refused:
-        with pytest.raises(MeasureError, match="350 cm², and 50 % or more"):
+        with pytest.raises(MeasureError, match=r"breast: .*350 cm², .*50 %"):
             _check_base(flat, "left", trunk)
     else:
         _check_base(flat, "left", trunk)

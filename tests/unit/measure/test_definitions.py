@@ -62,12 +62,12 @@ def test_one_thickness_is_too_few() -> None:
 
 def test_thicknesses_that_are_too_few_are_named() -> None:
     muscle = defined(settings=LayerSettings(left_lateral_mm=27.0))[2]
-    assert "on average (1 measured, 2 are needed to count)." in muscle.sentence
+    assert "(1 measured, 2" in muscle.sentence
     assert "needed" not in defined()[2].sentence
 
 
 def test_a_thickness_in_the_wrong_unit_is_refused() -> None:
-    with pytest.raises(ValueError, match="at most 100 mm: check the unit"):
+    with pytest.raises(ValueError, match="100 mm"):
         LayerSettings(left_lateral_mm=240.0)
 
 

@@ -65,7 +65,7 @@ def test_a_drawn_breast_under_a_hand_is_refused(tmp_path: Path) -> None:
     curves = {"left": {"points": edge_of(LEFT, "left").points_world.tolist()}}
     (tmp_path / "b.json").write_text(json.dumps({"boundaries": curves}))
     files = MeshFiles(mesh=tmp_path / "a.ply", units="mm", boundary=tmp_path / "b.json", head="y", ahead="z")
-    with pytest.raises(MeasureError, match="something on it") as refused:
+    with pytest.raises(MeasureError, match=r"^breast 'left': .*hand") as refused:
         MeshJob(files, tmp_path / "out").plan[measure.measurements]()
     assert "left" in refused.value.subject
     assert "bare_confirmed" in refused.value.remedy

@@ -72,13 +72,13 @@ def test_a_wall_of_ones_own_is_chosen_measured_drawn_and_named() -> None:
         textured=TexturedMesh(mesh=found.closed, colours=np.zeros((len(found.closed.vertices), 3), np.uint8)),
     )
     assert measure.closed(shown, found).startswith(b"\x89PNG")
-    assert breast_report(found).wall.startswith("Dented: a cylinder with a dent")
+    assert breast_report(found).wall.startswith("Dented: ")
 
 
 def test_a_wall_that_nobody_added_is_an_error_at_once() -> None:
-    with pytest.raises(SettingsError, match=r"measure\.wall: found 'dented', expected one of 'default', 'rounded"):
+    with pytest.raises(SettingsError, match=r"^measure\.wall: .*'dented', .*'default', 'rounded"):
         Settings().overridden(["measure.wall=dented"])
-    with pytest.raises(MeasureError, match=r"measure\.wall: found dented, expected one of default, rounded"):
+    with pytest.raises(MeasureError, match=r"^measure\.wall: .*dented, .*default, rounded"):
         chest_wall.fit(breast(Settings()), "dented")
 
 

@@ -58,7 +58,7 @@ def test_a_small_hole_is_closed_as_the_skin_around_it_curves(width_mm: float) ->
     assert not scan.invented[: len(holed(FRONT, width_mm).vertices)].any()
     assert np.abs(off_mm(scan)).max(initial=0.0) < 0.1
     (note,) = scan.notes
-    assert note.startswith("1 hole was closed, up to ")
+    assert note.startswith("1 hole")
     assert float(note.split()[6]) == pytest.approx(width_mm, abs=1.5)
     assert scan.mesh.area_mm2() == pytest.approx(FRONT.area_mm2(), rel=1e-4)
 
@@ -70,9 +70,9 @@ def test_a_wide_hole_stays_and_the_volume_is_refused_on_every_road() -> None:
     (left,) = open_breasts([CURVES["left"]], surface, frame=np.eye(3))
     (refusal,) = measured_or_refused([left])
     assert isinstance(refusal, MeasureError)
-    assert "a hole or an edge of the surface within it" in str(refusal)
+    assert "hole" in str(refusal)
     part = inside_curve(surface.mesh, edge_loop("left", CURVES["left"].points_world, surface.mesh))
-    with pytest.raises(MeasureError, match="a hole or an edge of the surface within it"):
+    with pytest.raises(MeasureError, match=r"^boundary 'left': .*hole"):
         chest_wall.fit(replace(left, cut=part))
 
 
@@ -91,7 +91,7 @@ def test_a_boundary_over_a_hole_is_refused_and_not_led_around_it() -> None:
 
     check_cut("left", curve, with_hole(60, 8))
     for middle_mm in (60, 42):  # the second reaches the curve from inside
-        with pytest.raises(MeasureError, match="a hole of the mesh under it"):
+        with pytest.raises(MeasureError, match=r"^boundary 'left': .*hole.*mm"):
             check_cut("left", curve, with_hole(middle_mm, 20))
 
 
@@ -102,7 +102,7 @@ def test_a_casts_hole_is_refused_too() -> None:
     rim = Boundary(
         name="model", points_world=60 * np.stack([np.cos(t), np.sin(t), 0 * t], axis=1), method="drawn", sigma_mm=0.5
     )
-    with pytest.raises(MeasureError, match="model: found a hole in the surface above the base"):
+    with pytest.raises(MeasureError, match=r"^model: .*hole"):
         chest_wall.fit(OpenBreast(boundary=rim, surface=as_surface(open_dome)))
     assert chest_wall.fit(OpenBreast(boundary=rim, surface=as_surface(mesh))).closed.is_watertight()
 
@@ -157,7 +157,7 @@ def test_pieces_that_touch_are_joined() -> None:
         assert scan.mesh.components()[0] == 1
         assert len(scan.mesh.faces) == len(FRONT.faces)
         assert not scan.invented.any()
-    with pytest.raises(MeasureError, match="2 separate pieces"):
+    with pytest.raises(MeasureError, match=r"^mesh: .*\b2 .*pieces"):
         repair_scan(joined([left, right.mapped(lambda points: points + np.array([-0.5, 0.3, 1.0]))]))
 
 

@@ -38,13 +38,13 @@ def test_a_whole_mesh_is_taken_as_measured_everywhere() -> None:
 def test_what_is_no_surface_is_named() -> None:
     mesh = ball(50.0, 2)
     doubled = np.concatenate([mesh.faces, mesh.faces[:1, [0, 2, 1]]])
-    with pytest.raises(MeasureError, match="3 edges at which three or more faces meet"):
+    with pytest.raises(MeasureError, match=r"^mesh: .*\b3 .*three"):
         check_mesh(with_faces(mesh, doubled))
     turned = mesh.faces.copy()
     turned[7] = turned[7, ::-1]
-    with pytest.raises(MeasureError, match="3 edges at which neighbouring faces look to opposite sides"):
+    with pytest.raises(MeasureError, match=r"^mesh: .*\b3 .*opposite"):
         check_mesh(with_faces(mesh, turned))
-    with pytest.raises(MeasureError, match="no triangles"):
+    with pytest.raises(MeasureError, match=r"^mesh: .*triangles"):
         repair_scan(with_faces(mesh, mesh.faces[:0]))
 
 
@@ -59,7 +59,7 @@ def test_pieces_are_counted_and_the_largest_can_be_taken() -> None:
     assert scan.mesh.volume_mm3() == pytest.approx(large.volume_mm3(), rel=1e-12)
     assert scan.notes == ("1 piece beside the body, 0.94 % of the area, was left out.",)
     twins = joined([large, ball(40.0, 2).mapped(lambda points: points + 200)])
-    with pytest.raises(MeasureError, match=r"2 separate pieces, .* 61%, 39% of the area.*--largest"):
+    with pytest.raises(MeasureError, match=r"^mesh: .*\b2 .*61%, 39% .*--largest"):
         repair_scan(twins)
     assert repair_scan(twins, largest=True).mesh.volume_mm3() == pytest.approx(large.volume_mm3(), rel=1e-12)
 
@@ -84,11 +84,11 @@ def test_a_hole_or_a_hollow_within_the_boundary_is_named() -> None:
     top = np.array([np.sin(LEFT[0]), 0, np.cos(LEFT[0])]) * (RADIUS_MM + LEFT[3]) + [0, LEFT[1], 0]
     check_cut("left", EDGES["left"], mesh)
     holed = mesh.submesh(np.linalg.norm(mesh.corners().mean(axis=1) - top, axis=1) > 8)
-    with pytest.raises(MeasureError, match="boundary 'left': found a hole or an edge of the surface within it"):
+    with pytest.raises(MeasureError, match=r"^boundary 'left': .*hole"):
         check_cut("left", EDGES["left"], holed)
     front = mesh.submesh(mesh.corners().mean(axis=1)[:, 2] > -20)  # open, as scanners give it
     check_cut("left", EDGES["left"], front)
-    with pytest.raises(MeasureError, match="skin that is hollow seen from outside"):
+    with pytest.raises(MeasureError, match=r"^boundary 'left': .*hollow"):
         check_cut("left", EDGES["left"], with_faces(front, front.faces[:, ::-1]))
 
 
@@ -120,7 +120,7 @@ def test_the_frame_comes_from_both_boundaries_or_from_landmarks_of_one_side() ->
     one = viewing_frame(surface, {"right": EDGES["right"]}, marks)
     assert one[1] @ [0, 1, 0] > 0.9  # head
     assert one[0] @ [np.cos(angle), 0, -np.sin(angle)] > 0.95  # the patient's left, as that breast lies
-    with pytest.raises(MeasureError, match="neither a boundary on each side nor landmarks of one"):
+    with pytest.raises(MeasureError, match=r"^mesh: .*landmarks"):
         viewing_frame(surface, {"right": EDGES["right"]}, {})
 
 
@@ -130,7 +130,7 @@ def test_exchanged_sides_are_told_by_the_notch() -> None:
     notch = {"sternal_notch": np.array([[0.0, 130.0, RADIUS_MM]])}
     assert viewing_frame(surface, EDGES, notch)[1, 1] > 0.9
     exchanged = {"left": EDGES["right"], "right": EDGES["left"]}
-    with pytest.raises(MeasureError, match=r"sternal_notch.*mm below the breasts.*Exchange left and right"):
+    with pytest.raises(MeasureError, match=r"^landmark 'sternal_notch': .*\d mm .*left and right"):
         viewing_frame(surface, exchanged, notch)
 
 
@@ -148,5 +148,5 @@ def test_a_closed_torso_looks_where_it_is_round_as_breasts_are(sign: float) -> N
     frame = frame_from_axes(flat)
     assert np.allclose(frame, np.diag([sign, 1.0, sign]))
     plain = TriangleMesh(vertices=ball(150.0, 4).vertices * (1.0, 2.0, 0.7), faces=ball(150.0, 4).faces)
-    with pytest.raises(MeasureError, match="looks to all sides alike"):
+    with pytest.raises(MeasureError, match="sides"):
         frame_from_axes(plain)

@@ -82,7 +82,7 @@ def test_the_feet_are_not_taken_for_the_head() -> None:
     sunk = mesh.vertices - np.outer(0.45 * LEFT[2] * out, [0, 1, 0]) * (low > -LEFT[2])[:, None]
     surface = as_surface(TriangleMesh(vertices=sunk, faces=mesh.faces), sunk[:, 2] > -0.35 * RADIUS_MM)
     assert len(outline_torso(surface, np.eye(3)).boundaries) == 1
-    with pytest.raises(MeasureError, match=r"head at the lower end.*breasts are fuller above.*rig\.mounting"):
+    with pytest.raises(MeasureError, match=r"^torso: .*head .*rig\.mounting"):
         outline_torso(surface, np.diag([-1.0, -1.0, 1.0]))
 
 
@@ -105,7 +105,7 @@ def test_a_base_that_no_breast_has_is_refused(width_mm: float, height_mm: float,
     if plausible:
         _check_base(flat, "left", trunk)
     else:
-        with pytest.raises(MeasureError, match=r"left breast.*an outline .* cm²"):
+        with pytest.raises(MeasureError, match=r"left breast.* cm²"):
             _check_base(flat, "left", trunk)
 
 
@@ -144,7 +144,7 @@ def test_a_trunk_across_the_cameras_is_refused() -> None:
     skin = seen_skin(one_sided())
     assert lies_across(skin, ROLLED)
     assert not lies_across(skin, np.eye(3))
-    with pytest.raises(MeasureError, match=r"lies across.*rig\.mounting"):
+    with pytest.raises(MeasureError, match=r"^torso: .*across.*rig\.mounting"):
         find_body(one_sided(), ROLLED)
 
 
@@ -153,10 +153,10 @@ def test_two_boundaries_show_which_way_a_low_front_lies() -> None:
     front = mesh.submesh(mesh.faces_within((np.abs(mesh.vertices[:, 1]) < 50) & (mesh.vertices[:, 2] > 80)))
     surface = as_surface(front, np.ones(len(front.vertices), dtype=bool))
     curves = [edge_of(each, "left").points_world for each in (LEFT, TWIN)]
-    with pytest.raises(MeasureError, match="lies across"):
+    with pytest.raises(MeasureError, match=r"^torso: .*across"):
         find_body(surface, np.eye(3))
     assert find_body(surface, np.eye(3), boundaries=curves).up[1] > 0.9
-    with pytest.raises(MeasureError, match="lies across"):
+    with pytest.raises(MeasureError, match=r"^torso: .*across"):
         find_body(surface, ROLLED, boundaries=curves)
 
 
@@ -179,7 +179,7 @@ def test_two_breasts_show_which_way_a_trunk_lies_whose_sides_are_covered() -> No
         if len(breasts) == 2:
             assert [each.name for each in outline_torso(surface, np.eye(3)).boundaries] == ["left", "right"]
         else:
-            with pytest.raises(MeasureError, match="lies across"):
+            with pytest.raises(MeasureError, match=r"^torso: .*across"):
                 outline_torso(surface, np.eye(3))
 
 

@@ -127,18 +127,18 @@ def test_both_breasts_are_found_each_on_its_side() -> None:
 def test_cameras_are_not_needed_where_both_boundaries_are_given() -> None:
     with_rig, without = (chest_wall.fit(breast_of(EDGES[1], frame=frame)) for frame in (rig_frame(RIG), None))
     assert without.closed.volume_mm3() == pytest.approx(with_rig.closed.volume_mm3(), rel=0.01)
-    with pytest.raises(MeasureError, match="found no boundary on each side"):
+    with pytest.raises(MeasureError, match=r"wall: .*boundary"):
         chest_wall.fit(OpenBreast(boundary=EDGES[1], surface=torso()))
 
 
 def test_a_boundary_that_crosses_itself_tells_how_much_of_it_was_seen() -> None:
     half = EDGES[0].points_world[: len(EDGES[0].points_world) // 2]
     there_and_back = replace(EDGES[0], points_world=np.concatenate([half, half[::-1]]))
-    with pytest.raises(CrossingError, match="runs back along itself, expected a simple closed curve") as seen:
+    with pytest.raises(CrossingError, match=r"^boundary 'left': .*curve") as seen:
         chest_wall.fit(breast_of(there_and_back))
     assert "not measured" not in str(seen.value)
     unseen = replace(torso(), provenance=np.full_like(torso().provenance, Provenance.REPAIRED))
-    with pytest.raises(CrossingError, match=r"100 % of it runs over skin that was not measured.*mammometry edit"):
+    with pytest.raises(CrossingError, match=r"^boundary 'left': .*\b100 % .*mammometry edit"):
         chest_wall.fit(breast_of(there_and_back, surface=unseen))
 
 
@@ -222,23 +222,23 @@ def test_arms_that_show_more_skin_than_the_flanks_are_not_the_sides() -> None:
 
 def test_an_open_curve_is_refused() -> None:
     half = EDGES[0].points_world[:80]
-    with pytest.raises(MeasureError, match=r"boundary 'left': found a gap of \d+ mm between its last point"):
+    with pytest.raises(MeasureError, match=r"^boundary 'left': .*gap.* \d+ mm"):
         given_boundary("left", half, torso())
 
 
 def test_a_curve_off_the_surface_is_refused() -> None:
-    with pytest.raises(MeasureError, match=r"found 160 of 160 points off the surface, by up to \d+ mm"):
+    with pytest.raises(MeasureError, match=r"^boundary 'left': .*160 of 160 .*\d+ mm"):
         given_boundary("left", EDGES[0].points_world * 1.3, torso())
 
 
 def test_two_points_are_no_curve() -> None:
-    with pytest.raises(MeasureError, match="found 2 points, expected a closed curve"):
+    with pytest.raises(MeasureError, match=r"^boundary 'left': .*\b2 points"):
         given_boundary("left", EDGES[0].points_world[:2], torso())
 
 
 def test_a_curve_far_from_any_surface_cannot_be_traced() -> None:
     lost = Boundary(name="left", points_world=EDGES[0].points_world * 5, method="")
-    with pytest.raises(MeasureError, match="farther than 40 mm from any connected surface"):
+    with pytest.raises(MeasureError, match=r"^boundary 'left': .*\b40 mm"):
         chest_wall.fit(breast_of(lost, frame=None))
 
 
@@ -263,12 +263,12 @@ def test_the_default_wall_of_a_torso_is_named_in_the_result() -> None:
 
 @pytest.mark.parametrize("points", [np.zeros((2, 3)), np.full((4, 3), np.nan)])
 def test_a_boundary_has_three_finite_points(points: np.ndarray) -> None:
-    with pytest.raises(ValueError, match="three or more finite points"):
+    with pytest.raises(ValueError, match="finite"):
         Boundary(name="model", points_world=points, method="")
 
 
 def test_a_curve_that_crosses_itself_is_refused() -> None:
     points = EDGES[0].points_world.copy()
     points[40:100] = points[40:100][::-1]  # two of its legs cross
-    with pytest.raises(MeasureError, match=r"boundary 'left': found a curve that crosses itself \d+ time"):
+    with pytest.raises(MeasureError, match=r"^boundary 'left': .*crosses"):
         given_boundary("left", points, torso())

@@ -91,7 +91,7 @@ def test_coons_reproduces_a_bilinear_patch() -> None:
 
 def test_coons_needs_one_opening() -> None:
     part = lid(circle(40.0), lambda x, y: 0 * x)
-    with pytest.raises(MeasureError, match="coons wall: found 2 openings"):
+    with pytest.raises(MeasureError, match=r"coons wall: .*\b2 openings"):
         coons(opened(replace(part, loops=part.loops * 2)))
 
 
@@ -165,7 +165,7 @@ def test_a_wall_measured_by_itself_is_the_default() -> None:
 def test_a_measured_wall_that_misses_the_breast_is_refused() -> None:
     trunk = bare_trunk()
     half = trunk.submesh((trunk.vertices[:, 1] > 20)[trunk.faces].all(axis=1))
-    with pytest.raises(MeasureError, match=r"measured wall: found a surface that covers \d+ % of the breast's base"):
+    with pytest.raises(MeasureError, match=r"measured wall: .*\d+ %"):
         chest_wall.fit(replace(one_breast(), back=half))
-    with pytest.raises(MeasureError, match="measured wall: found no wall that was measured by itself"):
+    with pytest.raises(MeasureError, match=r"measured wall: .*frame"):
         chest_wall.fit(one_breast(), "measured")

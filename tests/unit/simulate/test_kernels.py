@@ -51,7 +51,7 @@ def test_net_has_one_sample_in_each_row_and_column():
         offsets = net_offsets(count)
         for axis in range(2):
             assert np.sort(np.floor((offsets[:, axis] + 0.5) * count)) == pytest.approx(np.arange(count))
-    with pytest.raises(ValueError, match="power of two"):
+    with pytest.raises(ValueError, match="power"):
         net_offsets(6)
 
 

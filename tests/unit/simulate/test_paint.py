@@ -195,9 +195,9 @@ def test_sheen_moves_with_the_camera_and_paint_does_not():
 def test_presets_and_words():
     assert make_skin("plaster") == Skin()
     assert make_skin("skin", contrast=0.01, hair_per_cm2=2.0).contrast == 0.01
-    with pytest.raises(ValueError, match="skins are plaster"):
+    with pytest.raises(ValueError, match="plaster"):
         make_skin("leather")
-    with pytest.raises(ValueError, match="pores must lie between 0 and 1"):
+    with pytest.raises(ValueError, match=r"pores .*0 .*1"):
         Skin(pores=1.5)
     with pytest.raises(ValueError, match="jpeg_quality"):
         Film(jpeg_quality=0)

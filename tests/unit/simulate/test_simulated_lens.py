@@ -196,7 +196,7 @@ def test_few_photons_come_by_poissons_law(mean):
 
 
 def test_jpeg_quality_and_words():
-    with pytest.raises(ValueError, match="f_number must lie between"):
+    with pytest.raises(ValueError, match="f_number"):
         Film(f_number=0.0)
     camera = _camera()
     assert Film().aperture(camera) is PINHOLE

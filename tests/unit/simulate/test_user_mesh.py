@@ -82,5 +82,5 @@ def test_what_is_no_mesh_is_one_sentence(tmp_path, content, suffix):
     path.write_bytes(content)
     with pytest.raises(SessionError, match="broken"):
         read_user_mesh(path, MM)
-    with pytest.raises(SessionError, match=r"missing\..*: found no such file"):
+    with pytest.raises(SessionError, match=r"missing\.\w+: "):
         read_user_mesh(path.with_name(f"missing.{suffix}"), MM)

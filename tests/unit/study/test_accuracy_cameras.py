@@ -124,7 +124,7 @@ def test_triangulation_finds_the_point_whose_projections_were_given() -> None:
 
 
 def test_a_rig_that_looks_away_is_refused() -> None:
-    with pytest.raises(ValueError, match="sees nothing"):
+    with pytest.raises(ValueError, match="sees"):
         compare_rigs(TRUE, TRUE, POINTS + np.array([0, 5000.0, 0]))
 
 

@@ -127,10 +127,10 @@ def test_subjects_of_one_size_have_no_trend() -> None:
 
 
 def test_bad_values_are_refused() -> None:
-    with pytest.raises(ValueError, match="3 or more"):
+    with pytest.raises(ValueError, match=r"\b3\b"):
         pairs(np.ones(2), np.ones(2))
     with pytest.raises(ValueError, match="finite"):
         pairs(np.ones(3), np.array([1, np.nan, 2]))
     figure = PublishedFigure(what="x", figure="nonsense", published="1.0")
-    with pytest.raises(ValueError, match="no figure is called 'nonsense'"):
+    with pytest.raises(ValueError, match="'nonsense'"):
         check_published(agreement(pairs(np.arange(3.0), np.array([0.0, 2, 2]))), [figure])

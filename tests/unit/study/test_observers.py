@@ -139,7 +139,7 @@ def test_a_curve_that_reaches_further_towards_the_armpit_differs_there() -> None
     ],
 )
 def test_what_tells_nothing_is_refused(drawings: list[Drawing]) -> None:
-    with pytest.raises(ValueError, match=r"drawn twice|two drawings"):
+    with pytest.raises(ValueError, match=r"twice|two"):
         observer_study(drawings)
 
 

@@ -86,9 +86,9 @@ def test_intervals_hold_as_often_as_they_say(between: float, within: float) -> N
 
 
 def test_too_little_is_refused() -> None:
-    with pytest.raises(ValueError, match="two subjects and a subject with two pairs"):
+    with pytest.raises(ValueError, match="subjects"):
         repeated_differences(np.arange(3.0), np.arange(3))
-    with pytest.raises(ValueError, match="3 or more subjects"):
+    with pytest.raises(ValueError, match=r"\b3\b"):
         PairedMeasurements(
             names=("a", "b", "c"), reference=np.arange(3.0), measured=np.arange(3.0), reference_name="", 
             measured_name="", unit="", subjects=("a", "a", "b"),

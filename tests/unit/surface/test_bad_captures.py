@@ -50,7 +50,7 @@ def test_a_pair_in_another_frame_is_named():
         camera_from_world=moved,
     )  # fmt: skip
     images[2] = range_image(believed, np.where(images[2].valid, images[2].range_mm, np.nan), name="c2")
-    with pytest.raises(SurfaceError, match=r"c2.*has probably moved since the calibration"):
+    with pytest.raises(SurfaceError, match=r"c1 and c2: .*7\.0 mm"):
         extract(images, foregrounds, rig, COARSE)
 
 
@@ -64,7 +64,7 @@ def test_a_pair_that_saw_only_background_is_named():
     images[3] = range_image(camera, to_wall, name="c3")
     everything = np.ones(camera.shape_hw, dtype=np.float32)
     foregrounds["c3"] = Foreground(camera="c3", coverage=everything, contour_level=0.5, everything=True)
-    with pytest.raises(SurfaceError, match=r"pair c3: .*beside the subject.*only background"):
+    with pytest.raises(SurfaceError, match=r"^pair c3: .*background"):
         extract(images, foregrounds, rig, COARSE)
 
 
@@ -72,7 +72,7 @@ def test_a_subject_outside_the_volume_that_all_see():
     """Nothing is in view of any pair."""
     images, foregrounds, rig = captured()
     away = [range_image(i.camera, ellipsoid_range(i.camera, RADII, centre=(400.0, 0, 0)), name=i.name) for i in images]
-    with pytest.raises(SurfaceError, match="no range data in any of them"):
+    with pytest.raises(SurfaceError, match="c0, c1, c2, c3: "):
         extract(away, foregrounds, rig, COARSE)
 
 

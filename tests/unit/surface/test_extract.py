@@ -108,7 +108,7 @@ def test_nearest_swells_and_furthest_shrinks():
 def test_no_data_contradicting_masks_and_contradicting_views_are_errors():
     images, foregrounds, rig = scene(FRONT[:2], (30.0,) * 3)
     empty = [image.keeping(np.zeros(image.valid.shape, dtype=bool)) for image in images]
-    with pytest.raises(SurfaceError, match="pairs c0, c1: found no range data"):
+    with pytest.raises(SurfaceError, match=r"pairs c0, c1: .*range data"):
         extract(empty, foregrounds, rig)
     one_empty = extract([images[0], empty[1]], foregrounds, rig, ExtractSettings(cube_mm=2.0))
     assert is_closed_ball(one_empty)
@@ -119,7 +119,7 @@ def test_no_data_contradicting_masks_and_contradicting_views_are_errors():
         )
         for k, (name, value) in enumerate(elsewhere.items())
     }
-    with pytest.raises(SurfaceError, match="enclose nothing"):
+    with pytest.raises(SurfaceError, match="silhouettes"):
         extract(images, tiny, rig, ExtractSettings(cube_mm=2.0))
 
 

