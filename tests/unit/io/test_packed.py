@@ -1,5 +1,6 @@
 """Packed arrays come back with every bit, and lie smaller."""
 
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,6 @@ import pytest
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.mesh import on_microns
 from mammometry.io.results.codecs import packed, read_arrays, unpacked, write_arrays
-from mammometry.io.results.formats import deflated
 
 RNG = np.random.default_rng(6)
 N = 20_000
@@ -28,7 +28,7 @@ def test_what_is_written_is_read(tmp_path: Path, array: Array) -> None:
 def test_meshes_take_two_thirds_at_most(array: Array) -> None:
     found = packed(array)
     assert found is not None
-    assert len(deflated(found[0])) < 2 / 3 * len(deflated(array))
+    assert len(zlib.compress(found[0], 1)) < 2 / 3 * len(zlib.compress(array, 1))
     assert unpacked(*found).tobytes() == array.tobytes()
 
 

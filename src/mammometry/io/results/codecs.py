@@ -35,7 +35,7 @@ from enum import Enum
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
@@ -222,49 +222,6 @@ def _labels() -> dict[str, str]:
     return {place: label for label, place in STORED_TYPES.items()}
 
 
-_LEVEL = 1  # ISA-L takes a tenth of zlib's time; 1: a third of a raster's length; higher ones gain little
-_RAW = -15  # window bits of a stream without header, as archives hold it
-
-
-def deflated(data: Any) -> bytes:
-    """Compress a buffer to a zlib stream."""
-    from isal import isal_zlib
-
-    return isal_zlib.compress(data, _LEVEL)
-
-
-def inflated(stream: bytes, length: int) -> bytes:
-    """Inflate a zlib stream that holds so many bytes.
-
-    Raises:
-        ValueError: it holds another number, or is none.
-    """
-    from isal import isal_zlib
-
-    try:
-        data = isal_zlib.decompressobj().decompress(stream, length)
-    except isal_zlib.IsalError as error:  # type: ignore[misc]  # its stubs call the class an instance
-        raise ValueError(f"a damaged stream ({error})") from None
-    if len(data) != length:
-        raise ValueError(f"{len(data)} bytes where {length} were expected")
-    return data
-
-
-class DeflatedArchive(zipfile.ZipFile):
-    """A new ZIP archive whose members are deflated by ISA-L."""
-
-    def member(self, name: str) -> IO[bytes]:
-        """Open a new member for writing, of any length."""
-        from isal import isal_zlib
-
-        about = zipfile.ZipInfo(name)
-        about.compress_type = zipfile.ZIP_DEFLATED
-        opened = self.open(about, "w", force_zip64=True)
-        # The standard library lets nobody choose who compresses: a member asks this of its own.
-        opened._compressor = isal_zlib.compressobj(_LEVEL, isal_zlib.DEFLATED, _RAW)  # type: ignore[attr-defined]
-        return opened
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Format:
     """Format of one kind of product on disk."""
@@ -285,6 +242,7 @@ FORMATS: Registry[Format] = Registry(
 """Kind of product → its format. A kind without an entry is stored as `ARRAYS`."""
 
 
+_LEVEL = 1  # of deflate: higher ones take longer and gain little
 _LEAST = 1 << 12  # numbers of an array that is worth it
 _PER_UNIT = 1024.0  # steps of positions, 1/mm
 _LARGEST = 2.0**30  # whole number whose differences fit 32 bits
@@ -337,10 +295,10 @@ def write_arrays(path: Path, value: Any) -> None:
     arrays: dict[str, np.ndarray[Any, Any]] = {}
     tree = json.dumps(to_tree(value, arrays)).encode()
     laid_out: dict[str, dict[str, Any]] = {}
-    with DeflatedArchive(path, "w") as archive:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=_LEVEL) as archive:
 
         def write(name: str, array: np.ndarray[Any, Any]) -> None:
-            with archive.member(f"{name}.npy") as member:
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                 np.lib.format.write_array(member, array, allow_pickle=False)
 
         write("tree", np.frombuffer(tree, dtype=np.uint8))
