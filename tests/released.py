@@ -116,7 +116,7 @@ def make_clinic(folder: Path) -> None:
         m.Drawing.objects.create(visit=visit, item="left", action="drawn", by=by)
         m.Confirmation.objects.create(measurement=made, by=by)
         m.Conclusion.objects.create(visit=visit, measurement=made, text="As expected.", by=by)
-        m.Delivery.objects.create(visit=visit, destination=destination, state="sent", next_try=at)
+        m.Delivery.objects.create(visit=visit, destination=destination, state="sent")
         visits.append(visit)
     m.Correction.objects.create(kind="visit", visit=visits[0], reason="a wrong day", by=by)
     m.Comparison.objects.create(before=visits[0], after=visits[1], state="failed", message="too far apart")

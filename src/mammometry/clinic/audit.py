@@ -31,8 +31,7 @@ _LEFT_OUT = {
     "Patient": ["search_words"],
     "Person": ["password", "last_login"],
     "Upload": ["received_bytes"],
-    "Delivery": ["tries", "next_try"],
-    "Job": ["stage", "fraction", "message", "lease_owner", "lease_until"],
+    "Job": ["stage", "fraction", "message", "lease_owner", "lease_until", "due"],
 }
 """Fields whose changes are no news: secrets, and how far something is."""
 MASKED = {

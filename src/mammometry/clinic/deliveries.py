@@ -1,19 +1,16 @@
-"""Results to archives. A queue whose rows are tried again, later each time."""
+"""Results to archives. Each delivery is a job of the queue."""
 
-import datetime
-import logging
-import threading
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from django.db import DatabaseError, close_old_connections
-from django.db.models import F
+from django.db import transaction
 from django.utils import timezone
 
-from mammometry.base.errors import MammometryError
 from mammometry.base.extras import MissingLibraryError, missing
 from mammometry.clinic.config import ClinicConfig
-from mammometry.clinic.models import Delivery, Destination, Patient, Person, Visit, VisitOrder
+from mammometry.clinic.jobs import queue
+from mammometry.clinic.models import Delivery, Destination, Job, Patient, Person, Visit, VisitOrder
 from mammometry.clinic.records.clinical import clinical_of, operation_words, operations_before
 from mammometry.clinic.records.results import measured_job
 from mammometry.clinic.site import the_clinic
@@ -22,12 +19,6 @@ from mammometry.hospital.exported import Patient as PatientModule
 from mammometry.hospital.peers import Peer, Tls
 from mammometry.report.content import Clinical
 
-MOST_TRIES = 8  # with the waits below, for four hours
-_FIRST_WAIT = datetime.timedelta(minutes=1)
-_LONGEST_WAIT = datetime.timedelta(hours=1)
-_LEASE = datetime.timedelta(minutes=30)  # longer than a whole study takes on a slow line
-_LOOK_S = 5.0  # between two looks into the queue
-_LOG = logging.getLogger(__name__)
 _LIBRARIES = ("pydicom", "pynetdicom", "highdicom")
 
 
@@ -46,18 +37,13 @@ def require_libraries(*modules: str) -> None:
 
 def enqueue(visit: Visit, destination: Destination, person: Person | None) -> Delivery:
     """Have a visit's results sent. One that is on its way already is not sent twice."""
-    waiting = (Delivery.State.QUEUED, Delivery.State.SENDING)
-    pending = visit.deliveries.filter(destination=destination, state__in=waiting).first()
+    pending = visit.deliveries.filter(destination=destination, state=Delivery.State.QUEUED).first()
     if pending is not None:
         return pending
-    return Delivery.objects.create(visit=visit, destination=destination, created_by=person, next_try=timezone.now())
-
-
-def again(delivery: Delivery) -> None:
-    """Try a failed delivery again."""
-    Delivery.objects.filter(pk=delivery.pk, state=Delivery.State.FAILED).update(
-        state=Delivery.State.QUEUED, tries=0, next_try=timezone.now(), message=""
-    )
+    with transaction.atomic():
+        delivery = Delivery.objects.create(visit=visit, destination=destination, created_by=person)
+        queue.enqueue(delivery, person)
+    return delivery
 
 
 def test(destination: Destination) -> None:
@@ -78,49 +64,20 @@ def test(destination: Destination) -> None:
         answers(destination.address, tls=tls_of(destination), authorization=secret)
 
 
-def claim() -> Delivery | None:
-    """Take the next one that is due. Also from somebody who died while sending."""
-    now = timezone.now()
-    waiting = (Delivery.State.QUEUED, Delivery.State.SENDING)
-    rows = Delivery.objects.filter(state__in=waiting, next_try__lte=now, visit__binned_at=None)
-    given_up = rows.filter(state=Delivery.State.SENDING, tries__gte=MOST_TRIES)
-    given_up.update(state=Delivery.State.FAILED, message="The clinic's server ended while it was sent.", ended=now)
-    for due in rows.order_by("next_try")[:20]:
-        # Whoever changes the row first has it.
-        taken = Delivery.objects.filter(pk=due.pk, state=due.state, next_try=due.next_try).update(
-            state=Delivery.State.SENDING, next_try=now + _LEASE, tries=F("tries") + 1
-        )
-        if taken:
-            return Delivery.objects.select_related("visit__patient", "destination").get(pk=due.pk)
-    return None
+def send(config: ClinicConfig, job: Job) -> dict[str, Any]:
+    """Send a visit's results, as a job of the queue.
 
+    Returns:
+        ``sent``, the number of objects; ``kept``, whether the archive promised to keep all of them; ``message``.
 
-def deliver(config: ClinicConfig, delivery: Delivery) -> None:
-    """Send a claimed delivery, and write down what came of it."""
-    lease = delivery.next_try
-    mine = Delivery.objects.filter(pk=delivery.pk, state=Delivery.State.SENDING, next_try=lease)
-    try:
-        sent, kept = _send(config, delivery)
-    except DatabaseError:
-        raise
-    except Exception as error:  # from a library: unknown failures end as well
-        if isinstance(error, MammometryError):
-            words = str(error).replace(f"{config.folder}/", "")[:1500]
-        else:
-            _LOG.exception("A delivery was not sent")
-            words = f"An unknown reason ({type(error).__name__}), which is in the clinic's log."
-        last = delivery.tries >= MOST_TRIES
-        wait = min(_FIRST_WAIT * 2 ** (delivery.tries - 1), _LONGEST_WAIT)
-        mine.update(
-            state=Delivery.State.FAILED if last else Delivery.State.QUEUED,
-            next_try=timezone.now() + wait,
-            message=words,
-            ended=timezone.now() if last else None,
-        )
-        return
-    commitment_wanted = delivery.destination.commitment and delivery.destination.kind == Destination.Kind.DICOM
-    message = "It gave no promise to keep them." if commitment_wanted and not kept else ""
-    mine.update(state=Delivery.State.SENT, sent=F("sent") + sent, kept=kept, message=message, ended=timezone.now())
+    Raises:
+        MammometryError: the visit is not measured, or the archive does not take them.
+    """
+    assert job.delivery is not None
+    visit, destination = job.delivery.visit, job.delivery.destination
+    sent, kept = _send(config, visit, destination)
+    wanted = destination.commitment and destination.kind == Destination.Kind.DICOM
+    return {"sent": sent, "kept": kept, "message": "It gave no promise to keep them." if wanted and not kept else ""}
 
 
 def patient_module(patient: Patient) -> PatientModule:
@@ -196,47 +153,18 @@ def order_of(visit: Visit) -> Order:
     )  # fmt: skip
 
 
-class Deliverer(threading.Thread):
-    """Sends what is due, until it is stopped."""
-
-    def __init__(self, config: ClinicConfig) -> None:
-        super().__init__(daemon=True, name="deliveries")
-        self._config = config
-        self._stopped = threading.Event()
-
-    def stop(self) -> None:
-        """End after the delivery at hand."""
-        self._stopped.set()
-
-    def run(self) -> None:
-        """Serve the queue. A database that is gone is waited for."""
-        while not self._stopped.is_set():
-            try:
-                due = claim()
-                if due is not None:
-                    deliver(self._config, due)
-                    continue
-            except DatabaseError as error:
-                _LOG.warning("Deliveries wait: %s", type(error).__name__)
-            except Exception:  # one that cannot be sent does not stop the others: its lease ends
-                _LOG.exception("A delivery was not sent")
-            close_old_connections()
-            self._stopped.wait(_LOOK_S)
-
-
 def connection(destination: Destination) -> tuple[Peer, Tls | None]:
     """Address of a DICOM application, and the encryption of the connection."""
     return Peer.parse(destination.address), tls_of(destination)
 
 
-def _send(config: ClinicConfig, delivery: Delivery) -> tuple[int, bool | None]:
+def _send(config: ClinicConfig, visit: Visit, destination: Destination) -> tuple[int, bool | None]:
     """Objects that were sent; whether the archive promised to keep all."""
     require_libraries(*_LIBRARIES)
     from mammometry.hospital.dicom.objects import objects
     from mammometry.hospital.dicom.store import committed, send
     from mammometry.hospital.dicom.stow import stow
 
-    visit, destination = delivery.visit, delivery.destination
     made = objects(gathered(config, visit), patient_module(visit.patient), order_of(visit))
     if destination.kind == Destination.Kind.STOW:
         secret = config.stow_secret(destination.address)

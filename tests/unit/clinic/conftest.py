@@ -89,14 +89,6 @@ def shared_database(transactional_db: None) -> Iterator[None]:
                     cursor.execute(f"DROP TRIGGER {name}_no_{what} ON {table}")
 
 
-@pytest.fixture(autouse=True)
-def commands(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Commands that pages would have begun beside the server; a test begins none."""
-    begun: list[str] = []
-    monkeypatch.setattr("mammometry.clinic.views.administration.begin_command", begun.append)
-    return begun
-
-
 @pytest.fixture
 def person_of(clinic: ClinicConfig) -> Callable[..., Person]:
     """Makes somebody with these roles."""

@@ -16,6 +16,7 @@ from pytest_django import Settings
 from tests.clinic_seed import DEFINITION
 
 from mammometry.clinic.config import ClinicConfig
+from mammometry.clinic.jobs import queue
 from mammometry.clinic.maintenance import backups
 from mammometry.clinic.maintenance.disk import measure_usage
 from mammometry.clinic.models import Job, Patient, Person, Rig, Upload, Visit
@@ -98,18 +99,23 @@ def test_the_overview_says_what_needs_an_administrator(
 # --- backups ---
 
 
-def test_a_backup_is_begun_beside_the_server(
-    clinic: ClinicConfig, client_of: Callable[..., Client], commands: list[str]
-) -> None:
+def test_a_backup_and_a_restore_test_are_queued(clinic: ClinicConfig, client_of: Callable[..., Client]) -> None:
     client = client_of(Role.ADMINISTRATOR)
     assert client.get(reverse("backup-make")).status_code == 405
     client.post(reverse("backup-make"))
+    job = Job.objects.get(kind=Job.Kind.BACKUP)
+    assert str(job.created_by) == "administrator"
+    assert "waiting or at work" in client.get(reverse("backups")).content.decode()
+    assert "at work already" in client.post(reverse("backup-test"), follow=True).content.decode()
+    queue.claim("runner", 1, [Job.Kind.BACKUP])
+    assert queue.done(job.pk, "runner", {})
     client.post(reverse("backup-test"))
-    assert commands == ["backup", "test-restore"]
+    assert Job.objects.get(kind=Job.Kind.RESTORE).state == Job.State.QUEUED
+    Job.objects.all().delete()
     with backups.exclusive(clinic):
         page = client.post(reverse("backup-make"), follow=True)
     assert "at work already" in page.content.decode()
-    assert commands == ["backup", "test-restore"]
+    assert not Job.objects.exists()
 
 
 def test_the_newest_backups_are_kept(clinic: ClinicConfig, client_of: Callable[..., Client], visit: Visit) -> None:

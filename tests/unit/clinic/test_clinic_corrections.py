@@ -16,6 +16,7 @@ from tests.clinic_seed import DEFINITION
 from mammometry.base.errors import SessionError
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.intake.uploads import ready_folder
+from mammometry.clinic.jobs import queue
 from mammometry.clinic.maintenance.patient import erase_bin, erase_patient, find_patient, rows_of
 from mammometry.clinic.models import (
     Calibration,
@@ -255,7 +256,7 @@ def test_what_is_in_the_bin_is_nowhere_else(
     visit, other = measured(anna, rig), measured(anna, rig, 30)
     upload = visit.uploads.first()
     archive = Destination.objects.create(name="PACS", address="A@h:1")
-    delivery = Delivery.objects.create(visit=visit, destination=archive, next_try=NOON, state="failed")
+    delivery = Delivery.objects.create(visit=visit, destination=archive, state="failed")
     job = Job.objects.create(visit=visit, kind="measure", state="done", ended=timezone.now())
     Consent.objects.create(patient=anna, purpose="research", given_on="2026-01-01")
     client = client_of(*Role)
@@ -292,10 +293,8 @@ def test_what_is_in_the_bin_is_nowhere_else(
     client.post(reverse("delivery-retry", args=[delivery.pk]))
     delivery.refresh_from_db()
     assert delivery.state == "failed"
-    Delivery.objects.update(state="queued")
-    from mammometry.clinic import deliveries
-
-    assert deliveries.claim() is None
+    queue.enqueue(delivery, None)
+    assert queue.claim(queue.new_owner(), 1, [Job.Kind.SEND]) == []
 
     corrections.undo(done, None)
     assert client.get(pages_of(visit)[0]).status_code == 200

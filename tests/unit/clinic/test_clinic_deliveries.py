@@ -29,7 +29,10 @@ from tests.unit.hospital.exports import NAMES, deidentified, exported
 from mammometry.base.errors import SessionError, SettingsError
 from mammometry.clinic import deliveries
 from mammometry.clinic.config import ClinicConfig, ClinicError, new_clinic, read_config
-from mammometry.clinic.models import Confirmation, Consent, Delivery, Destination, Measurement, Person, Visit
+from mammometry.clinic.jobs import queue
+from mammometry.clinic.jobs.lanes import LANES
+from mammometry.clinic.jobs.runner import Runner
+from mammometry.clinic.models import Confirmation, Consent, Delivery, Destination, Job, Measurement, Person, Visit
 from mammometry.clinic.roles import Role
 from mammometry.clinic.views import hospital, study
 from mammometry.hospital.dicom.stow import answers
@@ -37,6 +40,7 @@ from mammometry.hospital.exported import Exported
 from mammometry.hospital.tables import FILES as TABLES
 from mammometry.hospital.tables import REDCAP_FILES as REDCAP
 
+SECOND = datetime.timedelta(seconds=1)
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 
 
@@ -81,113 +85,132 @@ def running(destination: Destination) -> Iterator[dict[str, Any]]:
         server.shutdown()
 
 
+SEND = [Job.Kind.SEND]
+
+
 def due(delivery: Delivery) -> None:
     """Its time to be tried again has come."""
-    Delivery.objects.filter(pk=delivery.pk).update(next_try=timezone.now() - datetime.timedelta(seconds=1))
+    Job.objects.filter(delivery=delivery, state=Job.State.QUEUED).update(due=timezone.now() - SECOND)
+
+
+def deliver(clinic: ClinicConfig, delivery: Delivery) -> Job:
+    """A runner's lane takes the delivery, and tries it once."""
+    runner = Runner(clinic, lanes=LANES)
+    (job,) = queue.claim(runner.owner, 2, SEND)
+    assert job.delivery == delivery
+    runner._do(job, LANES[0])
+    for row in (job, delivery):
+        row.refresh_from_db()
+    return job
 
 
 def test_what_is_on_its_way_is_not_sent_twice(visit: Visit, archive: Destination) -> None:
     assert deliveries.enqueue(visit, archive, None) == deliveries.enqueue(visit, archive, None)
-    assert deliveries.claim() is not None
-    assert deliveries.claim() is None
+    assert len(queue.claim("one", 2, SEND)) == 1
+    assert queue.claim("other", 2, SEND) == []
+    assert deliveries.enqueue(visit, archive, None) == Delivery.objects.get()
 
 
 @pytest.mark.slow
 def test_results_arrive_under_the_patients_name(
     clinic: ClinicConfig, visit: Visit, archive: Destination, measured: None
 ) -> None:
-    deliveries.enqueue(visit, archive, None)
-    claimed = deliveries.claim()
-    assert claimed is not None
+    delivery = deliveries.enqueue(visit, archive, None)
     with running(archive) as came:
-        deliveries.deliver(clinic, claimed)
-    claimed.refresh_from_db()
-    assert (claimed.state, claimed.sent, claimed.message) == ("sent", 12, "")
+        assert deliver(clinic, delivery).state == Job.State.DONE
+    assert (delivery.state, delivery.sent, delivery.message) == ("sent", 12, "")
     assert {str(each.PatientName) for each in came.values()} == {"Zypernkatze^Quirina"}
     assert {each.PatientID for each in came.values()} == {"KIS-4711"}
 
 
 @pytest.mark.slow
 def test_an_archive_that_is_down_is_tried_again_later_each_time(
-    clinic: ClinicConfig, visit: Visit, archive: Destination, measured: None
+    clinic: ClinicConfig, visit: Visit, archive: Destination, measured: None, person_of: Callable[..., Person]
 ) -> None:
     delivery = deliveries.enqueue(visit, archive, None)
     waits = []
-    for number in range(1, deliveries.MOST_TRIES + 1):
-        claimed = deliveries.claim()
-        assert claimed is not None
+    for number in range(1, 9):
         before = timezone.now()
-        deliveries.deliver(clinic, claimed)
-        delivery.refresh_from_db()
-        assert delivery.tries == number
-        assert "nobody who answers" in delivery.message
-        assert "Zypernkatze" not in delivery.message
-        waits.append(round((delivery.next_try - before).total_seconds() / 60))
+        job = deliver(clinic, delivery)
+        assert job.attempt == number
+        assert "nobody who answers" in job.message
+        assert "Zypernkatze" not in job.message
+        if job.state == Job.State.QUEUED:
+            assert queue.claim("early", 1, SEND) == []
+            waits.append(round((job.due - before).total_seconds() / 60))
         due(delivery)
-    assert waits == [1, 2, 4, 8, 16, 32, 60, 60]
-    assert delivery.state == Delivery.State.FAILED
-    assert deliveries.claim() is None
-    deliveries.again(delivery)
-    claimed = deliveries.claim()
-    assert claimed is not None
+    assert waits == [1, 2, 4, 8, 16, 32, 60]
+    assert (job.state, delivery.state, delivery.message) == (Job.State.FAILED, Delivery.State.FAILED, job.message)
+    assert queue.claim("late", 1, SEND) == []
+    assert queue.gave_up() == [job]
+    queue.enqueue(delivery, None)
+    assert queue.gave_up() == []
     with running(archive):
-        deliveries.deliver(clinic, claimed)
-    delivery.refresh_from_db()
+        assert deliver(clinic, delivery).attempt == 1
     assert delivery.state == Delivery.State.SENT
 
 
-@pytest.mark.slow
-def test_what_somebody_left_who_died_is_taken_over(
-    clinic: ClinicConfig, visit: Visit, archive: Destination, measured: None
+def test_a_delivery_of_a_runner_that_died_is_taken_over(
+    clinic: ClinicConfig, visit: Visit, archive: Destination, measured: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    deliveries.enqueue(visit, archive, None)
-    first = deliveries.claim()
-    assert first is not None
-    due(first)
-    second = deliveries.claim()
-    assert second is not None
-    assert second.tries == 2
-    deliveries.deliver(clinic, first)  # it was not dead: what it says comes too late
-    second.refresh_from_db()
-    assert second.state == Delivery.State.SENDING
+    delivery = deliveries.enqueue(visit, archive, None)
+    (first,) = queue.claim("elsewhere:1:dead", 1, SEND)
+    assert queue.requeue_abandoned() == 0
+    Job.objects.update(lease_until=timezone.now() - SECOND)
+    assert queue.requeue_abandoned() == 1
+    assert queue.claim("other", 1, SEND) == []  # a minute later
+    due(delivery)
+    (second,) = queue.claim("other", 1, SEND)
+    assert second.attempt == 2
+    assert not queue.done(first.pk, "elsewhere:1:dead", {"sent": 3, "kept": None, "message": ""})  # it was not dead
+    delivery.refresh_from_db()
+    assert (delivery.state, delivery.sent) == (Delivery.State.QUEUED, 0)
+    assert queue.done(second.pk, "other", {"sent": 3, "kept": True, "message": ""})
+    delivery.refresh_from_db()
+    assert (delivery.state, delivery.sent, delivery.kept) == (Delivery.State.SENT, 3, True)
 
 
 def test_a_visit_that_is_not_measured_says_so(clinic: ClinicConfig, visit: Visit, archive: Destination) -> None:
-    delivery = deliveries.enqueue(visit, archive, None)
-    claimed = deliveries.claim()
-    assert claimed is not None
-    deliveries.deliver(clinic, claimed)
-    delivery.refresh_from_db()
-    assert delivery.message
-    assert str(clinic.folder) not in delivery.message
+    job = deliver(clinic, deliveries.enqueue(visit, archive, None))
+    assert job.message
+    assert str(clinic.folder) not in job.message
 
 
 def test_an_unknown_reason_is_tried_as_often_as_a_known_one_and_no_more(
-    clinic: ClinicConfig, visit: Visit, archive: Destination, monkeypatch: pytest.MonkeyPatch
+    clinic: ClinicConfig,
+    visit: Visit,
+    archive: Destination,
+    client_of: Callable[..., Client],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def fails(*_: object, **__: object) -> None:
         raise ZeroDivisionError("of Zypernkatze")
 
     monkeypatch.setattr(deliveries, "gathered", fails)
     delivery = deliveries.enqueue(visit, archive, None)
-    for _ in range(deliveries.MOST_TRIES):
-        claimed = deliveries.claim()
-        assert claimed is not None
-        deliveries.deliver(clinic, claimed)
+    administrator = client_of(Role.ADMINISTRATOR)
+    for _ in range(8):
+        assert "Delivery to PACS" not in administrator.get(reverse("administration")).content.decode()
+        job = deliver(clinic, delivery)
         due(delivery)
-    delivery.refresh_from_db()
-    assert delivery.state == Delivery.State.FAILED
+    assert (job.state, delivery.state) == (Job.State.FAILED, Delivery.State.FAILED)
     assert "ZeroDivisionError" in delivery.message
     assert "Zypernkatze" not in delivery.message
-    assert deliveries.claim() is None
+    assert queue.claim("late", 1, SEND) == []
+    page = administrator.get(reverse("administration")).content.decode()
+    assert "Delivery to PACS" in page
+    assert "tried 8 times" in page
+    assert "Zypernkatze" not in page
 
 
 def test_a_delivery_that_ends_the_server_each_time_is_given_up(visit: Visit, archive: Destination) -> None:
     delivery = deliveries.enqueue(visit, archive, None)
-    for _ in range(deliveries.MOST_TRIES):
-        assert deliveries.claim() is not None
+    for _ in range(8):
+        assert len(queue.claim("elsewhere:1:dead", 1, SEND)) == 1
+        Job.objects.update(lease_until=timezone.now() - SECOND)
+        assert queue.requeue_abandoned() == 1
         due(delivery)
-    assert deliveries.claim() is None
+    assert queue.claim("late", 1, SEND) == []
     delivery.refresh_from_db()
     assert delivery.state == Delivery.State.FAILED
 
@@ -296,11 +319,13 @@ def test_a_failed_one_is_tried_again_by_a_button(
 ) -> None:
     delivery = deliveries.enqueue(visit, archive, None)
     Delivery.objects.update(state=Delivery.State.FAILED)
+    Job.objects.update(state=Job.State.FAILED)
     client = client_of(Role.CLINICIAN)
     assert "Try again" in client.get(reverse("visit-send", args=[visit.pk])).content.decode()
     client.post(reverse("delivery-retry", args=[delivery.pk]))
     delivery.refresh_from_db()
     assert delivery.state == Delivery.State.QUEUED
+    assert [job.state for job in Job.objects.order_by("created")] == ["failed", "queued"]
 
 
 def test_the_test_button_asks_the_archive(client_of: Callable[..., Client], archive: Destination) -> None:
@@ -437,22 +462,16 @@ def test_a_promise_to_keep_the_objects_is_awaited(
     with orthanc.server(tmp_path / "orthanc", DicomModalities=modalities) as archive:
         keeper = Destination.objects.create(name="K", address=archive.peer, commitment=True, promise_port=port)
         for destination, kept in ((keeper, True), (Destination.objects.create(name="N", address=archive.peer), None)):
-            deliveries.enqueue(visit, destination, None)
-            claimed = deliveries.claim()
-            assert claimed is not None
-            deliveries.deliver(clinic, claimed)
-            claimed.refresh_from_db()
-            assert (claimed.state, claimed.kept, claimed.message) == ("sent", kept, "")
+            delivery = deliveries.enqueue(visit, destination, None)
+            deliver(clinic, delivery)
+            assert (delivery.state, delivery.kept, delivery.message) == ("sent", kept, "")
 
 
 @pytest.mark.slow
 def test_no_promise_is_said(clinic: ClinicConfig, visit: Visit, archive: Destination, measured: None) -> None:
     Destination.objects.filter(pk=archive.pk).update(commitment=True)
-    deliveries.enqueue(visit, archive, None)
-    claimed = deliveries.claim()
-    assert claimed is not None
+    delivery = deliveries.enqueue(visit, archive, None)
     with running(archive):
-        deliveries.deliver(clinic, claimed)
-    claimed.refresh_from_db()
-    assert (claimed.state, claimed.kept) == ("sent", None)
-    assert claimed.message == "It gave no promise to keep them."
+        deliver(clinic, delivery)
+    assert (delivery.state, delivery.kept) == ("sent", None)
+    assert delivery.message == "It gave no promise to keep them."

@@ -463,28 +463,26 @@ def test_a_double_click_makes_one(
 
 @pytest.mark.requirement("R-KEEP-7")
 def test_a_long_request_is_carried_out_once_too(
-    clinic: object, shared_database: None, client_of: Clients, commands: list[str], monkeypatch: pytest.MonkeyPatch
+    clinic: object, shared_database: None, client_of: Clients, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One that is no transaction: its token is taken first, and others wait for its answer."""
     client, token = client_of(Role.ADMINISTRATOR), str(uuid.uuid4())
-    begin = commands.append
-    monkeypatch.setattr(
-        "mammometry.clinic.views.administration.begin_command", lambda command: (time.sleep(0.3), begin(command))
-    )
+    archive, tested = Destination.objects.create(name="PACS", address="PACS@h:104"), []
+    monkeypatch.setattr("mammometry.clinic.deliveries.test", lambda shown: (time.sleep(0.3), tested.append(shown)))
     copies = [Client() for _ in range(3)]
     for copy in copies:
         copy.cookies = client.cookies
-    address = reverse("backup-make")
+    address = reverse("destination-test", args=[archive.pk])
     answers = at_once(lambda number: copies[number].post(address, {"form_token": token}), len(copies))
-    assert [(answer.status_code, answer["Location"]) for answer in answers] == [(302, reverse("backups"))] * 3
-    assert commands == ["backup"]
+    assert [(answer.status_code, answer["Location"]) for answer in answers] == [(302, reverse("destinations"))] * 3
+    assert tested == [archive]
     # One whose request died is carried out after a while; before, it is said that it is at work.
     monkeypatch.setattr(once, "_WAIT_S", 0.5)
     died = FormToken.objects.create(person=Person.objects.get(username="administrator"), token=uuid.uuid4())
     assert client.post(address, {"form_token": str(died.token)}).status_code == 409
     FormToken.objects.filter(pk=died.pk).update(at=timezone.now() - 2 * once._ABANDONED)
     assert client.post(address, {"form_token": str(died.token)}).status_code == 302
-    assert commands == ["backup"] * 2
+    assert tested == [archive] * 2
 
 
 @pytest.mark.requirement("R-KEEP-7")

@@ -293,7 +293,7 @@ def test_the_page_of_an_erasure_names_every_copy(
     run(["clinic", "backup", str(clinic.folder), "--to", str(tmp_path / "other.tar")])
     run(["clinic", "export", str(clinic.folder), "KIS-4711", "--to", str(tmp_path / "export.zip")])
     archive = Destination.objects.create(name="Archive of the house", address="A@b:104")
-    Delivery.objects.create(visit=full, destination=archive, state="sent", sent=3, next_try=full.taken_at)
+    Delivery.objects.create(visit=full, destination=archive, state="sent", sent=3)
     client, pseudonym = client_of(Role.ADMINISTRATOR), full.patient.pseudonym
     page = client.get("/erase/", {"pseudonym": pseudonym}).content.decode()
     after = client.post("/erase/", {"pseudonym": pseudonym, "again": pseudonym}).content.decode()

@@ -1,1 +1,1 @@
-"""Jobs. A queue in the database, and a runner that gives its jobs to workers."""
+"""Jobs. One queue in the database for all work in the background, and a runner that does it."""

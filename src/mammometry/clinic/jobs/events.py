@@ -62,7 +62,8 @@ def newest() -> dict[str, dict[str, Any]]:
     """Key → JSON of open and just ended jobs, oldest first."""
     since = timezone.now() - timedelta(seconds=_ENDED_S)
     jobs = (
-        Job.objects.filter(Q(state__in=queue.OPEN) | Q(ended__gt=since))
+        queue.computations()
+        .filter(Q(state__in=queue.OPEN) | Q(ended__gt=since))
         .select_related("visit__patient", "comparison__after__patient", "calibration", "check_of_day")
         .order_by("created", "pk")
     )

@@ -1,16 +1,20 @@
 """The queue: rows in the database, held by runners on leases.
 
+All work in the background is a job: computations, deliveries to archives, backups and restore tests.
+
 A job belongs to the runner that changed its row from queued to running; the database lets one do so. The runner
-renews its lease while it lives. When it dies, the lease ends, and the job is queued again. What a job came to is
+renews its lease while it lives. When it dies, the lease ends, and the job is queued again. The result of a job is
 entered in the same transaction that ends it, and only by the runner that still holds it.
 """
 
 import datetime
 import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
-from uuid import UUID
+from uuid import NAMESPACE_OID, UUID, uuid4, uuid5
 
 from django.db import IntegrityError, transaction
 from django.db.models import F, Q, QuerySet
@@ -19,14 +23,14 @@ from django.utils import timezone
 from mammometry.capture.sessions import make_session, manifest_text
 from mammometry.clinic.jobs import results
 from mammometry.clinic.jobs.results import Target
-from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Job, Person, Visit
+from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Delivery, Job, Person, Visit
 from mammometry.clinic.records import comparing
 from mammometry.clinic.site import the_clinic
 from mammometry.io.subject import rename_subject
 
 LEASE_S = 45.0
-"""A runner that says nothing for so long is taken for dead. It renews every third of it."""
-_ATTEMPTS = 3  # times that a job may take its runner down, before it is blamed
+"""Without a renewal for this long, a runner is considered dead. It renews every third of it."""
+_GAVE_UP_DAYS = 30  # an administrator is shown jobs that gave up so recently
 _STOPPED_S = 10.0  # for so long a cancelled job's process is looked for
 OPEN = (Job.State.QUEUED, Job.State.RUNNING)
 _KINDS: Mapping[type, tuple[str, str]] = {
@@ -34,7 +38,32 @@ _KINDS: Mapping[type, tuple[str, str]] = {
     Calibration: (Job.Kind.CALIBRATE, "calibration"),
     DailyCheck: (Job.Kind.CHECK, "check_of_day"),
     Comparison: (Job.Kind.COMPARE, "comparison"),
+    Delivery: (Job.Kind.SEND, "delivery"),
 }
+COMPUTED = (Job.Kind.MEASURE, Job.Kind.CALIBRATE, Job.Kind.CHECK, Job.Kind.COMPARE)
+"""Kinds that workers compute, and that pages show as jobs."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Retries:
+    """How often a job is tried, and when it is tried again."""
+
+    most: int = 3
+    """Times that a job is begun, before it gives up."""
+    first_wait: datetime.timedelta | None = None
+    """After the first failure; it doubles with each. None: an error is final, only a dead runner is not."""
+    longest_wait: datetime.timedelta = datetime.timedelta(hours=1)
+
+    def wait(self, attempt: int) -> datetime.timedelta:
+        """Wait after so many attempts."""
+        return min((self.first_wait or datetime.timedelta()) * 2 ** (attempt - 1), self.longest_wait)
+
+
+_RETRIES = {
+    Job.Kind.SEND: Retries(most=8, first_wait=datetime.timedelta(minutes=1)),  # for three hours
+    Job.Kind.BACKUP: Retries(first_wait=datetime.timedelta(minutes=10)),  # a disk that is full or away for a moment
+}
+_AN_ERROR_IS_FINAL = Retries()
 _AGAIN: dict[str, Any] = {
     "state": Job.State.QUEUED, "lease_owner": "", "lease_until": None, "stage": "", "fraction": 0.0,
 }  # fmt: skip
@@ -60,14 +89,24 @@ def stage_words(stage: str) -> str:
 
 
 def target_of(job: Job) -> Target:
-    """The record that a job is about."""
+    """The record that a computation is about."""
     target = job.visit or job.calibration or job.check_of_day or job.comparison
     assert target is not None
     return target
 
 
-def enqueue(target: Target, by: Person | None) -> Job:
-    """Queue a computation for a visit, calibration, daily check or comparison.
+def _about(job: Job) -> Target | Delivery | None:
+    """The record that a job is about. None for a backup or a restore test."""
+    return target_of(job) if job.kind in COMPUTED else job.delivery
+
+
+def retries_of(job: Job) -> Retries:
+    """How often a job of its kind is tried."""
+    return _RETRIES.get(Job.Kind(job.kind), _AN_ERROR_IS_FINAL)
+
+
+def enqueue(target: Target | Delivery, by: Person | None) -> Job:
+    """Queue a computation for a visit, calibration, daily check or comparison, or a delivery.
 
     One that is open already is returned.
 
@@ -90,6 +129,23 @@ def enqueue(target: Target, by: Person | None) -> Job:
     except IntegrityError:  # somebody else queued it at this moment
         return Job.objects.get(**about, state__in=OPEN)
     return job
+
+
+def enqueue_upkeep(kind: Job.Kind, by: Person | None, *, once: str = "") -> None:
+    """Queue a backup or a restore test, unless one of its kind is open. That one is due now.
+
+    Args:
+        kind: of the job.
+        by: who asked for it.
+        once: a name under which it is queued one time, however often this is called; "": each time.
+    """
+    key = uuid5(NAMESPACE_OID, once) if once else uuid4()
+    if not once:
+        Job.objects.filter(kind=kind, state=Job.State.QUEUED, due__gt=timezone.now()).update(due=timezone.now())
+    if Job.objects.filter(Q(pk=key) | Q(kind=kind, state__in=OPEN)).exists():
+        return
+    with suppress(IntegrityError), transaction.atomic():  # another process queued it at this moment
+        Job.objects.create(pk=key, kind=kind, created_by=by)
 
 
 def compare(before: Visit, after: Visit, by: Person | None) -> None:
@@ -127,9 +183,14 @@ def cancel(job: Job) -> bool:
     return bool(done)
 
 
+def computations() -> QuerySet[Job]:
+    """Jobs that workers compute."""
+    return Job.objects.filter(kind__in=COMPUTED)
+
+
 def of_visits_in_use() -> QuerySet[Job]:
-    """Jobs as pages show them: none of a visit in the bin."""
-    return Job.objects.filter(
+    """Jobs as pages show them: computations, none of a visit in the bin."""
+    return computations().filter(
         visit__binned_at=None, comparison__before__binned_at=None, comparison__after__binned_at=None
     )
 
@@ -139,22 +200,50 @@ def place(job: Job) -> int | None:
     if job.state != Job.State.QUEUED:
         return None
     before = Q(created__lt=job.created) | Q(created=job.created, pk__lt=job.pk)
-    return 1 + Job.objects.filter(before, state=Job.State.QUEUED).count()
+    return 1 + computations().filter(before, state=Job.State.QUEUED).count()
+
+
+def gave_up() -> list[Job]:
+    """Jobs of the last days that were tried as often as they may be, the newest first.
+
+    Not those of which a later job is about the same.
+    """
+    since = timezone.now() - datetime.timedelta(days=_GAVE_UP_DAYS)
+    failed = Job.objects.filter(state=Job.State.FAILED, ended__gt=since).order_by("-ended")
+    about = ("kind", "visit", "calibration", "check_of_day", "comparison", "delivery")
+    return [
+        job
+        for job in failed.select_related("delivery__destination")
+        if job.attempt >= retries_of(job).most
+        and not Job.objects.filter(**{field: getattr(job, field) for field in about}, created__gt=job.created).exists()
+    ]
 
 
 # --- what runners do ---
 
 
 def anything() -> bool:
-    """Whether any job waits in the queue."""
-    return Job.objects.filter(state=Job.State.QUEUED).exists()
+    """Whether any computation waits in the queue."""
+    return _due(COMPUTED).exists()
 
 
-def claim(owner: str, room: int) -> list[Job]:
-    """Take up to so many jobs, the oldest first. No other runner has them."""
+def is_busy(*kinds: Job.Kind) -> bool:
+    """Whether a job of these kinds runs or is due. One that is tried again later is neither."""
+    return _due(kinds).exists() or Job.objects.filter(kind__in=kinds, state=Job.State.RUNNING).exists()
+
+
+def _due(kinds: Collection[str]) -> QuerySet[Job]:
+    """Jobs that may be begun. A delivery of a visit in the bin may not."""
+    return Job.objects.filter(
+        state=Job.State.QUEUED, kind__in=kinds, due__lte=timezone.now(), delivery__visit__binned_at=None
+    )
+
+
+def claim(owner: str, room: int, kinds: Collection[str] = COMPUTED) -> list[Job]:
+    """Take up to so many jobs of these kinds, the one that has been due longest first. No other runner has them."""
     now = timezone.now()
     taken: list[Job] = []
-    for job in Job.objects.filter(state=Job.State.QUEUED).order_by("created", "pk")[: 2 * room]:
+    for job in _due(kinds).order_by("due", "created", "pk")[: 2 * room]:
         if len(taken) == room:
             break
         won = Job.objects.filter(pk=job.pk, state=Job.State.QUEUED).update(
@@ -168,7 +257,7 @@ def claim(owner: str, room: int) -> list[Job]:
         )
         if won:
             job.refresh_from_db()
-            results.begun(target_of(job))
+            results.begun(_about(job))
             taken.append(job)
     return taken
 
@@ -185,29 +274,41 @@ def requeue_abandoned() -> int:
     Blame what took its runner down too often. Return how many there were.
     """
     now = timezone.now()
-    count = 0
-    for job in Job.objects.filter(state=Job.State.RUNNING):
-        if job.lease_until is not None and job.lease_until > now and not _is_dead(job.lease_owner):
-            continue
-        held = Job.objects.filter(pk=job.pk, state=Job.State.RUNNING, lease_owner=job.lease_owner)
-        if job.attempt >= _ATTEMPTS:
-            with transaction.atomic():
-                if held.update(
-                    state=Job.State.FAILED,
-                    message=f"The machine stopped {job.attempt} times while it worked on this. Look at its memory.",
-                    exit_code=1,
-                    ended=now,
-                ):
-                    results.failed(target_of(job), "The machine stopped while it worked on this.")
-        else:
-            held.update(**_AGAIN)
-        count += 1
-    return count
+    abandoned = [
+        job
+        for job in Job.objects.filter(state=Job.State.RUNNING)
+        if job.lease_until is None or job.lease_until <= now or _is_dead(job.lease_owner)
+    ]
+    for job in abandoned:
+        _abandon(job)
+    return len(abandoned)
 
 
-def release(owner: str, key: UUID | None = None) -> int:
-    """Queue again what a runner holds, or one job of it. That was no attempt. Return how many there were."""
-    held = Job.objects.filter(lease_owner=owner, state=Job.State.RUNNING)
+def abandon(owner: str, kinds: Collection[str]) -> None:
+    """Treat what a runner holds of these kinds as if it had died: it could not enter the result."""
+    for job in Job.objects.filter(lease_owner=owner, state=Job.State.RUNNING, kind__in=kinds):
+        _abandon(job)
+
+
+def _abandon(job: Job) -> None:
+    held = Job.objects.filter(pk=job.pk, state=Job.State.RUNNING, lease_owner=job.lease_owner)
+    retries = retries_of(job)
+    if job.attempt < retries.most:
+        held.update(**_AGAIN, due=timezone.now() + retries.wait(job.attempt))
+        return
+    with transaction.atomic():
+        if held.update(
+            state=Job.State.FAILED,
+            message=f"The machine stopped {job.attempt} times while it worked on this. Look at its memory.",
+            exit_code=1,
+            ended=timezone.now(),
+        ):
+            results.failed(_about(job), "The machine stopped while it worked on this.")
+
+
+def release(owner: str, key: UUID | None = None, kinds: Collection[str] = tuple(Job.Kind)) -> int:
+    """Queue again what a runner holds, or one job of it. Does not count as an attempt. Return how many there were."""
+    held = Job.objects.filter(lease_owner=owner, state=Job.State.RUNNING, kind__in=kinds)
     return (held if key is None else held.filter(pk=key)).update(**_AGAIN, attempt=F("attempt") - 1)
 
 
@@ -219,12 +320,13 @@ def progressed(key: UUID, owner: str, stage: str, fraction: float) -> None:
 
 
 def done(key: UUID, owner: str, answer: Mapping[str, Any]) -> bool:
-    """Enter what a job came to. Say whether it was still this runner's."""
+    """Enter the result of a job. Say whether it was still this runner's."""
     with transaction.atomic():
         held = Job.objects.filter(pk=key, lease_owner=owner, state=Job.State.RUNNING)
         if not held.update(
-            state=Job.State.DONE, fraction=1.0, stage="", digest=answer["digest"], ended=timezone.now(), exit_code=0
-        ):
+            state=Job.State.DONE, fraction=1.0, stage="", digest=answer.get("digest", ""), ended=timezone.now(),
+            exit_code=0,
+        ):  # fmt: skip
             return False
         job = Job.objects.get(pk=key)
         results.enter(job, answer)
@@ -235,15 +337,21 @@ def done(key: UUID, owner: str, answer: Mapping[str, Any]) -> bool:
 
 
 def failed(key: UUID, owner: str, message: str, exit_code: int) -> bool:
-    """Enter why a job failed. Say whether it was still this runner's."""
+    """Enter why a job failed: it is tried again, or ends. Say whether it was still this runner's."""
     with transaction.atomic():
         held = Job.objects.filter(pk=key, lease_owner=owner, state=Job.State.RUNNING)
+        job = held.first()
+        if job is None:
+            return False
+        retries = retries_of(job)
+        if retries.first_wait is not None and job.attempt < retries.most:
+            due = timezone.now() + retries.wait(job.attempt)
+            return bool(held.update(**_AGAIN, due=due, message=message[:1500]))
         if not held.update(
             state=Job.State.FAILED, message=message[:1500], exit_code=exit_code, ended=timezone.now(), stage=""
         ):
             return False
-        job = Job.objects.get(pk=key)
-        results.failed(target_of(job), message)
+        results.failed(_about(job), message)
         _compare_after(job)
     return True
 
@@ -269,8 +377,6 @@ def unwanted(owner: str) -> list[str]:
 
 def new_owner() -> str:
     """A runner's name: its machine, its process, and a random part."""
-    from uuid import uuid4
-
     return ":".join((platform.node(), str(os.getpid()), uuid4().hex[:12]))
 
 

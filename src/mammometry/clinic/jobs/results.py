@@ -1,4 +1,4 @@
-"""Changes that jobs make besides their own row: states of visits and calibrations, measurements.
+"""Changes that jobs make besides their own row: states of visits, calibrations and deliveries, measurements.
 
 Called within the transaction that changes the job's row.
 """
@@ -7,14 +7,16 @@ import datetime
 from collections.abc import Mapping
 from typing import Any
 
+from django.db.models import F
 from django.utils import timezone
 
-from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Job, Measurement, Visit, Volume
+from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Delivery, Job, Measurement, Visit, Volume
 from mammometry.clinic.records.comparing import measured_digests, refusal_of
 from mammometry.clinic.records.confirmations import settled_state
 from mammometry.clinic.records.results import add_volumes
 
 Target = Visit | Calibration | DailyCheck | Comparison
+"""Records of which something is computed."""
 
 _VERDICTS = {
     "unmoved": "No camera has moved.",
@@ -24,7 +26,7 @@ _VERDICTS = {
 _LONGEST = 500  # characters of a verdict
 
 
-def queued(target: Target) -> None:
+def queued(target: Target | Delivery) -> None:
     """Note at a job's target that the job waits."""
     if isinstance(target, Visit):
         target.state = Visit.State.QUEUED
@@ -35,9 +37,11 @@ def queued(target: Target) -> None:
     elif isinstance(target, Comparison):
         target.state = Comparison.State.QUEUED
         target.save(update_fields=["state"])
+    elif isinstance(target, Delivery):
+        Delivery.objects.filter(pk=target.pk).update(state=Delivery.State.QUEUED, message="", ended=None)
 
 
-def begun(target: Target) -> None:
+def begun(target: Target | Delivery | None) -> None:
     """Note at a job's target that the job is at work."""
     if isinstance(target, Calibration):
         target.state = Calibration.State.RUNNING
@@ -59,8 +63,8 @@ def cancelled(target: Target) -> None:
         _refuse(target, measured_digests(target.before, target.after), "The comparison was cancelled.")
 
 
-def failed(target: Target, message: str) -> None:
-    """Note at a job's target that the job failed, and why."""
+def failed(target: Target | Delivery | None, message: str) -> None:
+    """Note at a job's target that the job failed and is not tried again, and why."""
     if isinstance(target, Visit):
         target.state = Visit.State.CHANGED if target.has_unmeasured_drawing else Visit.State.REFUSED
         target.save(update_fields=["state"])
@@ -69,13 +73,16 @@ def failed(target: Target, message: str) -> None:
         target.save(update_fields=["state", "verdict"])
     elif isinstance(target, Comparison):
         _refuse(target, target.of, message)
-    else:
+    elif isinstance(target, Delivery):
+        now = timezone.now()
+        Delivery.objects.filter(pk=target.pk).update(state=Delivery.State.FAILED, message=message[:1500], ended=now)
+    elif isinstance(target, DailyCheck):
         target.verdict, target.passed = message[:_LONGEST], None
         target.save(update_fields=["verdict", "passed"])
 
 
 def enter(job: Job, answer: Mapping[str, Any]) -> None:
-    """Enter what a job came to."""
+    """Enter the result of a job."""
     if job.visit is not None:
         _measured(job, job.visit, answer)
     elif job.calibration is not None:
@@ -84,6 +91,9 @@ def enter(job: Job, answer: Mapping[str, Any]) -> None:
         _checked(job.check_of_day, answer["figures"])
     elif job.comparison is not None:
         _compared(job.comparison, answer)
+    elif job.delivery is not None:
+        ended = {"state": Delivery.State.SENT, "ended": timezone.now(), "sent": F("sent") + answer["sent"]}
+        Delivery.objects.filter(pk=job.delivery.pk).update(**ended, kept=answer["kept"], message=answer["message"])
 
 
 def _compared(comparison: Comparison, answer: Mapping[str, Any]) -> None:

@@ -1,8 +1,8 @@
-"""The runner. Takes jobs from the queue and has them done by Dask's workers."""
+"""The runner. Takes jobs from the queue: computations for Dask's workers, the rest for threads of its own."""
 
 import logging
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import AbstractContextManager
 from uuid import UUID
 
@@ -15,10 +15,12 @@ from mammometry.batch.engine import Began, Ended, Engine, StopRequest, Task
 from mammometry.batch.record import RECORD, read_record
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.jobs import queue, work
+from mammometry.clinic.jobs.lanes import Lane
 from mammometry.clinic.models import Job, Visit
 from mammometry.clinic.records.comparing import comparison_folder
 
 _LOOK_S = 1.0  # between two looks into an empty queue
+_LANE_LOOK_S = 5.0  # between two looks for deliveries, and for backups
 _AGAIN_S = 5.0  # until a cluster that was gone is asked again
 _LOOKED_BACK = 40  # newest visits whose need of memory is known
 _SHARES = {"prepare": 0.02, "calibrate": 0.05, "match": 0.3, "surface": 0.7, "measure": 0.92, "report": 1.0}
@@ -34,12 +36,14 @@ class Runner:
     Args:
         config: the clinic's, whose Django is set up.
         workers: connects to a cluster, or starts one; None: as the clinic's settings say.
+        lanes: jobs that are done in this process besides.
     """
 
-    def __init__(self, config: ClinicConfig, workers: Workers | None = None) -> None:
+    def __init__(self, config: ClinicConfig, workers: Workers | None = None, lanes: Sequence[Lane] = ()) -> None:
         self.owner = queue.new_owner()
         self._config = config
         self._workers = workers or (lambda: machines(config.cluster or None))
+        self._lanes = lanes
         self._stopped = threading.Event()
 
     def stop(self) -> None:
@@ -50,6 +54,8 @@ class Runner:
         """Serve the queue. A cluster that is gone is waited for."""
         heart = threading.Thread(target=self._beat, daemon=True)
         heart.start()
+        for lane in self._lanes:
+            threading.Thread(target=self._serve_lane, args=(lane,), daemon=True, name=lane.name).start()
         while not self._stopped.is_set():
             try:
                 queue.requeue_abandoned()
@@ -63,12 +69,13 @@ class Runner:
                 close_old_connections()
                 self._stopped.wait(_AGAIN_S)
             finally:
-                self._give_back()
+                self._give_back(queue.COMPUTED)
         heart.join()
+        self._give_back(tuple(Job.Kind))  # a lane at work ends with this process
 
-    def _give_back(self) -> None:
+    def _give_back(self, kinds: Collection[str]) -> None:
         try:
-            queue.release(self.owner)
+            queue.release(self.owner, kinds=kinds)
         except DatabaseError:  # its leases end by themselves
             close_old_connections()
 
@@ -81,6 +88,39 @@ class Runner:
             except DatabaseError:
                 close_old_connections()
         close_old_connections()
+
+    def _serve_lane(self, lane: Lane) -> None:
+        """Do a lane's jobs. A database or a disk that is gone is waited for."""
+        while not self._stopped.is_set():
+            try:
+                queue.abandon(self.owner, lane.work)
+                if jobs := queue.claim(self.owner, 1, lane.work):
+                    self._do(jobs[0], lane)
+                    continue
+                lane.plan(self._config)
+            except (MammometryError, DatabaseError, OSError) as error:
+                _LOG.warning("The %s wait: %s", lane.name, type(error).__name__)
+            except Exception:
+                _LOG.exception("The %s wait", lane.name)
+            close_old_connections()
+            self._stopped.wait(_LANE_LOOK_S)
+        close_old_connections()
+
+    def _do(self, job: Job, lane: Lane) -> None:
+        try:
+            answer = lane.work[job.kind](self._config, job)
+        except MammometryError as error:
+            queue.failed(job.pk, self.owner, self._words(error), error.exit_code)
+        except Exception as error:  # from a library or the system
+            _LOG.exception("A job failed: %s", job)
+            why = f"An unknown reason ({type(error).__name__}), which is in the clinic's log."
+            queue.failed(job.pk, self.owner, why, 1)
+        else:
+            queue.done(job.pk, self.owner, answer)
+
+    def _words(self, reason: object) -> str:
+        """A reason without paths of this machine."""
+        return str(reason).replace(f"{self._config.folder}/", "")
 
     def _serve(self, workers: Machines) -> None:
         engine = Engine(workers, known=self._known(), stop=self._stop_request)
@@ -104,7 +144,7 @@ class Runner:
             queue.release(self.owner, key)
             return
         else:
-            held = queue.failed(key, self.owner, event.failed.replace(f"{self._config.folder}/", ""), event.exit_code)
+            held = queue.failed(key, self.owner, self._words(event.failed), event.exit_code)
         if not held:
             _LOG.info("Job %s is no longer ours; what it made stays on the disk.", key)
 

@@ -6,13 +6,11 @@ import datetime
 import hashlib
 import io
 import json
-import logging
 import os
 import re
 import shutil
 import tarfile
 import tempfile
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -36,10 +34,8 @@ _OUTCOMES = "outcomes.json"
 """What became of the last backup and the last restore test, in the folder of backups."""
 _ELSEWHERE = "elsewhere.json"
 """Paths of backups that a command wrote outside the folder of backups: each is a copy of every patient."""
-_LOOK_S = 30.0  # between two looks at the clock
 _CLOCK = datetime.timedelta(hours=1)  # by which a file server's clock may be ahead of ours
 _MARGIN = 1.2  # a new backup is expected to be at most this much larger than the last one
-_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -211,22 +207,14 @@ def _note_elsewhere(config: ClinicConfig, target: Path) -> None:
     write_private(config.backups / _ELSEWHERE, json.dumps(names, indent=1))
 
 
-class DailyBackup(threading.Thread):
-    """Makes a backup a day, at the clinic's time of day."""
+def plan_daily(config: ClinicConfig) -> None:
+    """Queue the day's backup when it is due. It is queued once, however many runners call this."""
+    from mammometry.clinic.jobs import queue
+    from mammometry.clinic.models import Job
 
-    def __init__(self, config: ClinicConfig) -> None:
-        super().__init__(daemon=True, name="daily backup")
-        self._config = config
-
-    def run(self) -> None:
-        """Look at the clock until the process ends."""
-        while True:
-            if is_due(self._config, datetime.datetime.now(datetime.UTC)):
-                try:
-                    make_kept_backup(self._config)
-                except Exception:  # the page says so, and tomorrow is another day
-                    _LOG.exception("The daily backup was not made")
-            threading.Event().wait(_LOOK_S)
+    now = datetime.datetime.now(datetime.UTC)
+    if is_due(config, now):
+        queue.enqueue_upkeep(Job.Kind.BACKUP, None, once=f"backup of {_scheduled(config, now, after=False)}")
 
 
 def is_due(config: ClinicConfig, now: datetime.datetime) -> bool:

@@ -66,14 +66,14 @@ def rows_of(patient: Patient) -> list[Model]:
         Operation.objects.filter(patient=patient),
         Upload.objects.filter(visit__in=visits),
         Comparison.objects.filter(after__in=visits),
-        Job.objects.filter(Q(visit__in=visits) | Q(comparison__after__in=visits)),
+        Delivery.objects.filter(visit__in=visits),
+        Job.objects.filter(Q(visit__in=visits) | Q(comparison__after__in=visits) | Q(delivery__visit__in=visits)),
         Measurement.objects.filter(visit__in=visits),
         Volume.objects.filter(measurement__visit__in=visits),
         Confirmation.objects.filter(measurement__visit__in=visits),
         Conclusion.objects.filter(visit__in=visits),
         Correction.objects.filter(Q(visit__in=visits) | Q(patient__in=records)),
         Drawing.objects.filter(visit__in=visits),
-        Delivery.objects.filter(visit__in=visits),
         VisitOrder.objects.filter(visit__in=visits),
         Scan.objects.filter(visit__in=visits),
         NoteChange.objects.filter(Q(patient__in=records) | Q(visit__in=visits)),
@@ -175,12 +175,14 @@ def copies(config: ClinicConfig, patient: Patient) -> list[str]:
 
 
 def _erase_visits(patient: Patient, visits: list[Visit], by: Person | None = None) -> None:
-    jobs = Job.objects.filter(Q(visit__in=visits) | Q(comparison__after__in=visits) | Q(comparison__before__in=visits))
+    compared = Q(comparison__after__in=visits) | Q(comparison__before__in=visits)
+    jobs = Job.objects.filter(Q(visit__in=visits) | Q(delivery__visit__in=visits) | compared)
     jobs.filter(state=Job.State.QUEUED).update(state=Job.State.CANCELLED)
     running = jobs.filter(state=Job.State.RUNNING, lease_until__gt=timezone.now())
     if running.exists():
+        found = "a visit that is being measured or sent"
         remedy = "Cancel the job or wait until it ends, then repeat the command"
-        raise ClinicError(patient.pseudonym, found="a visit that is being measured", expected="none", remedy=remedy)
+        raise ClinicError(patient.pseudonym, found=found, expected="none", remedy=remedy)
     audit.record_command(patient, "erase", by)
     for upload in Upload.objects.filter(visit__in=visits):
         for path in upload.path.parent.glob(f"{upload.id}*"):

@@ -2,6 +2,7 @@
 
 from django.conf import settings
 from django.db import models
+from django.utils import timezone
 
 from mammometry.clinic.models.patients import Patient, Visit
 from mammometry.clinic.models.people import Calibration, DailyCheck, Keyed
@@ -37,15 +38,18 @@ class Comparison(Keyed):
 
 
 class Job(Keyed):
-    """One thing to compute."""
+    """One piece of work in the background."""
 
     class Kind(models.TextChoices):
-        """Kind of a computation."""
+        """Kind of work."""
 
         MEASURE = "measure"
         CALIBRATE = "calibrate"
         CHECK = "check"
         COMPARE = "compare"
+        SEND = "send"
+        BACKUP = "backup"
+        RESTORE = "restore"
 
     class State(models.TextChoices):
         """State of its progress."""
@@ -60,9 +64,12 @@ class Job(Keyed):
     calibration = models.ForeignKey(Calibration, null=True, on_delete=models.CASCADE, related_name="jobs")
     check_of_day = models.ForeignKey(DailyCheck, null=True, on_delete=models.CASCADE, related_name="jobs")
     comparison = models.ForeignKey(Comparison, null=True, on_delete=models.CASCADE, related_name="jobs")
+    delivery = models.ForeignKey("Delivery", null=True, on_delete=models.CASCADE, related_name="jobs")
     kind = models.CharField(max_length=10, choices=Kind.choices)
     state = models.CharField(max_length=10, choices=State.choices, default=State.QUEUED, db_index=True)
     attempt = models.PositiveIntegerField(default=0)
+    due = models.DateTimeField(default=timezone.now)
+    """No runner takes it earlier."""
     stage = models.CharField(max_length=60, blank=True)
     fraction = models.FloatField(default=0.0)
     """Of the whole, 0 to 1."""
@@ -80,11 +87,18 @@ class Job(Keyed):
 
     class Meta:
         ordering = ("created",)
-        constraints = tuple(
+        constraints = (
+            *(
+                models.UniqueConstraint(
+                    fields=[field], condition=models.Q(state__in=("queued", "running")), name=f"one_open_job_a_{field}"
+                )
+                for field in ("visit", "calibration", "check_of_day", "comparison", "delivery")
+            ),
             models.UniqueConstraint(
-                fields=[field], condition=models.Q(state__in=("queued", "running")), name=f"one_open_job_a_{field}"
-            )
-            for field in ("visit", "calibration", "check_of_day", "comparison")
+                fields=["kind"],
+                condition=models.Q(state__in=("queued", "running"), kind__in=("backup", "restore")),
+                name="one_open_job_a_kind",
+            ),
         )
 
     def __str__(self) -> str:
@@ -300,16 +314,12 @@ class Delivery(Keyed):
         """State of its progress."""
 
         QUEUED = "queued"
-        SENDING = "sending"
         SENT = "sent"
         FAILED = "failed"
 
     visit = models.ForeignKey(Visit, on_delete=models.CASCADE, related_name="deliveries")
     destination = models.ForeignKey(Destination, on_delete=models.PROTECT, related_name="deliveries")
     state = models.CharField(max_length=8, choices=State.choices, default=State.QUEUED, db_index=True)
-    tries = models.PositiveIntegerField(default=0)
-    next_try = models.DateTimeField()
-    """When it is tried, at the earliest. While it is being sent: until when nobody else tries."""
     message = models.CharField(max_length=1500, blank=True)
     """What the last try said, without a patient's name."""
     sent = models.PositiveIntegerField(default=0)
@@ -325,3 +335,8 @@ class Delivery(Keyed):
 
     def __str__(self) -> str:
         return f"{self.visit.patient.pseudonym} to {self.destination}"
+
+    @property
+    def job(self) -> Job | None:
+        """The newest job that sends it."""
+        return max(self.jobs.all(), key=lambda job: job.created, default=None)

@@ -1,9 +1,6 @@
 """Administrators' pages: what needs them now, people, the audit, backups, the disk, erasure."""
 
 import datetime
-import subprocess
-import sys
-import threading
 import uuid
 from typing import Any
 from urllib.parse import urlencode
@@ -24,10 +21,11 @@ from mammometry.clinic.accounts import invitation
 from mammometry.clinic.audit import FAILED_LOGIN, REFUSED
 from mammometry.clinic.audit_entries import KINDS, AuditFilter, entries
 from mammometry.clinic.forms import FIRST_DAY, PersonForm
+from mammometry.clinic.jobs import queue
 from mammometry.clinic.maintenance.backups import remove_leftovers, state_of
 from mammometry.clinic.maintenance.disk import cached_usage, folder_bytes
 from mammometry.clinic.maintenance.patient import copies, erase_patient, rows_of
-from mammometry.clinic.models import Patient, Person, Upload, Visit
+from mammometry.clinic.models import Job, Patient, Person, Upload, Visit
 from mammometry.clinic.records.notes import texts_of
 from mammometry.clinic.roles import CARE
 from mammometry.clinic.site import the_clinic
@@ -46,6 +44,7 @@ def overview(request: HttpRequest) -> HttpResponse:
         "people": len(people),
         "without_password": [person for person in people if person.waits_for_password],
         "backups": state_of(the_clinic()),
+        "gave_up": queue.gave_up(),
         "disk": cached_usage(the_clinic()),
         "failed_logins": entries(AuditFilter(kind=FAILED_LOGIN, since=since)).count(),
         "refused": entries(AuditFilter(kind=REFUSED, since=since)).count(),
@@ -242,19 +241,19 @@ def settings(request: HttpRequest) -> HttpResponse:
 def backup_list(request: HttpRequest) -> HttpResponse:
     """Which backups there are, when the next is made, and whether a restore was tested."""
     clinic = the_clinic()
-    return render(request, "clinic/backups.html", {"state": state_of(clinic), "clinic": clinic})
+    return render(request, "clinic/backups.html", {"state": state_of(clinic), "clinic": clinic, "busy": _is_busy()})
 
 
 @require_POST
 def backup_now(request: HttpRequest) -> HttpResponse:
-    """Begin a backup in a process of its own."""
-    return _begun(request, "backup", "A backup is being made. You may leave this page.")
+    """Queue a backup."""
+    return _begun(request, Job.Kind.BACKUP, "A backup is being made. You may leave this page.")
 
 
 @require_POST
 def test_now(request: HttpRequest) -> HttpResponse:
-    """Begin a restore test in a process of its own: a process opens one clinic."""
-    return _begun(request, "test-restore", "The newest backup is being restored and compared. You may leave this page.")
+    """Queue a restore test."""
+    return _begun(request, Job.Kind.RESTORE, "A restore of the newest backup is tested. You may leave this page.")
 
 
 def disk(request: HttpRequest) -> HttpResponse:
@@ -262,21 +261,15 @@ def disk(request: HttpRequest) -> HttpResponse:
     return render(request, "clinic/disk.html", {"usage": cached_usage(the_clinic())})
 
 
-def _begun(request: HttpRequest, command: str, sentence: str) -> HttpResponse:
-    if state_of(the_clinic()).at_work:
+def _begun(request: HttpRequest, kind: Job.Kind, sentence: str) -> HttpResponse:
+    if _is_busy():
         messages.warning(request, "A backup or a test is at work already.")
     else:
-        begin_command(command)
+        queue.enqueue_upkeep(kind, person_of(request))
         messages.success(request, sentence)
     return redirect("backups")
 
 
-def begin_command(command: str) -> None:
-    """Run a command of the clinic beside the server. Its outcome is on the page of the backups."""
-    words = [sys.executable, "-m", "mammometry", "clinic", command, str(the_clinic().folder)]
-    threading.Thread(
-        target=subprocess.run,
-        args=(words,),
-        kwargs={"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL},
-        daemon=True,
-    ).start()
+def _is_busy() -> bool:
+    """Whether a backup or a restore test is at work, also one that a command began, or is due."""
+    return state_of(the_clinic()).at_work or queue.is_busy(Job.Kind.BACKUP, Job.Kind.RESTORE)

@@ -17,6 +17,7 @@ from mammometry.base.errors import MammometryError
 from mammometry.clinic import deliveries
 from mammometry.clinic.deliveries import connection, require_libraries
 from mammometry.clinic.forms import FIRST_DAY, require_dicom_text
+from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Calibration, Delivery, Destination, Patient, Rig, Visit, VisitOrder
 from mammometry.clinic.record_form import RecordForm
 from mammometry.clinic.records.confirmations import CHANGED_SENTENCE, valid_confirmation
@@ -141,7 +142,7 @@ def visit_send(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
         "visit": shown,
         "patient": shown.patient,
         "destinations": active,
-        "deliveries": shown.deliveries.select_related("destination", "created_by")[:_SHOWN],
+        "deliveries": shown.deliveries.select_related("destination", "created_by").prefetch_related("jobs")[:_SHOWN],
         "measured": report_file(shown, "report.pdf") is not None,
         "changed": CHANGED_SENTENCE if shown.is_changed else "",
         "ask_for": ask_for,
@@ -152,8 +153,8 @@ def visit_send(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 def delivery_retry(request: HttpRequest, delivery: uuid.UUID) -> HttpResponse:
     """Try a failed delivery again."""
     shown = get_object_or_404(Delivery, pk=delivery, visit__binned_at=None)
-    if request.method == "POST":
-        deliveries.again(shown)
+    if request.method == "POST" and shown.state == Delivery.State.FAILED:
+        queue.enqueue(shown, person_of(request))
     return redirect("visit-send", visit=shown.visit_id)
 
 

@@ -44,8 +44,8 @@ def many(request: HttpRequest) -> HttpResponseBase:
     )
     if request.GET.get("state") == "open":
         rows = rows.filter(state__in=queue.OPEN)
-    waiting = Job.objects.filter(state=Job.State.QUEUED).count()
-    running = Job.objects.filter(state=Job.State.RUNNING).count()
+    waiting = queue.computations().filter(state=Job.State.QUEUED).count()
+    running = queue.computations().filter(state=Job.State.RUNNING).count()
     return JsonResponse({"jobs": events.tables(list(rows[:_MOST])), "queued": waiting, "running": running})
 
 
@@ -90,7 +90,7 @@ async def stream(request: HttpRequest) -> HttpResponseBase:
 
 
 def _find(request: HttpRequest, key: UUID) -> Job:
-    rows = Job.objects.select_related("visit__patient", "visit__rig", "visit__calibration", "calibration__rig")
+    rows = queue.computations().select_related("visit__patient", "visit__rig", "visit__calibration", "calibration__rig")
     row: Job = get_object_or_404(rows, pk=key)
     require_care(request, queue.target_of(row))
     return row

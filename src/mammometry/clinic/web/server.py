@@ -187,17 +187,15 @@ def work(folder: Path) -> None:
     config = read_config(folder)
     configure(config)
     from mammometry.clinic.audit_chain import Chaining
-    from mammometry.clinic.deliveries import Deliverer
     from mammometry.clinic.intake.uploads import remove_stale_locks
+    from mammometry.clinic.jobs.lanes import LANES
     from mammometry.clinic.jobs.runner import Runner
-    from mammometry.clinic.maintenance.backups import DailyBackup, remove_leftovers
+    from mammometry.clinic.maintenance.backups import remove_leftovers
 
     remove_leftovers(config)
     remove_stale_locks()
-    Deliverer(config).start()
-    DailyBackup(config).start()
     Chaining().start()
-    runner = Runner(config)
+    runner = Runner(config, lanes=LANES)
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: runner.stop())
     runner.run()

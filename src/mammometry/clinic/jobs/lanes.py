@@ -1,0 +1,53 @@
+"""Jobs that a runner does in its own process: one delivery at a time, and one backup or restore test at a time."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from mammometry.base.child_process import Call, ChildProcess
+from mammometry.clinic.config import ClinicConfig, ClinicError
+from mammometry.clinic.deliveries import send
+from mammometry.clinic.maintenance.backups import make_kept_backup, plan_daily
+from mammometry.clinic.maintenance.restore import run_restore_test
+from mammometry.clinic.models import Job
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lane:
+    """Kinds of jobs that are done one after another, and how."""
+
+    name: str
+    work: Mapping[str, Callable[[ClinicConfig, Job], Mapping[str, Any]]]
+    """Kind → function that does a job and returns what `results.enter` takes."""
+    plan: Callable[[ClinicConfig], None] = lambda _: None
+    """Queues what is due by the clock. Called when no job waits."""
+
+
+def backup(config: ClinicConfig, _: Job) -> dict[str, Any]:
+    """Make a backup, and delete the oldest.
+
+    Raises:
+        ClinicError: the disk is too full, or another backup is being made.
+    """
+    make_kept_backup(config)
+    return {}
+
+
+def restore_test(config: ClinicConfig, _: Job) -> dict[str, Any]:
+    """Test a restore in a process of its own, since a process opens one clinic.
+
+    Raises:
+        ClinicError: it failed.
+    """
+    with ChildProcess() as child:
+        answer = child.answer(Call(function=run_restore_test, arguments=(config,)))
+    if why := answer.get("failed") or answer.get("killed"):
+        raise ClinicError("the restore test", found=why, expected="the clinic as it was", remedy="Make another backup")
+    return {}
+
+
+LANES = (
+    Lane(name="deliveries", work={Job.Kind.SEND: send}),
+    Lane(name="upkeep", work={Job.Kind.BACKUP: backup, Job.Kind.RESTORE: restore_test}, plan=plan_daily),
+)
+"""The lanes of a clinic's server."""
