@@ -8,8 +8,6 @@ even an administrator of the database cannot start a new chain unnoticed (docs/d
 import datetime
 import hashlib
 import json
-import logging
-import threading
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
@@ -17,7 +15,7 @@ from typing import Any, TypeVar
 
 from auditlog.models import LogEntry
 from django.contrib.contenttypes.models import ContentType
-from django.db import DatabaseError, close_old_connections, connection, transaction
+from django.db import connection, transaction
 from django.db.models import Exists, Max, OuterRef
 
 from mammometry.clinic.config import ClinicError
@@ -26,8 +24,6 @@ from mammometry.clinic.models import AuditLink
 _AT_ONCE = 1000  # entries that are read together
 _LATE = 10_000  # entries between one and the latest: far more than are written at the same time
 _LOCK = 7_013_311  # of PostgreSQL: any number that nothing else here uses
-_LOOK_S = 5.0  # between two looks for new entries
-_LOG = logging.getLogger(__name__)
 _Row = TypeVar("_Row")
 
 
@@ -92,23 +88,6 @@ def verify(expected: ChainEnd | None = None) -> ChainEnd:
     if not is_there:
         raise _broken("another chain than in the newest backup")
     return found
-
-
-class Chaining(threading.Thread):
-    """Chains new entries some seconds after they were written, until the process ends."""
-
-    def __init__(self) -> None:
-        super().__init__(daemon=True, name="audit chain")
-
-    def run(self) -> None:
-        """Look for new entries again and again."""
-        while True:
-            try:
-                extend(every=False)
-            except DatabaseError as error:  # it is tried again
-                _LOG.warning("The audit is not chained now: %s", type(error).__name__)
-            close_old_connections()
-            threading.Event().wait(_LOOK_S)
 
 
 def _end() -> ChainEnd:

@@ -1,10 +1,14 @@
-"""Jobs that a runner does in its own process: one delivery at a time, and one backup or restore test at a time."""
+"""What a runner does in its own process.
+
+Deliveries, backups and restore tests, and the chain of the audit.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from mammometry.base.child_process import Call, ChildProcess
+from mammometry.clinic.audit_chain import extend
 from mammometry.clinic.config import ClinicConfig, ClinicError
 from mammometry.clinic.deliveries import send
 from mammometry.clinic.maintenance.backups import make_kept_backup, plan_daily
@@ -19,8 +23,8 @@ class Lane:
     name: str
     work: Mapping[str, Callable[[ClinicConfig, Job], Mapping[str, Any]]]
     """Kind → function that does a job and returns what `results.enter` takes."""
-    plan: Callable[[ClinicConfig], None] = lambda _: None
-    """Queues what is due by the clock. Called when no job waits."""
+    plan: Callable[[ClinicConfig], object] = lambda _: None
+    """What is due by the clock. Called every few seconds while no job waits."""
 
 
 def backup(config: ClinicConfig, _: Job) -> dict[str, Any]:
@@ -48,6 +52,7 @@ def restore_test(config: ClinicConfig, _: Job) -> dict[str, Any]:
 
 LANES = (
     Lane(name="deliveries", work={Job.Kind.SEND: send}),
+    Lane(name="audit", work={}, plan=lambda _: extend(every=False)),
     Lane(name="upkeep", work={Job.Kind.BACKUP: backup, Job.Kind.RESTORE: restore_test}, plan=plan_daily),
 )
 """The lanes of a clinic's server."""

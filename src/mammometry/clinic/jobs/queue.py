@@ -240,7 +240,10 @@ def _due(kinds: Collection[str]) -> QuerySet[Job]:
 
 
 def claim(owner: str, room: int, kinds: Collection[str] = COMPUTED) -> list[Job]:
-    """Take up to so many jobs of these kinds, the one that has been due longest first. No other runner has them."""
+    """Take up to so many jobs of these kinds. No other runner has them.
+
+    The one that has been due longest is the first.
+    """
     now = timezone.now()
     taken: list[Job] = []
     for job in _due(kinds).order_by("due", "created", "pk")[: 2 * room]:
@@ -307,7 +310,10 @@ def _abandon(job: Job) -> None:
 
 
 def release(owner: str, key: UUID | None = None, kinds: Collection[str] = tuple(Job.Kind)) -> int:
-    """Queue again what a runner holds, or one job of it. Does not count as an attempt. Return how many there were."""
+    """Queue again what a runner holds, or one job of it, and return their number.
+
+    Does not count as an attempt.
+    """
     held = Job.objects.filter(lease_owner=owner, state=Job.State.RUNNING, kind__in=kinds)
     return (held if key is None else held.filter(pk=key)).update(**_AGAIN, attempt=F("attempt") - 1)
 

@@ -1,4 +1,6 @@
-"""Changes that jobs make besides their own row: states of visits, calibrations and deliveries, measurements.
+"""Changes that jobs make besides their own row.
+
+States of visits, calibrations, comparisons and deliveries; measurements.
 
 Called within the transaction that changes the job's row.
 """

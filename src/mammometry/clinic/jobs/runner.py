@@ -1,4 +1,7 @@
-"""The runner. Takes jobs from the queue: computations for Dask's workers, the rest for threads of its own."""
+"""The runner takes jobs from the queue and does them.
+
+Dask's workers compute, and lanes do the rest in threads of this process.
+"""
 
 import logging
 import threading
@@ -110,17 +113,13 @@ class Runner:
         try:
             answer = lane.work[job.kind](self._config, job)
         except MammometryError as error:
-            queue.failed(job.pk, self.owner, self._words(error), error.exit_code)
+            queue.failed(job.pk, self.owner, _words(error, self._config), error.exit_code)
         except Exception as error:  # from a library or the system
             _LOG.exception("A job failed: %s", job)
             why = f"An unknown reason ({type(error).__name__}), which is in the clinic's log."
             queue.failed(job.pk, self.owner, why, 1)
         else:
             queue.done(job.pk, self.owner, answer)
-
-    def _words(self, reason: object) -> str:
-        """A reason without paths of this machine."""
-        return str(reason).replace(f"{self._config.folder}/", "")
 
     def _serve(self, workers: Machines) -> None:
         engine = Engine(workers, known=self._known(), stop=self._stop_request)
@@ -144,7 +143,7 @@ class Runner:
             queue.release(self.owner, key)
             return
         else:
-            held = queue.failed(key, self.owner, self._words(event.failed), event.exit_code)
+            held = queue.failed(key, self.owner, _words(event.failed, self._config), event.exit_code)
         if not held:
             _LOG.info("Job %s is no longer ours; what it made stays on the disk.", key)
 
@@ -185,6 +184,11 @@ class Runner:
             if record is not None and record.row.peak_memory_mb:
                 known.append((record.row.megapixels, record.row.peak_memory_mb))
         return known
+
+
+def _words(reason: object, config: ClinicConfig) -> str:
+    """A reason without paths of this machine."""
+    return str(reason).replace(f"{config.folder}/", "")
 
 
 def whole(stage: str, fraction: float) -> float:

@@ -186,7 +186,6 @@ def work(folder: Path) -> None:
 
     config = read_config(folder)
     configure(config)
-    from mammometry.clinic.audit_chain import Chaining
     from mammometry.clinic.intake.uploads import remove_stale_locks
     from mammometry.clinic.jobs.lanes import LANES
     from mammometry.clinic.jobs.runner import Runner
@@ -194,7 +193,6 @@ def work(folder: Path) -> None:
 
     remove_leftovers(config)
     remove_stale_locks()
-    Chaining().start()
     runner = Runner(config, lanes=LANES)
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: runner.stop())
