@@ -7,26 +7,30 @@ and the rows of each pair. The motions are the most probable ones: no larger tha
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from mammometry.base.errors import SurfaceError
 from mammometry.base.normal import MAD
 from mammometry.base.value import value
+from mammometry.calibration.adjust.linear_model import Fit, linear_model
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA
 from mammometry.calibration.judge.pose_motion import shifts
-from mammometry.geometry import Array, Camera, Float64, Rig, Transform
+from mammometry.geometry import Array, Camera, Float64, Rig
+from mammometry.geometry.twist import as_motion, rigid_motions
 from mammometry.surface.motion.agreement import Differences, RowErrors, differences
 from mammometry.surface.motion.moved_images import retriangulated
+from mammometry.surface.motion.rigid_motion import Effects, Observed, observed
 from mammometry.surface.ranges.range_image import RangeImage
 
 _OTHER_SKIN_MM = 12.0  # pairs further apart see different skin; a breath held badly makes them disagree by some mm
 _SIZES_MM = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
 """Standard deviations of a photograph's motion that are tried, mm."""
 _LEVER_MM = 150.0  # from the body's middle to its sides: a turn moves them as much as a shift moves all
-_CELL_MM, _ROW_PX = 0.05, 0.1  # own errors of a cell's distance, and of a cell's vertical disparity
+_CELL_MM = 0.05  # own error of a cell's distance
 _HUBER = 2.0  # standard deviations beyond which a cell counts less
 _ROUNDS = 5  # of reweighting
 _REST_MM = 1.0
@@ -57,17 +61,14 @@ class WalkMotion:
     def rig(self, calibrated: Rig) -> Rig:
         """The cameras as they stood before the body, which is held still."""
         cameras = {
-            name: _moved(camera, self.turn_rad[place], self.shift_mm[place], self.centre_world)
-            for place, (name, camera) in self._placed(calibrated)
+            name: before_still_body(calibrated.cameras[name], np.concatenate([turn, shift]), self.centre_world)
+            for name, turn, shift in zip(self.cameras, self.turn_rad, self.shift_mm, strict=True)
         }
         return replace(calibrated, cameras={**calibrated.cameras, **cameras})
 
     def carry(self, image: RangeImage, calibrated: Rig) -> RangeImage:
         """A range image with the cameras as they stood before the body."""
         return retriangulated(image, calibrated.pair(image.name), self.rig(calibrated).pair(image.name))
-
-    def _placed(self, calibrated: Rig) -> Iterator[tuple[int, tuple[str, Camera]]]:
-        return ((place, (name, calibrated.cameras[name])) for place, name in enumerate(self.cameras))
 
 
 def find_motion(rig: Rig, range_images: Sequence[RangeImage], rows: Mapping[str, RowErrors]) -> WalkMotion:
@@ -85,20 +86,20 @@ def find_motion(rig: Rig, range_images: Sequence[RangeImage], rows: Mapping[str,
     cameras = tuple(sorted({name for pair in rig.pair_names.values() for name in pair}))
     points = [comparison.points for comparison in apart] or [image.valid_points_world() for image in range_images]
     centre = np.concatenate(points).mean(axis=0)
-    values, design, sigma = _observations(rig, apart, rows, cameras, centre)
-    distances = np.arange(len(values)) < sum(len(comparison.points) for comparison in apart)
-    solutions = [_solved(values, design, sigma, size_mm, len(cameras)) for size_mm in _SIZES_MM]
-    _, motions, covariance, size_mm = max(solutions, key=lambda solution: solution[0])
-    rest = (values - design @ motions)[distances]
-    effect = design[distances]
-    spread = np.sqrt(np.einsum("np,pq,nq->n", effect, covariance, effect)) if len(effect) else np.zeros(0)
+    seen = observed(rig, apart, rows, None, partial(_effects, cameras, centre), _noise_mm2)
+    fits = {size_mm: _robust_fit(seen, size_mm) for size_mm in _SIZES_MM}
+    size_mm = max(fits, key=lambda size_mm: fits[size_mm][0])
+    fit = fits[size_mm][1]
+    rest = (seen.values - seen.by_unknown @ fit.motions)[seen.distances]
+    effect = seen.by_unknown[seen.distances]
+    spread = np.sqrt(np.einsum("np,pq,nq->n", effect, fit.covariance, effect))
     found = WalkMotion(
         cameras=cameras,
-        turn_rad=motions.reshape(-1, 6)[:, :3].copy(),
-        shift_mm=motions.reshape(-1, 6)[:, 3:].copy(),
+        turn_rad=fit.motions.reshape(-1, 6)[:, :3].copy(),
+        shift_mm=fit.motions.reshape(-1, 6)[:, 3:].copy(),
         centre_world=centre,
         size_mm=size_mm,
-        before_mm=_robust(values[distances]),
+        before_mm=_robust(seen.values[seen.distances]),
         rest_mm=_robust(rest),
         point_std_mm=float(np.hypot(_robust(spread), _robust(rest)) / np.sqrt(2)),
     )
@@ -107,76 +108,53 @@ def find_motion(rig: Rig, range_images: Sequence[RangeImage], rows: Mapping[str,
     return found
 
 
-def _observations(
-    rig: Rig,
-    apart: Sequence[Differences],
-    rows: Mapping[str, RowErrors],
-    cameras: tuple[str, ...],
-    centre: Float64[Array, 3],
-) -> tuple[Float64[Array, " n"], Float64[Array, "n p"], Float64[Array, " n"]]:
-    """Distances between pairs' surfaces and vertical angles, derivatives by the motions, standard deviations."""
-    values, design, sigma = [np.zeros(0)], [np.zeros((0, 6 * len(cameras)))], [np.zeros(0)]
-    for comparison in apart:
-        first, second = (
-            _effects(rig, name, comparison.points, cameras, centre)[0] for name in (comparison.first, comparison.second)
-        )
-        values.append(comparison.distance_mm)
-        design.append(np.einsum("ni,nip->np", comparison.normals, second - first))
-        sigma.append(np.sqrt(comparison.scatter_mm**2 + comparison.expected_mm**2 + _CELL_MM**2))
-    for name, seen in rows.items():
-        if len(seen.points):
-            values.append(seen.angle_rad)
-            design.append(_effects(rig, name, seen.points, cameras, centre)[1])
-            sigma.append(np.full(len(seen.points), _ROW_PX * seen.pixel_rad))
-    return np.concatenate(values), np.concatenate(design), np.concatenate(sigma)
-
-
 def _effects(
-    rig: Rig, pair: str, points: Float64[Array, "n 3"], cameras: tuple[str, ...], centre: Float64[Array, 3]
-) -> tuple[Float64[Array, "n 3 p"], Float64[Array, "n p"]]:
-    """Shifts of a pair's points, and of its vertical angles, by the body's motion at each photograph."""
+    cameras: tuple[str, ...], centre: Float64[Array, 3], rig: Rig, pair: str, points: Float64[Array, "n 3"]
+) -> Effects:
+    """Effects of the body's motion at each photograph, a twist about the centre, on one pair's points."""
     names = tuple(f"{camera}.{name}" for camera in rig.pair_names[pair] for name in POSE_NAMES_CAMERA)
     moved = shifts(rig.pair(pair), points, names)
     by_point, by_angle = np.zeros((len(points), 3, 6 * len(cameras))), np.zeros((len(points), 6 * len(cameras)))
     for number, name in enumerate(rig.pair_names[pair]):
-        camera = rig.cameras[name]
         # The camera before a body that is held still: turned by R r, its centre moved by −s − r × (C − centre).
-        of_camera = np.zeros((6, 6))
-        of_camera[:3, :3] = camera.camera_from_world.rotation
-        of_camera[3:, :3] = -np.cross(np.eye(3), camera.centre_world - centre).T
-        of_camera[3:, 3:] = -np.eye(3)
-        own = slice(6 * number, 6 * number + 6)
-        into = slice(6 * cameras.index(name), 6 * cameras.index(name) + 6)
-        by_point[:, :, into] = moved.points_mm[:, :, own] @ of_camera
-        by_angle[:, into] = moved.vertical_rad[:, own] @ of_camera
-    return by_point, by_angle
+        of_pose = np.zeros((6, 6))
+        of_pose[:3, :3] = rig.cameras[name].camera_from_world.rotation
+        of_pose[3:] = -rigid_motions((rig.cameras[name].centre_world - centre)[None])[0]
+        own, into = (slice(6 * i, 6 * i + 6) for i in (number, cameras.index(name)))
+        by_point[:, :, into] = moved.points_mm[:, :, own] @ of_pose
+        by_angle[:, into] = moved.vertical_rad[:, own] @ of_pose
+    return Effects(points_mm=by_point, vertical_rad=by_angle)
 
 
-def _solved(
-    values: Float64[Array, " n"], design: Float64[Array, "n p"], sigma: Float64[Array, " n"], size_mm: float, count: int
-) -> tuple[float, Float64[Array, " p"], Float64[Array, "p p"], float]:
-    """Log evidence, motions, their covariance, for motions of a certain size. Huber's loss by reweighting."""
-    prior = np.tile(np.repeat([size_mm / _LEVER_MM, size_mm], 3), count) ** -2.0
-    motions, weight = np.zeros(design.shape[1]), np.ones(len(values))
+def _noise_mm2(comparison: Differences) -> Float64[Array, "n n"]:
+    """Variances of two pairs' distances, mm²; cells are taken as independent."""
+    return np.diag(comparison.scatter_mm**2 + comparison.expected_mm**2 + _CELL_MM**2)
+
+
+def _robust_fit(seen: Observed, size_mm: float) -> tuple[float, Fit]:
+    """Log evidence and fit of motions of a certain size. Huber's loss by reweighting."""
+    count = seen.by_unknown.shape[1]
+    rows = np.column_stack([seen.by_unknown, seen.values]) / np.sqrt(seen.variance)[:, None]
+    std = np.tile(np.repeat([size_mm / _LEVER_MM, size_mm], 3), count // 6)
+    weight = np.ones(len(rows))
     for _ in range(_ROUNDS):
-        scaled = design * (np.sqrt(weight) / sigma)[:, None]
-        normal = scaled.T @ scaled + np.diag(prior)
-        motions = np.linalg.solve(normal, scaled.T @ (values * np.sqrt(weight) / sigma))
-        length = np.abs(values - design @ motions) / sigma
+        used = weight
+        fit = linear_model([rows * np.sqrt(used)[:, None]], count).fit(std)
+        length = np.abs(rows[:, -1] - rows[:, :-1] @ fit.motions)
         weight = np.minimum(1.0, _HUBER / np.maximum(length, 1e-12))
     loss = np.where(length <= _HUBER, length**2, 2 * _HUBER * length - _HUBER**2).sum()
-    fit = loss + motions @ (prior * motions)
-    log_det = np.linalg.slogdet(normal)[1] - np.log(prior).sum()
-    return float(-0.5 * (fit + log_det)), motions, np.linalg.inv(normal), size_mm
+    return fit.log_evidence + float(used @ length**2 - loss) / 2, fit  # the loss in place of the weighted squares
 
 
-def _moved(camera: Camera, turn: Float64[Array, 3], shift: Float64[Array, 3], centre: Float64[Array, 3]) -> Camera:
-    """The camera as it stood before a body that is held still."""
-    from scipy.spatial.transform import Rotation
+def before_still_body(camera: Camera, twist: Float64[Array, 6], centre_world: Float64[Array, 3]) -> Camera:
+    """The camera as it stood before a body that is held still.
 
-    rotation = Rotation.from_rotvec(turn.copy()).as_matrix()
-    body = Transform(rotation=rotation, translation_mm=centre + shift - rotation @ centre)
-    return replace(camera, camera_from_world=camera.camera_from_world @ body)
+    Args:
+        camera: as it stood while the body moved.
+        twist: motion of the body about the centre.
+        centre_world: the centre, mm.
+    """
+    return replace(camera, camera_from_world=camera.camera_from_world @ as_motion(twist, about=centre_world))
 
 
 def _robust(lengths: Float64[Array, " n"]) -> float:

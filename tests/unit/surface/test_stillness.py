@@ -11,6 +11,7 @@ from mammometry.base.errors import MammometryError, MatchingError, SurfaceError
 from mammometry.base.notices import Notice
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.judge.pose_motion import shifts
+from mammometry.geometry.twist import rigid_motions
 from mammometry.job.stages import surface as stages
 from mammometry.matching.foreground.outlines_first import OF_PARTNER
 from mammometry.surface.motion import motion_test as stillness
@@ -18,7 +19,7 @@ from mammometry.surface.motion import rigid_motion as motions
 from mammometry.surface.motion.agreement import differences
 from mammometry.surface.motion.motion_test import concerns, find, summary
 from mammometry.surface.motion.moved_images import retriangulated
-from mammometry.surface.motion.rigid_motion import Observed, most_probable, motion_parameters, rigid_motions
+from mammometry.surface.motion.rigid_motion import Observed, most_probable, motion_parameters
 from mammometry.surface.settings import StillnessSettings
 
 RIG = calibrated_rig()

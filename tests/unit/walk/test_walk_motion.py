@@ -10,7 +10,7 @@ from mammometry.base.errors import SurfaceError
 from mammometry.geometry import Rig
 from mammometry.surface.motion.moved_images import retriangulated
 from mammometry.surface.ranges.range_image import RangeImage
-from mammometry.walk.motion import _moved, find_motion
+from mammometry.walk.motion import before_still_body, find_motion
 
 RADIUS_MM = 120.0
 ANGLES_DEG = (-30, -18, -6, 6, 18, 30)
@@ -63,7 +63,7 @@ def as_by_the_board(true, images, turn_rad, shift_mm):
     # A camera that stood at T before a body held still is taken to stand where the body's own motion puts it back.
     cameras = {}
     for i, (name, camera) in enumerate(true.cameras.items()):
-        found = _moved(camera, turn_rad[i], shift_mm[i], MIDDLE)
+        found = before_still_body(camera, np.concatenate([turn_rad[i], shift_mm[i]]), MIDDLE)
         back = camera.camera_from_world @ found.camera_from_world.inverse() @ camera.camera_from_world
         cameras[name] = replace(camera, camera_from_world=back)
     board = replace(true, cameras=cameras)

@@ -13,6 +13,7 @@ from mammometry.calibration.adjust.calibrated import Calibration, ParameterCovar
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA, tie_of
 from mammometry.calibration.adjust.projection import intrinsics_of, project_with_derivatives
 from mammometry.geometry import Array, Bool, Camera, Float64, Int64, Rig
+from mammometry.geometry.twist import rigid_motions, without
 
 _STEPS = 9  # points along each side of the working volume; chosen by eye
 
@@ -228,9 +229,4 @@ def derivatives(
 def _without_similarity(points: Float64[Array, "n 3"], moved: Float64[Array, "n 3 p"]) -> Float64[Array, "n 3 p"]:
     """Remove the best motion, turn and scale from the points' shifts. For each parameter."""
     centred = points - points.mean(axis=0)
-    turns = np.cross(np.eye(3)[None], centred[:, None, :]).transpose(0, 2, 1)  # axis × point, column by column
-    whole = np.concatenate([turns, np.tile(np.eye(3), (len(points), 1, 1)), centred[:, :, None]], axis=2).reshape(-1, 7)
-    basis, _ = np.linalg.qr(whole)
-    flat = moved.reshape(len(whole), -1)
-    free: Float64[Array, "n 3 p"] = (flat - basis @ (basis.T @ flat)).reshape(moved.shape)
-    return free
+    return without(np.concatenate([rigid_motions(centred), centred[:, :, None]], axis=2), moved)

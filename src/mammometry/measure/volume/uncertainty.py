@@ -16,6 +16,7 @@ from mammometry.base.normal import COVERAGE_95
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Float64, Int32, Rig, TriangleMesh, mesh_kernels, read_only
 from mammometry.geometry.nearest import point_tree
+from mammometry.geometry.twist import rigid_motions
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.solid.patch import harmonic_between
@@ -35,7 +36,6 @@ from mammometry.measure.volume.unseen_space import Bound, outward_room_mm
 from mammometry.measure.wall.chest_wall import ChestWall
 from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS
 from mammometry.surface.motion.motion_test import Stillness
-from mammometry.surface.motion.rigid_motion import effects, rigid_motions
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _SAMPLES = 2000  # vertices of the skin at which displacements are computed; chosen for speed
@@ -105,7 +105,7 @@ def _displacements(
     for number, pair in enumerate(surface.pair_names):
         seen = (bits >> number & 1).astype(bool)
         if seen.any() and any(pair in group for group in movement.found.parameters.groups):
-            total[seen] += effects(movement.rig, pair, points[seen], movement.found.parameters).points_mm
+            total[seen] += movement.found.parameters.effects(movement.rig, pair, points[seen]).points_mm
             count[seen] += 1
     shared: Float64[Array, "n 3 p"] = total / np.maximum(count, 1)[:, None, None]
     return shared

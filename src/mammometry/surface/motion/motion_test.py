@@ -20,6 +20,7 @@ from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import ParameterCovariance
 from mammometry.calibration.adjust.linear_model import Fit
 from mammometry.geometry import Array, Camera, Float64, Rig, Transform
+from mammometry.geometry.twist import rigid_motions, without
 from mammometry.matching.foreground.outlines_first import outline_first
 from mammometry.surface.motion.agreement import RowErrors, differences
 from mammometry.surface.motion.feature_evidence import CorrectionEvidence, SharedFeatures, weigh_correction
@@ -30,11 +31,9 @@ from mammometry.surface.motion.rigid_motion import (
     Found,
     MotionParameters,
     Observed,
-    effects,
     most_probable,
     motion_parameters,
     observed,
-    rigid_motions,
     without_contradicted_rows,
     without_outliers,
 )
@@ -169,7 +168,7 @@ def find(
         kept = without_contradicted_rows(without_outliers(seen, parameters), parameters)
         return kept, most_probable(kept, parameters, breaths_mm)
 
-    seen, moved = most_probably(observed(rig, apart, rows, covariance, parameters), parameters)
+    seen, moved = most_probably(observed(rig, apart, rows, covariance, parameters.effects), parameters)
     before_mm = seen.rms_mm()
     honest_mm = float(np.median(np.concatenate([comparison.expected_mm for comparison in apart])))
     limit_mm = max(_UNEXPLAINED_MM, honest_mm)
@@ -178,7 +177,7 @@ def find(
         return _nothing(parameters, distance_mm=before_mm, evidence=evidence)
     breaths_mm: Sequence[float] = (0.0,)
     breathing = parameters.breathing(rig, np.concatenate([comparison.points for comparison in apart]))
-    kept, smooth = most_probably(observed(rig, apart, rows, covariance, breathing), breathing, BREATHS_MM)
+    kept, smooth = most_probably(observed(rig, apart, rows, covariance, breathing.effects), breathing, BREATHS_MM)
     rigid = most_probable(kept, breathing)
     if smooth.expected.log_evidence - rigid.expected.log_evidence >= LEAST_EVIDENCE:
         parameters, moved, breaths_mm = breathing, smooth, BREATHS_MM
@@ -186,7 +185,7 @@ def find(
     # Once more, with the pairs compared where the corrected cameras see them.
     so_far = moved.expected.motions
     images = [_carried(image, rig, parameters, so_far) for image in range_images]
-    again = observed(_moved_rig(rig, parameters, so_far), differences(images), rows, covariance, parameters)
+    again = observed(_moved_rig(rig, parameters, so_far), differences(images), rows, covariance, parameters.effects)
     values = again.values + np.where(again.distances, again.by_unknown @ so_far, 0.0)
     seen, moved = most_probably(replace(again, values=values), parameters, breaths_mm)
     best = moved.expected
@@ -308,12 +307,9 @@ def _judged(rig: Rig, rows: Mapping[str, RowErrors], moved: Found, parameters: M
     best, alone = moved.expected, moved.alone
     named = best if alone is None else alone[1]
     turns = [turn for turn in (_turn(name, named, parameters) for name in parameters.cameras) if turn is not None]
-    effect = np.concatenate([effects(rig, name, seen.points, parameters).points_mm for name, seen in rows.items()])
+    effect = np.concatenate([parameters.effects(rig, name, seen.points).points_mm for name, seen in rows.items()])
     points = np.concatenate([seen.points for seen in rows.values()])
-    together = rigid_motions(points - points.mean(axis=0)).reshape(-1, 6)
-    basis, _ = np.linalg.qr(together)
-    flat = effect.reshape(len(basis), -1)
-    free = (flat - basis @ (basis.T @ flat)).reshape(effect.shape)
+    free = without(rigid_motions(points - points.mean(axis=0)), effect)
     shift_alone = best.motions.copy()
     shift_alone[: 3 * len(parameters.cameras)] = 0.0
     displaced, start = [], 0

@@ -9,9 +9,10 @@ shifts have normal priors. Their sizes are those that make y most probable (the 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
+from typing import TypeAlias
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -24,6 +25,7 @@ from mammometry.calibration.adjust.linear_model import Fit, LinearModel, linear_
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA
 from mammometry.calibration.judge.pose_motion import shifts
 from mammometry.geometry import Array, Bool, Float64, Int64, Rig
+from mammometry.geometry.twist import rigid_motions
 from mammometry.surface.motion.agreement import Differences, RowErrors
 
 _CELL_MM = 0.06
@@ -60,6 +62,20 @@ LEAST_EVIDENCE = 10.0
 """Rise of the log probability of all observations above which something is taken to have moved, and fall below which a
 motion is left out: e¹⁰ is 1 in 22,000. Clean captures reach 0 to 3.
 """
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Effects:
+    """Effect of a unit of each unknown on one pair's points."""
+
+    points_mm: Float64[Array, "n 3 p"]
+    """Displacement of the true points from the measured ones, world axes, mm."""
+    vertical_rad: Float64[Array, "n p"]
+    """Vertical disparity that it leaves (`shifts.Shifts.vertical_rad`)."""
+
+
+EffectsOf: TypeAlias = Callable[[Rig, str, Float64[Array, "n 3"]], Effects]
+"""Rig, pair and points that the pair measured, world frame, mm → effects of all unknowns."""
 
 
 @value(eq=False)
@@ -118,6 +134,18 @@ class MotionParameters:
         breath = np.full(self.of_breath.stop - self.of_breath.start, breath_mm)
         return np.concatenate([np.full(3 * len(self.cameras), turn_rad), np.tile(group, len(self.groups)), breath])
 
+    def effects(self, rig: Rig, pair: str, points: Float64[Array, "n 3"]) -> Effects:
+        """Effects of all unknowns on one pair's points, world frame, mm."""
+        names = tuple(f"{camera}.{name}" for camera in self.cameras for name in POSE_NAMES_CAMERA[:3])
+        of_turns = shifts(rig.pair(pair), points, names)
+        moved, vertical = np.zeros((len(points), 3, self.count)), np.zeros((len(points), self.count))
+        moved[:, :, : len(names)], vertical[:, : len(names)] = of_turns.points_mm, of_turns.vertical_rad
+        moved[:, :, self.of_group(pair)] = rigid_motions(points - self.centre_world)
+        if len(self.breath_centres):
+            along = self.breath_mm(pair, points)
+            moved[:, :, self.of_breath] = along[:, None, :] * self.breath_direction[:, None]
+        return Effects(points_mm=moved, vertical_rad=vertical)
+
     def breathing(self, rig: Rig, points: Float64[Array, "n 3"]) -> MotionParameters:
         """Parameters with smooth motions of the skin that is compared at these points."""
         towards = -np.mean([rig.cameras[name].axis_world for name in self.cameras], axis=0)
@@ -141,40 +169,6 @@ def motion_parameters(rig: Rig, pairs: Sequence[str], centre_world: Float64[Arra
         groups=tuple(tuple(names) for _, names in groups),
         centre_world=centre_world,
     )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Effects:
-    """Effect of a unit of each unknown on one pair's points."""
-
-    points_mm: Float64[Array, "n 3 p"]
-    """Displacement of the true points from the measured ones, world axes, mm."""
-    vertical_rad: Float64[Array, "n p"]
-    """Vertical disparity that it leaves (`shifts.Shifts.vertical_rad`)."""
-
-
-def effects(rig: Rig, pair: str, points: Float64[Array, "n 3"], parameters: MotionParameters) -> Effects:
-    """Effects of all unknowns on one pair's points, world frame, mm."""
-    names = tuple(f"{camera}.{name}" for camera in parameters.cameras for name in POSE_NAMES_CAMERA[:3])
-    of_turns = shifts(rig.pair(pair), points, names)
-    moved = np.zeros((len(points), 3, parameters.count))
-    vertical = np.zeros((len(points), parameters.count))
-    moved[:, :, : len(names)], vertical[:, : len(names)] = of_turns.points_mm, of_turns.vertical_rad
-    whole = moved[:, :, parameters.of_group(pair)]
-    whole[:] = rigid_motions(points - parameters.centre_world)
-    if len(parameters.breath_centres):
-        along = parameters.breath_mm(pair, points)
-        moved[:, :, parameters.of_breath] = along[:, None, :] * parameters.breath_direction[:, None]
-    return Effects(points_mm=moved, vertical_rad=vertical)
-
-
-def rigid_motions(points: Float64[Array, "n 3"]) -> Float64[Array, "n 3 6"]:
-    """Displacements of points by unit turns and unit shifts, mm.
-
-    Turns are about the origin's x, y and z, rad.
-    """
-    turns = np.cross(np.eye(3)[None], points[:, None, :]).transpose(0, 2, 1)
-    return np.concatenate([turns, np.broadcast_to(np.eye(3), (len(points), 3, 3))], axis=2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -237,12 +231,21 @@ class Observed:
         return float(np.sqrt(np.mean(left**2))) if len(left) else 0.0
 
 
+def own_noise_mm2(comparison: Differences) -> Float64[Array, "n n"]:
+    """Covariance of two pairs' distances by matching, mm²: neighbouring cells err alike."""
+    near = np.exp(-cdist(comparison.points, comparison.points, "sqeuclidean") / (2 * _REACH_MM**2))
+    own, shared = (np.hypot(floor, _EXPECTED_SHARE * comparison.expected_mm) for floor in (_CELL_MM, _COMMON_MM))
+    noise: Float64[Array, "n n"] = np.diag(comparison.scatter_mm**2 + own**2) + np.outer(shared, shared) * near
+    return noise
+
+
 def observed(
     rig: Rig,
     apart: Sequence[Differences],
     rows: Mapping[str, RowErrors],
     covariance: ParameterCovariance | None,
-    parameters: MotionParameters,
+    effects_of: EffectsOf,
+    noise_mm2: Callable[[Differences], Float64[Array, "n n"]] = own_noise_mm2,
 ) -> Observed:
     """Put all observations in one system.
 
@@ -251,35 +254,30 @@ def observed(
         apart: distances between the pairs' surfaces.
         rows: pair → its vertical disparity.
         covariance: of the calibration; None where it is not known, and passes for motion.
-        parameters: what is estimated.
+        effects_of: effects of what is estimated.
+        noise_mm2: covariance of two pairs' distances by matching, mm².
     """
     names = () if covariance is None else tuple(n for n in covariance.names if n.rpartition(".")[0] in rig.cameras)
-    values, design, noises, of_calibration = [], [], [], []
+    values, design, of_calibration, noises = [], [], [], []
     for comparison in apart:
-        first, second = (
-            effects(rig, name, comparison.points, parameters).points_mm
-            for name in (comparison.first, comparison.second)
-        )
-        design.append(np.einsum("ni,nip->np", comparison.normals, second - first))
-        one, other = (
-            shifts(rig.pair(name), comparison.points, names).points_mm for name in (comparison.first, comparison.second)
-        )
+        both = (comparison.first, comparison.second)
+        one, other = (effects_of(rig, name, comparison.points).points_mm for name in both)
+        design.append(np.einsum("ni,nip->np", comparison.normals, other - one))
+        one, other = (shifts(rig.pair(name), comparison.points, names).points_mm for name in both)
         of_calibration.append(np.einsum("ni,nip->np", comparison.normals, other - one))
         values.append(comparison.distance_mm)
-        near = np.exp(-cdist(comparison.points, comparison.points, "sqeuclidean") / (2 * _REACH_MM**2))
-        own, shared = (np.hypot(floor, _EXPECTED_SHARE * comparison.expected_mm) for floor in (_CELL_MM, _COMMON_MM))
-        noises.append(np.diag(comparison.scatter_mm**2 + own**2) + np.outer(shared, shared) * near)
+        noises.append(noise_mm2(comparison))
     count = sum(map(len, values))
     for name, seen in rows.items():
-        design.append(effects(rig, name, seen.points, parameters).vertical_rad)
+        design.append(effects_of(rig, name, seen.points).vertical_rad)
         of_calibration.append(shifts(rig.pair(name), seen.points, names).vertical_rad)
         values.append(seen.angle_rad)
         noises.append(np.eye(len(seen.points)) * (_ROW_PX * seen.pixel_rad) ** 2)
-    common = np.zeros((sum(map(len, values)), 0))
+    common = np.concatenate(of_calibration)
     if covariance is not None:
         index = [covariance.names.index(name) for name in names]
         sizes, vectors = np.linalg.eigh(covariance.matrix[np.ix_(index, index)])
-        common = np.concatenate(of_calibration) @ (vectors * np.sqrt(np.maximum(sizes, 0.0)))
+        common = common @ (vectors * np.sqrt(np.maximum(sizes, 0.0)))
     return Observed(
         values=np.concatenate(values),
         by_unknown=np.concatenate(design),
