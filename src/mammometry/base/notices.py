@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 Level: TypeAlias = Literal["warning", "note"]
 
@@ -37,3 +37,14 @@ class Notice:
             "photographs": list(self.photographs),
             "values": dict(self.values),
         }
+
+
+def from_table(table: Mapping[str, Any]) -> Notice:
+    """A notice out of JSON."""
+    return Notice(
+        code=table["code"],
+        level=table["level"],
+        about=tuple(table["about"]),
+        photographs=tuple(table.get("photographs", ())),
+        values=dict(table["values"]),
+    )

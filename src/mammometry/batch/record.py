@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 import mammometry
 from mammometry.base.identity import as_utf_8
+from mammometry.base.notices import Notice
 from mammometry.io.meshes.measured import ABOUT_MESH, is_measured, results_of, sources_of
 from mammometry.io.results.verify import BATCH
 from mammometry.io.sealed import sealed, unsealed
@@ -118,7 +119,8 @@ class Row(BaseModel):
     measured: tuple[Measured, ...]
     no_breast: Mapping[str, str] = {}
     """Side → what it rests on that nothing was measured there."""
-    warnings: tuple[str, ...] = ()
+    notices: tuple[Notice, ...] = ()
+    """Warnings of its report."""
     made_at: str | None
     """When the newest result was made, ISO 8601, UTC."""
     seconds: Annotated[float, Field(ge=0)]

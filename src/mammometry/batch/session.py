@@ -19,6 +19,7 @@ from mammometry.api.job import Job, open_session
 from mammometry.api.stored_report import WARNINGS
 from mammometry.base.errors import BusyError
 from mammometry.base.machine.system import peak_memory_mb
+from mammometry.base.notices import from_table
 from mammometry.base.progress import Progress, StageProgress
 from mammometry.batch import storage
 from mammometry.batch.record import RECORD, Entry, Measured, Record, Row, key_of, read_record, stats_of, write_record
@@ -120,7 +121,7 @@ def _when_free(run: Callable[[], _R]) -> _R:
 
 
 def _row_of(job: Job, peak_mb: float | None) -> Row:
-    warnings = json.loads((job.store.folder / "report" / WARNINGS).read_text(encoding="utf-8"))["warnings"]
+    warnings = json.loads((job.store.folder / "report" / WARNINGS).read_text(encoding="utf-8"))
     made = [job.store.record(key) for stage in job.stages for key in job.keys(stage)]
     return Row(
         session=job.identity.name,
@@ -131,7 +132,7 @@ def _row_of(job: Job, peak_mb: float | None) -> Row:
             for name, measured in job.measure().items()
         ),
         no_breast=job.no_breast(),
-        warnings=tuple(warnings),
+        notices=tuple(map(from_table, warnings["notices"])),
         made_at=job.made_at("report"),
         seconds=round(sum(record.seconds for record in made if record is not None), 3),
         peak_memory_mb=peak_mb,

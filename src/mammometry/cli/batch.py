@@ -170,7 +170,7 @@ def _said(line: Line) -> BatchLine:
             for side in row.measured
         ),
         no_breast=row.no_breast,
-        warnings=row.warnings,
+        notices=row.notices,
         seconds=row.seconds,
         peak_memory_mb=row.peak_memory_mb,
         made_at=row.made_at or "",

@@ -45,6 +45,7 @@ def check(
     """
     from mammometry.cli.stages import opened
     from mammometry.io import drift
+    from mammometry.report.words.notices import in_json, lines_of
 
     if history == (image_set is not None):
         raise typer.BadParameter("give either --image-set FOLDER or --history")
@@ -73,7 +74,7 @@ def check(
         },
         "history": str(session / drift.FOLDER / drift.HISTORY),
         "plot": str(drawn),
-        "warnings": list(known.warnings),
+        **in_json(known.notices),
     }
     words = {
         "unmoved": "No camera has moved since the calibration.",
@@ -81,7 +82,7 @@ def check(
         "refuse": "The rig moved. Calibrate it again before measuring.",
     }
     lines: list[Any] = [words[result.verdict], *(f"- {reason}" for reason in result.reasons), f"History: {drawn}"]
-    lines += [f"Warning: {warning}" for warning in known.warnings]
+    lines += lines_of(known.notices)
     return Answer(table, lines, exit_code=0 if result.verdict == "unmoved" else MOVED)
 
 
@@ -91,10 +92,11 @@ def _history(session: Path, history: History, drawn: Path, limit_mm: float) -> A
     from mammometry.io import drift
     from mammometry.io.outputs import write_output
     from mammometry.report.figures.calibration import drift as draw
+    from mammometry.report.words.notices import in_json, lines_of
 
-    warnings = [f"Warning: {warning}" for warning in history.warnings]
+    warnings = lines_of(history.notices)
     if not history.entries:
-        table: dict[str, Any] = {"session": str(session), "checks": [], "warnings": list(history.warnings)}
+        table: dict[str, Any] = {"session": str(session), "checks": [], **in_json(history.notices)}
         return Answer(table, [*warnings, "This rig has not been checked yet."])
     write_output(drawn, draw(history.entries, limit_mm), command="check")
     shown = Table("when", "image set", "verdict", "error, mm", "moved cameras", box=None, pad_edge=False)
@@ -104,7 +106,7 @@ def _history(session: Path, history: History, drawn: Path, limit_mm: float) -> A
     table = {
         "session": str(session),
         "checks": [drift.entry_table(entry) for entry in history.entries],
-        "warnings": list(history.warnings),
+        **in_json(history.notices),
         "plot": str(drawn),
     }
     return Answer(table, [*warnings, shown, f"Plot: {drawn}"])
@@ -136,11 +138,14 @@ def import_cameras(
     import json as json_module
 
     from mammometry.base.errors import SessionError
+    from mammometry.base.notices import Notice
     from mammometry.io.cameras import formats
     from mammometry.io.cameras.formats import require_rig
     from mammometry.io.cameras.own import cameras_table
     from mammometry.io.outputs import require_apart, require_free, write_output
     from mammometry.io.session import Session
+    from mammometry.report.content import sentence
+    from mammometry.report.words.notices import in_json, lines_of
 
     opened = Session.open(session)
     path = session / "cameras.json"
@@ -158,11 +163,12 @@ def import_cameras(
     names = ", ".join(file.name for file in files)
     upside_down = [name for name, mounting in opened.manifest.rig.turned.items() if mounting == "upside-down"]
     doubts = require_rig(names, cameras, opened.pair_names, opened.manifest.subject.kind, upside_down)
+    notices = [Notice(code="imported-camera-doubtful", values={"text": sentence(doubt)}) for doubt in doubts]
     content = json_module.dumps(cameras_table(cameras), indent=1) + "\n"
     write_output(path, content.encode(), command="import-cameras")
     return Answer(
-        {"cameras": list(cameras), "file": str(path), "warnings": list(doubts)},
-        [f"{path}: {', '.join(cameras)}", *doubts, "Remove this file to calibrate from photographs again."],
+        {"cameras": list(cameras), "file": str(path), **in_json(notices)},
+        [f"{path}: {', '.join(cameras)}", *lines_of(notices), "Remove this file to calibrate from photographs again."],
     )
 
 

@@ -351,10 +351,12 @@ def interval_table(results: Sequence[PhantomResult]) -> Table:
 def _answer(
     folder: Path, data: PairedMeasurements, figures: Agreement, checked: Sequence[CheckedFigure], *more: Table
 ) -> Answer:
-    from mammometry.study.agreement_tables import agreement_json, agreement_tables, summary
+    from mammometry.report.documents.study_pages import study_json
+    from mammometry.report.words.notices import lines_of
+    from mammometry.study.agreement_tables import agreement_tables, summary
 
     tables = (*agreement_tables(data, figures, checked), *more)
-    lines: list[Any] = [*summary(data, figures), ""]
+    lines: list[Any] = [*lines_of(data.notices), *summary(data, figures), ""]
     lines += [part for table in tables for part in (*table_lines(table), "")]
     page = folder / "report.html"
-    return Answer({"report": str(page), **agreement_json(data, figures, checked)}, [*lines, f"Report: {page}"])
+    return Answer({"report": str(page), **study_json(data, figures, checked)}, [*lines, f"Report: {page}"])

@@ -16,6 +16,7 @@ import numpy as np
 from filelock import FileLock
 
 from mammometry.base.errors import SessionError
+from mammometry.base.notices import Notice
 from mammometry.base.parse import json_value
 from mammometry.calibration.judge.check import CameraCheck, RigCheck
 from mammometry.io.write import disk_errors, sync_folder
@@ -65,8 +66,8 @@ class History:
 
     entries: tuple[Entry, ...] = ()
     """The oldest first."""
-    warnings: tuple[str, ...] = ()
-    """One sentence a line that cannot be read."""
+    notices: tuple[Notice, ...] = ()
+    """Lines that cannot be read."""
 
 
 def entry_of(result: RigCheck, *, when: str, image_set: str, calibration: str, photographs: Mapping[str, str]) -> Entry:
@@ -129,17 +130,17 @@ def read_history(session: Path) -> History:
     with disk_errors(path):
         lines = path.read_bytes().split(b"\n") if path.exists() else []
     entries: list[Entry] = []
-    unreadable: list[str] = []
+    unreadable: list[Notice] = []
     for number, line in enumerate(lines, start=1):
         if not line.strip():
             continue
         try:
             entries.append(_entry(json_value(line.decode(), "the line", "JSON", finite=False)))
         except (SessionError, ValueError, KeyError, TypeError, AttributeError) as error:
-            unreadable.append(f"{FOLDER}/{HISTORY}, line {number}: no entry of a check ({error}); it is left out")
-    for warning in unreadable:
-        _LOG.warning("%s", warning)
-    return History(entries=tuple(entries), warnings=tuple(unreadable))
+            _LOG.warning("%s/%s, line %d: %s", FOLDER, HISTORY, number, error)
+            values: dict[str, float | str] = {"file": f"{FOLDER}/{HISTORY}", "line": number, "error": str(error)}
+            unreadable.append(Notice(code="check-unreadable", values=values))
+    return History(entries=tuple(entries), notices=tuple(unreadable))
 
 
 def append_history(session: Path, entry: Entry) -> None:

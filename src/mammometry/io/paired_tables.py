@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mammometry.base.errors import TableError
+from mammometry.base.notices import Notice
 from mammometry.base.parse import number, parsing, read_text, shown, toml_table
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.csv_tables import Table, both_readings, read_table
@@ -51,7 +53,7 @@ def read_pairs(path: Path, *, reference: str, measured: str) -> PairedMeasuremen
     _require_marks(table, (reference, measured), pairs, factors)
     who = subject_rows(table, (reference, measured), pairs)
     _require_values(table, columns, pairs)
-    warnings = _codes(columns, pairs, who)
+    notices = _codes(columns, pairs, who)
     pairs = pairs * factors
     count = len(set(who.subjects))
     if count < LEAST_SUBJECTS:
@@ -68,7 +70,7 @@ def read_pairs(path: Path, *, reference: str, measured: str) -> PairedMeasuremen
         measured_name=columns[1].title,
         unit=unit,
         subjects=who.subjects if count < len(pairs) else (),
-        warnings=(*warnings, *_warnings(columns, pairs)),
+        notices=(*notices, *_warnings(columns, pairs)),
     )
 
 
@@ -129,30 +131,28 @@ def _require_two_methods(table: Table, columns: tuple[MeasuredColumn, ...], pair
         raise _refused(table, found, "subjects that differ", "Check the columns")
 
 
-def _codes(columns: tuple[MeasuredColumn, ...], pairs: Float64[Array, "n 2"], who: SubjectRows) -> list[str]:
+def _codes(columns: tuple[MeasuredColumn, ...], pairs: Float64[Array, "n 2"], who: SubjectRows) -> list[Notice]:
     """Warnings of values that may stand for a missing one, as the table has them."""
     found = []
     for column, values in zip(columns, pairs.T, strict=True):
         suspects = [row for row, value in enumerate(values) if value == 0 or _is_code(value)]
         if suspects and len(suspects) < len(values):
             value, name = values[suspects[0]], who.names[suspects[0]]
-            found.append(f"{column.name} is {value:g} for {name}: leave the row out if it stands for no value.")
+            suspect: dict[str, float | str] = {"column": column.name, "value": float(value), "row": name}
+            found.append(Notice(code="value-may-be-missing", values=suspect))
     return found
 
 
-def _warnings(columns: tuple[MeasuredColumn, ...], pairs: Float64[Array, "n 2"]) -> list[str]:
-    found = []
+def _warnings(columns: tuple[MeasuredColumn, ...], pairs: Float64[Array, "n 2"]) -> Iterator[Notice]:
     for place, column in enumerate(columns):
         if not np.ptp(pairs[:, place]):
-            found.append(f"Every value of {column.name} is {pairs[0, place]:g}.")
+            yield Notice(code="column-constant", values={"column": column.name, "value": float(pairs[0, place])})
         if not column.unit and columns[1 - place].unit:
-            found.append(f"Column {column.name} states no unit; {columns[1 - place].unit} was taken, as the other's.")
+            yield Notice(code="unit-assumed", values={"column": column.name, "unit": columns[1 - place].unit})
     ratio = _typical_ratio(pairs)
     if not 1 / _SCALES < ratio < _SCALES:
-        found.append(
-            f"{columns[1].name} is typically {ratio:.3g} times {columns[0].name}: check that both have the same unit."
-        )
-    return found
+        values: dict[str, float | str] = {"reference": columns[0].name, "measured": columns[1].name, "ratio": ratio}
+        yield Notice(code="columns-differ", values=values)
 
 
 def _typical_ratio(pairs: Float64[Array, "n 2"]) -> float:

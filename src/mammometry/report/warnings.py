@@ -144,7 +144,7 @@ def warnings(run: VolumeDoubts) -> Iterator[Notice]:
         cameras = tuple(run.unseparated)
         yield Notice(code="outline-not-used", about=cameras, photographs=captured(cameras), values=values)
     yield from run.moved
-    headless = tuple(each.name for each in run.measurements if "head-not-shown" in each.boundary_remarks)
+    headless = tuple(breast.name for breast in run.measurements if "head-not-shown" in breast.boundary_remarks)
     if headless:
         yield Notice(code="head-not-shown", about=headless)
 

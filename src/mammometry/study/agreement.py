@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy  # it imports scipy.stats, which takes half a second, when that is used
 
+from mammometry.base.notices import Notice
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.study.icc import IntraclassCorrelation, intraclass_correlations
@@ -46,8 +47,8 @@ class PairedMeasurements:
     """Unit of both. It may be empty."""
     subjects: tuple[str, ...] = ()
     """Whose each pair is. Pairs of one subject are not independent. Empty: each pair is another subject's."""
-    warnings: tuple[str, ...] = ()
-    """Sentences for the reader about the table that they are from."""
+    notices: tuple[Notice, ...] = ()
+    """Warnings about the table that they are from."""
 
     def __post_init__(self) -> None:
         lengths = {len(self.names), len(self.reference), len(self.measured), len(self.subjects or self.names)}

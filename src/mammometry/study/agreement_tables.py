@@ -22,7 +22,6 @@ def summary(data: PairedMeasurements, found: Agreement) -> list[str]:
     repeated = found.pairs > found.subjects
     count = f"{found.pairs} pairs of {found.subjects} subjects" if repeated else f"{found.subjects} subjects"
     lines = [
-        *(f"Warning: {warning}" for warning in data.warnings),
         f"{data.measured_name} less {data.reference_name}, {count}: mean difference "
         f"{number(bias.value, '+.2f')}{unit} ({_interval(bias, '+.2f')}), standard deviation "
         f"{number(found.sd.value, '.2f')}{unit}. "
@@ -155,7 +154,6 @@ def agreement_json(data: PairedMeasurements, found: Agreement, checked: Sequence
             "reference": data.reference_name,
             "measured": data.measured_name,
             "unit": data.unit,
-            "warnings": data.warnings,
             **asdict(found),
             "published": [
                 {**asdict(check.published), "recomputed": check.recomputed, "follows": check.follows}

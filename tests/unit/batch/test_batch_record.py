@@ -6,6 +6,7 @@ import time
 
 import pytest
 
+from mammometry.base.notices import Notice
 from mammometry.batch.record import Measured, Record, Row, key_of, look_up, need_mb, read_record, stats_of, write_record
 from mammometry.settings import Settings
 
@@ -15,7 +16,7 @@ ROW = Row(
     date="2026-11-22",
     measured=(Measured(name="left", volume_cc=512.25, interval_cc=(500.0, 530.5)),),
     no_breast={"right": "flat"},
-    warnings=("Look at it.",),
+    notices=(Notice(code="head-not-shown", about=("model",)),),
     made_at="2026-11-22T10:00:00+00:00",
     seconds=12.5,
     peak_memory_mb=900.0,

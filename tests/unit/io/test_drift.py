@@ -51,14 +51,14 @@ def test_a_bad_line_is_named_and_kept_and_the_others_are_read(tmp_path: Path, ba
     append_history(tmp_path, entry(4))
     found = read_history(tmp_path)
     assert found.entries == (entry(1), entry(3), entry(4))
-    (warning,) = found.warnings
-    assert warning.startswith("checks/history.jsonl, line 2: ")
+    (notice,) = found.notices
+    assert (notice.code, notice.values["file"], notice.values["line"]) == ("check-unreadable", f"{FOLDER}/{HISTORY}", 2)
     assert path.read_bytes().startswith(before)
 
 
 def test_no_history_is_an_empty_one(tmp_path: Path) -> None:
     assert read_history(tmp_path).entries == ()
-    assert read_history(tmp_path).warnings == ()
+    assert read_history(tmp_path).notices == ()
 
 
 @pytest.mark.parametrize("cut", [1, 40])
@@ -71,7 +71,7 @@ def test_a_torn_last_line_does_not_tear_the_next(tmp_path: Path, cut: int) -> No
     found = read_history(tmp_path)
     whole = cut == 1  # only the end of the line was lost
     assert found.entries == ((entry(1), entry(2), entry(3)) if whole else (entry(1), entry(3)))
-    assert len(found.warnings) == (0 if whole else 1)
+    assert len(found.notices) == (0 if whole else 1)
 
 
 def test_names_with_any_letters_are_one_line(tmp_path: Path) -> None:
@@ -95,7 +95,7 @@ for number in range(1, 9):
     at_once = [subprocess.Popen(command) for _ in range(2)]
     assert [each.wait(timeout=60) for each in at_once] == [0, 0]
     found = read_history(tmp_path)
-    assert (len(found.entries), found.warnings) == (16, ())
+    assert (len(found.entries), found.notices) == (16, ())
 
 
 def test_what_the_disk_refuses_is_a_sentence(tmp_path: Path) -> None:

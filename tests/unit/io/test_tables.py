@@ -1,12 +1,12 @@
 """Tables of pairs: read as they are, refused by row and column."""
 
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mammometry.base.errors import TableError
+from mammometry.base.notices import Notice
 from mammometry.io.paired_tables import read_pairs, read_published
 
 
@@ -160,7 +160,7 @@ def test_units_of_one_kind_are_converted(
     assert found.unit == unit
     assert (found.reference[0], found.measured[0]) == pytest.approx(pair)
     assert (found.reference_name, found.measured_name) == names
-    assert found.warnings == ()
+    assert found.notices == ()
 
 
 def test_units_of_two_kinds_are_refused(tmp_path: Path) -> None:
@@ -171,12 +171,15 @@ def test_units_of_two_kinds_are_refused(tmp_path: Path) -> None:
 def test_what_is_doubtful_is_said(tmp_path: Path) -> None:
     text = "id,water,scan_cc\na,290,300\nb,300,310\nc,310,999\n"
     found = read_pairs(written(tmp_path, text), reference="water", measured="scan_cc")
-    assert [sum(word in line for line in found.warnings) for word in ("999", "water")] == [1, 1]
+    assert found.notices == (
+        Notice(code="value-may-be-missing", values={"column": "scan_cc", "value": 999.0, "row": "c"}),
+        Notice(code="unit-assumed", values={"column": "water", "unit": "cc"}),
+    )
     litres = text.replace("290", "0.29").replace("300,310", "0.30,310").replace("310,999", "0.31,320")
     assert "water: " in refused(tmp_path, litres, "water", "scan_cc")
     text = litres.replace("scan_cc", "scan")
-    (warning,) = read_pairs(written(tmp_path, text), reference="water", measured="scan").warnings
-    assert {"water", "scan"} <= set(re.findall(r"\w+", warning))
+    (notice,) = read_pairs(written(tmp_path, text), reference="water", measured="scan").notices
+    assert (notice.code, notice.values["measured"]) == ("columns-differ", "scan")
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import os
 import pyarrow.parquet as pq
 import pytest
 
+from mammometry.base.notices import Notice
 from mammometry.report.documents.batch_page import BatchLine, BatchVolume, batch_files, counted
 
 LINES = (
@@ -19,7 +20,7 @@ LINES = (
             BatchVolume(name="left", volume_cc=512.25, interval_cc=(500.0, 530.5), reference_cc=500.0),
             BatchVolume(name="right", volume_cc=480.0, interval_cc=None, reference_cc=490.0),
         ),
-        warnings=("Nobody has confirmed the automatic boundary. Look at it with `mammometry edit`.",),
+        notices=(Notice(code="boundary-not-confirmed", about=("left",)), Notice(code="boundaries-drawn-with-edit")),
         seconds=12.5,
         peak_memory_mb=900.0,
         page="/archive/a/results/report/report.html",

@@ -13,8 +13,10 @@ import numpy as np
 
 from mammometry.base.csv_cells import csv_text
 from mammometry.base.identity import as_utf_8
+from mammometry.base.notices import Notice
 from mammometry.report.documents.pages import embed, render
 from mammometry.report.figures.observers import bland_altman, scatter
+from mammometry.report.words.notices import words_of
 from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements, agreement
 from mammometry.study.agreement_tables import agreement_tables, summary
 from mammometry.study.tables import Table, number
@@ -49,7 +51,7 @@ class BatchLine:
     volumes: tuple[BatchVolume, ...] = ()
     no_breast: Mapping[str, str] = field(default_factory=dict)
     """Side → why nothing was measured there."""
-    warnings: tuple[str, ...] = ()
+    notices: tuple[Notice, ...] = ()
     failed: str = ""
     seconds: float | None = None
     peak_memory_mb: float | None = None
@@ -58,6 +60,12 @@ class BatchLine:
     page: str = ""
     """Address of its report."""
     thumbnail: str | None = None
+
+    @property
+    def warnings(self) -> list[str]:
+        """The notices in words."""
+        return list(map(words_of, self.notices))
+
     """WebP in base64."""
 
 
@@ -181,6 +189,7 @@ def _columns(lines: Sequence[BatchLine]) -> dict[str, list[str | float | None]]:
                 "reference_cc": None if volume is None else volume.reference_cc,
                 "no_breast": "; ".join(f"{side}: {why}" for side, why in line.no_breast.items()) or None,
                 "warnings": " ".join(line.warnings) or None,
+                "notices": " ".join(dict.fromkeys(notice.code for notice in line.notices)) or None,
                 "failed": line.failed or None,
                 "seconds": line.seconds,
                 "peak_memory_mb": line.peak_memory_mb,

@@ -2,9 +2,11 @@
 
 import json
 from collections.abc import Sequence
+from typing import Any
 
 from mammometry.report.documents.pages import embed, render
 from mammometry.report.figures.observers import bland_altman, curves_on, regions, scatter, volumes
+from mammometry.report.words.notices import in_json, lines_of
 from mammometry.study.agreement import Agreement, CheckedFigure, PairedMeasurements
 from mammometry.study.agreement_tables import agreement_json, agreement_tables, summary
 from mammometry.study.observers import (
@@ -45,13 +47,18 @@ def agreement_files(
         kind="agreement study",
         title=title,
         subtitle=f"{data.measured_name} against {data.reference_name}",
-        summary=summary(data, figures),
+        summary=[*lines_of(data.notices), *summary(data, figures)],
         pictures=[embed(png) for png in pictures.values()],
         tables=[*agreement_tables(data, figures, checked), *more],
         remarks=[*remarks, *(check.published.note for check in checked if not check.follows and check.published.note)],
     )
-    numbers = json.dumps({"title": title, **agreement_json(data, figures, checked)}, indent=1, ensure_ascii=False)
+    numbers = json.dumps({"title": title, **study_json(data, figures, checked)}, indent=1, ensure_ascii=False)
     return {"report.html": page.encode(), "agreement.json": (numbers + "\n").encode(), **pictures}
+
+
+def study_json(data: PairedMeasurements, figures: Agreement, checked: Sequence[CheckedFigure]) -> dict[str, Any]:
+    """All results and notices of a study of agreement, JSON-ready."""
+    return in_json(data.notices) | agreement_json(data, figures, checked)
 
 
 _SURFACES_SHOWN = 12  # pictures of surfaces on a page; chosen by eye

@@ -221,6 +221,13 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
         "dates-exchanged": Text("The sessions were named in the other order. The dates in their manifests were used."),
         "date-missing": Text("A session has no date. The session named first was taken as the earlier one."),
         "measured-again": Text("The {date} session had been measured with other settings. It was measured again."),
+        "value-may-be-missing": Text("{column} is {value:g} for {row}: leave the row out if it stands for no value."),
+        "column-constant": Text("Every value of {column} is {value:g}."),
+        "unit-assumed": Text("Column {column} states no unit; {unit} was taken, as the other's."),
+        "columns-differ": Text(
+            "{measured} is typically {ratio:.3g} times {reference}: check that both have the same unit."
+        ),
+        "check-unreadable": Text("{file}, line {line}: no entry of a check ({error}); it is left out."),
         "sentence": Text("{text}"),
     }
 )
