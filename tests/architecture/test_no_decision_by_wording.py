@@ -101,7 +101,7 @@ def test_no_sentence_decides() -> None:
 @pytest.mark.parametrize(
     "line",
     [
-        "'another run at work' in error.found",
+        "'another run in progress' in error.found",
         "error.found == 'nothing'",
         "sentence.startswith('Nobody has confirmed')",
         "str(error).partition(', found ')",

@@ -301,7 +301,7 @@ GLBS = (
     Container("normalized positions", lambda: whole_numbers(normalized=True)),
     Container("positions in whole numbers", lambda: whole_numbers(normalized=False)),
     Container("instances", instances, 9 * VOLUME_CC),
-    Container("a hidden node", lambda: hidden(visible=False), remark="hides"),
+    Container("a hidden node", lambda: hidden(visible=False), remark="Hidden"),
     Container("a node that is not hidden", lambda: hidden(visible=True), 2 * VOLUME_CC),
     Container("a second scene", two_scenes),
     Container("points and lines", beside_points),
@@ -401,11 +401,11 @@ def _in_unit(metres: float) -> Container:
 _FLIPPED = 'double3 xformOp:scale = (-1, 1, 1)\nuniform token[] xformOpOrder = ["xformOp:scale"]'
 USDZS = (
     Container("plain", lambda: usda(usd_mesh())),
-    Container("a proxy", lambda: _with_purpose("proxy"), remark="hides"),
-    Container("a guide", lambda: _with_purpose("guide"), remark="hides"),
+    Container("a proxy", lambda: _with_purpose("proxy"), remark="Hidden"),
+    Container("a guide", lambda: _with_purpose("guide"), remark="Hidden"),
     Container("render", lambda: _with_purpose("render"), 2 * VOLUME_CC),
     Container("invisible", lambda: usda(
-        usd_mesh() + "\n" + usd_mesh(prim='def Mesh "other"', more='token visibility = "invisible"')), remark="hides"),
+        usd_mesh() + "\n" + usd_mesh(prim='def Mesh "other"', more='token visibility = "invisible"')), remark="Hidden"),
     Container("holes", _with_holes),
     Container("a PointInstancer", lambda: usda(_INSTANCER % usd_mesh()), 0, "PointInstancer"),
     Container("a cube", lambda: usda(usd_mesh() + '\ndef Cube "base" {\n double size = 80\n}'), 0, "a Cube"),

@@ -103,7 +103,7 @@ def sprinkled(data: bytes, rng: Random) -> bytes:
     return b"\n".join(line + b"\r" if rng.random() < 0.5 and line else line for line in lines)
 
 
-_WHERE = r"line \d+|row \d+|JSON|cannot be (read|parsed)|names with values|no triangles|camera|cam|unfit value|a line"
+_WHERE = r"line \d+|row \d+|JSON|cannot be (read|parsed)|names with values|no triangles|camera|cam|invalid value|a line"
 """Where something stands that is no such text; what it is, only an editor shows."""
 
 
@@ -383,7 +383,7 @@ CHANGES = (
     _change("UTF-16 without a mark", "text", on_bytes(lambda data, rng: data.decode().encode("utf-16-le")), "UTF-16"),
     _change("Latin-1", "text", on_bytes(latin_1), "UTF-8"),
     _change("decomposed letters", "text", on_text(lambda text, rng: text.replace("ö", "o\u0308"))),
-    _change("a NUL at the end", "text", on_bytes(lambda data, rng: data + b"\0"), "NUL|to its end|in binary"),
+    _change("a NUL at the end", "text", on_bytes(lambda data, rng: data + b"\0"), "NUL|to its end|binary data"),
     _change("Ctrl-Z at the end", "text", on_bytes(lambda data, rng: data + b"\x1a"), _WHERE),
     # line ends and blanks
     _change("CR LF", "text", on_bytes(lambda data, rng: data.replace(b"\n", b"\r\n"))),
@@ -450,9 +450,9 @@ CHANGES = (
     _change("in inches, unsaid", "obj", scaled(1 / 25.4, None), "unit"),
     _change("in micrometres, unsaid", "obj", scaled(1000.0, None), "unit"),
     _change("far from its origin", _PLY_AND_OBJ, far_away, "steps of"),
-    _change("another ending", "mesh", ending(".ply2"), "another kind of file"),
+    _change("another ending", "mesh", ending(".ply2"), "another file type"),
     _change("capital ending", "mesh", ending(None)),
-    _change("the ending of another format", "mesh", ending_of_another, "ending"),
+    _change("the ending of another format", "mesh", ending_of_another, "file extension"),
     _change("a binary header that begins as text", "stl", on_bytes(solid_binary)),
     # photographs
     _change("progressive JPEG", "photograph", resaved("JPEG", progressive=True, **_FINE), relative=0.03),

@@ -68,22 +68,22 @@ def test_sizes_that_fit_the_picture_are_taken(pictures: dict[str, Photograph], t
     [
         (
             replace(CHARUCO, square_mm=30.0),
-            r"marker_mm (\S+) times square_mm, where \[target\] says 18 and 30 mm, 0.600 times\. "
-            r".*square_mm = 30 belongs marker_mm = (\S+), to marker_mm = 18 belongs square_mm = (\S+)",
+            r"marker_mm (\S+) times square_mm, but in \[target\] 18 and 30 mm, 0.600 times\. "
+            r".*either square_mm = 30 and marker_mm = (\S+), or marker_mm = 18 and square_mm = (\S+)",
             0.72,
             (21.6, 25.0),
         ),
         (
             replace(CHARUCO, marker_mm=14.0),
-            r"marker_mm (\S+) times square_mm, where \[target\] says 14 and 25 mm, 0.560 times\. "
-            r".*square_mm = 25 belongs marker_mm = (\S+), to marker_mm = 14 belongs square_mm = (\S+)",
+            r"marker_mm (\S+) times square_mm, but in \[target\] 14 and 25 mm, 0.560 times\. "
+            r".*either square_mm = 25 and marker_mm = (\S+), or marker_mm = 14 and square_mm = (\S+)",
             0.72,
             (18.0, 14 / 0.72),
         ),
         (
             replace(CIRCLES, pitch_mm=30.0),
-            r"diameter_mm (\S+) times pitch_mm, where \[target\] says 14 and 30 mm, 0.467 times\. "
-            r".*pitch_mm = 30 belongs diameter_mm = (\S+), to diameter_mm = 14 belongs pitch_mm = (\S+)",
+            r"diameter_mm (\S+) times pitch_mm, but in \[target\] 14 and 30 mm, 0.467 times\. "
+            r".*either pitch_mm = 30 and diameter_mm = (\S+), or diameter_mm = 14 and pitch_mm = (\S+)",
             0.56,
             (16.8, 25.0),
         ),

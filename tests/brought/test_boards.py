@@ -139,9 +139,7 @@ def test_one_camera_s_mirrored_photographs_are_named_before_its_lack_of_views() 
         "0 usable views of the target: where it is missing, 3 of 3 photographs show a mirrored"
     )
     assert "without flipping them" in error.remedy
-    assert error.details == (
-        "b, poses 00, 01, 02: a mirrored board, whose markers are seen only in the picture's mirror image",
-    )
+    assert error.details == ("b, poses 00, 01, 02: a mirrored board: its markers are found only in the mirrored image",)
     assert "…" not in str(error)
 
 
@@ -242,7 +240,7 @@ def test_all_suspect_photographs_are_named_at_once_with_what_is_left() -> None:
     assert set(error.suspects.reasons) == set(BAD)
     assert error.suspects.suffices
     assert "3 photographs that the others contradict: front_left in pose 03, floor_right in pose 07" in error.found
-    assert "Take them out" in error.remedy
+    assert "Remove them" in error.remedy
     assert "12 poses are left, at least 11 for each camera" in error.remedy
     assert [line.partition(":")[0] for line in error.details] == [f"pose {pose}, {camera}" for pose, camera in BAD]
 
@@ -290,7 +288,7 @@ def test_suspects_that_cannot_be_spared_are_named_without_a_promise() -> None:
     assert quality.verdict == "refuse"
     error = refusal(calibration, quality, recalibrate, QualitySettings())
     assert isinstance(error, CalibrationError)
-    assert "Take them out" not in str(error)
+    assert "Remove them" not in str(error)
 
 
 @pytest.mark.slow
@@ -301,10 +299,10 @@ def test_photographs_copied_or_of_another_day_leave_the_right_number() -> None:
     one_copied = replace(clean, detections=tuple({**views, ("06", "front_left"): copied}.values()))
     verdict, said, off = judged(one_copied)
     assert (verdict, abs(off) < 5e-4) == ("warn", True)
-    assert "the same picture as 06/front_left" in said
+    assert "the same image as 06/front_left" in said
 
     away = {name: tuple(np.random.default_rng(k).normal(0, 3, 3)) for k, name in enumerate(CAMERAS)}
     verdict, said, off = judged(with_moved({("03", name): shift for name, shift in away.items()}, 7))
     assert (verdict, abs(off) < 5e-4) == ("refuse", True)
     assert re.search(r"contradict: (\w+ in pose 03(, | and )?)+, expected", said)
-    assert "Take them out" in said
+    assert "Remove them" in said

@@ -28,13 +28,13 @@ LATIN_1 = b"M\xfcller".decode("utf-8", "surrogateescape")
 REFUSED = [
     ("--patient-name", "Muster\\Anna", "the patient's name: found a backslash at place 7"),
     ("--patient-name", "M" * 77, "the patient's name: found 77 letters"),
-    ("--patient-name", LATIN_1, "the patient's name: found a byte at place 2 that is no letter in UTF-8"),
+    ("--patient-name", LATIN_1, "the patient's name: found a byte at position 2 that is not valid UTF-8"),
     ("--patient-name", "A=B=C=D", "the patient's name: found 4 groups"),
     ("--patient-name", "A^B^C^D^E^F", "the patient's name: found 6 parts in a group"),
-    ("--patient-name", "Anna\x1b[31m", "the patient's name: found a control character at place 5"),
+    ("--patient-name", "Anna\x1b[31m", "the patient's name: found a control character at position 5"),
     ("--patient-id", "4711\\4712", "the patient's id: found a backslash at place 5"),
     ("--patient-id", "4" * 72, "the patient's id: found 72 letters"),
-    ("--patient-id", "a\nb", "the patient's id: found a control character at place 2"),
+    ("--patient-id", "a\nb", "the patient's id: found a control character at position 2"),
     ("--accession", "A" * 17, "the accession number: found 17 letters"),
     ("--study-uid", "1.2.03", "the study's UID: found no unique identifier"),
     ("--study-uid", ".".join(["1"] * 33), "the study's UID: found 65 letters"),
@@ -69,7 +69,7 @@ def test_a_fhir_bundle_refuses_the_same(tmp_path: Path, capsys: pytest.CaptureFi
     out = tmp_path / "out"
     code = main.run(["export", "fhir", str(tmp_path / "session"), "--out", str(out), "--patient-id", LATIN_1])
     assert code == 3
-    assert "the patient's id: found a byte at place 2" in capsys.readouterr().err
+    assert "the patient's id: found a byte at position 2" in capsys.readouterr().err
     assert not out.exists()
 
 
@@ -162,7 +162,7 @@ PEER = Peer(title="RIS", host="h", port=104)
         ({"PatientID": "1\\2"}, "entry A1: found the patient's id with a backslash at place 2"),
         ({"PatientName": "A\\B"}, "entry A1: found the patient's name with a backslash"),
         ({"PatientID": "1" * 65}, "the patient's id with 65 letters"),
-        ({"PatientName": "M\ufffdller"}, "the patient's name with a byte at place 2 that is no letter"),
+        ({"PatientName": "M\ufffdller"}, "the patient's name with a byte at position 2 that is not valid"),
         ({"AccessionNumber": "A" * 20}, "entry without an accession number: found the accession number with 20"),
     ],
 )

@@ -126,8 +126,8 @@ def opaque(name: bytes, kind: bytes) -> bytes:
     [
         (b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512, b"\0"), r"version 7\.3, expected version 7.*'-v7'"),
         (opaque(b"stereoParams", b"stereoParameters"), r"found MATLAB's objects, .*toStruct\(stereoParams\)"),
-        (b"\0" * 10, "found no MAT-file"),
-        (b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM" + b"\x0f" * 40, "rig.mat: found no MAT-file"),
+        (b"\0" * 10, "found an invalid MAT-file"),
+        (b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM" + b"\x0f" * 40, "rig.mat: found an invalid MAT-file"),
     ],
     ids=["7.3", "objects", "short", "damaged"],
 )
@@ -143,8 +143,8 @@ def test_what_matlab_alone_can_read_is_named(tmp_path: Path, content: bytes, sen
         ({"s": matlab_pair(WorldUnits="furlongs")}, "lengths in 'furlongs'"),
         ({"s": matlab_pair(ImageSize=[])}, "no ImageSize"),
         ({"s": matlab_pair(RadialDistortion=[1.0])}, "1 radial coefficients"),
-        ({"s": matlab_pair(IntrinsicMatrix=[[FX, 0, 0], [5, FY, 0], [U0, V0, 1]])}, "skew|no camera"),
-        ({"p": matlab_lens()}, "one camera without its place in the rig"),
+        ({"s": matlab_pair(IntrinsicMatrix=[[FX, 0, 0], [5, FY, 0], [U0, V0, 1]])}, "skew|an invalid camera"),
+        ({"p": matlab_lens()}, "one camera without its pose in the rig"),
         ({"x": 3.0}, "variables x"),
     ],
 )
@@ -221,9 +221,9 @@ def test_a_chunk_that_lies_elsewhere_in_its_world(tmp_path: Path) -> None:
         (agisoft(extra="<k4>0.01</k4>"), r"k4 = 0\.01"),
         (agisoft(scale=0), "no scale of its chunk"),
         (agisoft(sensor_type="fisheye"), "a lens of type fisheye"),
-        (agisoft(labels=("front_left.jpg", "front_left/2.jpg")), "a second picture of camera front_left"),
+        (agisoft(labels=("front_left.jpg", "front_left/2.jpg")), "a second image of camera front_left"),
         (agisoft(scale=6378.0, moved_m=(6.4e6, 0, 0)), "mm from the origin"),
-        (agisoft().replace("<cx>", "<cx>1,5 "), "an unfit value"),
+        (agisoft().replace("<cx>", "<cx>1,5 "), "an invalid value"),
         ("<?xml version='1.0'?><document><chunk/></document>", "0 chunks with cameras"),
         ("<?xml version='1.0'?><!DOCTYPE a><document/>", "a declaration"),
     ],
@@ -314,7 +314,9 @@ def test_every_pose_of_halcon_is_turned_as_it_says(tmp_path: Path, code: int) ->
 
 def test_a_lens_that_browns_does_not_fit_is_refused(tmp_path: Path) -> None:
     paths = [halcon(tmp_path / f"{name}.cal", **STRONG) for name in PAIR["front"]]
-    with pytest.raises(SessionError, match=r"front_left.cal.*a lens that Brown's misses by 0\.\d+ pixels"):
+    with pytest.raises(
+        SessionError, match=r"front_left.cal.*a lens that Brown's model fits with an error of 0\.\d+ pixels"
+    ):
         import_cameras([*paths, halcon_pose(tmp_path / "relpose.dat")], PAIR)
 
 
@@ -329,7 +331,7 @@ def test_unfit_files_of_halcon_are_named(tmp_path: Path) -> None:
         ("Kappa:kappa:", "Tilt:tilt:", "found Tilt: 0.0"),
         ("Focus:focus:   0.0125", "Focus:focus:   0.0", "Focus, Sx or Sy not above zero"),
         ("Focus:focus:   0.0125;", "", "no focus"),
-        ("Camera:", "LinescanCamera:", "another group"),
+        ("Camera:", "LinescanCamera:", "another parameter group"),
     ):
         left.write_text(halcon(left, Kappa=0.0).read_text().replace(before, after))
         with pytest.raises(SessionError, match=sentence):
@@ -364,7 +366,7 @@ def test_images_of_colmap_in_a_folder_for_each_camera(tmp_path: Path, images: tu
 
 
 def test_a_second_image_of_one_camera_is_named(tmp_path: Path) -> None:
-    with pytest.raises(SessionError, match="a second image called front_left, where a rig has one of each camera"):
+    with pytest.raises(SessionError, match="a second image called front_left; a rig has one per camera"):
         import_cameras(colmap(tmp_path, ("front_left/0001.jpg", "front_left/0002.jpg")), PAIR)
 
 

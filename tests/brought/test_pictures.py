@@ -148,8 +148,8 @@ def test_a_palette_within_a_tiff_is_read_as_rgb(tmp_path: Path) -> None:
     ("pixels", "options", "said"),
     [
         (scene(8, 3), {"photometric": "cielab"}, "colours coded as CIELAB"),
-        (scene(16, 1).astype(np.int16), {}, "pixels that are not whole numbers from 0 up"),
-        (scene(16, 1).astype(np.float16), {}, "pixels that are not whole numbers from 0 up"),
+        (scene(16, 1).astype(np.int16), {}, "pixels that are not unsigned integers"),
+        (scene(16, 1).astype(np.float16), {}, "pixels that are not unsigned integers"),
         (scene(8, 1)[None].repeat(3, axis=0), {"volumetric": True, "photometric": "minisblack"}, "3 layers"),
     ],
 )

@@ -142,7 +142,8 @@ def test_another_unit_never_goes_unnoticed(name: str, kind: str, factor: float, 
 def test_centimetres_are_refused_before_anything_is_matched(name: str, kind: str) -> None:
     refused, sentence = noticed(calibrated(pair_of(*RIGS[name]), 200.0, 0.1), kind)
     assert refused
-    assert sentence.startswith("session.toml: target.square_mm: found 2.5 mm, by which the pictures' shorter side is ")
+    found = "found 2.5 mm, with which the shorter side of the field of view is "
+    assert sentence.startswith(f"session.toml: target.square_mm: {found}")
     assert sentence.endswith((": 25 mm would fit.", ": 25 mm or 63.5 mm (if it was in inches) would fit."))
 
 
@@ -150,7 +151,7 @@ def test_centimetres_are_refused_before_anything_is_matched(name: str, kind: str
     ("table", "sentence"),
     [
         ({"kind": "charuco", "squares": [14, 10], "square_mm": 0.025, "marker_mm": 0.018, "dictionary": "DICT_5X5_250"},
-         r"\[target\] square_mm: found 0.025 mm, by which its points span 0.3 mm.*: 25 mm would fit"),
+         r"\[target\] square_mm: found 0.025 mm, with which its points span 0.3 mm.*: 25 mm would fit"),
         ({"kind": "charuco", "squares": [14, 10], "square_mm": 250.0, "marker_mm": 180.0, "dictionary": "DICT_5X5_250"},
          r"\[target\] square_mm: found 250 mm.*: 25 mm would fit"),
         ({"kind": "chessboard", "squares": [10, 7], "square_mm": 0.98},
@@ -207,7 +208,7 @@ def test_cameras_in_millimetres_are_imported(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("lacking", "sentence"),
     [
-        (("R", "T"), "front_left.yml, front_right.yml: found no R and T by which cameras front_left and front_right"),
+        (("R", "T"), "front_left.yml, front_right.yml: found R and T that put cameras front_left and front_right"),
         (("R",), "front_left.yml: found no R, expected R and T"),
         (("T",), "front_left.yml: found no T, expected R and T"),
     ],
@@ -237,7 +238,7 @@ def test_edited_cameras_json_is_refused_before_matching(tmp_path: Path) -> None:
 
     folder = session(tmp_path / "s")
     (folder / "cameras.json").write_text(camera_texts(cameras_of(1e-3), "json")["cameras.json"])
-    with pytest.raises(MammometryError, match=r"cameras.json: t: found translations by which .*: they seem to be in m"):
+    with pytest.raises(MammometryError, match=r"cameras.json: t: found translations .*: they seem to be in m"):
         open_session(folder).plan[calibrate.cameras]()
 
 

@@ -163,13 +163,13 @@ def test_nothing_outside_is_read(tmp_path: Path) -> None:
     ("members", "how", "sentence"),
     [
         ({"a.usda": "#usda 1.0\n"}, zipfile.ZIP_STORED, "no triangles"),
-        ({"a.usda": "#usda 1.0\n"}, zipfile.ZIP_DEFLATED, "a ZIP that is packed"),
-        ({"a.txt": "a"}, zipfile.ZIP_STORED, "a ZIP without USD"),
+        ({"a.usda": "#usda 1.0\n"}, zipfile.ZIP_DEFLATED, "a compressed ZIP"),
+        ({"a.txt": "a"}, zipfile.ZIP_STORED, "a ZIP without a USD file"),
         ({"a.usdc": b"PXR-USDC" + bytes(range(256))}, zipfile.ZIP_STORED, "a file that cannot be read"),
         (
             {"a.usda": layer(FRONT, 1.0).replace("faceVertexIndices = [", "faceVertexIndices = [-1, ")},
             zipfile.ZIP_STORED,
-            "faces of vertices that are not there",
+            "faces refer to vertices that do not exist",
         ),
     ],
 )

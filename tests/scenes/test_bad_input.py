@@ -121,7 +121,7 @@ CASES = [
     (wrong_orientation, 4, "capture/front_left.jpg: found EXIF orientation 3, expected 1"),
     (wrong_pair_names, 3, "Did you mean front_left?"),
     (too_few_poses, 3, "calibration: found 2 poses (00, 01), expected at least 3"),
-    (malformed_manifest, 3, "session.toml: found no TOML"),
+    (malformed_manifest, 3, "session.toml: found invalid TOML"),
     (unknown_key, 3, "session.toml: subject.weight_kg: found an unknown key, expected only kind"),
     (unknown_format, 3, "session.toml: format: found 7, expected 1"),
     (unknown_dictionary, 3, "DICT_5X5_251"),
@@ -339,7 +339,7 @@ def test_two_runs_at_once(tiny_finished: Path, tiny_settings: Path, capsys: pyte
 
     with Store(tiny_finished / "results").taken():
         assert main.run(["run", str(tiny_finished), "--settings", str(tiny_settings), "-q"]) == 9
-    assert "another run at work" in capsys.readouterr().err
+    assert "another run in progress" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ import pytest
 
 from mammometry.api import previews
 from mammometry.api.job import Job, open_session
-from mammometry.base.child_process import ChildProcess, NotDone
+from mammometry.base.child_process import CallError, ChildProcess
 from mammometry.base.errors import StorageError
 from mammometry.job.stages import calibrate
 from mammometry.report import gather
@@ -80,7 +80,7 @@ def test_what_it_cannot_draw_is_drawn_here(
     job: Job, drawn: dict[Path, bytes], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     def call(*_: object) -> None:
-        raise NotDone("no memory there")
+        raise CallError("no memory there")
 
     monkeypatch.setattr(ChildProcess, "call", call)
     caplog.set_level(logging.WARNING, logger="mammometry")

@@ -80,7 +80,7 @@ def test_unknown_words_are_refused():
 
 
 def test_an_unknown_renderer_is_refused_with_the_known_ones():
-    with pytest.raises(SettingsError, match=r"expected one of 'built-in', 'mitsuba'\. 'mitsuba' is the nearest"):
+    with pytest.raises(SettingsError, match=r"expected one of 'built-in', 'mitsuba'\. 'mitsuba' is the most similar"):
         Studio(renderer="mitsubishi")
 
 

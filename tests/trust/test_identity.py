@@ -303,9 +303,7 @@ def test_results_of_another_subject_are_refused_by_every_command(
     before = sorted(path.stat().st_mtime_ns for path in claimed.rglob("*"))
     assert main.run([*command.split(), str(claimed), *options]) == SessionError.exit_code
     printed = capsys.readouterr().err
-    assert (
-        f"results/calibrate/provenance.json: found subject '{ID}', expected '{OTHER}', as session.toml says" in printed
-    )
+    assert f"results/calibrate/provenance.json: found subject '{ID}', expected '{OTHER}', as in session.toml" in printed
     assert "If these are new photographs, delete results/" in printed
     assert sorted(path.stat().st_mtime_ns for path in claimed.rglob("*")) == before
 

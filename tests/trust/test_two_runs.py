@@ -68,7 +68,7 @@ def test_the_second_run_is_told_who_is_at_work(results: Path, drive: str, other_
     with pytest.raises(StorageError) as caught, Store(results).taken():
         pass
     said = str(caught.value)
-    assert f"another run at work there (process {other_run.pid} on {platform.node()}, since 20" in said
+    assert f"another run in progress there (process {other_run.pid} on {platform.node()}, since 20" in said
     assert (f"remove {MARKER} there" in said) == (drive == "no locks")
     assert "\n" not in said
     other_run.communicate("")

@@ -29,7 +29,7 @@ from mammometry.api.mesh_inputs import copies_of, inputs_of
 from mammometry.api.previews import load
 from mammometry.api.results import is_refusal_shown, show_refusal, withdraw_refusal
 from mammometry.api.session_job import Job
-from mammometry.base.child_process import ChildProcess, Ended, NotDone
+from mammometry.base.child_process import CallCancelledError, CallError, ChildProcess
 from mammometry.base.errors import MammometryError, MeasureError, SessionError
 from mammometry.base.identity import Identity
 from mammometry.base.machine.cores import available_cores, one_blas_thread
@@ -354,9 +354,9 @@ class MeshJob(Job):
             shown = mesh_result(self.plan, self._rig, self.finished.textured, self._sources)
             try:
                 return child.call(drawn_mesh, shown)
-            except Ended:
+            except CallCancelledError:
                 raise
-            except NotDone as why:
+            except CallError as why:
                 _LOG.warning("the pictures are drawn here: %s", why)
                 return drawn_mesh(shown)
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mammometry.base.child_process import ChildProcess, Ended, NotDone
+from mammometry.base.child_process import CallCancelledError, CallError, ChildProcess
 from mammometry.base.errors import StorageError
 from mammometry.base.machine.cores import available_cores
 from mammometry.base.parse import error_text
@@ -113,9 +113,9 @@ class Previews:
         if child is not None:
             try:
                 return child.call(_draw, self.session, self.settings, stage)
-            except Ended:
+            except CallCancelledError:
                 raise
-            except NotDone as why:
+            except CallError as why:
                 _LOG.warning("the previews of %s are drawn here: %s", stage, why)
         from mammometry.report.words.stage_facts import drawn
 

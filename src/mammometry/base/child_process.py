@@ -1,8 +1,8 @@
-"""Call functions in a child process: pictures beside a run, and each session of a batch.
+"""Call functions in a child process: figures during a run, each session of a batch.
 
-Python computes in one thread at a time, and some libraries keep their memory for good. A child reads pickled calls
-from its standard input and writes pickled messages: how far a call is, then what came of it. It ends with its parent,
-however that ends: its standard input closes then. Results are written so that this is safe at any moment.
+Python computes in one thread at a time, and some libraries never free their memory. The child reads pickled calls from
+its standard input and writes pickled messages: the progress of a call, then its result. It ends when its parent ends,
+since its standard input is then closed. Results are written atomically, so it may end at any moment.
 """
 
 from __future__ import annotations
@@ -29,38 +29,38 @@ from mammometry.base.progress import Progress, StageProgress, no_progress, ticki
 
 _R = TypeVar("_R")
 _DEFECT = 70
-"""Exit code of a defect, as of the command line."""
+"""Exit code of a defect, as on the command line."""
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Call:
-    """A function of some module, and the arguments that it is called with. All of it can be pickled.
+    """A function of a module and its arguments, all of which can be pickled.
 
-    No `value`: the arguments are the function's own, to write to as well.
+    Not a `value`, because the function may change its arguments.
     """
 
     function: Callable[..., Any]
     arguments: tuple[Any, ...]
 
 
-class NotDone(Exception):
-    """The child could not do it. Its text says why."""
+class CallError(Exception):
+    """The call failed. The text is the reason."""
 
 
-class Ended(NotDone):
-    """The block has ended, and nobody waits for the result."""
+class CallCancelledError(CallError):
+    """The `with` block has ended and the result is no longer needed."""
 
 
 class ChildProcess:
     """A process that calls functions, one after another.
 
-    It begins with the block and ends with it, in the middle of a call if need be. Ctrl-C at the terminal is this
-    process's to answer.
+    It runs while the `with` block runs and is killed at its end, even during a call. It ignores Ctrl-C: the parent
+    handles that.
 
     Args:
-        cores: that the child may take.
-        errors: takes its standard error; None: this process's own.
+        cores: that the child may use.
+        errors: file for its standard error. None: that of this process.
     """
 
     def __init__(self, *, cores: int = 1, errors: IO[bytes] | None = None) -> None:
@@ -75,7 +75,7 @@ class ChildProcess:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._errors,
-            env=os.environ | limits | {"PYTHONPATH": os.pathsep.join(sys.path)},  # functions are found as here
+            env=os.environ | limits | {"PYTHONPATH": os.pathsep.join(sys.path)},  # the child finds the same modules
             **own_group(),
         )
         return self
@@ -88,46 +88,45 @@ class ChildProcess:
         self.process.wait()
         for pipe in (self.process.stdin, self.process.stdout):
             assert pipe is not None
-            with suppress(OSError):  # what was not read there any more
+            with suppress(OSError):  # the child no longer reads
                 pipe.close()
 
     def call(self, function: Callable[..., _R], *arguments: Any) -> _R:
-        """Call a function there, and wait for what it returns.
+        """Call a function in the child and return its result.
 
         Raises:
-            NotDone: it raised something, or the process is gone.
-            Ended: the block has ended meanwhile.
+            CallError: the function raised an error, or the process has died.
+            CallCancelledError: the block has ended.
         """
         answer = self.answer(Call(function=function, arguments=arguments))
         if "done" not in answer:
-            raise NotDone(answer["why"])
+            raise CallError(answer["why"])
         result: _R = answer["done"]
         return result
 
     def answer(self, call: Call, progress: StageProgress | None = None, every_s: float = 1.0) -> dict[str, Any]:
-        """Make a call, and wait for what came of it.
+        """Make a call and wait for its outcome.
 
         Args:
             call: the call.
-            progress: hears of each new stage at once, and of the current one about every so many seconds, also while
-                the work reports nothing. The function is called with a `StageProgress` before the other arguments
-                then.
-            every_s: so many seconds.
+            progress: called for each new stage at once, and for the current one every `every_s` seconds, even if the
+                function reports nothing. The function then gets a `StageProgress` as its first argument.
+            every_s: interval, s.
 
         Returns:
-            ``done`` with what the function returned; or ``failed``, ``kind``, ``code`` and ``exit_code`` of its error,
-            or ``killed`` where memory was short, with ``why``. Always ``memory_mb``, the child's peak.
+            ``done`` with the function's result; or ``failed``, ``kind``, ``code`` and ``exit_code`` of its error;
+            or ``killed`` with ``why`` if memory ran out. Always ``memory_mb``, the child's peak.
 
         Raises:
-            NotDone: the process is gone.
-            Ended: the block has ended meanwhile.
+            CallError: the process has died.
+            CallCancelledError: the block has ended.
         """
         calls, messages = self.process.stdin, self.process.stdout
         assert calls is not None
         assert messages is not None
         with self._lock:
             try:
-                # Pickled twice: whoever reads a call is not hindered by what is in it.
+                # Pickled twice, so that a call can be read even if its content cannot be unpickled.
                 order = pickle.dumps((call, None if progress is None else every_s), protocol=pickle.HIGHEST_PROTOCOL)
                 pickle.dump(order, calls)
                 calls.flush()
@@ -135,8 +134,8 @@ class ChildProcess:
                     if progress is not None:
                         progress(*message)
             except (OSError, ValueError, EOFError, pickle.UnpicklingError) as error:
-                lost = Ended if self._ended else NotDone
-                raise lost(f"the child process is gone ({type(error).__name__})") from None
+                lost = CallCancelledError if self._ended else CallError
+                raise lost(f"the child process has died ({type(error).__name__})") from None
         answer: dict[str, Any] = message
         return answer
 
@@ -145,7 +144,7 @@ def main() -> None:
     """Make the calls of standard input until it closes."""
     reuse_freed_memory()
     messages = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what libraries print is no message
+    os.dup2(2, 1)  # libraries must not print into the messages
     orders: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_read, args=(sys.stdin.buffer, orders), daemon=True).start()
     lock = threading.Lock()
@@ -172,7 +171,7 @@ def _answer(order: bytes, send: Callable[[object], None]) -> dict[str, Any]:
         answer = {"failed": str(error), "kind": error.kind, "code": error.code}
         answer |= {"exit_code": error.exit_code, "why": str(error)}
     except MemoryError:
-        why = "it asked for more memory than there was"
+        why = "it ran out of memory"
         answer = {"killed": why, "why": why}
     except Exception as error:
         text = str(error).partition("\n")[0]
@@ -183,7 +182,7 @@ def _answer(order: bytes, send: Callable[[object], None]) -> dict[str, Any]:
 
 @contextmanager
 def _reporting(send: Callable[[object], None], every_s: float) -> Iterator[StageProgress]:
-    """Send stages and their fractions done: a new stage at once, the current one about every so many seconds."""
+    """Send each new stage at once, and the current one every `every_s` seconds."""
     sent: dict[str, float] = {}
     lock, current = threading.Lock(), ""
     report_current: Progress = no_progress
@@ -197,7 +196,7 @@ def _reporting(send: Callable[[object], None], every_s: float) -> Iterator[Stage
     def report(stage: str, fraction: float) -> None:
         nonlocal current, report_current
         with lock:
-            if stage != current or fraction == 0:  # another piece of work begins
+            if stage != current or fraction == 0:  # a new stage or a new part of it
                 current = stage
                 ticker.close()
                 report_current = ticker.enter_context(ticking(partial(send_in_time, stage), tick_s=every_s / 4))
@@ -208,7 +207,7 @@ def _reporting(send: Callable[[object], None], every_s: float) -> Iterator[Stage
 
 
 def _read(pipe: IO[bytes], orders: queue.SimpleQueue[bytes]) -> None:
-    """Take calls, and end this process with its parent."""
+    """Read calls, and end this process when its parent ends."""
     try:
         while True:
             orders.put(pickle.load(pipe))

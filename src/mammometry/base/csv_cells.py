@@ -1,11 +1,11 @@
-"""CSV in which no cell is a formula.
+"""CSV in which no cell is read as a formula.
 
-A spreadsheet computes what begins with = + - or @, and may fetch addresses by it. Such text gets an apostrophe in
-front, which shows that it is text. Numbers stay numbers, negative ones too.
+A spreadsheet computes cells that begin with = + - or @, and such a formula may fetch a web address. Such text gets a
+leading apostrophe, which marks it as text. Numbers stay numbers, also negative ones.
 
-Where semicolons separate cells, as in spreadsheets of countries with a decimal comma, our file is split at every
-semicolon, also within quotes that do not begin a cell: ``a;=1+1`` would be a formula in its second half. The same holds
-for tabs, bars and line ends. So the part after each of them is treated as a cell's beginning too.
+Spreadsheets in countries with a decimal comma split our file at every semicolon, also inside quotes that do not begin a
+cell: the second half of ``a;=1+1`` would be a formula. The same holds for tabs, bars and line ends. So the text after
+each of them is treated as a new cell.
 """
 
 from __future__ import annotations
@@ -16,29 +16,29 @@ from collections.abc import Iterable
 from typing import Protocol
 
 _BEGINS_A_FORMULA = tuple("=+-@\t\n＝＋－＠")
-"""The last four are the full-width forms, which some spreadsheets read alike (OWASP, CSV Injection)."""
+"""The last four are the full-width forms, which some spreadsheets accept too (OWASP, CSV Injection)."""
 _NEGATIVE = r"-[0-9]+(?:\.[0-9]+)?(?:[;|\t\n]|$)"
 _WITHIN = re.compile(rf'(?<=[;|\t\n])(?=[\s"]*[=+\-@＝＋－＠])(?![\s"]*{_NEGATIVE})')
-"""Places at which a part of a cell begins a formula. A negative number is none."""
+"""Positions at which a part of a cell begins a formula. A negative number is not a formula."""
 _PLAIN = re.compile(r"[\w.\-]*")
 """Text that no program splits."""
 _NUMBER = re.compile(r"-[0-9]+(\.[0-9]+)?([eE][+-]?[0-9]+)?")
 
 
 def harmless(cell: object) -> str | int | float:
-    """Return a cell that no spreadsheet takes for a formula. None is an empty cell."""
+    """Return a cell that no spreadsheet reads as a formula. None becomes an empty cell."""
     if cell is None:
         return ""
     if isinstance(cell, int | float):
         return cell
-    # A carriage return alone would end the row for readers.
+    # Readers would end the row at a carriage return.
     text = str(cell).replace("\r\n", "\n").replace("\r", "\n")
     text = _WITHIN.sub("'", text)
     return f"'{text}" if text.startswith(_BEGINS_A_FORMULA) and not _NUMBER.fullmatch(text) else text
 
 
 class _Text(Protocol):
-    """A file, or an answer of a web server."""
+    """A file or an HTTP response."""
 
     def write(self, text: str, /) -> object: ...
 
@@ -46,7 +46,7 @@ class _Text(Protocol):
 class CsvWriter:
     """Writes rows of harmless cells, each line ending with LF.
 
-    Text is in quotes unless it is one word or number, so that programs that guess the separator guess right.
+    Text is quoted unless it is one word or number, so that programs guess the separator correctly.
     """
 
     def __init__(self, file: _Text) -> None:

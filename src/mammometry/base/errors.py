@@ -1,7 +1,7 @@
 """Errors for problems that the user can act on.
 
 Each error is one sentence that names the file, camera or pair, what was found, what was expected and what to do.
-Anything else that escapes is a defect of ours. The command line turns each class into its own exit code.
+Any other exception is a defect of the program. The command line turns each class into its own exit code.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import copy
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-_LONGEST = 500  # characters of one part; names and values out of damaged files may be longer
+_LONGEST = 500  # characters of one part; names and values from damaged files may be longer
 
 
 class MammometryError(Exception):
@@ -25,9 +25,9 @@ class MammometryError(Exception):
 
     exit_code = 1
     code: ClassVar[str] = "error"
-    """Names the kind of error for programs. It never changes, whatever the sentence says."""
+    """Identifies the kind of error for programs. It never changes, even if the sentence does."""
     kind: ClassVar[str] = "MammometryError"
-    """Name of the class as 1.0 had it, which ``--json`` gives."""
+    """Name of the class in version 1.0, which ``--json`` gives."""
 
     def __init_subclass__(cls, **facts: Any) -> None:
         super().__init_subclass__(**facts)
@@ -37,9 +37,9 @@ class MammometryError(Exception):
     def __init__(self, subject: str, *, found: str, expected: str, remedy: str) -> None:
         self.subject, self.found, self.expected, self.remedy = map(_on_one_line, (subject, found, expected, remedy))
         self.details: tuple[str, ...] = ()
-        """Single cases behind the sentence, such as the photographs that were not used. Pages list them."""
+        """Single cases of the error, such as the photographs that were not used. Pages list them."""
         self.page: Path | None = None
-        """Shows what was seen, where a page was written."""
+        """Page that shows the problem, if one was written."""
         super().__init__(self._sentence())
 
     def _sentence(self) -> str:
@@ -48,7 +48,7 @@ class MammometryError(Exception):
     def with_remark(self, remark: str) -> Self:
         """Return a copy with one more sentence after the remedy.
 
-        A sentence that it has already, or an empty one, changes nothing.
+        A sentence that is already there, or an empty one, changes nothing.
         """
         if not remark or remark in self.remedy:
             return self
@@ -58,7 +58,7 @@ class MammometryError(Exception):
         return made
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return the parts for pickling, so that the error survives a process pool."""
+        """Return the arguments for pickling, so that the error survives a process pool."""
         return _copied, (type(self), self.args), self.__dict__
 
 
@@ -67,13 +67,13 @@ def _copied(kind: type[MammometryError], arguments: tuple[Any, ...]) -> Mammomet
 
 
 def _on_one_line(text: str) -> str:
-    """Make text one line without characters that control a terminal, as names of files may hold."""
+    """Put text on one line, without control characters, which file names may contain."""
     text = text if len(text) <= 2 * _LONGEST else text[:_LONGEST] + text[-_LONGEST:]
     plain = "".join(letter if letter.isprintable() else " " if letter.isspace() else "�" for letter in text)
     if len(plain) <= _LONGEST:
         return plain
     first, last = plain[: _LONGEST // 2], plain[-_LONGEST // 2 :]
-    words = " " in first and " " in last  # values out of damaged files may have none
+    words = " " in first and " " in last  # values from damaged files may have no spaces
     return f"{first.rpartition(' ')[0]} … {last.partition(' ')[2]}" if words else f"{first} … {last}"
 
 
@@ -99,7 +99,7 @@ class TableError(MammometryError):
 
 
 class ImageError(MammometryError):
-    """A photograph is missing, unreadable, truncated, or wrong in size or orientation."""
+    """A photograph is missing, unreadable or truncated, or has the wrong size or orientation."""
 
     exit_code = 4
     code = "photograph"
@@ -120,7 +120,7 @@ class MatchingError(MammometryError):
 
 
 class SurfaceError(MammometryError):
-    """The range images do not make a surface."""
+    """The range images do not form a surface."""
 
     exit_code = 7
     code = "surface"
@@ -133,8 +133,8 @@ class MeasureError(MammometryError):
         subject: see `MammometryError`.
         found: see `MammometryError`.
         expected: see `MammometryError`.
-        remedy: what the user can do about it; of photographs where it differs for a mesh.
-        mesh_remedy: what the user can do about it where another scanner's mesh is measured. None: the same.
+        remedy: what the user can do about it; for photographs only, if `mesh_remedy` is given.
+        mesh_remedy: what the user can do about it if another scanner's mesh is measured. None: the same.
     """
 
     exit_code = 8
@@ -145,69 +145,69 @@ class MeasureError(MammometryError):
         self._mesh_remedy = mesh_remedy or remedy
 
     def with_remark(self, remark: str) -> Self:
-        """See `MammometryError.with_remark`. In words of a mesh the error keeps it."""
+        """See `MammometryError.with_remark`. The remark is added to both remedies."""
         made = super().with_remark(remark)
         if made is not self:
             made._mesh_remedy = f"{self._mesh_remedy.rstrip('.')}. {_on_one_line(remark)}"
         return made
 
     def of_mesh(self) -> MeasureError:
-        """Return the error in terms of a mesh, without session and cameras."""
+        """Return the error worded for a mesh, without session and cameras."""
         return type(self)(self.subject, found=self.found, expected=self.expected, remedy=self._mesh_remedy)
 
 
 class CrossingError(MeasureError):
-    """A drawn boundary crosses itself or runs back along itself, as drawn or laid onto the surface."""
+    """A boundary crosses itself or runs back along itself, as drawn or as projected onto the surface."""
 
     code = "boundary-crosses-itself"
 
 
 class StorageError(MammometryError):
-    """Results could not be written (full disk, missing permission) or read back (damaged)."""
+    """Results could not be written (full disk, missing permission) or read (damaged)."""
 
     exit_code = 9
     code = "storage"
     is_full = False
-    """Whether the disk has no room."""
+    """Whether the disk is full."""
 
 
 class BusyError(StorageError):
-    """Another run is at work in the session. The same command works once that run has ended."""
+    """Another run is working on the session. The command works once that run has ended."""
 
     code = "busy"
     kind = "StorageError"
 
 
 class BatchError(MammometryError):
-    """A batch cannot continue: its scheduler or workers are missing or different."""
+    """A batch cannot continue: its scheduler or workers are missing or of another version."""
 
     exit_code = 9
     code = "batch"
 
 
 class CaptureError(MammometryError):
-    """A camera failed, or its picture must not be measured."""
+    """A camera failed, or its photograph must not be measured."""
 
     exit_code = 12
     code = "capture"
 
 
 class ArchiveError(MammometryError):
-    """Another system does not answer, refuses, or lost the connection."""
+    """Another system does not answer, refuses, or drops the connection."""
 
     exit_code = 9
     code = "archive"
 
 
 class NotOfferedError(ArchiveError):
-    """Another system answers, but offers none of the services that were asked for."""
+    """Another system answers but offers none of the requested services."""
 
     code = "not-offered"
     kind = "ArchiveError"
 
 
 class UnknownWordError(ValueError):
-    """A word or number that breaks a rule. Functions raise it that do not know where the word was written.
+    """A word or number is not allowed. Raised by functions that do not know where it was written.
 
     Args:
         rule: what is allowed ("skins are pale, dark").

@@ -1,4 +1,4 @@
-"""Libraries that an extra of the package brings, or one plain sentence."""
+"""Check that the optional libraries of an extra are installed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from mammometry.base.errors import StorageError
 
 WEB = ("django", "uvicorn")
-"""What pages are served by: extra `edit`."""
+"""Libraries that serve pages: extra `edit`."""
 
 
 class MissingLibraryError(StorageError):
@@ -17,19 +17,19 @@ class MissingLibraryError(StorageError):
 
 
 def missing(*modules: str) -> list[str]:
-    """Names of the modules that are not installed."""
+    """Names of those modules that are not installed."""
     return [name for name in modules if not _is_installed(name)]
 
 
 def require(extra: str, *modules: str) -> None:
-    """Refuse where a library is not installed.
+    """Require that libraries are installed.
 
     Args:
-        extra: what brings them.
-        modules: that are needed now.
+        extra: the extra of the package that installs them.
+        modules: the modules that are needed.
 
     Raises:
-        MissingLibraryError: names it, and how to install it.
+        MissingLibraryError: names the library and how to install it.
     """
     if absent := missing(*modules):
         raise MissingLibraryError(
@@ -41,5 +41,5 @@ def require(extra: str, *modules: str) -> None:
 def _is_installed(module: str) -> bool:
     try:
         return find_spec(module) is not None
-    except ModuleNotFoundError:  # the package that it would lie in
+    except ModuleNotFoundError:  # its parent package is missing
         return False

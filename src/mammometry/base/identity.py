@@ -1,4 +1,4 @@
-"""Identity of a session's photographs: the only source of names on pages."""
+"""Subject, folder and date of a session: the only source of the names on pages."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from mammometry.base.errors import SessionError
 from mammometry.base.letters import JOINERS, name_fault
 
 LONGEST_ID = 64
-"""Characters of a subject's identifier at most."""
+"""Most characters of a subject's identifier."""
 _WITHOUT_JOINERS = dict.fromkeys(map(ord, JOINERS))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identity:
-    """Whose results a page shows, gathered in one place."""
+    """Subject, name and date that a page shows."""
 
     name: str
     """Printable name of the session folder or of the mesh file."""
     subject: str | None = None
     """Identifier of the subject, a pseudonym. None: not given."""
     date: str = ""
-    """Day on which the photographs were taken, ISO 8601. Empty: not given."""
+    """Date of the photographs, ISO 8601. Empty: not given."""
 
     @classmethod
     def of(cls, path: Path, subject: str | None = None, taken: datetime.date | None = None) -> Identity:
@@ -38,14 +38,14 @@ class Identity:
         return self.subject or self.name
 
     @property
-    def beside(self) -> str:
-        """Line below the heading: the folder and the date. The folder is left out if it is the heading."""
+    def subtitle(self) -> str:
+        """Line below the heading: the folder and the date, without the folder if it is the heading."""
         folder = "" if self.subject in (None, self.name) else self.name
         return " · ".join(filter(None, (folder, self.date and f"photographed {self.date}")))
 
 
 NAMELESS = Identity(name="De-identified case")
-"""Whose results a de-identified page shows."""
+"""Identity on a de-identified page."""
 
 
 def shown_name(path: Path) -> str:
@@ -64,7 +64,7 @@ def as_utf_8(name: str) -> str:
 
 
 def folded(name: str) -> str:
-    """Normalise a name for comparison: case, blanks and the form of accented letters do not matter.
+    """Normalise a name for comparison: ignores case, spaces and the encoding of accented letters.
 
     >>> folded("Ju\u0308rg ") == folded("jürg")
     True
@@ -73,10 +73,10 @@ def folded(name: str) -> str:
 
 
 def subject_id(text: str) -> str:
-    """A subject's identifier, checked, in Unicode's composed form.
+    """Check a subject's identifier and return it in Unicode's composed form (NFC).
 
     Raises:
-        ValueError: says what is allowed.
+        ValueError: names what is allowed.
     """
     composed = unicodedata.normalize("NFC", text)
     if (
@@ -87,17 +87,17 @@ def subject_id(text: str) -> str:
         or set(composed) & set("/\\")
     ):
         raise ValueError(
-            f"1 to {LONGEST_ID} printable characters without / and \\, no blank at either end; best a pseudonym"
+            f"1 to {LONGEST_ID} printable characters without / and \\, no space at either end; preferably a pseudonym"
         )
     return composed
 
 
 def one_subject(named: Iterable[tuple[str, str | None]], *, remedy: str) -> str | None:
-    """Return the one identifier that all sources agree on. None where none gives one.
+    """Return the identifier that all sources agree on. None if no source gives one.
 
     Args:
-        named: a file or an option, and the identifier that it gives, or None.
-        remedy: what to do where two differ.
+        named: file or option, and the identifier that it gives, or None.
+        remedy: what to do if two differ.
 
     Raises:
         SessionError: two of them differ.
@@ -111,7 +111,7 @@ def one_subject(named: Iterable[tuple[str, str | None]], *, remedy: str) -> str 
             raise SessionError(
                 source,
                 found=f"subject {subject!r}",
-                expected=f"{first[1]!r}, as {first[0]} says: one subject only",
+                expected=f"{first[1]!r}, as in {first[0]}: one subject only",
                 remedy=remedy,
             )
     return None if first is None else first[1]

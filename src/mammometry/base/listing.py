@@ -1,7 +1,7 @@
-"""List a user's folder without the files that operating systems leave there.
+"""List a user's folder without the files that operating systems put there.
 
-macOS writes ``._name`` beside each file on disks of other systems, and ``__MACOSX`` into archives. Windows writes
-``Thumbs.db`` and ``desktop.ini``. Every listing of a user's folder goes through here.
+macOS writes ``._name`` next to each file on disks of other systems, and ``__MACOSX`` into archives. Windows writes
+``Thumbs.db`` and ``desktop.ini``. All code lists users' folders with this module.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ _LEFT_BY_SYSTEMS = ("__macosx", "thumbs.db", "desktop.ini")
 
 
 def is_hidden(name: str) -> bool:
-    """Whether the name of a file or folder begins with a dot, or is one that systems leave."""
+    """Whether a name begins with a dot or is that of an operating system's file."""
     return name.startswith(".") or name.casefold() in _LEFT_BY_SYSTEMS
 
 
 def visible(folder: Path) -> list[Path]:
-    """Files and folders in a folder, by name. Empty if it is no folder.
+    """Files and folders in a folder, by name. Empty if it is not a folder.
 
     Raises:
-        OSError: it cannot be read.
+        OSError: the folder cannot be read.
     """
     return sorted(path for path in folder.iterdir() if not is_hidden(path.name)) if folder.is_dir() else []

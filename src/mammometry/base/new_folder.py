@@ -1,4 +1,4 @@
-"""New folders that are whole or not there, also after a crash."""
+"""Create a folder completely or not at all, even after a crash."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _LOCK = ".lock"
 
 
 def require_new(out: Path, *, found: str = "something there already") -> None:
-    """Refuse a folder that holds something, or a file.
+    """Require that a path does not exist or is an empty folder.
 
     Args:
         out: the folder to make.
-        found: what is there, in words.
+        found: what is there, for the message.
 
     Raises:
-        SessionError: names `out`.
+        SessionError: `out` is in use.
     """
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise SessionError(
@@ -39,14 +39,14 @@ def require_new(out: Path, *, found: str = "something there already") -> None:
 
 @contextmanager
 def whole_folder(out: Path) -> Iterator[Path]:
-    """Yield a hidden folder that becomes `out` on success.
+    """Yield a hidden folder that becomes `out` on success and is removed on failure.
 
-    Otherwise it is removed. It is in a working folder beside `out`, marked as ours and locked while it is filled. The
-    lock is released when its process dies: a working folder of the same `out` without a lock was left by a killed
-    process, and is removed first. A folder without our mark is left alone, whatever its name.
+    It is inside a working folder next to `out`, which is marked as ours and locked. The lock is released when its
+    process dies, so an unlocked working folder of the same `out` is left over from a killed process and is removed
+    first. A folder without our mark is never removed.
 
     Raises:
-        OSError: the disk is full or may not be written, or something else has taken the place of `out`.
+        OSError: the disk is full or not writable, or another process has created `out`.
     """
     out.parent.mkdir(parents=True, exist_ok=True)
     prefix = f".{out.name}.making-"
@@ -61,7 +61,7 @@ def whole_folder(out: Path) -> Iterator[Path]:
             made.mkdir()
             yield made
             if os.path.lexists(out):
-                out.rmdir()  # fails unless it is an empty folder
+                out.rmdir()  # fails if it is not empty
             made.replace(out)
     finally:
         shutil.rmtree(workplace, ignore_errors=True)

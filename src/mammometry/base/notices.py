@@ -1,7 +1,7 @@
 """Notices: remarks on results, as codes with values.
 
-Products and programs keep and compare notices. `report.words.notices` has the words, so that no sentence decides
-anything, and another language is another catalogue.
+Products and programs store and compare notices. Their texts are in `report.words.notices`, so that no sentence is used
+for a decision, and another language is another catalogue.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ class Notice:
     """A remark on a result, as a code with values."""
 
     code: str
-    """Names what it is about, for programs. A code never changes its meaning."""
+    """Identifies the notice for programs. A code never changes its meaning."""
     level: Level = "warning"
-    """``warning``: it changes what the volumes mean. ``note``: it may be read later."""
+    """``warning``: it affects the meaning of the volumes. ``note``: for information."""
     about: tuple[str, ...] = ()
     """Breasts ("left"), cameras or pairs that it concerns."""
     photographs: tuple[str, ...] = ()
     """Photographs that show it: ``capture/CAMERA`` or ``calibration/POSE/CAMERA``."""
     values: Mapping[str, float | str] = field(default_factory=dict)
-    """What its words contain, by name. Units are part of the name: ``percent``, ``cm2``, ``px``."""
+    """Values of the text, by name. The name contains the unit: ``percent``, ``cm2``, ``px``."""
 
     def as_table(self) -> dict[str, object]:
         """The notice for JSON."""

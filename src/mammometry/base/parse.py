@@ -1,7 +1,6 @@
-"""Checks on text from outside: size, encoding, depth and numbers.
+"""Check text from outside: size, encoding, depth and numbers.
 
-Readers of the user's files go through this module, so that each of them is only about its format. Whatever is wrong
-with a file becomes one error that names it.
+All readers of users' files use this module. Any fault of a file becomes one error that names the file.
 """
 
 from __future__ import annotations
@@ -23,12 +22,12 @@ from jaxtyping import Float64
 
 from mammometry.base.errors import MammometryError, SessionError
 
-_OPENCV_MEGAPIXELS = 1000.0  # OpenCV, which decodes 16-bit photographs, reads no more than 2³⁰ pixels
+_OPENCV_MEGAPIXELS = 1000.0  # OpenCV decodes 16-bit photographs, up to 2³⁰ pixels
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LimitSettings:
-    """Sizes up to which files are read. No result depends on them."""
+    """Largest sizes of files that are read. No result depends on them."""
 
     megapixels: float = 200.0
     """Largest photograph or mask, millions of pixels. The largest medium-format sensors have 151. 200 of them take 0.6
@@ -36,23 +35,22 @@ class LimitSettings:
 
     def __post_init__(self) -> None:
         if not 0 < self.megapixels <= _OPENCV_MEGAPIXELS:
-            raise ValueError(f"megapixels must lie between 0 and {_OPENCV_MEGAPIXELS:g}, found {self.megapixels}")
+            raise ValueError(f"megapixels must be between 0 and {_OPENCV_MEGAPIXELS:g}, found {self.megapixels}")
 
 
 LARGEST = 1e15
-"""Largest number allowed in a user's file. A double is exact for every whole number up to it, and its square is finite.
-"""
+"""Largest number in a user's file. A double holds every integer up to it exactly, and its square is finite."""
 DEEPEST = 32
-"""Tables within tables. No format of ours needs more than eight."""
+"""Deepest nesting of tables. Our formats need at most eight levels."""
 TEXT_MIB = 64
-"""Largest text file that is read, MiB. A drawn curve or a table takes a few MiB at most."""
+"""Largest text file that is read, MiB. A drawn curve or a table needs a few MiB."""
 
-_MIB = 1 << 20  # bytes in a MiB
-_LONGEST = 160  # characters of somebody else's error message that are passed on
-_VALUE = 60  # characters of a value out of a file that are passed on
+_MIB = 1 << 20  # bytes per MiB
+_LONGEST = 160  # most characters of another library's error message
+_VALUE = 60  # most characters of a value from a file
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?", re.ASCII)
 _TOML_COMMA = re.compile(r"^[^#\n\"'\[]*=\s*([+-]?\d+,\d+)\s*(?:#|$)", re.MULTILINE)
-# A dotted key of more parts than DEEPEST. tomllib needs the square of their number: hours for a file of 1 MB.
+# A dotted key of more than DEEPEST parts. tomllib's time is quadratic in them: hours for a file of 1 MB.
 _LONG_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){%d}""" % DEEPEST)  # noqa: UP031  # braces
 
 
@@ -62,7 +60,7 @@ def require_file(path: Path, subject: str, expected: str, *, refusal: type[Mammo
     A pipe or a device is refused, since reading it may never end.
 
     Raises:
-        MammometryError: `refusal`; there is no such file, it is no ordinary one, or nobody may look at it.
+        MammometryError: `refusal`; the file does not exist, is not an ordinary file, or may not be read.
     """
     try:
         status = path.stat()
@@ -70,7 +68,7 @@ def require_file(path: Path, subject: str, expected: str, *, refusal: type[Mammo
         raise _unreadable(subject, _why(error), expected, refusal) from None
     if not stat.S_ISREG(status.st_mode):
         kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe or a device"
-        raise refusal(subject, found=f"{kind}, no file", expected=expected, remedy="Put an ordinary file there")
+        raise refusal(subject, found=f"{kind}, not a file", expected=expected, remedy="Put an ordinary file there")
     return status.st_size
 
 
@@ -81,13 +79,13 @@ def read_bytes(
 
     Args:
         path: the file.
-        subject: what to call it in messages.
-        expected: what should be there, in words.
-        most_mib: size up to which it is read, MiB.
+        subject: its name in messages.
+        expected: what the file should be, for messages.
+        most_mib: largest size, MiB.
         refusal: the class of the error.
 
     Raises:
-        MammometryError: `refusal`; it cannot be read, is no ordinary file, or is too large.
+        MammometryError: `refusal`; the file cannot be read, is not an ordinary file, or is too large.
     """
     require_file(path, subject, expected, refusal=refusal)
     try:
@@ -105,9 +103,9 @@ def read_bytes(
 def read_text(
     path: Path, subject: str, expected: str, *, most_mib: int = TEXT_MIB, refusal: type[MammometryError] = SessionError
 ) -> str:
-    """Read a text in UTF-8, with or without a byte-order mark.
+    """Read text in UTF-8, with or without a byte-order mark.
 
-    Its lines end with LF, however the file ends them. Arguments and errors as `read_bytes`.
+    All line ends become LF. Arguments and errors as in `read_bytes`.
     """
     content = read_bytes(path, subject, expected, most_mib=most_mib, refusal=refusal)
     why = ""
@@ -127,9 +125,9 @@ def read_text(
 
 @contextmanager
 def parsing(what: str, subject: str, expected: str, refusal: type[MammometryError] = SessionError) -> Iterator[None]:
-    """Turn a parser's exception into one sentence.
+    """Turn a parser's exception into a `MammometryError`.
 
-    The sentence has `what` (``no TOML``) and the first line of the parser's message.
+    It contains `what` (``not TOML``) and the first line of the parser's message.
     """
     try:
         yield
@@ -145,12 +143,12 @@ def parsing(what: str, subject: str, expected: str, refusal: type[MammometryErro
 def json_value(
     text: str, subject: str, expected: str, *, finite: bool = True, refusal: type[MammometryError] = SessionError
 ) -> Any:
-    """Parse JSON with distinct keys, sane numbers and limited depth.
+    """Parse JSON with unique keys, numbers within ±`LARGEST` and limited depth.
 
     Args:
         text: the JSON.
-        subject: what to call it in messages.
-        expected: what should be there, in words.
+        subject: its name in messages.
+        expected: what it should be, for messages.
         finite: whether NaN and infinity are refused.
         refusal: the class of the error.
 
@@ -158,7 +156,7 @@ def json_value(
         MammometryError: `refusal`.
     """
     with parsing("JSON that cannot be read", subject, expected, refusal):
-        tree = json.loads(text, object_pairs_hook=_without_doubles, parse_int=_integer)
+        tree = json.loads(text, object_pairs_hook=_without_duplicates, parse_int=_integer)
         require_sane(tree, finite=finite)
     return tree
 
@@ -166,15 +164,15 @@ def json_value(
 def toml_table(
     text: str, subject: str, expected: str, *, finite: bool = True, refusal: type[MammometryError] = SessionError
 ) -> dict[str, Any]:
-    """Parse TOML. Arguments and errors as `json_value`."""
-    with parsing("no TOML", subject, expected, refusal):
+    """Parse TOML. Arguments and errors as in `json_value`."""
+    with parsing("invalid TOML", subject, expected, refusal):
         if _LONG_KEY.search(text):
             raise ValueError(f"nested more than {DEEPEST} deep")
         try:
             table = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
             comma = _TOML_COMMA.search(text)
-            raise ValueError(f"{comma[1]}, a number with a decimal comma" if comma else error) from None
+            raise ValueError(f"{comma[1]}, which has a decimal comma" if comma else error) from None
         require_sane(table, finite=finite)
     return table
 
@@ -183,7 +181,7 @@ def require_sane(tree: object, *, finite: bool = True) -> None:
     """Require numbers within ±`LARGEST` and at most `DEEPEST` levels.
 
     Raises:
-        ValueError: says which of them is violated.
+        ValueError: names the rule that is broken.
     """
     waiting: list[tuple[object, tuple[object, ...]]] = [(tree, ())]
     while waiting:
@@ -196,13 +194,13 @@ def require_sane(tree: object, *, finite: bool = True) -> None:
             waiting += [(item, (*place, index)) for index, item in enumerate(value)]
         elif isinstance(value, float) and not math.isfinite(value):
             if finite:
-                raise ValueError(f"{_dotted(place)}{value}, which is not a finite number")
+                raise ValueError(f"{_dotted(place)}{value} is not a finite number")
         elif isinstance(value, int | float) and abs(value) > LARGEST:
-            raise ValueError(f"{_dotted(place)}a number beyond ±{LARGEST:g}")
+            raise ValueError(f"{_dotted(place)}a number outside ±{LARGEST:g}")
 
 
 def _dotted(place: tuple[object, ...]) -> str:
-    """Place of a value, as it begins a message: ``pairs[0].along[2]: ``."""
+    """Path of a value, as a message begins with it: ``pairs[0].along[2]: ``."""
     path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")
     return f"{path[-_VALUE:]}: " if path else ""
 
@@ -211,7 +209,7 @@ def number(text: str) -> float:
     """Parse a finite decimal number such as ``-1.5e3``, not ``1_000``, ``nan``, ``٣`` or ``1,5``.
 
     Raises:
-        ValueError: it is none, or lies beyond ±`LARGEST`.
+        ValueError: it is not a number, or is outside ±`LARGEST`.
     """
     if not _NUMBER.fullmatch(text) or not abs(value := float(text)) <= LARGEST:
         raise ValueError(f"{shown(text)}, which is not a number within ±{LARGEST:g}")
@@ -219,15 +217,15 @@ def number(text: str) -> float:
 
 
 def numbers(value: object, *shape: int) -> Float64[np.ndarray, "*shape"]:
-    """An array of finite numbers out of nested lists. Text and truth values are no numbers.
+    """Convert nested lists to an array of finite numbers. Strings and booleans are not numbers.
 
     Args:
         value: lists of equal length, or an array.
-        shape: of the result; -1 for any length. Rows of a table of any length must be as long as it says; else only
-            the count matters, as programs differ in how they nest nine numbers.
+        shape: of the result. -1: any number of rows, each of the given length. Otherwise only the total count matters,
+            since programs nest nine numbers differently.
 
     Raises:
-        ValueError: another count or another kind of value.
+        ValueError: another count or another type of value.
     """
     for item in _leaves(value):
         if isinstance(item, bool | np.bool_) or not isinstance(item, int | float | np.number):
@@ -247,7 +245,7 @@ def numbers(value: object, *shape: int) -> Float64[np.ndarray, "*shape"]:
 
 
 def _leaves(value: object) -> list[Any]:
-    """All that is no list, out of nested lists."""
+    """All items of nested lists that are not lists themselves."""
     flat: list[Any] = [value]
     while any(isinstance(item, list | tuple | np.ndarray) for item in flat):
         flat = [part for item in flat for part in (item if isinstance(item, list | tuple | np.ndarray) else [item])]
@@ -255,10 +253,10 @@ def _leaves(value: object) -> list[Any]:
 
 
 def whole(value: object) -> int:
-    """Return the whole number that a value is, such as 3.0.
+    """Return a value such as 3.0 as an integer.
 
     Raises:
-        ValueError: it is none.
+        ValueError: it is not a whole number.
     """
     (found,) = numbers(value, 1)
     if found != round(found):
@@ -267,22 +265,22 @@ def whole(value: object) -> int:
 
 
 def shown(value: object) -> str:
-    """A value as messages show it: on one line and shortened."""
+    """A value for a message: on one line and shortened."""
     try:
         text = " ".join(repr(value).split())
-    except (ValueError, RecursionError):  # Python refuses to write very long numbers
+    except (ValueError, RecursionError):  # Python does not print very long integers
         text = f"a very large {type(value).__name__}"
     return text if len(text) <= _VALUE else f"{text[:_VALUE]}…"
 
 
 def error_text(error: BaseException) -> str:
-    """Text of another library's error, on one line."""
+    """Message of another library's error, on one line."""
     text = f"no {error}" if isinstance(error, KeyError) else str(error)
     line = (text.splitlines() or [""])[0].strip() or type(error).__name__
     return line if len(line) <= _LONGEST else f"{line[:_LONGEST]}…"
 
 
-def _without_doubles(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     table = dict(pairs)
     if len(table) < len(pairs):
         names = [name for name, _ in pairs]

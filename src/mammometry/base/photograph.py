@@ -1,4 +1,4 @@
-"""Photographs as the stages see them, pixels and a name, and points measured in them elsewhere."""
+"""A photograph: pixels and a name. And image points that were measured by another program."""
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, Shaped
@@ -12,14 +12,14 @@ LUMA = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
 
 @value(eq=False)
 class Photograph:
-    """One exposure of one camera, upright as the sensor wrote it.
+    """One exposure of one camera, in the orientation of the sensor.
 
     Raises:
         ImageError: the pixels are neither 8 nor 16 bit, or neither grey nor RGB.
     """
 
     name: str
-    """Name in messages: the path inside the session, e.g. ``capture/front_left.jpg``."""
+    """Name for messages: the path inside the session, e.g. ``capture/front_left.jpg``."""
     pixels: Shaped[np.ndarray, "h w *channels"]
     """uint8 or uint16, (h, w) grey or (h, w, 3) RGB, sRGB-encoded. Read-only."""
 
@@ -52,12 +52,12 @@ class Photograph:
 
 @value(eq=False)
 class MeasuredPoints:
-    """Image points of one photograph from a table, not yet checked. The check is against a target."""
+    """Image points of one photograph, read from a table and not yet compared with a target."""
 
     name: str
-    """What to call the table in messages, e.g. ``calibration/00/front_left.csv``."""
+    """Name of the table for messages, e.g. ``calibration/00/front_left.csv``."""
     ids: Int64[np.ndarray, " n"]
-    """Id of each point: its position in the target's list, from 0."""
+    """Number of each point in the target's list, from 0."""
     uv: Float64[np.ndarray, "n 2"]
     """Distorted pixels, integers at pixel centres."""
 

@@ -1,4 +1,4 @@
-"""Progress callbacks and loops, independent of any terminal and of where the work is done."""
+"""Progress callbacks and loops that do not depend on a terminal or a machine."""
 
 from __future__ import annotations
 
@@ -10,42 +10,42 @@ from threading import Event, Lock, Thread
 from typing import Any, TypeAlias
 
 Progress: TypeAlias = Callable[[float], None]
-"""Called with the fraction done, 0 to 1, never decreasing within a stage."""
+"""Called with the fraction done, 0 to 1, which never decreases within a stage."""
 StageProgress: TypeAlias = Callable[[str, float], None]
 """Called with the current stage and its fraction done."""
 MapTasks: TypeAlias = Callable[[Callable[..., Any], Mapping[str, tuple[Any, ...]]], dict[str, Any]]
 """Call a function with ``(progress, *arguments)`` for each name. Return name → result.
 
-The function is defined in a module, its arguments can be pickled, and its result is plain JSON data: it may run in
-another process or on another machine.
+The function may run in another process or on another machine: it is defined in a module, its arguments can be pickled
+and its result is plain JSON data.
 """
 
 
 def no_progress(fraction: float) -> None:
-    """Ignore the progress: the default of every stage."""
+    """Ignore the progress: the default."""
 
 
 def part(progress: Progress, start: float, stop: float) -> Progress:
-    """Map a sub-task's 0…1 onto `start`…`stop` of the task that `progress` follows."""
+    """Map the progress 0…1 of a sub-task onto `start`…`stop` of the whole task."""
     return lambda fraction: progress(start + (stop - start) * fraction)
 
 
 TICK_S = 0.5
-"""Seconds between two reports of work that reports nothing itself."""
-_USUAL_S = 20.0  # assumed for a product that no earlier run has timed
-_MOST = 0.9  # share that elapsed time alone may claim
+"""Interval of reports for work that reports nothing itself, s."""
+_USUAL_S = 20.0  # assumed for a product that was never timed
+_MOST = 0.9  # largest share that is estimated from the time alone
 
 
 @contextmanager
 def ticking(progress: Progress, expected_s: float | None = None, *, tick_s: float = TICK_S) -> Iterator[Progress]:
-    """Report at least each `tick_s`, also while the work itself reports nothing.
+    """Report at least every `tick_s` seconds, also while the work reports nothing.
 
-    The share done is what the work reports. Until its first report, it is estimated by the time that has passed.
+    Until the work's first report, the share is estimated from the elapsed time.
 
     Args:
-        progress: is called from a thread of its own, too, one call at a time; never with less than before.
+        progress: also called from another thread, one call at a time, never with a smaller share than before.
         expected_s: seconds that the work took earlier, if known.
-        tick_s: seconds between two reports.
+        tick_s: interval of reports, s.
 
     Yields:
         The callback for the work.
@@ -78,5 +78,5 @@ def ticking(progress: Progress, expected_s: float | None = None, *, tick_s: floa
 
 
 def map_in_sequence(function: Callable[..., Any], arguments: Mapping[str, tuple[Any, ...]]) -> dict[str, Any]:
-    """Call the function here, for each name in turn."""
+    """Call the function in this process, for one name after another."""
     return {name: function(lambda stage, fraction: None, *given) for name, given in arguments.items()}

@@ -15,21 +15,21 @@ T = TypeVar("T")
 
 
 class Registry(Mapping[str, T], Generic[T]):
-    """Kinds of one thing by name, in alphabetical order.
+    """Variants of one kind of thing by name, in alphabetical order.
 
         TARGETS: Registry[type[Target]] = Registry("calibration target", modules=("mammometry.….charuco",))
 
         @TARGETS.add("charuco")
         class CharucoTarget(Target): ...
 
-    The modules are imported when an entry is first looked up. So a registry costs nothing at start-up, and a module
-    that adds an entry can import the registry.
+    The modules are imported at the first look-up. So a registry costs nothing at start-up, and a module that adds an
+    entry can import the registry.
 
     Args:
-        what: what one entry is, for messages ("calibration target").
+        what: name of one entry's kind, for messages ("calibration target").
         modules: modules that add the entries.
-        package: package all of whose modules may add entries. A module that is put there needs no other mention.
-        entries: the first entries, where they are short enough to stand in one table.
+        package: package whose modules may all add entries, without being listed.
+        entries: the first entries, if they are short.
     """
 
     def __init__(
@@ -65,10 +65,10 @@ class Registry(Mapping[str, T], Generic[T]):
         """Find an entry by its name.
 
         Args:
-            name: as the user wrote it; None where nothing was written.
-            subject: what the message is about, e.g. ``[target] kind``.
+            name: as the user wrote it. None: not given.
+            subject: of the message, e.g. ``[target] kind``.
             error: class of the error for an unknown name.
-            remedy: what to do about an unknown name, after the nearest known one.
+            remedy: what to do about an unknown name, after the most similar known one.
 
         Raises:
             MammometryError: of class `error`, for an unknown name. It lists the known names.
@@ -76,19 +76,19 @@ class Registry(Mapping[str, T], Generic[T]):
         if isinstance(name, str) and name in self:
             return self[name]
         near = difflib.get_close_matches(str(name), list(self), n=1)
-        advice = [f"{near[0]!r} is the nearest"] if near else []
+        advice = [f"{near[0]!r} is the most similar"] if near else []
         raise error(
             subject,
             found="nothing" if name is None else repr(name),
             expected=f"one of {', '.join(map(repr, self))}",
-            remedy=". ".join([*advice, remedy or f"Name a known {self.what}"]),
+            remedy=". ".join([*advice, remedy or f"Choose a known {self.what}"]),
         )
 
     def name_of(self, entry: T) -> str:
         """Return the name under which an entry was added.
 
         Raises:
-            LookupError: it was not added.
+            LookupError: it is not in the registry.
         """
         for name, known in self._loaded().items():
             if known is entry:

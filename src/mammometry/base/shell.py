@@ -8,10 +8,10 @@ from pathlib import Path
 
 
 def command_line(*words: str | Path) -> str:
-    """A command of one line: words are quoted where needed, and paths are whole.
+    """A command on one line, with words quoted where needed and absolute paths.
 
     Args:
-        words: text as it is typed; a `Path` is written from the root, so that the command works in every folder.
+        words: text as typed; a `Path` is made absolute, so that the command works in every folder.
     """
     typed = [os.path.abspath(word) if isinstance(word, Path) else word for word in words]
     return subprocess.list2cmdline(typed) if sys.platform == "win32" else shlex.join(typed)

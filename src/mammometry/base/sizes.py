@@ -1,4 +1,4 @@
-"""Sizes that what is measured here can have, and the units in which somebody may have written them."""
+"""Possible sizes of subjects, and likely units of a length."""
 
 from __future__ import annotations
 
@@ -9,39 +9,39 @@ from typing import TypeAlias
 Range: TypeAlias = tuple[float, float]
 
 SUBJECT_MM: Range = (40.0, 2500.0)
-"""Longest side of what can be a small cast, or a whole body."""
+"""Longest side of a subject, from a small cast to a whole body."""
 _USUAL_SUBJECT_MM: Range = (60.0, 1500.0)
-"""The same of casts of one breast to trunks with arms."""
+"""The same, usually: from casts of one breast to trunks with arms."""
 UNITS: Mapping[str, float] = {"cm": 10.0, "m": 1000.0, "inches": 25.4, "tenths of a mm": 0.1, "micrometres": 1e-3}
-"""Unit that a length "in mm" may really have → its millimetres, the likeliest first."""
+"""Unit that a length "in mm" may really have → its size in mm, the likeliest first."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Size:
-    """A length that follows from somebody's values, mm, with the lengths that it can have."""
+    """A length computed from the user's values, mm, with its possible and usual range."""
 
     mm: float
     possible_mm: Range
     usual_mm: Range
     words: str
-    """A sentence's end with a place for the length: ``the cameras stand {} apart``."""
+    """End of a sentence with a placeholder for the length: ``the cameras stand {} apart``."""
 
     @property
     def is_possible(self) -> bool:
-        """Whether it lies in the possible range."""
+        """Whether it is in the possible range."""
         return self.possible_mm[0] <= self.mm <= self.possible_mm[1]
 
     def is_usual(self, factor: float = 1.0) -> bool:
-        """Whether it lies in the usual range, multiplied by `factor`."""
+        """Whether it is in the usual range, multiplied by `factor`."""
         return self.usual_mm[0] <= self.mm * factor <= self.usual_mm[1]
 
     def __str__(self) -> str:
-        """The sentence's end with the length."""
+        """The end of the sentence with the length."""
         return self.words.format(f"{self.mm:,.3g} mm" if self.mm < 10 else f"{self.mm:,.0f} mm")
 
     @property
     def expected(self) -> str:
-        """The possible lengths, in words."""
+        """The possible lengths, as text."""
         return f"{self.possible_mm[0]:,g} to {self.possible_mm[1]:,g} mm"
 
 
@@ -51,15 +51,15 @@ def subject_extent(mm: float) -> Size:
 
 
 def likely_units(sizes: Sequence[Size]) -> dict[str, float]:
-    """Units in which all sizes would be usual, the likeliest first → their millimetres."""
+    """Units in which all sizes would be usual, the likeliest first → their size in mm."""
     return {unit: factor for unit, factor in UNITS.items() if all(size.is_usual(factor) for size in sizes)}
 
 
 def fitting(stated_mm: float, sizes: Sequence[Size]) -> str:
-    """Say which value would make all sizes usual, if the stated one is in another unit than mm.
+    """Suggest the value that would make all sizes usual, if the given one is not in mm.
 
     Returns:
-        The end of a sentence, such as ``: 25 mm would fit``. Empty where no unit fits.
+        The end of a sentence, such as ``: 25 mm would fit``. Empty if no unit fits.
     """
     units = likely_units(sizes)
     values = [

@@ -1,4 +1,4 @@
-"""Frozen values: what stages take and hand on."""
+"""Frozen values: the inputs and outputs of stages."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ def value(*, eq: bool = True, slots: bool = True) -> Callable[[type[_T]], type[_
 def value(cls: Any = None, /, *, eq: bool = True, slots: bool = True) -> Any:
     """Make a frozen, keyword-only dataclass whose arrays, dictionaries and lists cannot be changed.
 
-    A ``__post_init__`` of the class checks what was given before it is frozen. Arrays are not copied. Records of
-    arrays that compiled kernels write into remain plain dataclasses.
+    The class's ``__post_init__`` checks the values before they are frozen. Arrays are not copied. Use plain dataclasses
+    for records that compiled kernels write into.
 
     Args:
-        cls: the class, where the decorator stands without parentheses.
-        eq: whether equal fields make two values equal. Values that hold arrays compare by identity: say False.
-        slots: False where the class caches properties.
+        cls: the class, if the decorator has no parentheses.
+        eq: whether equal fields make two values equal. Set it to False for values that hold arrays.
+        slots: set it to False if the class caches properties.
     """
     if cls is None:
         return lambda decorated: _frozen_class(decorated, eq=eq, slots=slots)
@@ -54,8 +54,8 @@ def _frozen_class(cls: Any, *, eq: bool, slots: bool) -> Any:
 
 
 def freeze(content: Any) -> Any:
-    """Arrays read-only, dictionaries and lists immutable, to any depth. Everything else as it is."""
-    numpy = sys.modules.get("numpy")  # where it is not imported nothing is an array: the command line begins at once
+    """Make arrays read-only and dictionaries and lists immutable, to any depth."""
+    numpy = sys.modules.get("numpy")  # not imported here, so that the command line starts quickly
     if numpy is not None and isinstance(content, numpy.ndarray):
         return read_only(content) if content.flags.writeable else content
     if type(content) is dict:
@@ -71,11 +71,11 @@ def _unchangeable(content: dict[Any, Any]) -> MappingProxyType[Any, Any]:
     return MappingProxyType(content)
 
 
-copyreg.pickle(MappingProxyType, lambda mapping: (_unchangeable, (dict(mapping),)))  # values go to other processes
+copyreg.pickle(MappingProxyType, lambda mapping: (_unchangeable, (dict(mapping),)))  # for other processes
 
 
 def read_only(array: _A) -> _A:
-    """Return a view of `array` that cannot be written through. The data are not copied."""
+    """Return a read-only view of `array`. The data are not copied."""
     view = array.view()
     view.flags.writeable = False
     return view

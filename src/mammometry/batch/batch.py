@@ -175,7 +175,10 @@ def _record_at(session: Path) -> record.Record | None:
 
 
 def map_tasks_on(
-    machines: Machines, *, megapixels: float | None = None, watch: Callable[[Began | Ended], None] = lambda event: None
+    machines: Machines,
+    *,
+    megapixels: float | None = None,
+    watch: Callable[[Began | Ended], None] = lambda event: None,
 ) -> MapTasks:
     """Make a loop that runs each turn as a Dask task. Each task has its own process.
 

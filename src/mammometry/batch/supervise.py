@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping
 from contextlib import suppress
 from typing import Any
 
-from mammometry.base.child_process import Call, ChildProcess, NotDone
+from mammometry.base.child_process import Call, CallError, ChildProcess
 from mammometry.base.value import value
 from mammometry.batch.record import MEMORY, software
 
@@ -67,7 +67,7 @@ def supervise(name: str, call: Call, limits: Limits) -> dict[str, Any]:
         try:
             report("start", 0.0)
             answer = child.answer(call, report, limits.report_s)
-        except NotDone:
+        except CallError:
             peak.end()
             answer = {"killed": peak.why or _last_words(child.process, errors)}
         finally:

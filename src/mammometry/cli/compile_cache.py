@@ -57,9 +57,9 @@ def compiled_ahead(*, wanted: bool = True) -> Iterator[None]:
 
 def _is_on_disk() -> bool:
     """Whether the last kernel of the list is compiled from current source."""
-    from mammometry.base.machine.compiled import is_kept
+    from mammometry.base.machine.compiled import is_cached
 
-    return is_kept(kernel_named(listed()[-1][0]))
+    return is_cached(kernel_named(listed()[-1][0]))
 
 
 def main() -> None:

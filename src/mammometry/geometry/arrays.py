@@ -1,8 +1,8 @@
-"""Array aliases, read-only arrays, and values rounded to where their noise begins.
+"""Array aliases, and rounding of values to their noise.
 
-Shapes live in annotations: ``Float64[Array, "n 3"]``; one dimension is written ``" n"``.
-The tests check them at run time. A value that is rounded to a power of two holds fewer digits, so it lies small on the
-disk and is the same in memory (docs/decisions/0039).
+Annotations state shapes: ``Float64[Array, "n 3"]``; one dimension is written ``" n"``. The tests check them at run
+time.
+A value with fewer binary digits compresses better on disk (docs/decisions/0039).
 """
 
 from typing import TypeAlias
@@ -18,26 +18,26 @@ __all__ = [
 ]  # fmt: skip
 
 Array: TypeAlias = np.ndarray
-"""Any NumPy array. The jaxtyping annotation around it gives shape and dtype."""
+"""Any NumPy array. The jaxtyping annotation around it states shape and dtype."""
 
 
 def bounds(points: Float64[Array, "n d"]) -> tuple[Float64[Array, " d"], Float64[Array, " d"]]:
     """Lowest and highest coordinates of points.
 
-    Column by column, for a reduction over rows of three values takes ten times as long.
+    Column by column, since a reduction over rows of three values takes ten times as long.
     """
     return np.array([column.min() for column in points.T]), np.array([column.max() for column in points.T])
 
 
 SIGMA_BITS = 5
-"""Binary digits of a standard deviation after the first, which is so known to 1.6 %."""
-_MANTISSA_BITS = 23  # of a float32
+"""Binary digits of a standard deviation after the first: a relative error of 1.6 %."""
+_MANTISSA_BITS = 23  # of a float32's mantissa
 
 
 def to_step(values: Float32[Array, "*n"], step: float) -> Float32[Array, "*n"]:
-    """Round to the nearest multiple of a step, in place.
+    """Round to the nearest multiple of a step, a power of two, in place.
 
-    The step is a power of two. The error is half a step at most. No zero has a sign. NaN stays NaN.
+    The error is at most half a step. Zeros are positive. NaN stays NaN.
 
     Returns:
         The same array.
@@ -50,10 +50,9 @@ def to_step(values: Float32[Array, "*n"], step: float) -> Float32[Array, "*n"]:
 
 
 def to_bits(values: Float32[Array, "*n"], bits: int) -> Float32[Array, "*n"]:
-    """Round each value to few binary digits, in place.
+    """Round each value to `bits` binary digits after the first, in place.
 
-    As many as `bits` after the first one. The relative error is 2^-(bits + 1) at most. Infinity and NaN stay what they
-    are.
+    The relative error is at most 2^-(bits + 1). Infinity and NaN stay as they are.
 
     Returns:
         The same array.

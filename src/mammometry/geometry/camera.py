@@ -1,7 +1,7 @@
 """Cameras, stereo pairs and rigs.
 
-Frames and pixels as everywhere (docs/conventions.md): x right, y down, z forward; integer coordinates at pixel centres;
-`uv` is (column, row) in pixels; the world in mm. Lenses are Brown's (`lens`).
+Frames and pixels as in docs/conventions.md: x right, y down, z forward; integer coordinates at pixel centres; `uv` is
+(column, row), pixels; world frame, mm. Lenses follow Brown's model (`lens`).
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from mammometry.geometry.transform import Transform
 
 @value(eq=False)
 class Camera:
-    """A calibrated camera with its pose and lens.
+    """A calibrated camera: pose, K and lens.
 
     ``x_cam = R x_world + t``, then pinhole, then lens distortion.
 
     Raises:
-        ValueError: a size that is none, a value that is not finite, or a K that is not fx 0 cx, 0 fy cy, 0 0 1.
+        ValueError: a size below 1, a value that is not finite, or a K that is not fx 0 cx, 0 fy cy, 0 0 1.
     """
 
     name: str
@@ -33,18 +33,18 @@ class Camera:
     matrix: Float64[Array, "3 3"]
     """K: focal lengths and principal point, pixels. No skew."""
     distortion: Float64[Array, 5]
-    """The lens's k1, k2, p1, p2, k3, dimensionless (`lens.COEFFICIENTS`)."""
+    """Lens coefficients k1, k2, p1, p2, k3, dimensionless (`lens.COEFFICIENTS`)."""
     camera_from_world: Transform
 
     def __post_init__(self) -> None:
         if min(self.size_wh) < 1:
-            raise ValueError(f"{self.name}: an image has at least one pixel, found {self.size_wh}")
+            raise ValueError(f"{self.name}: an image needs at least one pixel, found {self.size_wh}")
         if not (np.isfinite(self.matrix).all() and np.isfinite(self.distortion).all()):
             raise ValueError(f"{self.name}: K or dist has a value that is not finite")
         if self.matrix[0, 0] <= 0 or self.matrix[1, 1] <= 0:
             raise ValueError(f"{self.name}: focal lengths must be positive, found {np.diag(self.matrix)[:2]}")
         if self.matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]].tolist() != [0.0, 0.0, 0.0, 0.0, 1.0]:
-            raise ValueError(f"{self.name}: K is fx 0 cx, 0 fy cy, 0 0 1, found {self.matrix.tolist()}")
+            raise ValueError(f"{self.name}: K must be fx 0 cx, 0 fy cy, 0 0 1, found {self.matrix.tolist()}")
 
     @property
     def intrinsics(self) -> Float64[Array, 4]:
@@ -80,7 +80,7 @@ class Camera:
         return distorted * self.matrix[[0, 1], [0, 1]] + self.matrix[:2, 2]
 
     def normalised_from_pixels(self, uv: Float64[Array, "*n 2"]) -> Float64[Array, "*n 2"]:
-        """Undo the lens: ideal coordinates (x/z, y/z) of distorted `uv`. Newton's method."""
+        """Undo the lens: ideal coordinates (x/z, y/z) of distorted `uv`, by Newton's method."""
         return undistort((uv - self.matrix[:2, 2]) / self.matrix[[0, 1], [0, 1]], self.distortion)
 
     def rays_world(self, uv: Float64[Array, "*n 2"]) -> Float64[Array, "*n 3"]:
@@ -93,7 +93,7 @@ class Camera:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StereoPair:
-    """Two cameras that look at the same skin. Disparity is u_left − u_right."""
+    """Two cameras that view the same skin. Disparity is u_left − u_right."""
 
     name: str
     left: Camera
@@ -102,7 +102,7 @@ class StereoPair:
 
 @value(eq=False)
 class Rig:
-    """Any number of cameras and of stereo pairs among them."""
+    """Cameras, and the stereo pairs among them."""
 
     name: str
     cameras: Mapping[str, Camera]
@@ -110,14 +110,15 @@ class Rig:
     pair_names: Mapping[str, tuple[str, str]]
     """Pair name → names of its left and right camera. Read-only."""
     target_middle_world: Float64[Array, 3] | None = None
-    """Middle of the places where the calibration target was held: the subject stands about there. World frame, mm. None
-    where no target was seen."""
+    """Mean position of the calibration target, about where the subject stands. World frame, mm. None if no target was
+    seen.
+    """
 
     def __post_init__(self) -> None:
         for pair, (left, right) in self.pair_names.items():
             missing = {left, right} - set(self.cameras)
             if missing or left == right:
-                raise ValueError(f"pair {pair} needs two cameras of the rig, found {left!r} and {right!r}")
+                raise ValueError(f"pair {pair} needs two different cameras of the rig, found {left!r} and {right!r}")
 
     def pair(self, name: str) -> StereoPair:
         """The calibrated stereo pair with that name."""

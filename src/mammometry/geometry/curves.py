@@ -1,4 +1,4 @@
-"""Points along closed curves, by distance along the chords between their corners."""
+"""Points along closed polygons, by arc length."""
 
 from __future__ import annotations
 
@@ -8,22 +8,19 @@ from mammometry.geometry.arrays import Array, Float64
 
 
 def closed_length_mm(corners: Float64[Array, "n 3"]) -> float:
-    """Length of a closed curve through its corners (n, 3), mm. The last corner joins the first."""
+    """Length of a closed polygon with corners (n, 3), mm. The last corner joins the first."""
     return float(_distances(_closed(corners))[-1])
 
 
 def points_along(corners: Float64[Array, "n 3"], at_mm: Float64[Array, " m"]) -> Float64[Array, "m 3"]:
-    """Points (m, 3), mm, of a closed curve at distances from its first corner.
-
-    Distances are taken along the chords between its corners (n, 3), mm.
-    """
+    """Points (m, 3), mm, of a closed polygon (n, 3), mm, at arc lengths from its first corner."""
     loop = _closed(corners)
     along = _distances(loop)
     return np.stack([np.interp(at_mm, along, loop[:, axis]) for axis in range(3)], axis=1)
 
 
 def evenly_spaced(corners: Float64[Array, "n 3"], count: int) -> Float64[Array, "m 3"]:
-    """Points (count, 3), mm, at equal distances along a closed curve, beginning at its first corner."""
+    """Points (count, 3), mm, at equal distances along a closed polygon, beginning at its first corner."""
     return points_along(corners, np.linspace(0.0, closed_length_mm(corners), count, endpoint=False))
 
 

@@ -1,10 +1,10 @@
-"""Brown's lens model, the only place where it is written out.
+"""Brown's lens model. It is written out only here.
 
-A lens shows an ideal point (x, y) = (X/Z, Y/Z) at a distorted one. Five coefficients say where, in OpenCV's order:
-k1, k2, k3 move it along the radius, p1 and p2 are those of a decentred lens. All values are dimensionless.
+A lens maps the ideal point (x, y) = (X/Z, Y/Z) to a distorted one. The five coefficients are in OpenCV's order: k1, k2,
+k3 are radial, p1 and p2 tangential. All values are dimensionless.
 
-`distorted` and `jacobian` are plain arithmetic. They take numbers and arrays, and compiled code uses the same two
-functions (`lens_kernels`). So pictures are rendered, undone and measured by one formula with one order of operations.
+`distorted` and `jacobian` are plain arithmetic on numbers or arrays. Compiled code uses the same two functions
+(`lens_kernels`), so rendering, undistortion and calibration share one formula with one order of operations.
 """
 
 from __future__ import annotations
@@ -17,17 +17,16 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Float64
 
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
-"""Names of a lens's five coefficients, in order."""
+"""Names of the five coefficients, in order."""
 
 Value: TypeAlias = Any
 """A number or an array: `distorted` and `jacobian` only add and multiply."""
 
 NEWTON_STEPS = 20
-"""Largest number of Newton steps. Each doubles the digits. Beyond a fold there is no solution, and iteration would
-never end."""
+"""Most Newton steps. Each doubles the number of correct digits. Beyond the fold radius there is no solution."""
 _NEWTON_TOLERANCE = 1e-13  # 1e-9 px at a focal length of 10,000 px: rounding, for coordinates of about 1
-_NO_TERM = 1e-12  # a coefficient below moves no pixel, and its roots would overflow
-_REAL = 1e-9  # imaginary part of a real root over its size: rounding of `np.roots`
+_NO_TERM = 1e-12  # a smaller coefficient has no effect, and the roots would overflow
+_REAL = 1e-9  # relative imaginary part of a real root: rounding of `np.roots`
 
 
 def distorted(x: Value, y: Value, coefficients: Value) -> tuple[Value, Value]:
@@ -56,7 +55,7 @@ def jacobian(x: Value, y: Value, coefficients: Value) -> tuple[Value, Value, Val
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Linearised:
-    """Distorted points and their derivatives by the coefficients."""
+    """Distorted points and their derivatives with respect to the coefficients."""
 
     x: Float64[Array, " n"]
     y: Float64[Array, " n"]
@@ -66,10 +65,10 @@ class Linearised:
 
 
 def linearised(x: Float64[Array, " n"], y: Float64[Array, " n"], coefficients: Float64[Array, "5 n"]) -> Linearised:
-    """Distort points by a lens each, and differentiate by its coefficients.
+    """Distort each point with its own lens, and differentiate with respect to the coefficients.
 
-    The model is linear in them. The points are those of `distorted` but for the last bit: here p1 and p2 multiply the
-    product xy. Calibrations depend on that bit, so both orders of operations stay.
+    The model is linear in the coefficients. Points may differ from `distorted` in the last bit, because p1 and p2
+    multiply the product xy here. Calibrations depend on that bit, so both orders of operations are kept.
     """
     k1, k2, p1, p2, k3 = coefficients
     xx, yy, xy = x * x, y * y, x * y
@@ -91,7 +90,7 @@ def distort(xy: Float64[Array, "*n 2"], coefficients: Float64[Array, 5]) -> Floa
 
 
 def undistort(xy_distorted: Float64[Array, "*n 2"], coefficients: Float64[Array, 5]) -> Float64[Array, "*n 2"]:
-    """Find the ideal points of distorted ones, by Newton's method."""
+    """Find the ideal points of distorted ones by Newton's method."""
     if not np.any(coefficients):
         return xy_distorted.copy()
     xy = xy_distorted.copy()
@@ -109,10 +108,9 @@ def undistort(xy_distorted: Float64[Array, "*n 2"], coefficients: Float64[Array,
 
 
 def fold_radius(coefficients: Float64[Array, 5]) -> float:
-    """Ideal radius at which the model folds back.
+    """Ideal radius beyond which the distorted radius decreases: two directions share a pixel there.
 
-    Infinite where it never does. Beyond it two directions share a pixel. Only the radial terms count: the decentring
-    ones are a hundredth of them.
+    Infinite if there is no such radius. Only the radial terms are used: the tangential ones are a hundredth of them.
     """
     k1, k2, _, _, k3 = np.where(np.abs(coefficients) > _NO_TERM, coefficients, 0.0)
     roots = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])  # of d (distorted radius) / d radius, as a function of radius²
@@ -121,9 +119,9 @@ def fold_radius(coefficients: Float64[Array, 5]) -> float:
 
 
 def fold_xy(coefficients: Float64[Array, 5]) -> float:
-    """Distorted radius at which the model folds back.
+    """Distorted radius at the fold (`fold_radius`).
 
-    Pixels farther out show nothing. Infinite if the model never folds.
+    Pixels farther out show nothing. Infinite if there is no fold.
     """
     radius, (k1, k2, _, _, k3) = fold_radius(coefficients), coefficients
     return float(distorted(radius, 0.0, (k1, k2, 0.0, 0.0, k3))[0]) if np.isfinite(radius) else np.inf

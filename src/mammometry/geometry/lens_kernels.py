@@ -1,7 +1,8 @@
-"""The lens model for compiled code, one point at a time, and points through a camera.
+"""The lens model and the camera's projection for compiled code.
 
-The arithmetic is that of `lens`. `coefficients` is a tuple or an array of five. Take the slice once a row of pixels:
-taken for every pixel, it costs more than the lens.
+The arithmetic is that of `lens`. `coefficients` is a tuple or an array of five. Slice it once per row of pixels: a
+slice
+for every pixel takes longer than the lens model itself.
 """
 
 import numpy as np
@@ -20,9 +21,9 @@ jacobian = small_kernel(lens.jacobian)
 def undistorted(
     xd: float, yd: float, coefficients: Array, x: float, y: float
 ) -> tuple[float, float, float, float, float]:
-    """Ideal point of a distorted one, and the Jacobian there.
+    """Ideal point of a distorted one, and the Jacobian xx, xy, yy there.
 
-    Starts from the guess (x, y). Returns xx, xy, yy of the Jacobian.
+    Starts from the guess (x, y).
     """
     by_xx, by_xy, by_yy = 1.0, 0.0, 1.0
     for _ in range(lens.NEWTON_STEPS):
@@ -47,9 +48,9 @@ def project(
     distortion: Float64[Array, " 5"],
     found: Float64[Array, "n 3"],
 ) -> None:
-    """Fill `found` with column, row and depth of each point.
+    """Write column, row and depth of each point into `found`.
 
-    `pose`: rotation and translation side by side. `intrinsics`: fx, fy, cx, cy.
+    `pose`: rotation and translation, (3, 4). `intrinsics`: fx, fy, cx, cy.
     """
     lens = distortion[0], distortion[1], distortion[2], distortion[3], distortion[4]
     for i in range(len(points)):

@@ -1,4 +1,4 @@
-"""Triangle meshes: topology, exact integrals, edges split without opening gaps.
+"""Triangle meshes: topology, exact integrals, edge splitting without gaps.
 
 World frame, mm, faces counter-clockwise seen from outside.
 """
@@ -14,15 +14,15 @@ from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64
 from mammometry.geometry.transform import Transform
 
-_PER_MM = 1024.0  # a power of two, so that nothing but the rounding is lost
+_PER_MM = 1024.0  # a power of two: dividing by it is exact
 
 PointMap: TypeAlias = Callable[[Float64[Array, "n 3"]], Float64[Array, "n 3"]]
-"""Carries points, mm, into another frame or place."""
+"""Maps points, mm, to another frame or place."""
 
 
 @value(eq=False)
 class TriangleMesh:
-    """Vertices and the triangles between them.
+    """Vertices and triangles.
 
     Raises:
         ValueError: a face refers to a vertex that does not exist, or a vertex is not finite.
@@ -44,14 +44,14 @@ class TriangleMesh:
         return self.vertices[self.faces]
 
     def face_vectors(self) -> Float64[Array, "m 3"]:
-        """Outward normals whose length is the face's area, mm²."""
+        """Outward normals (m, 3) whose length is the face's area, mm²."""
         from mammometry.geometry import mesh_kernels
 
         vectors: Float64[Array, "m 3"] = mesh_kernels.area_vectors(self.vertices, self.faces)
         return vectors
 
     def vertex_normals(self) -> Float64[Array, "n 3"]:
-        """Unit outward normals, the faces' weighted by area. Zero at a vertex without area."""
+        """Unit outward normals: area-weighted means of the faces' normals. Zero at a vertex without area."""
         from mammometry.geometry import mesh_kernels
 
         normals: Float64[Array, "n 3"] = mesh_kernels.vertex_normals(
@@ -76,16 +76,13 @@ class TriangleMesh:
         used = np.bincount(self.faces.ravel(), minlength=1)
         starts, stops, across = self._sides()
         side = np.arange(len(across))
-        few = across[across] == side  # one face or two on the edge, as everywhere on a surface
+        few = across[across] == side  # edges with one or two faces, as on any manifold
         edges = int(np.count_nonzero(few & (side <= across)))
         edges += len(unique_edges(starts[~few].astype(np.int64), stops[~few].astype(np.int64), len(self.vertices)))
         return int(np.count_nonzero(used)) - edges + len(self.faces)
 
     def _sides(self) -> tuple[Int32[Array, " h"], Int32[Array, " h"], Int32[Array, " h"]]:
-        """Start and stop of each face's sides, and the next side on the same edge.
-
-        See `mesh_kernels.edge_rings`.
-        """
+        """Start and end of each half-edge, and the next one on the same edge (`mesh_kernels.edge_rings`)."""
         from mammometry.geometry import mesh_kernels
 
         across = mesh_kernels.edge_rings(len(self.vertices), self.faces)
@@ -103,10 +100,9 @@ class TriangleMesh:
         return float(np.linalg.norm(self.face_vectors(), axis=1).sum())
 
     def volume_mm3(self) -> float:
-        """Signed enclosed volume, exact for a closed mesh, mm³.
+        """Signed enclosed volume by the divergence theorem, mm³. Exact for a closed mesh.
 
-        Divergence theorem. Coordinates are relative to the mean vertex, so that a mesh far from the origin loses no
-        digits.
+        Coordinates are relative to the mean vertex, so that a mesh far from the origin keeps its precision.
         """
         from mammometry.geometry import mesh_kernels
 
@@ -115,7 +111,7 @@ class TriangleMesh:
         return float(mesh_kernels.volume(self.vertices, self.faces, self.vertices.mean(axis=0)))
 
     def transformed(self, b_from_a: Transform) -> TriangleMesh:
-        """Return the mesh carried into frame b."""
+        """Return the mesh in frame b."""
         return self.mapped(b_from_a.apply)
 
     def faces_within(self, inside: Bool[Array, " n"]) -> Bool[Array, " m"]:
@@ -124,7 +120,7 @@ class TriangleMesh:
         return np.asarray(inside[first] & inside[second] & inside[third])
 
     def vertices_between(self, low: Float64[Array, 3], high: Float64[Array, 3]) -> Int64[Array, " k"]:
-        """Numbers of the vertices in a box, its faces included."""
+        """Indices of the vertices in a box, its faces included."""
         x, y, z = self.vertices.T
         inside = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1]) & (z >= low[2]) & (z <= high[2])
         return np.flatnonzero(inside)
@@ -146,12 +142,12 @@ class TriangleMesh:
         return TriangleMesh(vertices=motion(self.vertices), faces=self.faces)
 
     def turned_over(self) -> TriangleMesh:
-        """Return the mesh with its inside out, as mirroring needs."""
+        """Return the mesh with reversed faces, as needed after mirroring."""
         return TriangleMesh(vertices=self.vertices, faces=np.ascontiguousarray(self.faces[:, ::-1]))
 
 
 def joined(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
-    """Put meshes into one, side by side. Nothing is merged."""
+    """Concatenate meshes. No vertices are merged."""
     offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     return TriangleMesh(
         vertices=np.concatenate([mesh.vertices for mesh in meshes]),
@@ -169,10 +165,9 @@ def unique_edges(starts: Int64[Array, " k"], stops: Int64[Array, " k"], n: int) 
 
 
 def on_microns(vectors_mm: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-    """Round to 1/1024 mm, a hundredth of what is measured.
+    """Round to 1/1024 mm, a hundredth of the measurement error.
 
-    Sums of such vectors up to 16 m are float32 numbers, so that files hold them in half the space, and exactly. No
-    zero has a sign.
+    Sums of such vectors up to 16 m are exact as float32, so files need half the space. Zeros are positive.
     """
     rounded: Float64[Array, "n 3"] = np.round(vectors_mm * _PER_MM) / _PER_MM + 0.0
     return rounded
@@ -196,13 +191,13 @@ def edge_table(faces: Int32[Array, "m 3"]) -> tuple[Int64[Array, "e 2"], Int64[A
 def split_edges(
     faces: Int32[Array, "m 3"], edges_of_face: Int64[Array, "m 3"], split: Bool[Array, " e"], first_new: int
 ) -> Int32[Array, "k 3"]:
-    """Split the marked edges at one new vertex each. Each face at them becomes two, three or four.
+    """Split the marked edges at one new vertex each. Each adjacent face becomes two, three or four.
 
     Args:
         faces: vertex indices.
-        edges_of_face: as `edge_table` numbers them.
-        split: which edges.
-        first_new: index of the first marked edge's new vertex; the others' follow in order.
+        edges_of_face: numbers from `edge_table`.
+        split: mask of the edges.
+        first_new: index of the first marked edge's new vertex; the others follow in order.
     """
     new_vertex = np.full(len(split), -1, dtype=np.int64)
     new_vertex[split] = first_new + np.arange(int(split.sum()))
@@ -210,7 +205,7 @@ def split_edges(
     marked = middle >= 0
     count = marked.sum(axis=1)
     parts = [faces[count == 0].astype(np.int64)]
-    # Turned such that with one marked edge it is the first, and with two the last is not.
+    # Rotate each face: a single marked edge comes first; of two marked edges neither is the last.
     turn = np.where(count == 1, marked.argmax(axis=1), (np.argmin(marked, axis=1) + 1) % 3)
     order = (turn[:, None] + _CORNERS) % 3
     corner = np.take_along_axis(faces.astype(np.int64), order, axis=1)

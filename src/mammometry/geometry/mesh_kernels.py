@@ -1,6 +1,6 @@
-"""Compiled kernels on triangle meshes, and on pixel grids that show them.
+"""Compiled kernels for triangle meshes and their rasterisation.
 
-Their plain NumPy twins stand in tests/unit/geometry/; that of `nearest_faces` is a ray caster.
+The equivalent NumPy code is in tests/unit/geometry/; for `nearest_faces` it is a ray caster.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int
 
 @kernel
 def area_vectors(vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"]) -> Float64[Array, "m 3"]:
-    """Normals, counter-clockwise seen from their tips, whose length is the face's area."""
+    """Normals of the faces (right-hand rule) whose length is the face's area."""
     result = np.empty((len(faces), 3))
     for face in range(len(faces)):
         a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
@@ -46,7 +46,7 @@ def vertex_normals(n: int, faces: Int32[Array, "m 3"], vectors: Float64[Array, "
 
 @kernel
 def angle_defects(vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"]) -> Float64[Array, " n"]:
-    """Angle defect of each vertex, 2π less its faces' angles, rad: its curvature (Gauss and Bonnet)."""
+    """Angle defect of each vertex (integrated curvature): 2π minus its faces' angles, rad."""
     defects = np.full(len(vertices), 2 * np.pi)
     for face in range(len(faces)):
         for corner in range(3):
@@ -64,10 +64,10 @@ def angle_defects(vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"]) -
 
 @kernel
 def open_vertices(n: int, faces: Int32[Array, "m 3"]) -> Bool[Array, " n"]:
-    """Mask of the n vertices that end a directed side without an opposite.
+    """Mask of the n vertices at which a half-edge without an opposite ends.
 
-    Every side adds a scrambled form of its end to its start and takes its start's from its end: what has an opposite
-    cancels out.
+    Each half-edge adds the hash of its end to its start and subtracts the hash of its start from its end. Half-edges
+    with an opposite cancel.
     """
     balance = np.zeros(n, dtype=np.uint64)
     for face in range(len(faces)):
@@ -80,10 +80,7 @@ def open_vertices(n: int, faces: Int32[Array, "m 3"]) -> Bool[Array, " n"]:
 
 @kernel
 def _scrambled(number):  # type: ignore[no-untyped-def]
-    """Hash of a number: splitmix64 (Steele, Lea and Flood).
-
-    Sums of different numbers' hashes are equal only by chance, 1 in 2⁶⁴.
-    """
+    """Hash of a number by splitmix64 (Steele, Lea and Flood). Sums collide with a probability of 1 in 2⁶⁴."""
     x = np.uint64(number) + np.uint64(0x9E3779B97F4A7C15)
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -92,7 +89,7 @@ def _scrambled(number):  # type: ignore[no-untyped-def]
 
 @kernel
 def parts(n: int, faces: Int32[Array, "m 3"]) -> tuple[int, Int32[Array, " n"]]:
-    """Number of connected parts, and the part of each of n vertices, in the order of first vertices."""
+    """Number of connected components, and the component of each vertex, in the order of first vertices."""
     root = np.arange(n).astype(np.int32)
     for face in range(len(faces)):
         a = _root(root, faces[face, 0])
@@ -104,7 +101,7 @@ def parts(n: int, faces: Int32[Array, "m 3"]) -> tuple[int, Int32[Array, " n"]]:
                 root[a] = b
                 a = b
     count = 0
-    for vertex in range(n):  # a root is its part's smallest vertex, and comes first
+    for vertex in range(n):  # a root is the smallest vertex of its component
         if root[vertex] == vertex:
             root[vertex] = -count - 1
             count += 1
@@ -118,13 +115,12 @@ def parts(n: int, faces: Int32[Array, "m 3"]) -> tuple[int, Int32[Array, " n"]]:
 
 @kernel
 def edge_rings(n: int, faces: Int32[Array, "m 3"]) -> Int32[Array, " h"]:
-    """Next side on the same edge, in a ring.
+    """Next half-edge on the same edge, for each half-edge. Together they form a ring.
 
-    For each side of each face. Side 3 f + k runs from corner k of face f to the next. A side alone on its edge is its
-    own next one.
+    Half-edge 3 f + k runs from corner k of face f to the next corner. A half-edge alone on its edge points to itself.
     """
     sides = 3 * len(faces)
-    first = np.zeros(n + 1, dtype=np.int32)  # of the sides with each smaller corner, which are few
+    first = np.zeros(n + 1, dtype=np.int32)  # start of the half-edges grouped by smaller corner
     for face in range(len(faces)):
         for corner in range(3):
             first[min(faces[face, corner], faces[face, (corner + 1) % 3]) + 1] += 1
@@ -142,7 +138,7 @@ def edge_rings(n: int, faces: Int32[Array, "m 3"]) -> Int32[Array, " h"]:
     for vertex in range(n):
         for at in range(first[vertex], first[vertex + 1]):
             beginning = at
-            for before in range(first[vertex], at):  # the ring's first side closes it
+            for before in range(first[vertex], at):  # the first half-edge closes the ring
                 if other[before] == other[at]:
                     beginning = before
                     break
@@ -157,13 +153,13 @@ def edge_rings(n: int, faces: Int32[Array, "m 3"]) -> Int32[Array, " h"]:
 
 @kernel
 def face_parts(rings: Int32[Array, " h"], walls: Bool[Array, " h"]) -> tuple[int, Int32[Array, " m"]]:
-    """Number of parts, and the part of each face.
+    """Number of parts, and the part of each face. Parts are joined across edges that are not walls.
 
-    Faces are joined by edges that are no walls. Parts are numbered in the order of their first faces.
+    Parts are numbered in the order of their first faces.
 
     Args:
         rings: of `edge_rings`.
-        walls: whether each side is on a wall.
+        walls: whether each half-edge is on a wall.
     """
     part = np.full(len(rings) // 3, -1).astype(np.int32)
     waiting = np.empty(len(part), dtype=np.int32)
@@ -191,7 +187,7 @@ def face_parts(rings: Int32[Array, " h"], walls: Bool[Array, " h"]) -> tuple[int
 def part_volumes(
     vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], part: Int32[Array, " n"], count: int
 ) -> Float64[Array, " c"]:
-    """Signed volume that each closed part encloses. Coordinates are taken from the first vertex."""
+    """Signed volume of each closed component, with coordinates relative to the first vertex."""
     volumes = np.zeros(count)
     for face in range(len(faces)):
         a, b, c = vertices[faces[face, 0]], vertices[faces[face, 1]], vertices[faces[face, 2]]
@@ -205,7 +201,7 @@ def part_volumes(
 
 @kernel
 def volume(vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], origin: Float64[Array, "3"]) -> float:
-    """Signed volume that a closed mesh encloses, with coordinates from an origin."""
+    """Signed volume of a closed mesh, with coordinates relative to an origin."""
     six = 0.0
     for face in range(len(faces)):
         a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
@@ -225,18 +221,17 @@ def _root(root: Int32[Array, " n"], vertex: int) -> int:
 
 
 _SLACK = 1e-9
-"""Slack of a barycentric weight: no pixel falls between two faces that share an edge."""
+"""Tolerance of a barycentric weight, so that no pixel falls between two adjacent faces."""
 
 
 @kernel
 def nearest_faces(
     corners: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], height: int, width: int
 ) -> tuple[Int32[Array, "h w"], Float32[Array, "h w 3"], Float32[Array, "h w"]]:
-    """Face at the middle of each pixel, its weights and position.
+    """Face at each pixel's centre, the weights of its corners, and its position towards the viewer.
 
-    The face is −1 where there is none. Weights are those of its corners. Position is towards the viewer. `corners` has
-    column, row and position towards the viewer of every vertex. The middle of the first pixel is at 0, 0. Both sides
-    of a face are seen. −∞ is as far from the viewer as where there is no face.
+    `corners` has column, row and position towards the viewer of every vertex. The first pixel's centre is at 0, 0.
+    Both sides of a face are visible. Without a face: index −1 and position −∞.
     """
     nearest = np.full((height, width), -1, dtype=np.int32)
     weights = np.zeros((height, width, 3), dtype=np.float32)
@@ -267,10 +262,7 @@ def nearest_faces(
 
 @kernel
 def extent(mask: Bool[Array, "h w"]) -> Int64[Array, " 4"]:
-    """First and last row and column with a true pixel.
-
-    Each end is one further. Rows first. Zeros where there is none.
-    """
+    """First row, end row, first column and end column (exclusive) of the true pixels. Zeros without any."""
     height, width = mask.shape
     box = np.zeros(4, dtype=np.int64)
     left, right = width, 0

@@ -1,4 +1,4 @@
-"""Exact closest points on a triangle mesh, by a tree of boxes."""
+"""Exact closest points on a triangle mesh, with a bounding-box tree."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest_kernels import boxes, faces_in_box, morton, scan, search
 
-_BITS = 20  # of the Morton code, an axis
-_IN_A_BOX = 32  # points, at most; for speed alone
-_FEW = 30  # queries: going through all faces costs less than the tree
-_LARGE = 20_000  # faces from which those far from all queries are left out first; for speed alone
-_SOME = 5_000  # vertices to which the queries' distances are found for that; for speed alone
-_SLACK, _SLACK_MM = 1.0 + 1e-9, 1e-9  # of those distances, for rounding
+_BITS = 20  # of the Morton code, per axis
+_IN_A_BOX = 32  # most points of a leaf; affects speed only
+_FEW = 30  # for fewer queries, testing all faces is quicker than a tree
+_LARGE = 20_000  # from this number of faces, distant faces are discarded first; affects speed only
+_SOME = 5_000  # number of vertices used to find distant faces; affects speed only
+_SLACK, _SLACK_MM = 1.0 + 1e-9, 1e-9  # tolerance of those distances, for rounding
 
 
 @value(eq=False)
 class ClosestPoints:
-    """For each query point the nearest point of the surface."""
+    """Nearest point of the surface for each query point."""
 
     points: Float64[Array, "n 3"]
-    """On the mesh, in its frame, mm."""
+    """Points on the mesh, in its frame, mm."""
     faces: Int64[Array, " n"]
-    """The face that holds it."""
+    """Index of the face that contains it."""
     distances_mm: Float64[Array, " n"]
     """Unsigned distance to it, mm."""
 
@@ -33,9 +33,9 @@ class ClosestPoints:
 def closest_on_mesh(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> ClosestPoints:
     """Find the closest point of the mesh to each query point.
 
-    Exact, in the mesh's frame, mm. Boxes that lie farther away than the best face so far are passed over, nearer boxes
-    first. The first best is the previous query's face: quick where neighbours follow one another, as the vertices of a
-    mesh do. A few queries are not worth a tree.
+    Exact, in the mesh's frame, mm. Boxes farther away than the best face so far are skipped, and nearer boxes are
+    tested
+    first. The search begins with the previous query's face, which is quick if consecutive queries are near each other.
 
     Raises:
         ValueError: the mesh has no faces.
@@ -59,7 +59,7 @@ def closest_on_mesh(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> Closes
 def _faces_near(queries: Float64[Array, "n 3"], mesh: TriangleMesh) -> Int64[Array, " k"] | None:
     """Faces that may be nearest to one of the queries. None: all.
 
-    No query is farther from the mesh than from one of its vertices, so none of the rest lies that near.
+    A query is no farther from the mesh than from any of its vertices, so more distant faces can be discarded.
     """
     if len(mesh.faces) < _LARGE or not len(queries):
         return None
@@ -71,19 +71,16 @@ def _faces_near(queries: Float64[Array, "n 3"], mesh: TriangleMesh) -> Int64[Arr
 
 
 def point_tree(points: Float64[Array, "n d"]) -> cKDTree:
-    """Tree of points for nearest neighbours.
+    """k-d tree of points for nearest neighbours, split at the middle of its boxes.
 
-    Its boxes are split in their middles. Queries far from the points, as of one breast's skin to the other's, then
-    take a third of the time that they take with scipy's default. Neighbours are the same.
+    For queries far from the points, such as from one breast to the other, it takes a third of the time of scipy's
+    default. The results are the same.
     """
     return cKDTree(points, leafsize=_IN_A_BOX, balanced_tree=False, compact_nodes=False)
 
 
 def closest_on_triangles(points: Float64[Array, "n 3"], triangles: Float64[Array, "n 3 3"]) -> Float64[Array, "n 3"]:
-    """Closest point of each triangle to its own query point.
-
-    Ericson, Real-Time Collision Detection, 5.1.5.
-    """
+    """Closest point of each triangle to its own query point (Ericson, Real-Time Collision, 5.1.5)."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     ab, ac, ap, bp, cp = b - a, c - a, points - a, points - b, points - c
     d1, d2 = _dot(ab, ap), _dot(ac, ap)
@@ -96,7 +93,7 @@ def closest_on_triangles(points: Float64[Array, "n 3"], triangles: Float64[Array
         on_bc = b + ((d4 - d3) / ((d4 - d3) + (d5 - d6)))[:, None] * (c - b)
         total = va + vb + vc
         inner = a + (vb / total)[:, None] * ab + (vc / total)[:, None] * ac
-    inner = np.where(np.isfinite(inner), inner, a)  # a triangle without area: one of its edges is nearest
+    inner = np.where(np.isfinite(inner), inner, a)  # for a triangle without area an edge is nearest
     conditions = [
         (d1 <= 0) & (d2 <= 0),
         (d3 >= 0) & (d4 <= d3),
@@ -112,7 +109,7 @@ def closest_on_triangles(points: Float64[Array, "n 3"], triangles: Float64[Array
 
 
 def barycentric(points: Float64[Array, "n 3"], triangles: Float64[Array, "n 3 3"]) -> Float64[Array, "n 3"]:
-    """Weights of each triangle's corners at its own point in its plane. Without area the first has all."""
+    """Barycentric weights of each point in the plane of its own triangle. Without area: (1, 0, 0)."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     normal = np.cross(b - a, c - a)
     size = np.maximum(_dot(normal, normal), 1e-300)

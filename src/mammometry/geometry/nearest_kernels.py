@@ -1,7 +1,4 @@
-"""Compiled searches for the nearest triangle, with a box tree or exhaustive.
-
-The NumPy twin is in tests/unit/geometry/.
-"""
+"""Compiled searches for the nearest triangle. The NumPy version is in tests/unit/geometry/."""
 
 from __future__ import annotations
 
@@ -10,15 +7,15 @@ import numpy as np
 from mammometry.base.machine.compiled import kernel
 from mammometry.geometry.arrays import Array, Float64, Int32, Int64
 
-IN_A_LEAF = 4  # faces; for speed alone
-"""Triangles in a box of the tree's last level."""
+IN_A_LEAF = 4  # faces; affects speed only
+"""Triangles in a leaf of the tree."""
 
 
 @kernel
 def faces_in_box(
     vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], low: Float64[Array, " 3"], high: Float64[Array, " 3"]
 ) -> Int64[Array, " k"]:
-    """Numbers of the faces whose own boxes meet a box."""
+    """Indices of the faces whose bounding boxes intersect a box."""
     meets = np.zeros(len(faces), dtype=np.bool_)
     count = 0
     for face in range(len(faces)):
@@ -39,9 +36,9 @@ def faces_in_box(
 
 @kernel
 def morton(corners: Float64[Array, "m 3 3"], bits: int) -> Int64[Array, " m"]:
-    """Place of each face's middle along Morton's curve.
+    """Position of each face's centroid along the Morton curve, which keeps neighbours together.
 
-    It keeps neighbours in space close together. `bits` of each coordinate count.
+    `bits` of each coordinate are used.
     """
     middles, low, high = np.empty((len(corners), 3)), np.full(3, np.inf), 0.0
     for face in range(len(corners)):
@@ -64,8 +61,7 @@ def morton(corners: Float64[Array, "m 3 3"], bits: int) -> Int64[Array, " m"]:
 def boxes(corners: Float64[Array, "m 3 3"]) -> tuple[Float64[Array, "k 3"], Float64[Array, "k 3"]]:
     """Bounding boxes of a complete binary tree.
 
-    Node i has the children 2 i + 1 and 2 i + 2. The last level holds the faces. Boxes without a face are infinitely
-    far from everywhere.
+    Node i has the children 2 i + 1 and 2 i + 2. The leaves contain the faces. Empty boxes are at infinite distance.
     """
     width = 1
     while width * IN_A_LEAF < len(corners):
@@ -91,7 +87,7 @@ def search(
     low: Float64[Array, "k 3"],
     high: Float64[Array, "k 3"],
 ) -> Int64[Array, " n"]:
-    """Number of each point's nearest triangle."""
+    """Index of each point's nearest triangle."""
     found = np.zeros(len(points), dtype=np.int64)
     first_leaf = len(low) // 2
     nodes, gaps = np.empty(64, dtype=np.int64), np.empty(64)
@@ -128,7 +124,7 @@ def search(
 
 @kernel
 def scan(points: Float64[Array, "n 3"], corners: Float64[Array, "m 3 3"]) -> Int64[Array, " n"]:
-    """Number of each point's nearest triangle, by exhaustive search."""
+    """Index of each point's nearest triangle, by exhaustive search."""
     found = np.zeros(len(points), dtype=np.int64)
     for query in range(len(points)):
         best = np.inf

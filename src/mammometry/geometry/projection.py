@@ -1,4 +1,4 @@
-"""Many points projected at once, by compiled code in threads. `Camera.project` is its plain twin."""
+"""Projection of many points by compiled code in threads. `Camera.project` gives the same in NumPy."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from mammometry.geometry.camera import Camera
 
 
 def projected(camera: Camera, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-    """Column, row and depth of world points.
+    """Column and row, distorted pixels, and depth, mm, of world points (n, 3).
 
-    Distorted pixels, and mm along the optical axis. Pixels of points that are not in front of the camera are NaN.
+    Pixels of points that are not in front of the camera are NaN.
     """
     found = np.empty((len(points_world), 3))
     pose = np.column_stack([camera.camera_from_world.rotation, camera.camera_from_world.translation_mm])
 
     def project(some: slice) -> None:
-        part = read_only(np.ascontiguousarray(points_world[some], dtype=np.float64))  # one type to compile for
+        part = read_only(np.ascontiguousarray(points_world[some], dtype=np.float64))  # compiled for one type only
         lens_kernels.project(part, pose, camera.intrinsics, np.array(camera.distortion), found[some])
 
     in_bands(project, len(points_world))

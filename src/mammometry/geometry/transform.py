@@ -1,4 +1,4 @@
-"""Rigid transforms whose names proofread themselves: ``c_from_a = c_from_b @ b_from_a``."""
+"""Rigid transforms, named by their frames: ``c_from_a = c_from_b @ b_from_a``."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import numpy as np
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Float64
 
-_PROPER_TOLERANCE = 1e-6  # of R Rᵀ: moves a point a metre away by a thousandth of a millimetre
+_PROPER_TOLERANCE = 1e-6  # of R Rᵀ: 0.001 mm at a distance of 1 m
 
 
 @value(eq=False)
 class Transform:
-    """A rotation, then a translation.
+    """A rotation followed by a translation.
 
     ``x_b = rotation @ x_a + translation``, mm.
 
@@ -35,19 +35,19 @@ class Transform:
 
     @classmethod
     def identity(cls) -> Transform:
-        """Return the transform that leaves everything where it is."""
+        """Return the identity."""
         return cls(rotation=np.eye(3), translation_mm=np.zeros(3))
 
     @classmethod
     def from_matrix(cls, matrix: Float64[Array, "4 4"]) -> Transform:
-        """Read a homogeneous 4 × 4 matrix. Its last row must be 0 0 0 1."""
+        """Convert a homogeneous 4 × 4 matrix. Its last row must be 0 0 0 1."""
         if not np.allclose(matrix[3], (0.0, 0.0, 0.0, 1.0)):
-            raise ValueError(f"last row of a rigid transform is 0 0 0 1, found {matrix[3]}")
+            raise ValueError(f"the last row of a rigid transform must be 0 0 0 1, found {matrix[3]}")
         return cls(rotation=matrix[:3, :3].copy(), translation_mm=matrix[:3, 3].copy())
 
     @classmethod
     def from_rotation_vector(cls, rotation_rad: Float64[Array, 3], translation_mm: Float64[Array, 3]) -> Transform:
-        """Build from an axis times angle (Rodrigues), rad, and a translation, mm."""
+        """Build from a rotation vector (axis times angle, Rodrigues), rad, and a translation, mm."""
         from scipy.spatial.transform import Rotation
 
         return cls(rotation=Rotation.from_rotvec(rotation_rad).as_matrix(), translation_mm=np.asarray(translation_mm))
@@ -62,7 +62,7 @@ class Transform:
 
     @property
     def rotation_vector_rad(self) -> Float64[Array, 3]:
-        """Axis times angle, rad."""
+        """Rotation vector: axis times angle, rad."""
         from scipy.spatial.transform import Rotation
 
         vector: Float64[Array, 3] = Rotation.from_matrix(self.rotation).as_rotvec()
@@ -79,7 +79,7 @@ class Transform:
         )
 
     def apply(self, points: Float64[Array, "*n 3"]) -> Float64[Array, "*n 3"]:
-        """Carry points (…, 3), mm, from frame a to frame b."""
+        """Transform points (…, 3), mm, from frame a to frame b."""
         return points @ self.rotation.T + self.translation_mm
 
     def rotate(self, directions: Float64[Array, "*n 3"]) -> Float64[Array, "*n 3"]:

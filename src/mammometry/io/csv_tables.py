@@ -1,4 +1,4 @@
-"""CSV tables made by people, programs and spreadsheets of any country."""
+"""Read CSV tables of people, programs and spreadsheets of any country."""
 
 from __future__ import annotations
 
@@ -17,50 +17,52 @@ from mammometry.geometry.arrays import Array, Float64
 
 _OTHER = {",": ".", ".": ","}
 _GROUPED = {mark: re.compile(rf"[+-]?[1-9][0-9]{{0,2}}(?:[{mark}][0-9]{{3}})+", re.ASCII) for mark in _OTHER}
-"""By what separates thousands."""
-_GROUP = 3  # digits between two marks of thousands
+"""By the thousands separator."""
+_GROUP = 3  # digits between thousands separators
 _WHOLE = re.compile(r"[+-]?[0-9]+", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecimalMark:
-    """A table's decimal mark and its mark between thousands."""
+    """A table's decimal mark and thousands separator."""
 
     mark: str
-    """Before decimals: a point or a comma."""
+    """Decimal mark: a point or a comma."""
     groups: bool = False
-    """Whether some cell shows that the other mark separates thousands."""
+    """Whether a cell proves that the other mark separates thousands."""
     ambiguous: frozenset[int] = frozenset()
-    """Columns in which nothing shows what a mark before three digits means."""
+    """Columns in which the meaning of a mark before three digits is unknown."""
 
     def number(self, cell: str) -> float:
         """Parse a cell as a number.
 
         Raises:
-            ValueError: it is no number as this table writes them.
+            ValueError: it is not a number in this table's format.
         """
         thousands = _OTHER[self.mark]
         whole, point, decimals = cell.partition(self.mark)
         if self.groups and _GROUPED[thousands].fullmatch(whole):
             whole = whole.replace(thousands, "")
         if thousands in whole + decimals:
-            raise ValueError(f"{cell!r}, which has a {'comma' if thousands == ',' else 'point'}")
+            raise ValueError(f"{cell!r}: it has a {'comma' if thousands == ',' else 'point'}")
         return number(f"{whole}{'.' if point else ''}{decimals}")
 
 
 def decimal_mark(columns: Iterable[Sequence[str]], *, separator: str = ";", alike: bool = False) -> DecimalMark:
-    """Find out how a table writes its numbers, from all cells of some columns.
+    """Find a table's number format from all cells of some columns.
 
-    A cell such as ``1,860`` or ``1.860`` says nothing by itself. It is read where another cell shows what the mark
-    means. Without one it may mean two numbers, except where commas separate the cells and no whole number is beside it:
-    a program then wrote three decimals.
+    A cell such as ``1,860`` or ``1.860`` is ambiguous. Another cell may prove what the mark means. Otherwise it is read
+    as
+    three decimals only if commas separate the cells and the column has no whole number: then a program wrote it.
 
     Args:
         columns: cells of each column.
         separator: between the cells.
-        alike: whether all columns hold the same quantity by different methods. A whole number in one then counts for
-            the others; three decimals are believed only beside hundreds, such as ``412.125``: nobody measures 412,125;
-            and a column with whole numbers must show its decimal mark itself.
+        alike: whether all columns contain the same quantity by different methods. A whole number in one column then
+            counts
+            for the others; three decimals are accepted only from hundreds on, such as ``412.125``; and a column with
+            whole
+            numbers must prove its decimal mark itself.
     """
     marks: list[str] = []
     shown_in: set[int] = set()
@@ -94,7 +96,7 @@ def decimal_mark(columns: Iterable[Sequence[str]], *, separator: str = ";", alik
 
 
 def both_readings(cell: str) -> tuple[str, str] | None:
-    """Both meanings of a cell such as ``1,860``, else None."""
+    """Both meanings of a cell such as ``1,860``. Otherwise None."""
     marks = {letter for letter in cell if letter in _OTHER}
     if len(marks) != 1 or not _GROUPED[mark := marks.pop()].fullmatch(cell) or cell.count(mark) != 1:
         return None
@@ -102,32 +104,32 @@ def both_readings(cell: str) -> tuple[str, str] | None:
 
 
 _SEPARATORS = ",;\t"
-_MOST_MIB = 16  # of a whole table: some hundred thousand rows
-_STATED = re.compile(r'"?sep=([^\w\s"\'.]|\t)"?[,;\t ]*', re.IGNORECASE)  # as spreadsheets begin a table
+_MOST_MIB = 16  # a few hundred thousand rows
+_STATED = re.compile(r'"?sep=([^\w\s"\'.]|\t)"?[,;\t ]*', re.IGNORECASE)  # first line of some spreadsheets' tables
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """A table with named columns. Its cells are text without blanks around them."""
+    """A table with named columns. Cells have no spaces around them."""
 
     name: str
-    """What to call it in messages."""
+    """Its name in messages."""
     columns: tuple[str, ...]
-    """As the first line names them."""
+    """Names in the first line."""
     lines: tuple[int, ...]
-    """Line of each row in the file, from 1. Empty lines are no rows."""
+    """Line of each row in the file, from 1. Empty lines are skipped."""
     rows: tuple[tuple[str, ...], ...]
-    """As many cells each as there are columns."""
+    """Rows with as many cells as there are columns."""
     separator: str
-    """What stands between the cells."""
+    """Separator of the cells."""
     refusal: type[MammometryError] = SessionError
-    """The class of its errors."""
+    """Class of its errors."""
 
     def texts(self, column: str) -> tuple[str, ...]:
         """All cells of a column.
 
         Raises:
-            MammometryError: there is no such column, or it is there twice.
+            MammometryError: the column is missing or exists twice.
         """
         if (count := self.columns.count(column)) != 1:
             names = ", ".join(name for name in self.columns if name) or "no names"
@@ -145,12 +147,12 @@ class Table:
 
         Args:
             columns: their names.
-            blank: whether a cell may be empty. It is NaN then.
-            alike: whether all of them hold the same quantity, see `decimal_mark`.
+            blank: whether cells may be empty. They become NaN.
+            alike: whether all columns contain the same quantity, see `decimal_mark`.
 
         Raises:
-            MammometryError: as `texts`; a cell that is no number, one written otherwise than the others, or one that
-                may mean two numbers.
+            MammometryError: as `texts`; a cell that is not a number, is in another format than the others, or is
+                ambiguous.
         """
         cells = [self.texts(column) for column in columns]
         mark = decimal_mark(cells, separator=self.separator, alike=alike)
@@ -165,8 +167,8 @@ class Table:
     def _number(self, cell: str, where: str, mark: DecimalMark, *, doubted: bool) -> float:
         readings = both_readings(cell)
         if readings is not None and doubted:
-            remedy = "Write thousands without a mark, and decimal numbers with one or two decimals"
-            expected = "numbers without marks between thousands"
+            remedy = "Write numbers without thousands separators, and with one or two decimals"
+            expected = "numbers without thousands separators"
             raise self.refusal(
                 where, found=f"{shown(cell)}, which may mean {' or '.join(readings)}", expected=expected, remedy=remedy
             )
@@ -174,8 +176,8 @@ class Table:
             return mark.number(cell)
         except ValueError:
             doubt = "" if readings is None else f", which may mean {' or '.join(readings)}"
-            remedy = "Correct the value, or leave the whole row out"
-            expected = f"a number with a decimal {'comma, as the others' if mark.mark == ',' else 'point'}"
+            remedy = "Correct the value, or remove the whole row"
+            expected = f"a number with a decimal {'comma, as in the others' if mark.mark == ',' else 'point'}"
             raise self.refusal(
                 where, found=f"{shown(cell)}{doubt}" if cell else "no value", expected=expected, remedy=remedy
             ) from None
@@ -186,19 +188,19 @@ def read_table(path: Path, name: str, expected: str, *, refusal: type[Mammometry
 
     Args:
         path: the table.
-        name: what to call it in messages.
-        expected: what it should hold, in words.
+        name: its name in messages.
+        expected: what it should contain, for messages.
         refusal: the class of its errors.
 
     Raises:
-        MammometryError: `refusal`; it cannot be read or is empty, or a row has more cells than there are columns.
+        MammometryError: `refusal`; it cannot be read or is empty, or a row has too many cells.
     """
     text = read_text(path, name, expected, most_mib=_MOST_MIB, refusal=refusal)
     head = next((line for line in re.split(r"[\r\n]", text) if line.strip()), "")
     stated = _STATED.fullmatch(head)
     if stated is not None:
-        text = text.replace(head, "", 1)  # its line stays empty, so that lines are counted rightly
-    text = re.sub(" +$", "", text, flags=re.MULTILINE)  # after a quote they are a mistake to the reader
+        text = text.replace(head, "", 1)  # the line stays empty, so that line numbers are right
+    text = re.sub(" +$", "", text, flags=re.MULTILINE)  # the reader refuses them after a quote
     separator = stated[1] if stated is not None else max(_SEPARATORS, key=head.count)
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
     lines: list[int] = []
@@ -216,8 +218,8 @@ def read_table(path: Path, name: str, expected: str, *, refusal: type[Mammometry
                 raise refusal(
                     f"{name}, row {reader.line_num}",
                     found=f"{len(row)} values",
-                    expected=f"{len(columns)}, one a column",
-                    remedy="Correct the row; where commas separate, decimals take a point"
+                    expected=f"{len(columns)}, one per column",
+                    remedy="Correct the row. If commas separate the cells, write decimals with a point"
                     if separator == ","
                     else f"Correct the row, or put quotes around a cell that contains {shown(separator)}",
                 )

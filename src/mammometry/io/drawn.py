@@ -1,6 +1,6 @@
-"""Drawings on a subject: a session's boundaries.json and landmarks.json, checked, and their changes.
+"""Read, check and change a subject's boundaries (boundaries.json) and landmarks (landmarks.json).
 
-Changes come item by item. Late ones are refused, and every earlier version is kept.
+Items are changed one by one. A change of an outdated version is refused, and every earlier version is kept.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from mammometry.measure.volume.attribution import Attribution, Confirmation
 BOUNDARIES, LANDMARK_FILE, HISTORY = "boundaries.json", "landmarks.json", "history"
 BREASTS: Mapping[SubjectKind, tuple[str, ...]] = {"model": ("model",), "torso": ("left", "right"), "surface": ()}
 """Kind of subject → names of its boundaries."""
-_FARTHEST_MM = 1e6  # a kilometre: nothing is photographed from there
+_FARTHEST_MM = 1e6  # 1 km: farther than anything is photographed from
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DrawnBoundaries:
-    """A boundaries.json, as it is understood."""
+    """Content of a boundaries.json."""
 
     curves: Mapping[str, Float64[Array, "n 3"]] = field(default_factory=dict)
-    """Breast → closed curve that somebody gave, mm, world frame."""
+    """Breast → closed curve, mm, world frame."""
     automatic: tuple[str, ...] = ()
-    """Breasts whose boundary is found automatically, as the file says."""
+    """Breasts whose boundary is to be found automatically."""
     removed: tuple[Literal["left", "right"], ...] = ()
-    """Breasts that are said to be removed: they are not looked for."""
+    """Breasts that have been removed: they are not searched for."""
     attributions: Mapping[str, Attribution] = field(default_factory=dict)
-    """Breast → who drew its boundary, and who confirmed it."""
+    """Breast → who drew and who confirmed its boundary."""
 
 
 def read_boundaries(session: Path, kind: SubjectKind, subject: str | None = None) -> DrawnBoundaries:
@@ -52,7 +52,7 @@ def read_boundaries(session: Path, kind: SubjectKind, subject: str | None = None
 
 
 def read_landmarks(session: Path, kind: SubjectKind, subject: str | None = None) -> dict[str, Float64[Array, "k 3"]]:
-    """A session's points or lines by landmark, mm, world frame.
+    """A session's landmarks → points (k, 3), mm, world frame.
 
     Empty without the file. Raises as `landmarks_in`.
     """
@@ -61,7 +61,7 @@ def read_landmarks(session: Path, kind: SubjectKind, subject: str | None = None)
 
 
 def boundaries_digest(drawn: DrawnBoundaries) -> str:
-    """Digest of what a measurement depends on: curves and methods, not who confirmed them."""
+    """Digest of everything that affects a measurement: curves and methods, not confirmations."""
     parts: dict[str, object] = {name: points.tolist() for name, points in drawn.curves.items()}
     methods = {name: drawn.attributions[name].method for name in drawn.curves}
     if any(methods.values()):
@@ -83,16 +83,17 @@ def _digest(parts: Mapping[str, object]) -> str:
 
 
 def boundaries_in(path: Path, allowed: tuple[str, ...], subject: str | None = None) -> DrawnBoundaries:
-    """The boundaries of a file.
+    """Read the boundaries of a file.
 
     Args:
         path: of the file.
-        allowed: names of breasts that the subject may have.
-        subject: identifier of the subject; where the file names one too, they must be the same.
+        allowed: names of breasts that the subject can have.
+        subject: identifier of the subject. If the file also names one, they must be equal.
 
     Raises:
-        SessionError: the file is not there or not as documented, is another subject's, or names a breast that the
-            subject has not.
+        SessionError: the file is missing or not as documented, is of another subject, or names a breast that the
+            subject
+            cannot have.
     """
     entries = read_table(path, "boundaries", subject)["boundaries"]
     curves: dict[str, Float64[Array, "n 3"]] = {}
@@ -116,11 +117,12 @@ def boundaries_in(path: Path, allowed: tuple[str, ...], subject: str | None = No
 
 
 def landmarks_in(path: Path, kind: SubjectKind, subject: str | None = None) -> dict[str, Float64[Array, "k 3"]]:
-    """Points or lines by landmark, mm, world frame.
+    """Read landmarks → points (k, 3), mm, world frame.
 
     Raises:
-        SessionError: the file is not there or not as documented, is another subject's, or names a landmark that the
-            subject has not.
+        SessionError: the file is missing or not as documented, is of another subject, or names a landmark that the
+            subject
+            cannot have.
     """
     kinds = {landmark.name: landmark.kind for landmark in LANDMARKS[kind]}
     places = {}
@@ -134,14 +136,14 @@ def landmarks_in(path: Path, kind: SubjectKind, subject: str | None = None) -> d
 
 
 def read_table(path: Path, key: str, subject: str | None = None) -> dict[str, Any]:
-    """Read a drawn file with its units, frame and subject checked. Its entries are known to be tables.
+    """Read a file of drawn items, and check its units, frame, subject and that entries are tables.
 
     Raises:
-        SessionError: it cannot be read, is not as documented, or is another subject's.
+        SessionError: it cannot be read, is not as documented, or is of another subject.
     """
     form = f'{{"{key}": {{NAME: {{"points": [[x, y, z], …]}}}}}} in mm, world frame'
     table = json_value(read_text(path, path.name, form), path.name, form)
-    with parsing("another content", path.name, form):
+    with parsing("wrong content", path.name, form):
         if not all(isinstance(entry, dict) for entry in table[key].values()):
             raise ValueError("an entry that is not a table")
         units, frame = table.get("units", "mm"), table.get("frame", "world")
@@ -151,19 +153,19 @@ def read_table(path: Path, key: str, subject: str | None = None) -> dict[str, An
         )
     theirs = table.get("subject")
     if isinstance(theirs, str):
-        theirs = unicodedata.normalize("NFC", theirs)  # as `subject_id` gives it
+        theirs = unicodedata.normalize("NFC", theirs)  # as in `subject_id`
     if subject is not None and theirs is not None and theirs != subject:
         raise _wrong(
             path.name,
             f"the drawing of subject {shown(theirs)}",
-            f"one of subject {subject!r}, as session.toml says",
+            f"one of subject {subject!r}, as in session.toml",
             "Put the right file here, or correct the subject",
         )
     return table
 
 
 def origin_words(entry: Mapping[str, Any]) -> str | None:
-    """Origin of an entry: "drawn by hand by A on 2026-11-22". None if nothing says."""
+    """Origin of an entry: "drawn by hand by A on 2026-11-22". None if unknown."""
     return _chain(entry, _who)
 
 
@@ -187,11 +189,11 @@ def _attribution(path: Path, name: str, entry: Mapping[str, Any]) -> Attribution
         texts += [step.get(key) for step in entry.get("earlier", []) for key in ("method", "author", "drawn")]
         texts += [] if confirmation is None else [confirmation.by, confirmation.at, confirmation.curve]
         if not all(text is None or isinstance(text, str) for text in texts):
-            raise TypeError("something that is not text")
+            raise TypeError("a value that is not text")
     except (KeyError, TypeError, AttributeError) as error:
         raise _wrong(
             f"{path.name}: {name}",
-            f"another content ({error})",
+            f"wrong content ({error})",
             'texts as "method", "author" and "drawn", and "confirmed" with "by", "at" and "curve"',
             "Correct it",
         ) from None
@@ -202,7 +204,7 @@ def _points(path: Path, name: str, entry: Mapping[str, Any]) -> Float64[Array, "
     form = '"points": [[x, y, z], …]'
     if "points" not in entry:
         raise _wrong(f"{path.name}: {name}", "no points", form, "Correct it")
-    with parsing("points that are not [x, y, z] each", f"{path.name}: {name}", form):
+    with parsing("points that are not [x, y, z]", f"{path.name}: {name}", form):
         points = numbers(entry["points"], -1, 3)
     if points.size and np.abs(points).max() > _FARTHEST_MM:
         raise _wrong(
@@ -219,7 +221,7 @@ def _allow(path: Path, name: str, allowed: tuple[str, ...]) -> None:
         raise _wrong(
             f"{path.name}: {name}",
             "an unknown name",
-            f"one of {', '.join(allowed) or 'none: an open surface has no such thing'}",
+            f"one of {', '.join(allowed) or 'none: an open surface has none'}",
             "Rename it, or correct [subject] kind in session.toml",
         )
 
@@ -235,16 +237,16 @@ def _wrong(subject: str, found: str, expected: str, remedy: str) -> SessionError
 
 Group: TypeAlias = Literal["boundaries", "landmarks"]
 Item: TypeAlias = tuple[Group, str]
-"""What is changed by itself: a boundary or a landmark, by name."""
+"""Item that is changed as a whole: a boundary or a landmark, by name."""
 Entry: TypeAlias = Mapping[str, Any]
-"""One item as it stands in its file."""
+"""Content of one item in its file."""
 
 _LOCK = ".lock"
 _FILES: Mapping[Group, str] = {"boundaries": BOUNDARIES, "landmarks": LANDMARK_FILE}
 
 
 class LateError(SessionError):
-    """Somebody else has changed the same item meanwhile."""
+    """Somebody else has changed the same item in the meantime."""
 
     code = "changed-meanwhile"
 
@@ -252,31 +254,31 @@ class LateError(SessionError):
         names = " and ".join(name for _, name in items)
         super().__init__(
             names,
-            found=f"a change by somebody else meanwhile ({theirs})",
-            expected="what you began from",
-            remedy=f"Nothing of theirs was replaced, and yours is kept in {HISTORY}/{kept.name}: load theirs, or "
-            "replace it by yours",
+            found=f"a change by somebody else in the meantime ({theirs})",
+            expected="the version that you started from",
+            remedy=f"Their version is unchanged, and yours is kept in {HISTORY}/{kept.name}: load theirs, or "
+            "replace it with yours",
         )
         self.items = tuple(items)
         self.on_page = (
             f"{names.replace('_', ' ')}: a change by somebody else meanwhile ({theirs}). Both are kept: load theirs, "
-            "or replace it by yours."
+            "or replace it with yours."
         )
-        """The same for a page, without the file's name."""
+        """The same text for a page, without the file's name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """One item as somebody wants it."""
+    """Requested change of one item."""
 
     entry: Entry | None
-    """Its new entry. None takes it away."""
+    """The new entry. None removes it."""
     base: str | None
     """Digest (`entry_digest`) of the entry before the change. None if there was none."""
 
 
 def entry_digest(entry: Entry | None) -> str | None:
-    """Tells one version of an item from another."""
+    """Digest that identifies a version of an item."""
     return None if entry is None else hashlib.sha256(json.dumps(entry, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -288,14 +290,14 @@ def drawn_entry(
     earlier: tuple[Entry, ...] = (),
     moment: datetime | None = None,
 ) -> Entry:
-    """An entry of something that somebody drew.
+    """Make the entry of a drawn item.
 
     Args:
         points: mm, world frame.
-        method: how: "drawn by hand".
+        method: how it was made, such as "drawn by hand".
         author: the person's name.
-        earlier: what it was made from, the earliest first: method, author and time each.
-        moment: when; now, where not given.
+        earlier: the versions it was made from, the oldest first, each with method, author and time.
+        moment: time. None: now.
     """
     when = (moment or datetime.now(UTC)).strftime("%Y-%m-%dT%H:%M:%SZ")
     entry: dict[str, Any] = {"method": method, "author": author, "drawn": when}
@@ -303,7 +305,7 @@ def drawn_entry(
 
 
 def drawn_entries(session: Path, kind: SubjectKind, subject: str | None = None) -> dict[Item, Entry]:
-    """All that stands in a session's drawn files, checked.
+    """All items of a session's files of boundaries and landmarks, checked.
 
     Raises:
         SessionError: a file is not as documented.
@@ -322,15 +324,16 @@ def change_drawn(
 ) -> tuple[Path, ...]:
     """Change items, all of them or none.
 
-    What stood in the files before is kept in ``history/``. Where the first boundary is drawn, the other breast is
-    written down as found automatically: it was, and stays so. A file in which nothing is left is taken away.
+    The previous files are kept in ``history/``. When the first boundary is drawn, the other breast is recorded as found
+    automatically, as it was before. A file without items is removed.
 
     Returns:
         The files that changed.
 
     Raises:
-        LateError: an item is no longer what the change was made on; the change is kept in ``history/``.
-        SessionError: a file that stands there is not as documented; it stays as it is.
+        LateError: an item has changed since the version that the change is based on; the change is kept in
+            ``history/``.
+        SessionError: an existing file is not as documented; it is not changed.
         StorageError: the session cannot be written to.
     """
     moment = datetime.now(UTC)
@@ -401,7 +404,7 @@ def _keep_late(session: Path, changes: Mapping[Item, Change], moment: datetime) 
 
 
 def _free(session: Path, stem: str, moment: datetime) -> Path:
-    """An unused name in the history, safe against clocks set back."""
+    """An unused name in the history, also if the clock was set back."""
     name = f"{stem}-{moment.strftime('%Y%m%dT%H%M%S.%f')}Z"
     path, number = session / HISTORY / f"{name}.json", 1
     while path.exists():
@@ -410,7 +413,7 @@ def _free(session: Path, stem: str, moment: datetime) -> Path:
 
 
 def _same(one: Entry | None, other: Entry | None) -> bool:
-    """Whether nothing but the time changes, as when a save is repeated."""
+    """Whether two entries differ in time only, as after a repeated save."""
 
     def lasting(entry: Entry | None) -> Entry | None:
         return None if entry is None else {key: value for key, value in entry.items() if key != "drawn"}
@@ -431,13 +434,13 @@ def _check(path: Path, group: Group, kind: SubjectKind, subject: str | None) -> 
 
 @contextmanager
 def _taken(session: Path) -> Iterator[None]:
-    """One at a time, in other processes too."""
+    """Hold the lock for changes, also against other processes."""
     from filelock import FileLock
 
     lock = FileLock(session / HISTORY / _LOCK, fallback_to_soft=False)
     with disk_errors(session):
         (session / HISTORY).mkdir(exist_ok=True)
-    with suppress(OSError):  # some network disks know no locks: then changes meet within one process alone
+    with suppress(OSError):  # some network disks have no locks: then only this process is protected
         lock.acquire()
     try:
         yield

@@ -1,6 +1,6 @@
-"""History of a rig's checks: one JSON object a line, in `checks`.
+"""History of a rig's checks in `checks`: one JSON object per line.
 
-The file only ever grows. A line that cannot be read costs itself alone, and stays where it is.
+Lines are only ever added. A line that cannot be read is skipped and left unchanged.
 """
 
 import json
@@ -25,17 +25,17 @@ FOLDER = "checks"
 HISTORY = "history.jsonl"
 DRAWN = "drift.png"
 _LOCK = ".history.lock"
-_FORMAT = 1  # version of a line of the history; another one is not read
+_FORMAT = 1  # version of a line of the history; others are not read
 _LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraDrift:
-    """Distance of one camera from its calibration in one check."""
+    """Displacement of one camera from its calibration in one check."""
 
     moved: bool
     shift_mm: float
-    """Shift of the perspective centre, mm. It assumes a pure displacement, although a rotation may explain it too."""
+    """Displacement of the perspective centre, mm. It assumes no rotation, although one may explain it too."""
     turn_deg: float
     shift_px: float
     sigma: float
@@ -43,17 +43,17 @@ class CameraDrift:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entry:
-    """A check of a rig, as a line of its history."""
+    """One check of a rig, as a line of its history."""
 
     when: str
-    """Moment of the check, ISO 8601, local time."""
+    """Time of the check, ISO 8601, local time."""
     image_set: str
-    """Where its photographs lay."""
+    """Folder of its photographs."""
     calibration: str
-    """Digest of the cameras it was compared with. Entries of one calibration share it."""
+    """Digest of the cameras of the calibration. Entries of one calibration share it."""
     verdict: str
     effect_mm: float
-    """RMS displacement of measured points by the worst pair."""
+    """RMS displacement of measured points for the worst pair."""
     reasons: tuple[str, ...]
     cameras: Mapping[str, CameraDrift]
     photographs: Mapping[str, str] = field(default_factory=dict)
@@ -62,7 +62,7 @@ class Entry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class History:
-    """History of a rig's checks."""
+    """All checks of a rig."""
 
     entries: tuple[Entry, ...] = ()
     """The oldest first."""
@@ -71,7 +71,7 @@ class History:
 
 
 def entry_of(result: RigCheck, *, when: str, image_set: str, calibration: str, photographs: Mapping[str, str]) -> Entry:
-    """A check's entry in the history."""
+    """Make the history's entry of a check."""
     return Entry(
         when=when,
         image_set=image_set,
@@ -96,7 +96,7 @@ def _drift(check: CameraCheck) -> CameraDrift:
 
 
 def entry_table(entry: Entry) -> dict[str, Any]:
-    """An entry as a plain table: a line of the history."""
+    """An entry as a plain table for a line of the history."""
     cameras = {
         name: {
             "moved": camera.moved,
@@ -121,10 +121,10 @@ def entry_table(entry: Entry) -> dict[str, Any]:
 
 
 def read_history(session: Path) -> History:
-    """All checks of the rig of a session, the oldest first. None where there is no history.
+    """Read all checks of a session's rig, the oldest first. None without a history.
 
     Raises:
-        StorageError: the disk refuses.
+        StorageError: the disk reports an error.
     """
     path = session / FOLDER / HISTORY
     with disk_errors(path):
@@ -144,12 +144,12 @@ def read_history(session: Path) -> History:
 
 
 def append_history(session: Path, entry: Entry) -> None:
-    """Add a check to the end of the history, durably.
+    """Append a check to the history.
 
-    Returns when it is on the disk. Checks at the same time take turns.
+    Returns when it is on the disk. Simultaneous checks wait for each other.
 
     Raises:
-        StorageError: the disk is full or refuses.
+        StorageError: the disk is full or reports an error.
     """
     folder = session / FOLDER
     line = json.dumps(entry_table(entry)).encode() + b"\n"
@@ -158,7 +158,7 @@ def append_history(session: Path, entry: Entry) -> None:
         with FileLock(folder / _LOCK), (folder / HISTORY).open("a+b") as file:
             if file.seek(0, os.SEEK_END):
                 file.seek(-1, os.SEEK_END)
-                if file.read(1) != b"\n":  # torn by a power cut: ours begins a line of its own
+                if file.read(1) != b"\n":  # cut by a power failure: begin a new line
                     line = b"\n" + line
             file.write(line)
             file.flush()
@@ -170,7 +170,7 @@ def _entry(table: dict[str, Any]) -> Entry:
     if table["format"] != _FORMAT:
         raise ValueError(f"format {table['format']}, not {_FORMAT}")
     effect_mm = float(table["effect_mm"])
-    if not math.isfinite(effect_mm):  # nothing could be drawn to its scale
+    if not math.isfinite(effect_mm):  # it could not be drawn
         raise ValueError(f"effect_mm {effect_mm}")
     return Entry(
         when=str(table["when"]),

@@ -1,4 +1,4 @@
-"""Values that are made when they are looked up, and digests of files."""
+"""Mappings whose values are made on look-up, and digests of files."""
 
 from __future__ import annotations
 
@@ -89,15 +89,15 @@ class KeptMapping(LazyMapping[K, V]):
 
 
 def digest_of(value: object) -> str:
-    """SHA-256 of a value that JSON can hold."""
+    """SHA-256 of a value that can be written as JSON."""
     return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of a file's content. Remembered while its times, size and place on the disk stay.
+    """SHA-256 of a file's content, remembered while its times, size and inode are unchanged.
 
     Raises:
-        ImageError: it cannot be read.
+        ImageError: the file cannot be read.
     """
     try:
         status = path.stat()

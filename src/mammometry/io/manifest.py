@@ -1,4 +1,4 @@
-"""session.toml: what a session says of itself, read strictly."""
+"""session.toml: the description of a session, read strictly."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _STRICT = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 def _is_name(value: str) -> str:
     if not _NAME.match(value):
-        raise ValueError("a name of letters, digits, _ . and -, as it is also a file's name")
+        raise ValueError("a name of letters, digits, _ . and -, since it is also a file name")
     return value
 
 
@@ -32,7 +32,7 @@ MountingName: TypeAlias = Literal["upright", "upside-down", "left", "right"]
 
 
 class PairEntry(BaseModel):
-    """Two cameras that look at the same skin."""
+    """Two cameras that view the same skin."""
 
     model_config = _STRICT
 
@@ -56,7 +56,7 @@ class RigEntry(BaseModel):
         names = [pair.name for pair in self.pairs]
         for pair in self.pairs:
             if names.count(pair.name) > 1:
-                raise ValueError(f"pairs of different names, not two called {pair.name!r}")
+                raise ValueError(f"different names for pairs, not {pair.name!r} twice")
             if pair.left == pair.right:
                 raise ValueError(f"two different cameras in pair {pair.name!r}, not {pair.left!r} twice")
         return self
@@ -66,12 +66,12 @@ class RigEntry(BaseModel):
         cameras = [camera for pair in self.pairs for camera in (pair.left, pair.right)]
         for name in self.mounting if isinstance(self.mounting, dict) else ():
             if name not in cameras:
-                raise ValueError(f"mounting of the rig's own cameras, not of {name!r}")
+                raise ValueError(f"mounting of cameras of the rig, not of {name!r}")
         return self
 
     @property
     def turned(self) -> dict[str, MountingName]:
-        """Camera → how it is mounted, of those that are not upright."""
+        """Camera → mounting, for cameras that are not upright."""
         if isinstance(self.mounting, dict):
             return {name: how for name, how in self.mounting.items() if how != "upright"}
         cameras = dict.fromkeys(camera for pair in self.pairs for camera in (pair.left, pair.right))
@@ -79,32 +79,32 @@ class RigEntry(BaseModel):
 
 
 class SubjectEntry(BaseModel):
-    """The subject that was photographed."""
+    """The photographed subject."""
 
     model_config = _STRICT
 
     kind: Literal["model", "torso", "surface"]
     id: Annotated[str, AfterValidator(subject_id)] | None = None
-    """Pseudonym of the photographed subject, carried by every product. None: not given."""
+    """Pseudonym of the subject, written into every product. None: not given."""
     rim_radius_mm: float | None = Field(default=None, ge=0, le=10)
-    """Radius by which a cast's rim is rounded, mm, if measured."""
+    """Radius of a cast's rounded rim, mm, if measured."""
     posture: Posture | Literal["unknown"] = "leaning"
-    """How a patient held herself before the rig. unknown: it is not stated here. A cast has no posture."""
+    """A patient's posture. unknown: not given. Casts have none."""
 
     @model_validator(mode="after")
     def _only_a_cast_has_a_rim(self) -> SubjectEntry:
         if self.rim_radius_mm is not None and self.kind != "model":
-            raise ValueError("no rim_radius_mm: only a cast, kind model, has a rim")
+            raise ValueError("no rim_radius_mm: only a cast (kind model) has a rim")
         return self
 
     @property
     def patient_posture(self) -> str:
-        """How the patient held herself, empty where there is none or it is unknown."""
+        """The patient's posture. Empty if there is none or it is unknown."""
         return self.posture if self.kind == "torso" and self.posture != "unknown" else ""
 
 
 class IntrinsicsEntry(BaseModel):
-    """Separate, unsynchronised photographs that give each camera's lens."""
+    """Separate, unsynchronised photographs for calibrating each camera's lens."""
 
     model_config = _STRICT
 
@@ -115,26 +115,26 @@ _Point = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
 class WalkEntry(BaseModel):
-    """What `mammometry photos` found of a walk with one telephone, whose photographs are the cameras."""
+    """Results of `mammometry photos` for photographs from one telephone; each photograph is a camera."""
 
     model_config = _STRICT
 
     region_mm: Annotated[list[_Point], Field(min_length=2, max_length=2)]
-    """Lowest and highest corner of the box in which the body is, world frame, mm."""
+    """Lowest and highest corner of a box around the body, world frame, mm."""
     scale_std: Annotated[float, Field(gt=0, le=0.1)]
-    """Relative standard uncertainty of all lengths: how well the printed board's size is known."""
+    """Relative standard uncertainty of all lengths, from the printed board's size."""
     point_std_mm: Annotated[float, Field(ge=0, le=10)]
-    """Standard uncertainty of a reconstructed point from the telephone's places and lens, mm."""
+    """Standard uncertainty of a reconstructed point from the telephone's poses and lens, mm."""
 
     @model_validator(mode="after")
     def _is_a_box(self) -> WalkEntry:
         if not all(low < high for low, high in zip(*self.region_mm, strict=True)):
-            raise ValueError("region_mm of a lowest and a highest corner")
+            raise ValueError("region_mm with a lowest and a highest corner")
         return self
 
 
 class Manifest(BaseModel):
-    """The whole of session.toml, format 1."""
+    """Content of session.toml, format 1."""
 
     model_config = _STRICT
 
@@ -143,12 +143,12 @@ class Manifest(BaseModel):
     rig: RigEntry
     subject: SubjectEntry
     date: datetime.date | None = None
-    """Day of the photographs. It orders two dates in a comparison. No number depends on it."""
+    """Date of the photographs. It orders two dates in a comparison. No number depends on it."""
     target: dict[str, Any] | None = None
     """Its keys depend on its kind: `calibration.targets.table.target_from_table`."""
     intrinsics: IntrinsicsEntry | None = None
     walk: WalkEntry | None = None
-    """Only in a session that `mammometry photos` made."""
+    """Only in sessions of `mammometry photos`."""
 
 
 _MODELS: dict[tuple[str, ...], type[BaseModel]] = {
@@ -165,7 +165,7 @@ def parse_manifest(text: str) -> Manifest:
     """Read the text of a session.toml.
 
     Raises:
-        SessionError: no TOML, an unknown or missing key, a value that is not allowed; names the key and what is.
+        SessionError: invalid TOML, an unknown or missing key, or a value that is not allowed; names the key.
     """
     table = toml_table(text, MANIFEST, "a manifest as `mammometry new` writes it")
     try:
@@ -179,15 +179,15 @@ def read_manifest(path: Path) -> Manifest:
     """Read a session.toml.
 
     Raises:
-        SessionError: it is missing, cannot be read, or as `parse_manifest`.
+        SessionError: it is missing or cannot be read, or as `parse_manifest`.
     """
     if not path.exists():
         raise SessionError(
             str(path.parent),
             found="no session.toml" if path.parent.is_dir() else "a file" if path.parent.exists() else "no such folder",
             expected="a session folder with a session.toml",
-            remedy="Check the path. Photographs: make an empty session with `mammometry new`. "
-            "A scan of another device: take it over with `mammometry import mesh`",
+            remedy="Check the path. For photographs, make an empty session with `mammometry new`. "
+            "For a scan, use `mammometry import mesh`",
         )
     text = read_text(path, str(path), "TOML", most_mib=1)
     return parse_manifest(text)
@@ -200,42 +200,42 @@ def _explained(location: tuple[int | str, ...], kind: str, message: str, value: 
     if kind == "extra_forbidden":
         found, expected = "an unknown key", f"only {allowed}"
     elif kind == "missing":
-        found, expected = "nothing", "this key: a manifest needs it"
+        found, expected = "nothing", "this key, which is required"
     else:
-        found = shown(value) if isinstance(value, (str, int, float, bool)) else "an unfit value"
+        found = shown(value) if isinstance(value, (str, int, float, bool)) else "an invalid value"
         expected = re.sub(r"^(Input should be|Value error,) ?", "", message).strip()
     return SessionError(
-        f"{MANIFEST}: {dotted}", found=found, expected=expected, remedy="Correct it; `mammometry new` shows a whole one"
+        f"{MANIFEST}: {dotted}", found=found, expected=expected, remedy="Correct it; `mammometry new` writes an example"
     )
 
 
 TEMPLATE = """\
-# A mammometry session. Lengths in mm. Folders beside this file:
-#   calibration/<pose>/<camera>.jpg   the target in at least 3 poses, all cameras that see it exposed together
-#   capture/<camera>.jpg              the subject, one photograph a camera
+# A mammometry session. Lengths in mm. Folders next to this file:
+#   calibration/<pose>/<camera>.jpg   the target in at least 3 poses, photographed by all cameras at once
+#   capture/<camera>.jpg              the subject, one photograph per camera
 #   masks/<camera>.png                optional: white where the subject is
 #   results/                          written by mammometry only
-# Photographs may be JPEG, PNG or TIFF, 8 or 16 bit, all of one camera at one size.
+# Photographs may be JPEG, PNG or TIFF, 8 or 16 bit, all of a camera at one size.
 format = 1
 units = "mm"
-# date = 2026-01-31            # optional: when the photographs were taken; orders two dates of one patient
+# date = 2026-01-31            # optional: date of the photographs; orders two dates of one patient
 
 [rig]
 name = "{rig}"
-# One or more stereo pairs; the names are those of the camera's files.
+# One or more stereo pairs; names of cameras are also their file names.
 pairs = [
 {pairs}
 ]
-# mounting = "upside-down"    # where the cameras' top points, from behind: "upright", "upside-down", "left", "right"
+# mounting = "upside-down"    # direction of the cameras' top, from behind: "upright", "upside-down", "left", "right"
 
 {target}
 [subject]
 kind = "{subject}"    # "model": a cast, one closed solid; "torso": both breasts; "surface": an open surface, no volume
-# id = "P-0421"         # whose photographs these are: a pseudonym, never a name; every result carries it
+# id = "P-0421"         # the subject: a pseudonym, never a name; written into every result
 # posture = "leaning"   # or "standing", "lying", "unknown": volumes of different postures are not compared
-# rim_radius_mm = 0.0   # a cast: radius by which its rim is rounded, if it was measured; 0 for a sharp edge
+# rim_radius_mm = 0.0   # for a cast: radius of its rounded rim, if measured; 0 for a sharp edge
 
-# Optional: lenses from separate photographs of a board, one folder a camera (intrinsics/<camera>/*.jpg)
+# Optional: lenses from separate photographs of a board, one folder per camera (intrinsics/<camera>/*.jpg)
 # [intrinsics]
 # target = {{ kind = "chessboard", squares = [10, 7], square_mm = 25.0 }}
 """
@@ -248,22 +248,22 @@ squares = [14, 10]           # columns, rows
 square_mm = 25.0
 marker_mm = 18.0
 dictionary = "DICT_5X5_250"
-# edge_mm = 350.0            # measure all 14 columns on the print: an error of 0.1 % makes 0.3 % of volume
-# edge_std_mm = 0.1          # how surely it was measured
+# edge_mm = 350.0            # measured width of all 14 columns on the print; an error of 0.1 % changes volumes by 0.3 %
+# edge_std_mm = 0.1          # its standard uncertainty
 """,
     "chessboard": """\
 [target]
 kind = "chessboard"
-squares = [10, 7]            # columns, rows of squares, one more each than inner corners
+squares = [10, 7]            # columns and rows of squares: inner corners + 1
 square_mm = 25.0
-# edge_mm = 250.0            # measure all 10 columns on the print: an error of 0.1 % makes 0.3 % of volume
-# edge_std_mm = 0.1          # how surely it was measured
+# edge_mm = 250.0            # measured width of all 10 columns on the print; an error of 0.1 % changes volumes by 0.3 %
+# edge_std_mm = 0.1          # its standard uncertainty
 """,
     "circles": """\
 [target]
 kind = "circles"
 grid = [11, 8]               # circles in a row, rows
-pitch_mm = 20.0              # distance of neighbouring centres
+pitch_mm = 20.0              # distance between neighbouring centres
 diameter_mm = 12.0
 asymmetric = false
 """,

@@ -14,16 +14,16 @@ from mammometry.io.csv_tables import Table
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Unit:
-    """A unit that a column's name may end with."""
+    """A unit at the end of a column's name."""
 
     kind: str
-    """What is measured in it."""
+    """Quantity that is measured."""
     factor: float
-    """To the unit of its kind with factor 1."""
+    """Factor to the base unit of its kind."""
     shown: str
-    """As the report writes it."""
+    """Spelling in the report."""
     most: float = np.inf
-    """No breast or trunk has more. A column beyond it has another meaning: ``water_l`` is of the left side."""
+    """Largest value for a breast or trunk. A column beyond it means something else: ``water_l`` is the left side."""
 
 
 _LENGTH, _AREA, _VOLUME, _MASS = "length", "area", "volume", "mass"
@@ -52,15 +52,15 @@ class MeasuredColumn:
     """A column of measurements."""
 
     name: str
-    """As the table has it."""
+    """Name in the table."""
     title: str
-    """Without the unit, for reports."""
+    """Name without the unit, for reports."""
     unit: str
-    """As reports write it. Empty: the name states none that is known."""
+    """Unit in reports. Empty: the name states no known unit."""
 
 
 def same_unit(reference: str, measured: str) -> bool:
-    """Whether the names of two columns end with one unit, or one of them with none."""
+    """Whether two columns' names end with the same unit, or one of them with none."""
     units = [_unit_of(name)[1] for name in (reference, measured)]
     return units[0] is units[1] or None in units
 
@@ -70,7 +70,7 @@ def measured_column(name: str, values: Float64[Array, " n"]) -> MeasuredColumn:
 
     Args:
         name: of the column.
-        values: its numbers. They tell litres from the left side, and metres from other words.
+        values: its numbers, which distinguish litres from the left side, and metres from other words.
     """
     title, unit = _unit_of(name)
     if unit is None or float(np.median(np.abs(values))) > unit.most:
@@ -79,7 +79,7 @@ def measured_column(name: str, values: Float64[Array, " n"]) -> MeasuredColumn:
 
 
 def _unit_of(name: str) -> tuple[str, _Unit | None]:
-    """Title and unit that a column's name states."""
+    """Title and unit of a column's name."""
     match = _ENDING.fullmatch(name)
     if match is None:
         return name, None
@@ -88,9 +88,7 @@ def _unit_of(name: str) -> tuple[str, _Unit | None]:
 
 
 def common_unit(table: Table, reference: MeasuredColumn, measured: MeasuredColumn) -> tuple[str, Float64[Array, " 2"]]:
-    """Unit for both columns, the smaller of the two, and what to multiply them with.
-
-    A column without a unit is taken to have the other's.
+    """Common unit of two columns and the factors to it. A column without a unit has the other's.
 
     Raises:
         TableError: the units are of different kinds, such as cm and cc.
@@ -101,7 +99,7 @@ def common_unit(table: Table, reference: MeasuredColumn, measured: MeasuredColum
     if units[0].kind != units[1].kind:
         raise TableError(
             table.name,
-            found=f"a {units[0].kind} in column {reference.name} and a {units[1].kind} in column {measured.name}",
+            found=f"a {units[0].kind} in column {reference.name} but a {units[1].kind} in column {measured.name}",
             expected="two columns of one quantity",
             remedy="Choose other columns, or correct the units in their names",
         )

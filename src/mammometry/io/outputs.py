@@ -1,8 +1,8 @@
-"""Results in places that the user names: foreign files stay unchanged.
+"""Write results to places of the user's choice without replacing anybody else's files.
 
-Beside what a command writes lies ``.mammometry.json``: each file's command and the SHA-256 of what was written. A later
-run of the same command may replace a file whose content is still that; any other file in the way is refused, if
-possible before anything is computed. What is not in the way is never touched.
+Each folder that a command writes to has a record ``.mammometry.json``: for each file the command and the SHA-256 of its
+content. A later run of the same command may replace files that still have this content. Any other existing file is
+refused, if possible before anything is computed. Files with other names are never touched.
 """
 
 import hashlib
@@ -18,12 +18,12 @@ from mammometry.io.sealed import sealed, unsealed
 from mammometry.io.write import disk_errors, file_digest, staged, sync_folder, write_bytes
 
 RECORD = ".mammometry.json"
-_FORMAT = 1  # version of the record of outputs; another one is not read
+_FORMAT = 1  # version of the record of outputs; others are not read
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Written:
-    """A file that we wrote."""
+    """A file written by mammometry."""
 
     command: str
     sha256: tuple[str, ...]
@@ -32,19 +32,19 @@ class Written:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Record:
-    """What a folder's record says."""
+    """Content of a folder's record."""
 
     command: str | None = None
-    """Command that made the whole folder and keeps its own records there. None for any other folder."""
+    """Command that made the whole folder and keeps its own records in it. None for any other folder."""
     files: Mapping[str, Written] = field(default_factory=dict)
 
 
 def require_apart(out: Path, inputs: Iterable[Path | None]) -> None:
-    """Refuse an output that is, holds or is inside an input.
+    """Refuse an output that is, contains or is inside an input.
 
     Args:
         out: file or folder to write.
-        inputs: files and folders that the same command reads; None and those that do not exist do not count.
+        inputs: files and folders that the command reads. None and missing ones are ignored.
 
     Raises:
         StorageError: names `out` and the input.
@@ -55,25 +55,25 @@ def require_apart(out: Path, inputs: Iterable[Path | None]) -> None:
         if _same(out, path):
             found = "a file or folder that this command reads"
         elif any(_same(out, above) for above in _above(path)):
-            found = f"a folder that holds {path}, which this command reads"
+            found = f"a folder that contains {path}, which this command reads"
         elif any(_same(path, above) for above in _above(out)):
-            found = f"a place in {path}, which this command reads"
+            found = f"a path inside {path}, which this command reads"
         else:
             continue
         remedy = "Choose another place for the results"
-        raise StorageError(str(out), found=found, expected="a place apart from what is read", remedy=remedy)
+        raise StorageError(str(out), found=found, expected="a path outside everything that is read", remedy=remedy)
 
 
 def require_free(folder: Path, names: Iterable[str], *, command: str) -> None:
-    """Refuse files in the way, except unchanged output of the same command.
+    """Refuse existing files, except unchanged output of the same command.
 
     Args:
-        folder: to write into; need not exist.
+        folder: to write into; it need not exist.
         names: of all files that may be written.
-        command: that writes them, as "study agreement".
+        command: that writes them, such as "study agreement".
 
     Raises:
-        StorageError: names the first file in the way, or the folder's record if it cannot be read.
+        StorageError: names the first existing file, or the folder's record if it cannot be read.
     """
     with disk_errors(folder):
         _require_folder(folder)
@@ -81,25 +81,25 @@ def require_free(folder: Path, names: Iterable[str], *, command: str) -> None:
         for name in names:
             if (found := _in_the_way(folder / name, written.get(name), command)) is not None:
                 remedy = "Move it away, or choose another place for the results"
-                expected = f"no such file, or one that `mammometry {command}` wrote and nobody changed"
+                expected = f"no such file, or an unchanged one from `mammometry {command}`"
                 raise StorageError(str(folder / name), found=found, expected=expected, remedy=remedy)
 
 
 def write_output(path: Path, data: bytes, *, command: str) -> None:
-    """Write a single file as `write_outputs` does. Other files of the same command beside it stay."""
+    """Write a single file as `write_outputs` does. Other files of the same command stay."""
     _write(path.parent, {path.name: data}, command=command, remove_former=False)
 
 
 def write_outputs(folder: Path, files: Mapping[str, bytes], *, command: str) -> None:
-    """Write small files into a folder. What the same command wrote there before is replaced.
+    """Write small files into a folder and replace those that the same command wrote before.
 
     Args:
-        folder: made if there is none.
+        folder: made if it does not exist.
         files: name → content.
-        command: that writes them. Unchanged files of an earlier run of it, which this one does not make, are removed.
+        command: that writes them. Unchanged files of its earlier run that are not written now are removed.
 
     Raises:
-        StorageError: a file of somebody else's is in the way, the disk is full or refuses.
+        StorageError: another file of this name exists, the disk is full or reports an error.
     """
     _write(folder, files, command=command, remove_former=True)
 
@@ -120,8 +120,8 @@ def _write(folder: Path, files: Mapping[str, bytes], *, command: str, remove_for
             name: Written(command=command, sha256=(*present[name], hashlib.sha256(data).hexdigest()))
             for name, data in files.items()
         }
-        require_free(folder, files, command=command)  # somebody may have come in between
-        # The record comes first: whatever an interruption leaves of the files, the next run knows it as ours.
+        require_free(folder, files, command=command)  # checked again: files may have changed
+        # The record is written first, so that the next run recognises the files of an interrupted one.
         _record(folder, _Record(command=record.command, files=written))
         for name, path in fresh.items():
             if present[name]:
@@ -134,7 +134,7 @@ def _write(folder: Path, files: Mapping[str, bytes], *, command: str, remove_for
 
 
 def require_own_folder(folder: Path, *, command: str) -> None:
-    """Refuse a folder unless new, empty or made by this command.
+    """Refuse a folder unless it is new, empty or made by this command.
 
     Raises:
         StorageError: names the folder.
@@ -151,7 +151,7 @@ def take_folder(folder: Path, *, command: str) -> None:
     """Make a folder for one command's output, or resume its earlier one.
 
     Raises:
-        StorageError: it holds something else, the disk is full or refuses.
+        StorageError: it contains something else, the disk is full or reports an error.
     """
     require_own_folder(folder, command=command)
     with disk_errors(folder):
@@ -162,10 +162,10 @@ def take_folder(folder: Path, *, command: str) -> None:
 
 
 def written_in(folder: Path) -> Mapping[str, Written]:
-    """Name → file that a command wrote into a folder, by the record there. Some may be gone.
+    """Files in a folder that a command wrote, by name, from the folder's record. Some may be missing.
 
     Raises:
-        StorageError: the record is not as it was left.
+        StorageError: the record was changed.
     """
     return _read(folder).files
 
@@ -174,25 +174,25 @@ def written_in(folder: Path) -> Mapping[str, Written]:
 
 
 def _in_the_way(path: Path, written: Written | None, command: str) -> str | None:
-    """What is wrong with a file that is to be replaced. None where there is none, or it is ours."""
+    """Reason not to replace a file. None if it is missing or ours."""
     if path.name == RECORD:
         return "the record of what is written here"
     if not os.path.lexists(path):
         return None
     if written is None or path.is_symlink() or not path.is_file():
-        return "something that mammometry did not write, by the record beside it"
+        return "a file that mammometry did not write, by the record next to it"
     if written.command != command:
-        return f"what `mammometry {written.command}` wrote"
+        return f"a file of `mammometry {written.command}`"
     return None if file_digest(path) in written.sha256 else "a file that was changed since mammometry wrote it"
 
 
 def _put(fresh: Path, path: Path) -> None:
-    """Give a file its name where nothing has it. Unlike renaming, this fails if somebody was quicker."""
+    """Rename a file, unless the name exists by then."""
     try:
         os.link(fresh, path)
     except FileExistsError:
         raise
-    except OSError:  # a disk without links
+    except OSError:  # a disk without hard links
         if os.path.lexists(path):
             raise
         fresh.replace(path)
@@ -205,7 +205,7 @@ def _require_folder(folder: Path) -> None:
 
 
 def _same(one: Path, other: Path) -> bool:
-    """Whether two paths are one file, by links, other capitals or detours."""
+    """Whether two paths are the same file, despite links, capitals or relative parts."""
     try:
         return one.samefile(other)
     except OSError:
@@ -213,7 +213,7 @@ def _same(one: Path, other: Path) -> bool:
 
 
 def _above(path: Path) -> tuple[Path, ...]:
-    """Folders that contain a path, as written and as links resolve."""
+    """Folders above a path, as written and with links resolved."""
     return (*path.absolute().parents, *path.resolve().parents)
 
 
@@ -234,17 +234,17 @@ def _read(folder: Path) -> _Record:
         command = table.get("folder_of")
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         remedy = "Move it away, or choose another place for the results"
-        expected = "the file as mammometry left it"
+        expected = "the file as mammometry wrote it"
         raise StorageError(
-            str(path), found=f"no record of what was written here ({error})", expected=expected, remedy=remedy
+            str(path), found=f"an unreadable record of written files ({error})", expected=expected, remedy=remedy
         ) from None
     return _Record(command=None if command is None else str(command), files=files)
 
 
 def _plain(name: str) -> str:
-    """A name that stays in its folder."""
+    """A file name without a folder."""
     if name in ("", "..", RECORD) or "\0" in name or Path(name).name != name:
-        raise ValueError(f"{name!r} names no file of this folder")
+        raise ValueError(f"{name!r} is not a file of this folder")
     return name
 
 

@@ -1,4 +1,4 @@
-"""Tables of paired measurements, and the figures published from them."""
+"""Read tables of paired measurements, and published figures about them."""
 
 from __future__ import annotations
 
@@ -20,31 +20,31 @@ from mammometry.io.subject_columns import SubjectRows, subject_rows
 if TYPE_CHECKING:
     from mammometry.study.agreement import PairedMeasurements, PublishedFigure
 
-_ALIKE = 3.0  # two methods' values of one subject lie within this factor, where a mark is in question
-_SCALES = 5.0  # methods whose typical ratio is beyond this factor hardly state the same quantity in the same unit
-_CHANGES = ("change", "difference", "diff", "delta", "gain", "loss")  # in names of columns that may be negative
+_ALIKE = 3.0  # largest ratio of two methods' values of one subject when a mark is ambiguous
+_SCALES = 5.0  # a larger typical ratio means different quantities or units
+_CHANGES = ("change", "difference", "diff", "delta", "gain", "loss")  # names of columns that may be negative
 
 
 def read_pairs(path: Path, *, reference: str, measured: str) -> PairedMeasurements:
-    """Read a CSV with one row a pair of measurements.
+    """Read a CSV with one pair of measurements per row.
 
-    The first line names the columns. Written as `csv_tables` reads it. Columns that end with different known units of
-    one kind are converted to the smaller unit.
+    Number formats are those of `csv_tables`. Columns with different units of one kind are converted to the smaller
+    unit.
 
     Args:
         path: the table, UTF-8.
-        reference: name of the column of the method compared with.
-        measured: name of the column of the method under test.
+        reference: column of the reference method.
+        measured: column of the method under test.
 
     Raises:
-        TableError: it cannot be read, a column is missing, both are one column, or their units are of different kinds;
-            a value (named by row and column) is missing, no number, may mean two numbers, or stands for a missing one;
-            a row is a summary of the others or repeats another; both columns are the same; there are fewer than three
-            subjects.
+        TableError: it cannot be read, a column is missing, both columns are the same, or their units are of different
+            kinds; a value (named by row and column) is missing, invalid, ambiguous, or a code for a missing value; a
+            row
+            is a summary or repeats another; there are fewer than three subjects.
     """
     from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements
 
-    table = read_table(path, str(path), "a CSV table, one row a subject", refusal=TableError)
+    table = read_table(path, str(path), "a CSV table, one row per subject", refusal=TableError)
     if reference == measured:
         raise _refused(table, f"column {measured} twice", "two methods", "Give two columns: --reference and --measured")
     pairs = table.numbers(reference, measured, alike=same_unit(reference, measured))
@@ -57,7 +57,7 @@ def read_pairs(path: Path, *, reference: str, measured: str) -> PairedMeasuremen
     pairs = pairs * factors
     count = len(set(who.subjects))
     if count < LEAST_SUBJECTS:
-        remedy = "Add measurements: fewer do not show agreement"
+        remedy = "Add measurements: fewer cannot show agreement"
         found = f"{len(pairs)} rows of measurements" if count == len(pairs) else f"rows of {count} subjects"
         raise _refused(table, found, f"{LEAST_SUBJECTS} or more", remedy)
     _require_two_methods(table, columns, pairs)
@@ -77,7 +77,7 @@ def read_pairs(path: Path, *, reference: str, measured: str) -> PairedMeasuremen
 def _require_marks(
     table: Table, names: tuple[str, str], pairs: Float64[Array, "n 2"], factors: Float64[Array, " 2"]
 ) -> None:
-    """Refuse ``1.422`` beside 1434: another cell says that the mark is decimal, and the other method says 1422."""
+    """Refuse ``1.422`` next to 1434: other cells show a decimal mark, but the other method suggests 1422."""
     for column, name in enumerate(names):
         for row, cell in enumerate(table.texts(name)):
             other = abs(pairs[row, 1 - column]) * factors[1 - column] / factors[column]
@@ -88,19 +88,19 @@ def _require_marks(
             if min(_times(float(reading), other) for reading in readings) < min(taken, _ALIKE):
                 raise TableError(
                     f"{table.name}, row {table.lines[row]}, column {name}",
-                    found=f"{shown(cell)}, which may mean {' or '.join(readings)}, beside {pairs[row, 1 - column]:g}",
-                    expected="numbers without marks between thousands",
-                    remedy="Write the number without the mark, or with one or two decimals",
+                    found=f"{shown(cell)}, which may mean {' or '.join(readings)}, next to {pairs[row, 1 - column]:g}",
+                    expected="numbers without thousands separators",
+                    remedy="Write the number without a thousands separator, or with one or two decimals",
                 )
 
 
 def _times(one: float, other: float) -> float:
-    """How many times the larger of two is the smaller, by their magnitudes."""
+    """Ratio of the larger to the smaller magnitude."""
     return math.exp(abs(math.log(abs(one) / abs(other))))
 
 
 def _require_values(table: Table, columns: tuple[MeasuredColumn, ...], pairs: Float64[Array, "n 2"]) -> None:
-    """Refuse negative values where there are none, and negative codes of missing values."""
+    """Refuse negative values, unless the column is a change, and negative codes for missing values."""
     for row, place in np.argwhere(pairs < 0):
         column, value = columns[place], pairs[row, place]
         changes = any(word in column.name.casefold() for word in _CHANGES)
@@ -110,14 +110,14 @@ def _require_values(table: Table, columns: tuple[MeasuredColumn, ...], pairs: Fl
             f"{table.name}, row {table.lines[row]}, column {column.name}",
             found=f"{value:g}",
             expected="a measurement, not a code for a missing one" if _is_code(value) else "a value of 0 or more",
-            remedy="Leave the row out if the value is missing"
+            remedy="Remove the row if the value is missing"
             if _is_code(value) or not column.unit
-            else "Correct the value, or leave the row out; a column of changes is named change_…",
+            else "Correct the value, or remove the row. If the column contains changes, name it change_…",
         )
 
 
 def _is_code(value: float) -> bool:
-    """Whether a value consists of nines, as programs of statistics mark missing ones: 999, −9."""
+    """Whether a value consists of nines, a code for missing values in statistics programs: 999, −9."""
     digits = f"{abs(value):.15g}"
     return set(digits) == {"9"} and (value < 0 or len(digits) > 2)
 
@@ -161,7 +161,7 @@ def _typical_ratio(pairs: Float64[Array, "n 2"]) -> float:
 
 
 def _require_scale(table: Table, columns: tuple[MeasuredColumn, ...], pairs: Float64[Array, "n 2"]) -> None:
-    """Refuse a column without a unit that does not have the other's."""
+    """Refuse a column without a unit whose values do not fit the other column's unit."""
     ratio = _typical_ratio(pairs)
     unknown = [column for column in columns if not column.unit]
     if len(unknown) == 1 and not 1 / _SCALES < ratio < _SCALES:
@@ -178,10 +178,10 @@ def _refused(table: Table, found: str, expected: str, remedy: str) -> TableError
 
 
 def read_published(path: Path) -> tuple[PublishedFigure, ...]:
-    """Read a publication's figures: TOML with one ``[[figure]]`` each.
+    """Read published figures: TOML with one ``[[figure]]`` table per figure.
 
     Raises:
-        TableError: it cannot be read, or is not of that form.
+        TableError: it cannot be read, or has another form.
     """
     from mammometry.study.agreement import PublishedFigure
 
@@ -189,7 +189,7 @@ def read_published(path: Path) -> tuple[PublishedFigure, ...]:
     table = toml_table(
         read_text(path, str(path), expected, most_mib=1, refusal=TableError), str(path), expected, refusal=TableError
     )
-    with parsing("another content", str(path), expected, TableError):
+    with parsing("wrong content", str(path), expected, TableError):
         figures = tuple(PublishedFigure(**figure) for figure in table["figure"])
         for figure in figures:
             if not all(isinstance(text, str) for text in (figure.what, figure.figure, figure.published, figure.note)):

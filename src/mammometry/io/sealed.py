@@ -1,4 +1,4 @@
-"""JSON records with a digest of their own, so that a changed byte of them is found."""
+"""JSON records that contain their own digest, so that every change is found."""
 
 import hashlib
 import json
@@ -13,7 +13,7 @@ _HEX = re.compile("[0-9a-f]{64}")
 
 
 def sealed(table: Mapping[str, Any]) -> bytes:
-    """Write a table as UTF-8 JSON that ends with the digest of everything before it.
+    """Write a table as UTF-8 JSON that ends with its own digest.
 
     Args:
         table: JSON-ready, not empty, without a member ``digest``.
@@ -29,7 +29,7 @@ def unsealed(data: bytes) -> tuple[dict[str, Any], bool]:
         data: content of the file.
 
     Raises:
-        ValueError: no JSON object, or other bytes than were written.
+        ValueError: not a JSON object, or changed since it was written.
     """
     match = _SEALED.fullmatch(data)
     if match is not None and hashlib.sha256(match[1]).hexdigest().encode() == match[2]:
@@ -39,7 +39,7 @@ def unsealed(data: bytes) -> tuple[dict[str, Any], bool]:
     if not isinstance(read, dict):
         raise ValueError("not a JSON object")
     last = next(reversed(read.values()), None)
-    # A changed byte may be in the name of the digest itself. No table of an earlier version ends with a digest.
+    # The changed byte may be in the name of the digest itself. Tables of earlier versions do not end with a digest.
     if DIGEST in read or (isinstance(last, str) and _HEX.fullmatch(last)):
-        raise ValueError("other bytes than were written, by its digest")
+        raise ValueError("it was changed since it was written (its digest differs)")
     return read, False

@@ -1,19 +1,19 @@
-"""The session folder: photographs and manifest in, results beside them.
+"""The session folder: photographs and manifest as input, results next to them.
 
 ::
 
     SESSION/session.toml
-    SESSION/calibration/<pose>/<camera>.<ext>    every camera that saw the target in that pose
-    SESSION/calibration/<pose>/<camera>.csv      optional: the target's points in it (id,u,v), measured elsewhere
-    SESSION/capture/<camera>.<ext>
-    SESSION/intrinsics/<camera>/*.<ext>          optional: unsynchronised photographs of [intrinsics] target
+        SESSION/calibration/<pose>/<camera>.<ext>    all cameras that saw the target in that pose
+        SESSION/calibration/<pose>/<camera>.csv      optional: the target's points in it (id,u,v), measured elsewhere
+        SESSION/capture/<camera>.<ext>
+        SESSION/intrinsics/<camera>/*.<ext>          optional: unsynchronised photographs of the [intrinsics] target
     SESSION/cameras.json                         optional: ready-made cameras (`mammometry import-cameras`)
-    SESSION/prior.json                           optional: the rig's last cameras.json, whose lenses start and guide
+    SESSION/prior.json                           optional: the rig's last cameras.json: prior for the lenses
     SESSION/masks/<camera>.png                   optional: white where the subject is
     SESSION/boundaries.json                      optional: closed curves around the breasts, world frame, mm
     SESSION/landmarks.json                       optional: anatomical landmarks, world frame, mm
-    SESSION/wall.ply                             optional: the wall behind the breast, measured by itself, world, mm
-    SESSION/results/<stage>/...                  written by us only
+    SESSION/wall.ply                             optional: the wall behind the breast, measured separately, world, mm
+    SESSION/results/<stage>/...                  written by mammometry only
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from mammometry.base.photograph import MeasuredPoints
     from mammometry.calibration.adjust.projection import CameraPrior
 
-_MIN_POSES = 3  # of a board: fewer do not fix a camera's lens (Zhang 2000)
+_MIN_POSES = 3  # of a board: fewer do not determine a camera's lens (Zhang 2000)
 _BROUGHT = (
     MANIFEST,
     *("calibration", "capture", "intrinsics", "cameras.json", "prior.json"),
@@ -66,20 +66,21 @@ _BROUGHT = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Session:
-    """A session folder whose manifest is as documented."""
+    """A session folder with a valid manifest."""
 
     path: Path
     manifest: Manifest
     limits: LimitSettings = field(default_factory=LimitSettings)
-    """Sizes up to which its photographs are read."""
+    """Largest sizes of its photographs."""
 
     @classmethod
     def open(cls, path: Path | str) -> Session:
         """Open a session folder.
 
         Raises:
-            SessionError: no folder, no manifest, or a manifest that is not as documented; drawings or results of
-                another subject than the manifest tells.
+            SessionError: no folder, no manifest, an invalid manifest, or drawings or results of a subject that is not
+                the
+                manifest's.
         """
         folder = Path(path)
         manifest = read_manifest(folder / MANIFEST)
@@ -88,7 +89,7 @@ class Session:
 
     @property
     def identity(self) -> Identity:
-        """Whose photographs these are."""
+        """Subject and name of the session."""
         return Identity.of(self.path, self.manifest.subject.id, self.manifest.date)
 
     @property
@@ -98,7 +99,7 @@ class Session:
 
     @property
     def brought(self) -> tuple[Path, ...]:
-        """Files and folders brought by people, where no command may write."""
+        """Files and folders of the user, which no command may write to."""
         return tuple(self.path / name for name in _BROUGHT)
 
     @property
@@ -108,19 +109,19 @@ class Session:
 
     @property
     def cameras(self) -> tuple[str, ...]:
-        """All cameras of the pairs, each once, in the manifest's order."""
+        """All cameras of the pairs, without duplicates, in the manifest's order."""
         return tuple(dict.fromkeys(camera for pair in self.pair_names.values() for camera in pair))
 
     def measured_points(self) -> dict[tuple[str, str], MeasuredPoints]:
-        """(pose, camera) → table of target points beside that calibration photograph.
+        """(pose, camera) → table of target points for that calibration photograph.
 
         Raises:
-            SessionError: a table that is not ``id,u,v`` a line.
+            SessionError: a table with other columns than ``id,u,v``.
         """
         return {shot: _read_points(path, self._name(path)) for shot, path in self._points_files().items()}
 
     def image_set_files(self, folder: Path) -> dict[tuple[str, str], Path]:
-        """(exposure, camera) → file of a later photograph of the target, as `image_set` reads them."""
+        """(exposure, camera) → file of a later photograph of the target, as in `image_set`."""
         exposures = [folder] if self._images(folder) else _folders(folder)
         return {
             (exposure.name, camera): path for exposure in exposures for camera, path in self._images(exposure).items()
@@ -136,32 +137,32 @@ class Session:
         """(exposure, camera) → later photographs of the target, and point tables.
 
         Args:
-            folder: ``<camera>.<ext>`` of one exposure, or one such folder an exposure.
+            folder: ``<camera>.<ext>`` of one exposure, or one such folder per exposure.
 
         Raises:
-            SessionError: no such folder, nothing in it, or a photograph by a camera that no pair names.
+            SessionError: no such folder, an empty one, or a photograph of a camera that is in no pair.
         """
         files = self.image_set_files(folder)
         if not files:
             raise SessionError(
                 str(folder),
                 found="no photographs" if folder.is_dir() else "no such folder",
-                expected="<camera>.jpg of every camera that sees the target",
-                remedy="Photograph the target once with all cameras, and name that folder",
+                expected="<camera>.jpg of each camera that sees the target",
+                remedy="Photograph the target once with all cameras, and give that folder",
             )
         for (_, camera), path in files.items():
             if camera not in self.cameras:
                 remedy = _perhaps(camera, list(self.cameras)) or "Rename or remove it"
                 expected = f"one of {', '.join(self.cameras)}"
                 raise SessionError(
-                    str(path), found="a photograph by an unknown camera", expected=expected, remedy=remedy
+                    str(path), found="a photograph of an unknown camera", expected=expected, remedy=remedy
                 )
         tables = {shot: path.with_suffix(".csv") for shot, path in files.items() if path.with_suffix(".csv").is_file()}
         points = {shot: _read_points(path, str(path)) for shot, path in tables.items()}
         return LazyMapping(files, lambda shot, path: read_photograph(path, str(path), self.limits)), points
 
     def require(self, stage: Stage) -> None:
-        """Require everything for a stage and earlier ones, calibration before capture.
+        """Require all files for a stage and the earlier ones, calibration before capture.
 
         Raises:
             SessionError: too few calibration poses, or a camera without a photograph.
@@ -173,13 +174,13 @@ class Session:
             self._require_each_own({("", camera): path for camera, path in self._capture_files().items()})
 
     def inputs(self) -> Inputs:
-        """Everything the session brings, checked as far as headers allow.
+        """Everything in the session folder, checked as far as headers allow.
 
-        Pixels are read when looked up. Missing files are not an error here, only in `require`.
+        Pixels are read on look-up. Missing files are an error only in `require`.
 
         Raises:
             SessionError: a duplicate photograph, an unknown camera, a malformed manifest or file.
-            ImageError: an unreadable photograph, or one of another size than its camera's others.
+            ImageError: an unreadable photograph, or one whose size differs from the camera's others.
         """
         from mammometry.calibration.targets.table import target_from_table
 
@@ -190,7 +191,7 @@ class Session:
         if manifest.target is None and cameras is None:
             remedy = "Describe the calibration target, or import cameras with `mammometry import-cameras`"
             raise SessionError(
-                MANIFEST, found="neither a [target] nor a cameras.json beside it", expected="one of them", remedy=remedy
+                MANIFEST, found="neither a [target] nor a cameras.json", expected="one of them", remedy=remedy
             )
         present = {camera: path for camera, path in capture.items() if path.exists()}
         self._check_headers(present, calibration if cameras is None else {}, intrinsics, cameras)
@@ -218,7 +219,7 @@ class Session:
         digests = KeptMapping(made, lambda name, digest: digest())
 
         def photograph(name: str, path: Path) -> Photograph:
-            """Read what the digest in a product's key was made of, and nothing else."""
+            """Read the file only if it is still the one whose digest is in the product's key."""
             digest = digests.get(name)
             return read_photograph(path, self._name(path), self.limits, digest=None if digest == MISSING else digest)
 
@@ -270,7 +271,7 @@ class Session:
     # --- files ---
 
     def files(self) -> dict[str, Path]:
-        """Photographs, masks and tables by their names in `Inputs.digests`. Only those that are there."""
+        """Photographs, masks and tables by their names in `Inputs.digests`, of those that exist."""
         capture = self._all_capture_files()
         files = {f"capture/{camera}": path for camera, path in capture.items() if path.exists()}
         files |= {f"calibration/{pose}/{camera}": path for (pose, camera), path in self._calibration_files().items()}
@@ -295,22 +296,22 @@ class Session:
             if path.stem in files:
                 raise SessionError(
                     self._name(path),
-                    found=f"a second photograph beside {files[path.stem].name}",
-                    expected="one a camera",
+                    found=f"a second photograph next to {files[path.stem].name}",
+                    expected="one per camera",
                     remedy="Remove one of them",
                 )
             files[path.stem] = path
         return files
 
     def _require_read(self, folder: Path, files: Mapping[str, Path]) -> None:
-        """Refuse a camera's picture of a format that is not read, where it has no other."""
+        """Refuse a camera's image in a format that is not read, if it has no other."""
         for path in visible(folder):
             if path.suffix.lower() in UNREAD_ENDINGS and path.stem in self.cameras and path.stem not in files:
                 raise SessionError(
                     self._name(path),
-                    found=f"a picture of a format that is not read ({path.suffix[1:].upper()})",
+                    found=f"an image in a format that is not read ({path.suffix[1:].upper()})",
                     expected="JPEG, PNG or TIFF",
-                    remedy="Export it as JPEG or TIFF, uncropped and without corrections, and set the camera to JPEG",
+                    remedy="Export it as JPEG or TIFF, uncropped and uncorrected, and set the camera to JPEG",
                 )
 
     def _require_each_own(self, files: Mapping[tuple[str, str], Path]) -> None:
@@ -322,7 +323,7 @@ class Session:
                 raise SessionError(
                     self._name(path),
                     found=f"the same file as {self._name(files[other])}",
-                    expected=f"a photograph by camera {shot[1]}",
+                    expected=f"a photograph of camera {shot[1]}",
                     remedy="Copy each camera's own photograph again",
                 )
 
@@ -334,15 +335,15 @@ class Session:
                 raise SessionError(
                     f"capture/{camera}",
                     found="no photograph" + (f" (but {', '.join(files)})" if files else ", the folder is empty"),
-                    expected="one of every camera that a pair names",
+                    expected="one of each camera in the pairs",
                     remedy=_perhaps(camera, [name for name in files if name not in self.cameras])
-                    or "Add the photograph, or take the pair out of session.toml",
+                    or "Add the photograph, or remove the pair from session.toml",
                 )
         others = [name for name in files if name not in self.cameras]
         return {name: files[name] for name in (*self.cameras, *others)}
 
     def _all_capture_files(self) -> dict[str, Path]:
-        """Capture files of the pairs' cameras, present or missing."""
+        """Capture files of the pairs' cameras, whether they exist or not."""
         files = self._images(self.path / "capture")
         return {camera: files.get(camera, self.path / "capture" / camera) for camera in (*self.cameras, *files)}
 
@@ -363,8 +364,8 @@ class Session:
         }
         for camera, shots in files.items():
             if not shots:
-                remedy = "Add them, or take [intrinsics] out of session.toml"
-                expected = "photographs of the [intrinsics] target by every camera"
+                remedy = "Add them, or remove [intrinsics] from session.toml"
+                expected = "photographs of the [intrinsics] target by each camera"
                 raise SessionError(f"intrinsics/{camera}", found="no photograph", expected=expected, remedy=remedy)
         return files
 
@@ -401,7 +402,7 @@ class Session:
             raise SessionError(
                 "calibration",
                 found=f"{len(poses)} poses" + (f" ({', '.join(poses)})" if poses else ""),
-                expected=f"at least {least}, each a folder of photographs of the target",
+                expected=f"at least {least}, each a folder with photographs of the target",
                 remedy="Photograph the target in more poses",
             )
         seen = {camera for _, camera in files}
@@ -409,10 +410,10 @@ class Session:
             if camera not in seen:
                 raise SessionError(
                     f"calibration/*/{camera}",
-                    found=f"no photograph by camera {camera} in any pose",
-                    expected="every camera that a pair names",
+                    found=f"no photograph of camera {camera} in any pose",
+                    expected="each camera in the pairs",
                     remedy=_perhaps(camera, sorted(seen - set(self.cameras)))
-                    or "Add its calibration photographs, or take the pair out of session.toml",
+                    or "Add its calibration photographs, or remove the pair from session.toml",
                 )
 
     def _check_headers(
@@ -424,10 +425,10 @@ class Session:
     ) -> None:
         known = set(cameras or {camera for _, camera in calibration})
         for camera, path in capture.items():
-            if known and camera not in known and camera not in self.cameras:  # theirs `require` misses
+            if known and camera not in known and camera not in self.cameras:  # `require` reports these
                 raise SessionError(
                     self._name(path),
-                    found="a photograph by a camera that was not calibrated",
+                    found="a photograph of a camera that was not calibrated",
                     expected=f"one of {', '.join(sorted(known))}",
                     remedy=_perhaps(camera, sorted(known)) or "Calibrate that camera too, or remove its photograph",
                 )
@@ -441,7 +442,7 @@ class Session:
         size_wh = self._header(path).size_wh
         if size_wh != (width, height):
             remedy = "Export the mask at the photograph's size"
-            expected = f"{width} × {height} pixels, as the photograph of camera {camera}"
+            expected = f"{width} × {height} pixels, as in the photograph of camera {camera}"
             raise ImageError(
                 self._name(path), found=f"{size_wh[0]} × {size_wh[1]} pixels", expected=expected, remedy=remedy
             )
@@ -455,13 +456,13 @@ def _read_points(path: Path, name: str) -> MeasuredPoints:
     from mammometry.base.photograph import MeasuredPoints
 
     table = read_table(
-        path, name, "a first line id,u,v, then one point a line: its place in the target's list, its pixel"
+        path, name, "a first line id,u,v, then one point per line: its index in the target's list and its pixel"
     )
     values = table.numbers("id", "u", "v")
     for line, value in zip(table.lines, values[:, 0], strict=True):
         if value != round(value):
             remedy = "Correct the table"
-            expected = "a whole number, the point's place in the target's list"
+            expected = "a whole number: the point's index in the target's list"
             raise SessionError(f"{name}, row {line}, column id", found=f"{value:g}", expected=expected, remedy=remedy)
     return MeasuredPoints(name=name, ids=values[:, 0].astype(np.int64), uv=values[:, 1:].copy())
 

@@ -1,7 +1,4 @@
-"""Subject of one session's or one mesh's files.
-
-Two different subjects are refused. A session that was entered under a wrong one can be given another.
-"""
+"""Check that all files of a session or mesh are of one subject. Correct a wrong subject."""
 
 import datetime
 import json
@@ -29,7 +26,7 @@ _DATE = re.compile(r"(?m)^date = \d{4}-\d{2}-\d{2}\n")
 def check_session(session: Path, subject: str | None) -> None:
     """Refuse drawings or results of another subject than session.toml names.
 
-    Cameras and priors are the rig's, and may come from anybody's session.
+    Cameras and priors belong to the rig and are not checked.
 
     Raises:
         SessionError: two different identifiers; names both files.
@@ -39,13 +36,13 @@ def check_session(session: Path, subject: str | None) -> None:
     named = [(path.relative_to(session).as_posix(), name) for path, name in sources]
     one_subject(
         [(MANIFEST, subject), *named],
-        remedy="If these are new photographs, delete results/ and what was drawn on the earlier subject, and run "
-        f"again; if not, correct subject.id in {MANIFEST}",
+        remedy="If these are new photographs, delete results/ and the earlier subject's drawings, and run "
+        f"again. Otherwise correct subject.id in {MANIFEST}",
     )
 
 
 def check_mesh(mesh: Path, files: Iterable[Path | None], folder: Path, subject: str | None) -> None:
-    """Refuse mesh, drawings or earlier results of another subject than `subject`.
+    """Refuse a mesh, drawings or earlier results of another subject than `subject`.
 
     Raises:
         SessionError: two different identifiers; names both files.
@@ -53,25 +50,25 @@ def check_mesh(mesh: Path, files: Iterable[Path | None], folder: Path, subject: 
     sources = [(mesh, subject_of_mesh(mesh)), *_drawn(filter(None, files)), *_in_results(folder)]
     one_subject(
         [("--id", subject), *((str(path), name) for path, name in sources)],
-        remedy="If this is another subject's mesh, give its own drawings and another --out; if not, correct --id",
+        remedy="If this is another subject's mesh, give its own drawings and another --out. Otherwise correct --id",
     )
 
 
 def rename_subject(folder: Path, subject: str, taken: datetime.date) -> bool:
-    """Let a session or scan name another subject and day, and drop results of the former.
+    """Change a session's or scan's subject and date, and remove results of the former subject.
 
-    Nothing of the photographs, the mesh or the drawn points changes, so the same numbers are measured again.
+    Photographs, mesh and drawn points are unchanged, so the same numbers are measured again.
 
     Args:
-        folder: a session as `capture.sessions` makes it, or a scan; nothing happens where it is neither.
-        subject: identifier of the right subject.
-        taken: when the photographs were taken.
+        folder: a session made by `capture.sessions`, or a scan. Nothing happens if it is neither.
+        subject: the right identifier.
+        taken: date of the photographs.
 
     Returns:
-        Whether the folder named another subject or day.
+        Whether anything was changed.
 
     Raises:
-        StorageError: the disk is full or refuses.
+        StorageError: the disk is full or reports an error.
     """
     path = folder / (ABOUT if (folder / ABOUT).is_file() else MANIFEST)
     if not path.is_file():
@@ -86,7 +83,7 @@ def rename_subject(folder: Path, subject: str, taken: datetime.date) -> bool:
             named = _IN_MANIFEST.sub(rf'\g<1>id = "{subject}"\n', dated, count=1)
         if named == text:
             return False
-        # Results go first: what a power cut leaves must not show the former subject.
+        # Results are removed first: after a power failure none may show the former subject.
         gone = folder / "results" if named != dated else folder / "results" / "report"
         if gone.exists():
             shutil.rmtree(gone)
@@ -103,12 +100,12 @@ def _history(session: Path) -> list[Path]:
 
 
 def _drawn(files: Iterable[Path]) -> Iterator[tuple[Path, str | None]]:
-    """Each file that was drawn with its subject. Whoever reads the whole file judges the rest."""
+    """Each drawn file with its subject. Only the subject is checked here."""
     return ((path, _subject(_table(path))) for path in files)
 
 
 def _in_results(folder: Path) -> Iterator[tuple[Path, str]]:
-    """Every record file of a results folder, with its products' subjects."""
+    """Each record file of a results folder, with its products' subjects."""
     for path in sorted(folder.glob("*/provenance.json")):
         products = _table(path).get("products")
         records = products.values() if isinstance(products, dict) else ()

@@ -1,4 +1,4 @@
-"""Whose each row of a table is: subjects, their sides, and rows that are no subject's."""
+"""Subjects and sides of a table's rows; summary rows are refused."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.csv_tables import Table
 
 _SUBJECTS = ("patient", "subject", "woman", "participant", "person", "pseudonym", "case", "id", "name", "model")
-"""Words for the column of subjects, the surest first."""
+"""Names of the column of subjects, the surest first."""
 _SIDES = ("side", "breast", "laterality", "seite")
 _SIDE_WORDS = {
     "left": "left", "l": "left", "li": "left", "links": "left", "gauche": "left", "izquierda": "left",
@@ -28,39 +28,40 @@ _SUMMARIES = frozenset(
      "média", "gemiddelde", "medelvärde", "gennemsnit", "gjennomsnitt", "keskiarvo", "średnia", "průměr", "átlag",
      "ortalama", "среднее", "平均", "平均値", "평균")
 )  # fmt: skip
-"""Names of rows that summarise the others."""
+"""Names of summary rows."""
 _FIRST_WORDS = frozenset(("mean", "average", "median", "sd", "mittelwert", "moyenne", "promedio"))
 """Those that no patient's name begins with."""
-_LEAST_ROWS = 3  # above a row, so that it is compared with their mean
-_ROUNDING = 5e-6  # of numbers with six digits, as %g writes them, as a share
-_MOST_DECIMALS = 9  # of a printed number
-_TELLING = 20.0  # a value this many times its rounding is the mean by chance in less than 1 of 400 rows, both columns
-_LAST_ROWS = 6  # of a table: where summaries are. Mean, SD, median, least, largest and their count
+_LEAST_ROWS = 3  # fewest rows above a row that may be their mean
+_ROUNDING = 5e-6  # relative rounding of numbers with six digits, as written by %g
+_MOST_DECIMALS = 9  # most decimals of a printed number
+_TELLING = 20.0  # a value of this many rounding steps equals the mean by chance in less than 1 of 400 rows
+_LAST_ROWS = 6  # rows at a table's end that may be summaries: mean, SD, median, minimum, maximum, count
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SubjectRows:
-    """One entry a row."""
+    """One entry per row."""
 
     names: tuple[str, ...]
-    """What to call the row: the subject, and the side if a column gives it."""
+    """Name of the row: the subject, and the side if a column gives it."""
     subjects: tuple[str, ...]
-    """Whose it is. Upper and lower case, and the forms of accented letters, make no difference."""
+    """Subject of the row. Case and the encoding of accented letters are ignored."""
 
 
 def subject_rows(table: Table, measured: tuple[str, str], pairs: Float64[Array, "n 2"]) -> SubjectRows:
     """Find the subject of each row.
 
-    A column named patient, subject, id or the like names the subjects, else the first column if it is not measured;
-    else each row is another subject. Names that differ by a side alone (``P7 left``, ``P7 right``) are one subject's.
+    A column named patient, subject, id or similar contains the subjects, or else the first column if it is not
+    measured.
+    Otherwise each row is another subject. Names that differ only by a side (``P7 left``, ``P7 right``) are one subject.
 
     Args:
         table: every row, with the header.
-        measured: the names of both columns of measurements.
+        measured: names of both columns of measurements.
         pairs: their numbers.
 
     Raises:
-        TableError: a row has no subject, is a summary of the others, or repeats another row.
+        TableError: a row has no subject, is a summary, or repeats another row.
     """
     column = _subject_column(table, measured)
     side = next((name for name in table.columns if folded(name) in _SIDES and name not in measured), None)
@@ -87,7 +88,7 @@ def _subject_column(table: Table, measured: tuple[str, str]) -> str | None:
 
 
 def _without_sides(names: list[str]) -> list[str]:
-    """Names without their side, where both sides of one subject are there."""
+    """Names without their side, if both sides of a subject exist."""
     parts: list[tuple[str, str]] = []
     for name in names:
         match = _SIDE_ENDING.fullmatch(name)
@@ -101,9 +102,9 @@ def _without_sides(names: list[str]) -> list[str]:
 
 
 def _require_subject(table: Table, row: int, names: tuple[str, ...] | None, pairs: Float64[Array, "n 2"]) -> None:
-    """Refuse a row without a subject, and one that summarises the others, by its name or by its numbers.
+    """Refuse a row without a subject, and a summary row, by its name or its numbers.
 
-    A row named as the first one is, ``P-07`` as ``P-01``, is a subject whatever its numbers.
+    A row with a name like the first one's, ``P-07`` and ``P-01``, is a subject whatever its numbers.
     """
     where = f"{table.name}, row {table.lines[row]}"
     name = "" if names is None else names[row]
@@ -117,7 +118,7 @@ def _require_subject(table: Table, row: int, names: tuple[str, ...] | None, pair
     computed = last and not numbered and _computed(pairs[:row], pairs[row])
     if listed or computed:
         found = f"{name!r}, a summary" if listed else f"the {computed} of the rows above it"
-        raise TableError(where, found=found, expected="a subject in every row", remedy="Remove rows of summaries")
+        raise TableError(where, found=found, expected="a subject in every row", remedy="Remove summary rows")
 
 
 def _shape(name: str) -> str:
@@ -126,15 +127,15 @@ def _shape(name: str) -> str:
 
 
 def _computed(above: Float64[Array, "m 2"], values: Float64[Array, " 2"]) -> str:
-    """What a row's numbers are of those above it. Empty: nothing that a table is closed with."""
+    """Statistic of the rows above that a row's numbers are. Empty: none that is common in tables."""
     kinds = {"mean": above.mean(axis=0), "standard deviation": above.std(axis=0, ddof=1), "sum": above.sum(axis=0)}
     return next((kind for kind, computed in kinds.items() if _rounds_to(computed, values)), "")
 
 
 def _rounds_to(computed: Float64[Array, " 2"], values: Float64[Array, " 2"]) -> bool:
-    """Whether both values are those computed, as they are rounded. Small whole numbers are so by chance.
+    """Whether both values equal the computed ones after rounding. Small whole numbers may do so by chance.
 
-    What is computed here is of values that were rounded too, the table's summary perhaps of those before.
+    The computed values are from rounded numbers, while the table's summary may be from unrounded ones.
     """
     within = np.array([10.0 ** -_decimals(value) for value in values]) + _ROUNDING * np.abs(computed)
     return bool((np.abs(computed - values) <= within).all() and (np.abs(values) >= _TELLING * within).all())
@@ -145,7 +146,7 @@ def _decimals(value: float) -> int:
 
 
 def _require_once(table: Table, who: list[tuple[str, str]], pairs: Float64[Array, "n 2"], named: bool) -> None:
-    """Refuse a subject's numbers twice, and a table that holds all its numbers twice."""
+    """Refuse a subject's numbers twice, and a table that contains all its numbers twice."""
     numbers = [tuple(pair) for pair in pairs.tolist()]
     rows = list(zip(who, numbers, strict=True)) if named else []
     first: dict[object, int] = {}

@@ -1,4 +1,4 @@
-"""Read the ``truth/`` folder of a virtual capture. Only comparisons with truth may import this."""
+"""Read the ``truth/`` folder of a virtual capture. Only comparisons with truth may import this module."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ _PATIENT = "patient_"
 def read_truth(folder: Path, pair_names: Mapping[str, tuple[str, str]]) -> Truth:
     """Read a truth folder.
 
-    `mammometry simulate` writes it, or it is laid out as ../shared/data/rendered/*/truth. The cameras stand in the
-    folder itself, or in the ``truth`` folder of the captures that share them, two levels up.
+    `mammometry simulate` writes it; ../shared/data/rendered/*/truth has the same layout. The cameras are in the folder
+    itself, or in the ``truth`` folder two levels up, if captures share them.
 
     Args:
-        folder: with truth.json, mesh.ply, and boundaries where there are any.
+        folder: with truth.json, mesh.ply, and boundaries if there are any.
         pair_names: the session's pairs.
 
     Raises:
-        SessionError: there is no such folder, a file is missing or malformed, or a camera of the session is not in it.
+        SessionError: a file or the folder is missing or malformed, or a camera of the session is not in it.
     """
     common = folder if (folder / "cameras.json").is_file() else folder.resolve().parent.parent / "truth"
     try:
@@ -49,7 +49,7 @@ def read_truth(folder: Path, pair_names: Mapping[str, tuple[str, str]]) -> Truth
     except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
         raise SessionError(
             str(folder),
-            found=f"a truth that cannot be read ({type(error).__name__}: {error})",
+            found=f"truth files that cannot be read ({type(error).__name__}: {error})",
             expected="truth.json, cameras.json and boundaries as `mammometry simulate` writes them",
             remedy="Simulate the session again",
         ) from None
@@ -71,10 +71,7 @@ def read_truth(folder: Path, pair_names: Mapping[str, tuple[str, str]]) -> Truth
 
 
 def read_volumes(folder: Path) -> dict[str, float]:
-    """Read only the volumes of a truth folder, cc.
-
-    Keys are ``model``, or the patient's ``left`` and ``right``.
-    """
+    """Read only the volumes of a truth folder, cc, by ``model``, or the patient's ``left`` and ``right``."""
     return _volumes(_json(folder / "truth.json"))
 
 
@@ -103,15 +100,13 @@ def _json(path: Path) -> Any:
 
 
 def _volumes(facts: Mapping[str, Any]) -> dict[str, float]:
-    """Breast → true volume, cc, with the truth's primary wall."""
+    """Breast → true volume, cc, with the truth's main wall."""
     if "breasts" in facts:
         volumes = {
             name.removeprefix(_PATIENT): float(breast["volume_cc"][breast["primary"]])
             for name, breast in facts["breasts"].items()
         }
-        return (
-            volumes if "model" in volumes else {"left": 0.0, "right": 0.0} | volumes
-        )  # a side that is not named has none
+        return volumes if "model" in volumes else {"left": 0.0, "right": 0.0} | volumes  # a missing side has none
     if "volumes_cc" in facts:
         return {name: float(value) for name, value in facts["volumes_cc"].items()}
     return {"model": float(facts["volume_cc"])}

@@ -1,4 +1,4 @@
-"""Atomic file writes that survive a power cut, with disk errors as one sentence."""
+"""Atomic file writes that survive a power failure, with disk errors as one sentence."""
 
 import errno
 import hashlib
@@ -12,24 +12,24 @@ from pathlib import Path
 from mammometry.base.errors import StorageError
 from mammometry.base.machine import system
 
-_NOT_FOR_FOLDERS = (errno.EINVAL, errno.ENOTSUP, errno.EBADF)  # what network drives answer to fsync of a folder
+_NOT_FOR_FOLDERS = (errno.EINVAL, errno.ENOTSUP, errno.EBADF)  # errors of network drives for fsync of a folder
 
 
 def sync_file(path: Path) -> None:
     """Wait until a file's content is on the disk.
 
     Raises:
-        OSError: the disk is full or refuses; some say so only now.
+        OSError: the disk is full or reports an error; some do so only now.
     """
     with path.open("rb+") as file:
         os.fsync(file.fileno())
 
 
 def sync_folder(path: Path) -> None:
-    """Wait until the names in a folder are on the disk.
+    """Wait until a folder's entries are on the disk.
 
     Raises:
-        OSError: the disk refuses.
+        OSError: the disk reports an error.
     """
     try:
         system.sync_folder(path)
@@ -39,8 +39,8 @@ def sync_folder(path: Path) -> None:
 
 
 def sync_tree(folder: Path) -> None:
-    """Wait until a folder, its names and contents are on the disk."""
-    for path in sorted(folder.rglob("*"), reverse=True):  # what is in a folder before the folder
+    """Wait until a folder and everything below it are on the disk."""
+    for path in sorted(folder.rglob("*"), reverse=True):  # content before its folder
         if path.is_dir():
             sync_folder(path)
         else:
@@ -51,7 +51,7 @@ def sync_tree(folder: Path) -> None:
 def write_new(path: Path, data: bytes) -> None:
     """Write a new file and wait until it is on the disk.
 
-    Anything with its name is removed first. A link of that name is removed, never followed.
+    Anything with its name is removed first; a link is not followed.
     """
     path.unlink(missing_ok=True)
     with path.open("xb") as file:
@@ -66,15 +66,15 @@ _DENIED = (errno.EACCES, errno.EPERM, errno.EROFS)
 
 @contextmanager
 def disk_errors(path: Path) -> Iterator[None]:
-    """Turn the disk's refusals into sentences.
+    """Turn disk errors into `StorageError`.
 
     Raises:
-        StorageError: for every OSError inside; names the file that the system names, else `path`.
+        StorageError: for every OSError inside; names the file of the error, or `path`.
     """
     try:
         yield
     except OSError as error:
-        if error.errno in _FULL or (error.errno is None and "requested and" in str(error)):  # NumPy's has no number
+        if error.errno in _FULL or (error.errno is None and "requested and" in str(error)):  # NumPy's errors
             full = StorageError(
                 str(path),
                 found=f"no room to write ({error.strerror or error})",
@@ -84,15 +84,15 @@ def disk_errors(path: Path) -> Iterator[None]:
             full.is_full = True
             raise full from None
         if error.errno in _DENIED:
-            remedy = "Change its permissions, or copy the session elsewhere"
-            expected = "a folder that may be written to"
+            remedy = "Change its permissions, or copy the session to another disk"
+            expected = "a writable folder"
             raise StorageError(
                 str(error.filename or path), found=f"no permission ({error.strerror})", expected=expected, remedy=remedy
             ) from None
         raise StorageError(
             str(error.filename or path),
-            found=f"a disk that refuses ({error.strerror or error})",
-            expected="to read and write results",
+            found=f"a disk error ({error.strerror or error})",
+            expected="a disk that can be read and written",
             remedy="Check the disk and run the same command again: finished results are kept",
         ) from None
 
@@ -117,11 +117,10 @@ def write_text(path: Path, text: str) -> None:
 def write_bytes(path: Path, data: bytes) -> None:
     """Write a small file atomically and wait until it is stored.
 
-    The file at `path` is replaced, whoever wrote it. For places that a user names, use `outputs.write_outputs`. What
-    stands at `path` is replaced, whoever wrote it: `outputs.write_outputs` is for places that a user names.
+    Any file at `path` is replaced. For places of the user's choice use `outputs.write_outputs`.
 
     Raises:
-        StorageError: the disk is full or refuses.
+        StorageError: the disk is full or reports an error.
     """
     with disk_errors(path), staged(path, data) as fresh:
         fresh.replace(path)
@@ -130,10 +129,10 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 @contextmanager
 def staged(path: Path, data: bytes) -> Iterator[Path]:
-    """Write a hidden file beside `path`, ready to be renamed to it. Removed at the end where it was not.
+    """Write a hidden file next to `path`, ready to be renamed. It is removed at the end if it was not.
 
     Raises:
-        OSError: the disk is full or refuses.
+        OSError: the disk is full or reports an error.
     """
     fresh = path.with_name(f".{path.name}-{secrets.token_hex(6)}")
     try:

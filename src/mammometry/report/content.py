@@ -152,7 +152,7 @@ class ReportContent:
     @property
     def about(self) -> str:
         """The line below the heading."""
-        return " · ".join(filter(None, (self.identity.beside, self.created, self.subject)))
+        return " · ".join(filter(None, (self.identity.subtitle, self.created, self.subject)))
 
 
 def sentence(text: str, *, capital: bool = True) -> str:

@@ -64,7 +64,7 @@ def first_page(
     made = content.created and f"measured {content.created}"
     return FirstPage(
         title=known.patient or content.identity.title,
-        who=_joined(born, known.record and f"record {known.record}") or content.identity.beside,
+        who=_joined(born, known.record and f"record {known.record}") or content.identity.subtitle,
         when=_joined(taken, known.occasion, known.posture) or made,
         operations=known.operations,
         numbers=(*_volumes(content.breasts), *([content.difference] if content.difference else [])),

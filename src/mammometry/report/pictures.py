@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 from PIL import Image
 
-from mammometry.base.machine.cores import each_at_once
+from mammometry.base.machine.cores import map_in_threads
 from mammometry.report.content import Picture
 from mammometry.report.figures.canvas import caption_in
 from mammometry.report.figures.catalogue import is_on_paper
@@ -46,7 +46,7 @@ def all_encoded(pictures: Mapping[str, Mapping[str, bytes]]) -> dict[str, dict[s
         return encoded(pictures[stage][name], on_paper=stage == first or is_on_paper(name))
 
     made: dict[str, dict[str, Picture]] = {stage: {} for stage in pictures}
-    for (stage, name), picture in zip(names, each_at_once(one, names), strict=True):
+    for (stage, name), picture in zip(names, map_in_threads(one, names), strict=True):
         made[stage][name] = picture
     return made
 

@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from mammometry.base.machine.cores import each_at_once
+from mammometry.base.machine.cores import map_in_threads
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Camera, Float64, Int32, Rig
 from mammometry.geometry.projection import projected
@@ -84,7 +84,7 @@ def find_occlusions(
         if not foreground.everything and foreground.mask.any()
     }
     polls = []
-    further = each_at_once(continued_world, range_images)
+    further = map_in_threads(continued_world, range_images)
     for image, past in zip(range_images, further, strict=True):
         points = image.valid_points_world()
         own = [views[name] for name in rig.pair_names[image.name] if name in views]

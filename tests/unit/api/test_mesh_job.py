@@ -15,7 +15,7 @@ from tests.unit.measure.trunks import LEFT, RIGHT, edge_of, trunk_mesh, volume_c
 from mammometry.api import mesh as api_mesh
 from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.api.stored_report import CONTENT, unpacked
-from mammometry.base.child_process import NotDone
+from mammometry.base.child_process import CallError
 from mammometry.base.errors import MeasureError
 from mammometry.cli import main
 from mammometry.geometry.mesh import TriangleMesh
@@ -90,7 +90,7 @@ def test_what_the_second_process_cannot_draw_is_drawn_here(tmp_path: Path, monke
 
     class Failing(api_mesh.ChildProcess):
         def call(self, function: Any, *arguments: Any) -> Any:
-            raise NotDone("no memory")
+            raise CallError("no memory")
 
     monkeypatch.setattr(api_mesh, "_LEAST_FACES", 0)
     monkeypatch.setattr(api_mesh, "available_cores", lambda: 2)

@@ -12,7 +12,7 @@ import numpy as np
 import psutil
 import pytest
 
-from mammometry.base.child_process import Call, ChildProcess, Ended, NotDone
+from mammometry.base.child_process import Call, CallCancelledError, CallError, ChildProcess
 from mammometry.base.extras import require
 from mammometry.base.machine.cores import available_cores
 from mammometry.base.progress import StageProgress
@@ -69,7 +69,7 @@ def test_a_stage_that_reports_nothing_is_reported_all_the_same() -> None:
 
 def test_an_error_there_is_told_and_the_next_call_is_done() -> None:
     with ChildProcess() as child:
-        with pytest.raises(NotDone, match=r"\bmath\b"):
+        with pytest.raises(CallError, match=r"\bmath\b"):
             child.call(math.sqrt, -1)
         assert child.call(math.sqrt, 4) == 2
 
@@ -78,7 +78,7 @@ def test_a_process_that_is_gone_is_told() -> None:
     with ChildProcess() as child:
         pid = child.call(os.getpid)
         os.kill(pid, signal.SIGKILL)
-        with pytest.raises(NotDone, match="gone"):
+        with pytest.raises(CallError, match="died"):
             child.call(math.sqrt, 4)
 
 
@@ -88,7 +88,7 @@ def test_the_end_of_the_block_ends_a_call() -> None:
             pid = child.call(os.getpid)
             waiting = pool.submit(child.call, time.sleep, 600)
             time.sleep(0.1)
-        with pytest.raises(Ended):
+        with pytest.raises(CallCancelledError):
             waiting.result()
     assert not psutil.pid_exists(pid)
 

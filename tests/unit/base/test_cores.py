@@ -44,7 +44,7 @@ def test_things_are_worked_on_at_once_and_returned_in_order(monkeypatch):
         both.wait()
         return 2 * thing
 
-    assert cores.each_at_once(doubled, [3, 1, 4, 1]) == [6, 2, 8, 2]
+    assert cores.map_in_threads(doubled, [3, 1, 4, 1]) == [6, 2, 8, 2]
 
 
 LOADED_INSIDE = """

@@ -41,10 +41,10 @@ def test_what_is_no_identifier_is_refused(text: str) -> None:
 
 def test_the_subject_is_the_heading_and_the_folder_stands_below() -> None:
     path, day = Path("/somewhere/Huber B"), datetime.date(2026, 1, 31)
-    assert (Identity.of(path).title, Identity.of(path).beside) == ("Huber B", "")
+    assert (Identity.of(path).title, Identity.of(path).subtitle) == ("Huber B", "")
     with_patient = Identity.of(path, "P-1", day)
-    assert (with_patient.title, with_patient.beside) == ("P-1", "Huber B · photographed 2026-01-31")
-    assert Identity.of(path, "Huber B").beside == ""
+    assert (with_patient.title, with_patient.subtitle) == ("P-1", "Huber B · photographed 2026-01-31")
+    assert Identity.of(path, "Huber B").subtitle == ""
 
 
 def test_those_who_tell_nothing_contradict_nobody() -> None:

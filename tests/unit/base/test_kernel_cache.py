@@ -91,14 +91,14 @@ def test_what_cannot_be_read_is_compiled(tmp_path, monkeypatch):
     space: dict[str, object] = {}
     exec(compile(source.read_text(), str(source), "exec"), space)
     monkeypatch.setitem(sys.modules, "kernels", type(sys)("kernels"))
-    kernel = compiled.keep(numba.njit(space["twice"]))
-    assert not compiled.is_kept(kernel)
+    kernel = compiled.cached(numba.njit(space["twice"]))
+    assert not compiled.is_cached(kernel)
     assert kernel(2) == 4
-    assert compiled.is_kept(kernel)
+    assert compiled.is_cached(kernel)
     (index,) = tmp_path.rglob("*.nbi")
     index.write_bytes(index.read_bytes()[:40])
-    again = compiled.keep(numba.njit(space["twice"]))
-    assert not compiled.is_kept(again)
+    again = compiled.cached(numba.njit(space["twice"]))
+    assert not compiled.is_cached(again)
     assert again(2) == 4
 
 

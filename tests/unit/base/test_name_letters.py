@@ -42,7 +42,7 @@ def test_what_is_not_seen_or_turns_a_name_round_is_refused(letter: str, name: st
 
 
 def test_the_character_is_named() -> None:
-    assert name_fault("ab\u202ec") == "the format character U+202E RIGHT-TO-LEFT OVERRIDE at place 3"
+    assert name_fault("ab\u202ec") == "the format character U+202E RIGHT-TO-LEFT OVERRIDE at position 3"
 
 
 def test_every_control_and_format_character_is_refused_between_latin_letters() -> None:

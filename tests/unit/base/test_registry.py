@@ -29,7 +29,7 @@ def test_an_unknown_name_lists_the_known_ones_and_the_nearest():
     with pytest.raises(SettingsError) as caught:
         fruits().find("aple", "basket")
     assert str(caught.value) == (
-        "basket: found 'aple', expected one of 'apple', 'pear'. 'apple' is the nearest. Name a known fruit."
+        "basket: found 'aple', expected one of 'apple', 'pear'. 'apple' is the most similar. Choose a known fruit."
     )
     with pytest.raises(SessionError, match=r"^basket: .*'apple', 'pear'"):
         fruits().find(None, "basket", error=SessionError, remedy="Name one")

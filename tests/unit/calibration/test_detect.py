@@ -86,7 +86,7 @@ def test_poses_detected_apart_are_merged_and_must_agree_in_size(photograph):
     assert both.sizes_wh == {"a": (240, 180), "b": (240, 180)}
     cropped = Photograph(name="calibration/02/a.png", pixels=np.ascontiguousarray(photograph.pixels[:170]))
     third = detect({("02", "a"): cropped}, BOARD)
-    with pytest.raises(ImageError, match=r"pose 02 by a: .*240 × 170 pixels, .*240 × 180"):
+    with pytest.raises(ImageError, match=r"pose 02 of a: .*240 × 170 pixels, .*240 × 180"):
         merged((first, second, third))
 
 

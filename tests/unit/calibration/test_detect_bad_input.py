@@ -109,9 +109,9 @@ OTHER = CharucoTarget(squares=(8, 6), square_mm=40.0, marker_mm=29.0, dictionary
 LARGE = CharucoTarget(squares=(16, 12), square_mm=20.0, marker_mm=15.0, dictionary="DICT_5X5_250")
 CASES = {
     "mirrored": (lambda r: mirrored(shoot(r)), BOARD, "mirrored board", "without flipping"),
-    "over-exposed": (lambda r: shoot(40 * np.maximum(r, 0.01)), BOARD, "over-exposed", "Expose it less"),
+    "over-exposed": (lambda r: shoot(40 * np.maximum(r, 0.01)), BOARD, "overexposed", "Expose it less"),
     "black": (lambda r: shoot(0.005 * r), BOARD, "nearly black", "flash"),
-    "blurred": (lambda r: shoot(gaussian_filter(r, 14.0)), BOARD, "without one sharp edge", "Focus"),
+    "blurred": (lambda r: shoot(gaussian_filter(r, 14.0)), BOARD, "without sharp edges", "Focus"),
     "other dictionary": (
         lambda r: shoot(light(OTHER)),
         BOARD,
@@ -133,8 +133,8 @@ CASES = {
     "larger markers": (
         lambda r: shoot(r),
         replace(BOARD, marker_mm=16.0),
-        "times square_mm, where [target] says 16 and 25 mm, 0.640 times",
-        "square_mm = 25 belongs marker_mm = 18.",
+        "times square_mm, but in [target] 16 and 25 mm, 0.640 times",
+        "either square_mm = 25 and marker_mm = 18.",
     ),
     "smaller markers": (lambda r: shoot(r), replace(BOARD, marker_mm=20.0), "marker_mm 0.7", "Measure both"),
     "two boards": (lambda r: shoot(two_of_them(BOARD)), BOARD, "two boards in view", "one board"),
@@ -142,14 +142,14 @@ CASES = {
     "other chessboard": (
         lambda r: shoot(light(replace(CHESS, squares=(10, 7)))),
         CHESS,
-        "none of 14 × 9 squares",
+        "not a complete one of 14 × 9 squares",
         "squares",
     ),
     "cut chessboard": (
         lambda r: shoot(light(CHESS, shift_mm=(190.0, 0.0, 0.0))),
         CHESS,
-        "none of 14 × 9 squares",
-        "in view",
+        "not a complete one of 14 × 9 squares",
+        "border",
     ),
 }
 
@@ -210,8 +210,8 @@ def test_one_picture_under_two_cameras_names_is_believed_of_neither(rig_views):
     seen = set_duplicates_aside(observed(rig_views))
     assert left(seen) == rig_views.keys() - {("01", "a"), ("01", "b")}
     assert [str(view) for view in seen.missed] == [
-        "pose 01, a: the same picture as 01/b. Copy the right photograph there again, or remove the pose",
-        "pose 01, b: the same picture as 01/a. Copy the right photograph there again, or remove the pose",
+        "pose 01, a: the same image as 01/b. Copy the right photograph again, or remove the pose",
+        "pose 01, b: the same image as 01/a. Copy the right photograph again, or remove the pose",
     ]
 
 
@@ -219,7 +219,7 @@ def test_one_cameras_picture_in_two_poses_is_believed_in_neither(rig_views):
     rig_views["02", "c"] = rig_views["00", "c"]
     seen = set_duplicates_aside(observed(rig_views))
     assert left(seen) == rig_views.keys() - {("00", "c"), ("02", "c")}
-    assert "pose 02, c: the same picture as 00/c" in str(seen.missed[1])
+    assert "pose 02, c: the same image as 00/c" in str(seen.missed[1])
 
 
 def test_a_pose_that_was_copied_counts_once(rig_views):

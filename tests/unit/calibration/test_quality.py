@@ -62,7 +62,7 @@ def test_photographs_that_could_not_be_used_are_named_and_those_without_the_targ
 @pytest.mark.slow
 def test_dark_photograph_of_a_target_that_faces_away_is_nothing_to_warn_of(clean: Calibration) -> None:
     """A camera behind the board, or beside it, need not see it; one in front of it should have."""
-    dark = MissedView(camera="front_left", pose="00", found="a picture that is nearly black", remedy="Expose it more")
+    dark = MissedView(camera="front_left", pose="00", found="an image that is nearly black", remedy="Expose it more")
     observations = replace(clean.observations, missed=(dark,))
     assert str(dark) in assess(replace(clean, observations=observations)).reasons
     for degrees in (110.0, 180.0):

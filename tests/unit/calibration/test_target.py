@@ -75,7 +75,7 @@ def test_surveyed_points_are_kept_in_order():
         ({"kind": "chessboard", "squares": [2, 9], "square_mm": 10.0}, "3 × 3"),
         ({"kind": "chessboard", "squares": [8, 9], "square_mm": -1.0}, "positive"),
         ({"kind": "circles", "grid": [4, 5], "pitch_mm": 10.0, "diameter_mm": 10.0}, "touch"),
-        ({**CYLINDER, "dots": [20, 40]}, "girth"),
+        ({**CYLINDER, "dots": [20, 40]}, "circumference"),
         ({**CYLINDER, "dot_mm": 12.0}, "dot_mm"),
         ({"kind": "points", "points_mm": POINTS[:3]}, "4 points"),
         ({**CHARUCO, "edge_mm": 350.4}, "edge_std_mm:"),

@@ -86,7 +86,7 @@ def walk(folder: Path, visit: str, patient: str) -> None:
 
         page = pages["technician"]
         enter_names(page, patient, "Moser\u202e", "Anna")
-        expect(page.get_by_text("the format character U+202E RIGHT-TO-LEFT OVERRIDE at place 6")).to_be_visible()
+        expect(page.get_by_text("the format character U+202E RIGHT-TO-LEFT OVERRIDE at position 6")).to_be_visible()
 
         surgeon = pages["clinician"]
         surgeon.goto(f"/visits/{visit}/")

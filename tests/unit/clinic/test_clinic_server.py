@@ -127,7 +127,7 @@ def test_what_is_secret_is_readable_by_its_owner_alone(tmp_path: Path) -> None:
         ("colour = 1", "colour"),
         ('address = "here"', "address"),
         ("[limits]\nidle_minutes = 0", "limits.idle_minutes"),
-        ("name = ", "no TOML"),
+        ("name = ", "invalid TOML"),
     ],
 )
 def test_wrong_settings_are_named(tmp_path: Path, line: str, says: str) -> None:

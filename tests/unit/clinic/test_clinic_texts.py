@@ -20,16 +20,16 @@ ANNA = {"family_name": "Größe", "given_name": "Åse", "born": "1971-05-04", "r
     ("changed", "sentence"),
     [
         ({"record_number": "1\\2"}, "Found a backslash at place 2."),
-        ({"record_number": "1\x1b2"}, "Found a control character at place 2."),
+        ({"record_number": "1\x1b2"}, "Found a control character at position 2."),
         ({"family_name": "A\\B"}, "Found a backslash at place 2."),
         ({"family_name": "A^B"}, "A name has no ^ and no ="),
         ({"given_name": "A=B"}, "A name has no ^ and no ="),
         ({"family_name": "M" * 65}, "Found 65 letters."),
         ({"family_name": "M" * 40, "given_name": "A" * 30}, "Both names have 70 letters together."),
-        ({"family_name": "Moser\u202e"}, "Found the format character U+202E RIGHT-TO-LEFT OVERRIDE at place 6."),
-        ({"given_name": "A\ue000"}, "Found a character for private use, U+E000 at place 2."),
-        ({"record_number": "1\u200b2"}, "Found the format character U+200B ZERO WIDTH SPACE at place 2."),
-        ({"family_name": "M\ufffdller"}, "Found a byte at place 2 that is no letter"),
+        ({"family_name": "Moser\u202e"}, "Found the format character U+202E RIGHT-TO-LEFT OVERRIDE at position 6."),
+        ({"given_name": "A\ue000"}, "Found a character for private use, U+E000 at position 2."),
+        ({"record_number": "1\u200b2"}, "Found the format character U+200B ZERO WIDTH SPACE at position 2."),
+        ({"family_name": "M\ufffdller"}, "Found a byte at position 2 that is not valid"),
     ],
 )
 @pytest.mark.requirement("R-IN-5")

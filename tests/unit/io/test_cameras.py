@@ -298,7 +298,7 @@ def test_kalibr_file_as_kalibr_writes_it(tmp_path: Path) -> None:
         (("radtan", "equidistant"), "equidistant"),
         (("pinhole", "omni"), "radtan"),
         (("T_cn_cnm1", "T_cam_imu"), "no T_cn_cnm1"),
-        (("intrinsics: [460.0, 459.0, 380.0, 255.0]", "intrinsics: [460.0]"), "unfit"),
+        (("intrinsics: [460.0, 459.0, 380.0, 255.0]", "intrinsics: [460.0]"), "invalid"),
         (("front_right", "front_left"), "called front_left"),
         (("- [0.99998,", "- [0.5,"), "T_cn_cnm1"),
         (("resolution", "size"), "resolution"),

@@ -70,7 +70,7 @@ def test_what_is_no_mesh_is_refused(tmp_path: Path) -> None:
     (tmp_path / "flat.obj").write_text("v 0 0 0\nv 100 0 0\nv 100 0 0\nf 1 2 3\n")
     with pytest.raises(SessionError, match=r"triangle.*area"):
         read_foreign(tmp_path / "flat.obj", "mm")
-    with pytest.raises(SessionError, match="kind"):
+    with pytest.raises(SessionError, match="file type"):
         read_foreign(tmp_path / "scan.txt", "mm")
 
 

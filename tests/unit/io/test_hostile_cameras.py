@@ -52,7 +52,7 @@ def changed(row: int, column: int, value: object) -> list[list[Any]]:
     [
         ({"K": changed(0, 0, float("nan"))}, "nan"),
         ({"K": changed(1, 2, float("inf"))}, "inf"),
-        ({"K": changed(0, 0, 1e300)}, "beyond"),
+        ({"K": changed(0, 0, 1e300)}, "outside"),
         ({"K": changed(0, 0, -2000.0)}, "positive"),
         ({"K": changed(0, 0, 0.0)}, "positive"),
         ({"K": changed(0, 1, 3.5)}, "cy, 0 0 1"),  # skew
@@ -183,7 +183,7 @@ def test_unfit_colmap_lines_are_named(tmp_path: Path, file: str, old: str, new: 
 def test_a_quaternion_of_zeros_is_no_rotation(tmp_path: Path) -> None:
     paths = written(tmp_path, "colmap")
     (tmp_path / "images.txt").write_text("1 0 0 0 0 1 2 3 1 left.jpg\n\n")
-    assert "length 1" in refused(paths)
+    assert "length" in refused(paths)
 
 
 def test_names_with_blanks_stay_whole(tmp_path: Path) -> None:
@@ -202,7 +202,7 @@ OPENCV = [
     ("data: [", "data: [ 1., ", "10 values in a matrix of 3 × 3"),
     ("data: [", "data: [ .inf, ", "inf, which is not a number"),
     ("1126", "wide", "'wide' where a number is expected"),
-    ("1126", ".nan", "nan, which is not a finite number"),
+    ("1126", ".nan", "nan is not a finite number"),
     ("1126", "-1126", "at least one pixel"),
     ("image_width: 1126\n", "", "no image_width and image_height"),
 ]

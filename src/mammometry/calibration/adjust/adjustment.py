@@ -1,4 +1,4 @@
-"""The observed network as a least-squares problem. Whitened reprojection errors, Huber's loss, priors."""
+"""The observed network as a least-squares problem: whitened reprojection errors, Huber loss, priors."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mammometry.calibration.adjust.network import Network, State, before_camera,
 from mammometry.calibration.adjust.projection import project_with_derivatives
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 
-_BLOCK = 20_000  # points linearised at once: a block's derivatives stay near the processor
+_BLOCK = 20_000  # points linearised at once, so that their derivatives stay in the cache
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -26,26 +26,26 @@ class LinearView:
     by_pose: Float64[Array, "n 2 k"]
     """Derivative of `residual` by these parameters."""
     order: Int64[Array, " n_or_none"]
-    """Place of each point among the free ones. Empty if the view's target is not free."""
+    """Index of each point among the free ones. Empty if the view's target is fixed."""
     by_point: Float64[Array, "n 2 3"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Adjustment:
-    """The least-squares problem of a network. The free points are the normal equations' triples."""
+    """The least-squares problem of a network. Free points are the triples of the normal equations."""
 
     network: Network
     active: Bool[Array, " n"]
-    """Points that take part."""
+    """Points that are used."""
     held: Bool[Array, " p"]
-    """Parameters of cameras and stations that keep their values. At least one station is held: the datum."""
+    """Parameters that are held fixed, including at least one station as the datum."""
     group_sigma: Float64[Array, " g"]
     """Factor on the standard deviations of each group's detections."""
     huber: float
     """Whitened residual length beyond which the loss grows linearly. Infinite for plain least squares."""
 
     def cost(self, state: State) -> float:
-        """Half the sum of the loss. Infinite if a point that takes part lies behind its camera."""
+        """Half the sum of the loss. Infinite if a used point is behind its camera."""
         residual_px, depth = residuals(self.network, state)
         if (depth[self.active] <= 0).any():
             return float("inf")
@@ -56,7 +56,7 @@ class Adjustment:
         return 0.5 * float(loss.sum()) + 0.5 * prior
 
     def normal_equations(self, state: State) -> NormalEquations:
-        """Gauss–Newton matrix and gradient, the loss by reweighting. Held parameters are ones on the diagonal."""
+        """Gauss–Newton matrix and gradient with reweighting. Held parameters have ones on the diagonal."""
         network = self.network
         size, free = network.pose_count, network.free_points
         matrix, gradient = np.zeros((size, size)), np.zeros(size)
@@ -102,7 +102,7 @@ class Adjustment:
         )
 
     def whitened_lengths(self, state: State) -> Float64[Array, " n"]:
-        """Length of every residual in its group's standard deviations. Infinite if behind the camera."""
+        """Length of every residual, in its group's standard deviations. Infinite behind the camera."""
         residual_px, depth = residuals(self.network, state)
         length = np.linalg.norm(self._whitened(residual_px), axis=1)
         return np.where(depth > 0, length, np.inf)
@@ -133,7 +133,7 @@ class Adjustment:
     def _linearised(
         self, state: State, part: slice
     ) -> tuple[Float64[Array, "n 2"], Float64[Array, "n 2 k"], Float64[Array, "n 2 3"]]:
-        """Weighted residuals of part of the points, and derivatives by camera and station, and by points."""
+        """Weighted residuals of some points, and derivatives by camera and station, and by points."""
         network, active = self.network, self.active[part]
         view = network.view[part]
         camera, station = network.view_camera[view], network.view_station[view]
@@ -164,7 +164,7 @@ class Adjustment:
         return whitened
 
     def _prior_residuals(self, state: State) -> tuple[Float64[Array, "c 10"], Float64[Array, "k 3"]]:
-        """Intrinsics and free points off their priors, in the priors' standard deviations."""
+        """Deviations of intrinsics and free points from their priors, in the priors' standard deviations."""
         network, free = self.network, self.network.free_points
         return (
             (state.intrinsics - network.prior_intrinsics) / network.prior_intrinsics_std,

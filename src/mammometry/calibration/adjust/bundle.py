@@ -30,7 +30,7 @@ from mammometry.calibration.targets.target import Target
 from mammometry.geometry import Array, Bool, Camera, Float64, Rig, Transform
 
 FREE_TARGET_POSES = 6
-"""Placements from which ``auto`` adjusts a board: fewer hardly separate its shape from the cameras'."""
+"""Placements from which ``auto`` adjusts a board's shape: fewer hardly separate it from the cameras'."""
 
 _PARAMETERS = {
     "brown": INTRINSIC_NAMES[:9],
@@ -40,13 +40,13 @@ _PARAMETERS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class View:
-    """One detection that takes part, and where it came from."""
+    """One detection that is used, and its source."""
 
     camera: str
     pose: str
     detection: Detection
     index: int
-    """In its observations' `detections`."""
+    """Index in its observations' `detections`."""
     own: bool
     """Whether it is one of its camera's separate photographs."""
 
@@ -57,7 +57,7 @@ class View:
 
 
 def all_views(observations: Observations, own: Mapping[str, Observations], initial: InitialRig) -> list[View]:
-    """All views with a first placement, shared poses before the cameras' own."""
+    """All views with an initial placement, shared poses before the cameras' own."""
     views = [
         View(camera=detection.camera, pose=detection.pose, detection=detection, index=i, own=False)
         for i, detection in enumerate(observations.detections)
@@ -80,11 +80,11 @@ def network_of(
     priors: Mapping[str, CameraPrior],
     settings: BundleSettings,
 ) -> tuple[Network, State]:
-    """Flatten the views, and the first values that belong to them."""
+    """Flatten the views and their initial values."""
     cameras = tuple(observations.sizes_wh)
     stations = tuple(dict.fromkeys([*sorted({v.station for v in views if not v.own}), *(v.station for v in views)]))
     target_of = {"": observations.target, **{camera: separate.target for camera, separate in own.items()}}
-    targets = list(dict.fromkeys(target_of.values()))  # a board that all cameras saw separately is one board
+    targets = list(dict.fromkeys(target_of.values()))  # equal boards are one board
     tables = [target.points_target for target in targets]
     first_rows = np.concatenate([[0], np.cumsum([len(table) for table in tables])])
     rows = {camera: first_rows[targets.index(target)] for camera, target in target_of.items()}
@@ -121,7 +121,7 @@ def network_of(
 
 
 def held_at_first(network: Network, priors: Mapping[str, CameraPrior]) -> Bool[Array, " p"]:
-    """Parameters that keep their values. The world's placement, what priors fix, and k3 at first."""
+    """Parameters that are held: the world's placement, those fixed by priors, and k3 at first."""
     held = np.zeros(network.pose_count, bool)
     held[network.columns_of_station(0)] = True
     held[network.columns_of_intrinsic("k3")] = True
@@ -140,7 +140,7 @@ def _is_free(target: Target, placements: int, settings: BundleSettings) -> bool:
 
 
 def _shape_prior_mm(target: Target, settings: BundleSettings) -> tuple[float, float, float]:
-    """The settings' prior, with the board's measured flatness, if any, as depth."""
+    """The settings' prior, with the board's measured flatness, if any, for depth."""
     across_x, across_y, depth = settings.target_prior_mm
     return across_x, across_y, target.flatness_mm or depth
 
@@ -156,7 +156,7 @@ def _start(network: Network, views: Sequence[View], initial: InitialRig, setting
             placements[view.station] = world_from_camera @ initial.own_camera_from_target[view.camera, view.pose]
         else:
             placements[view.station] = initial.world_from_target[view.pose]
-    first_from_world = placements[network.stations[0]].inverse()  # the first pose may have been set aside
+    first_from_world = placements[network.stations[0]].inverse()  # the first pose may have been excluded
     targets = [first_from_world @ placements[station] for station in network.stations]
     cameras = [initial.camera_from_world[camera] @ first_from_world.inverse() for camera in network.cameras]
     return State(
@@ -170,18 +170,18 @@ def _start(network: Network, views: Sequence[View], initial: InitialRig, setting
 
 
 K3_SIGMA = 4.0
-"""Standard deviations (for errors that a photograph's points share) above which ``auto`` accepts k3."""
+"""Standard deviations (for errors shared by a photograph's points) above which ``auto`` accepts k3."""
 VIEW_RATIO = 50.0
-"""Ratio to all views' median residual above which a whole view is set aside and named. Only a picture of another pose,
-swapped cameras or a mirrored target reach it."""
+"""Ratio to all views' median residual above which a whole view is excluded. Only an image of another pose, swapped
+cameras or a mirrored target reach it."""
 
 __all__ = ["BundleSettings", "Calibration", "ParameterCovariance", "SetAside", "calibrate"]
 
 _LEAST_VIEW_ERROR_PX = 1.0
-"""Median residual below which a view is never set aside, px."""
+"""Median residual below which a view is never excluded, px."""
 _FIRST_VIEW_ERROR_WIDTHS = 0.02
-"""The same before the first adjustment, in picture widths. First values are good to a pixel or so, pictures of another
-pose are much farther off."""
+"""The same before the first adjustment, in image widths. Initial values are good to about a pixel, while images of
+another pose are far off."""
 
 
 @one_blas_thread()
@@ -197,23 +197,25 @@ def calibrate(
 ) -> Calibration:
     """Adjust all cameras and target placements to the observations (paper 2.2).
 
-    Minimises Huber's loss of the reprojection errors, each in its own detection's standard deviations, over intrinsics
-    and poses of all cameras and placements of the target; then leaves out outliers, and repeats. The world is the
-    target's frame in the first pose (in name order).
+    Minimises the Huber loss of the reprojection errors, each in its detection's standard deviations, over intrinsics
+    and
+    poses of all cameras and placements of the target. Then excludes outliers and repeats. The world is the target's
+    frame in the first pose (in name order).
 
     Args:
-        observations: of the rig's target, all cameras exposed together in each pose.
+        observations: of the rig's target, with all cameras exposed together in each pose.
         pair_names: pair → names of its left and right camera.
         rig_name: the rig's name.
-        settings: of the calibration; `bundle` is used here.
-        intrinsics_observations: camera → separate photographs of any target that only this camera took; they take part
-            in the adjustment, each with a placement of its own.
-        priors: camera → its lens as known beforehand; with one, a single view of a camera suffices.
+        settings: of the calibration; only `bundle` is used.
+        intrinsics_observations: camera → separate photographs of any target by this camera alone; they are adjusted
+            too,
+            each with its own placement.
+        priors: camera → prior of its lens. With one, a single view of the camera is enough.
         progress: called with the fraction done.
 
     Raises:
-        CalibrationError: too few views, cameras that share no pose with the rest, image sizes that differ, or
-            parameters that the observations do not determine.
+        CalibrationError: too few views, cameras that share no pose with the rest, different image sizes, or parameters
+            that the observations do not determine.
     """
     own, priors = dict(intrinsics_observations or {}), dict(priors or {})
     _check_pairs(pair_names, observations)
@@ -226,7 +228,7 @@ def calibrate(
         return network_of(views, observations, own, initial, priors, settings.bundle)
 
     def setting_aside(network: Network, state: State, least_px: float) -> bool:
-        """Leave out views that are of something else."""
+        """Exclude views of something else."""
         bad = bad_views(network, state, VIEW_RATIO, least_px)
         set_aside.extend(SetAside(camera=views[i].camera, pose=views[i].pose, residual_px=px) for i, px in bad.items())
         views[:] = [view for i, view in enumerate(views) if i not in bad]
@@ -234,7 +236,7 @@ def calibrate(
         return bool(bad)
 
     widest_px = max(width for width, _ in observations.sizes_wh.values())
-    setting_aside(*flattened(), _FIRST_VIEW_ERROR_WIDTHS * widest_px)  # before they can pull
+    setting_aside(*flattened(), _FIRST_VIEW_ERROR_WIDTHS * widest_px)  # before they affect the adjustment
     network, start = flattened()
     solved = adjusted(network, held_at_first(network, priors), start)
     while setting_aside(network, solved.state, _LEAST_VIEW_ERROR_PX):
@@ -268,19 +270,18 @@ def _require_every_camera(views: Sequence[View], observations: Observations, set
         poses = ", ".join(sorted({pose for camera in wrong for pose in aside[camera]}))
         raise CalibrationError(
             f"camera{'s' if len(wrong) > 1 else ''} {', '.join(wrong)}",
-            found=f"pictures that do not fit the other cameras' in most poses ({poses})",
-            expected="pictures exposed together with the other cameras'",
-            remedy="Check that its files are of the poses they are named after, that none was mirrored, and that "
-            "nothing moved",
+            found=f"photographs that do not fit those of the other cameras in most poses ({poses})",
+            expected="photographs exposed together with those of the other cameras",
+            remedy="Check that its files are in the right pose folders, that none was mirrored, and that nothing moved",
         )
     require_connected([(view.camera, view.pose) for view in views if not view.own])
 
 
 def _with_needed_k3(solved: Solved, priors: Mapping[str, CameraPrior], settings: BundleSettings) -> Solved:
-    """Adjust k3 too for cameras whose photographs agree it is not zero.
+    """Adjust k3 too for cameras that need it.
 
-    The judge is its standard deviation from the scatter between photographs. If residuals were taken as independent,
-    every lens would seem to have one.
+    It must differ from zero by its standard deviation from the scatter between photographs. With independent residuals
+    every lens would seem to have a k3.
     """
     network = solved.problem.network
     columns = network.columns_of_intrinsic("k3")
@@ -387,15 +388,15 @@ def _independent(solved: Solved) -> Float64[Array, "p p"]:
     except SingularNormalEquationsError as error:
         raise CalibrationError(
             f"parameter {solved.problem.network.parameter_names[error.parameter]}",
-            found="observations that do not determine it",
-            expected="poses that cover each camera's field of view, tilted differently",
-            remedy="Add calibration poses, above all for that camera",
+            found="too little information in the photographs",
+            expected="poses that cover each camera's field of view, with different tilts",
+            remedy="Add calibration poses, especially for that camera",
         ) from error
     except ValueError as error:
         raise CalibrationError(
             "the calibration",
             found=str(error),
-            expected="more coordinates than parameters",
+            expected="more measured coordinates than parameters",
             remedy="Add calibration poses",
         ) from error
 

@@ -1,4 +1,4 @@
-"""First values for the adjustment: each camera's intrinsics, then the poses of cameras and targets."""
+"""Initial values for the adjustment: each camera's intrinsics, then the poses of cameras and targets."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from mammometry.geometry import Array, Bool, Float64, Transform
 from mammometry.geometry.lens import undistort
 
 _SWEEPS = 5
-"""Sweeps of medians over poses and cameras. Chosen by eye."""
-_AGREE_RAD, _AGREE_SHARE = 0.05, 0.1  # first intrinsics may be off by some per cent; another pose's picture is far off
+"""Sweeps of medians over poses and cameras. Affects the start of the adjustment only."""
+_AGREE_RAD, _AGREE_SHARE = 0.05, 0.1  # initial intrinsics err by a few per cent, images of another pose by more
 
 
 def median_transform(transforms: Sequence[Transform]) -> Transform:
-    """Rotation and translation nearest to all others (medoids).
+    """Rotation and translation closest to all others (medoids).
 
     Up to half of the transforms may be arbitrarily wrong; exactly half only if the others agree.
     """
@@ -56,11 +56,11 @@ def components(views: Sequence[tuple[str, str]]) -> list[tuple[set[str], set[str
 def average_network(
     camera_from_target: Mapping[tuple[str, str], Transform],
 ) -> tuple[dict[str, Transform], dict[str, Transform]]:
-    """Compute poses of all cameras and targets from each view's own estimate.
+    """Compute the poses of all cameras and targets from the estimate of each view.
 
-    Views must be connected. A spanning tree over the cameras whose relative poses agree in most poses, each edge their
-    median, then sweeps of medians over poses and cameras. Frame of the results: the world is the target in the first
-    pose, in name order.
+    Views must be connected. First a spanning tree over the cameras whose relative poses agree in most poses, with the
+    median for each edge; then sweeps of medians over poses and cameras. The world is the target in the first pose, in
+    name order.
 
     Returns:
         camera → camera_from_world, and pose → world_from_target.
@@ -91,7 +91,7 @@ def average_network(
 def _spanning_tree(
     cameras: Sequence[str], camera_from_target: Mapping[tuple[str, str], Transform]
 ) -> dict[str, Transform]:
-    """Find camera → camera_from_rig from one camera, by what most poses agree on first (Prim)."""
+    """Find camera → camera_from_rig from one camera, by Prim's algorithm, the best agreement first."""
     edges: dict[tuple[str, str], tuple[int, Transform]] = {}
     for camera_pair, other in combinations(cameras, 2):
         relative = [
@@ -109,7 +109,7 @@ def _spanning_tree(
     while len(found) < len(cameras):
         onwards = [edge for edge in edges if edge[0] in found and edge[1] not in found]
         if not onwards:
-            raise ValueError(f"no pose leads to {sorted(set(cameras) - set(found))}")
+            raise ValueError(f"no pose connects {sorted(set(cameras) - set(found))}")
         known, camera = max(onwards, key=lambda edge: edges[edge][0])
         found[camera] = edges[known, camera][1] @ found[known]
     return found
@@ -128,17 +128,17 @@ _MAX_INITIAL_VIEWS = 15
 _LEAST_VIEWS = 3
 """Fewest views of a flat target that determine a camera's intrinsics (Zhang 2000)."""
 LEAST_POINTS = 6
-"""Fewest points by which a target is placed, recognised or compared."""
+"""Fewest points to place, recognise or compare a target."""
 _LEAST_FLAT_POINTS = 4
-"""Fewest points by which a flat target is placed: four determine a homography."""
+"""Fewest points to place a flat target: four determine a homography."""
 _FLAT = 1e-6
-"""Points thinner than this share of their extent are flat: rounding only."""
+"""Points with a smaller thickness, as a share of their extent, are flat: rounding only."""
 _VIEW_ERROR_RATIO = 3.0
-"""Ratio to the median error above which a view is left out of first intrinsics."""
+"""Ratio to the median error above which a view is not used for initial intrinsics."""
 _VIEW_ERROR_PX = 2.0
-"""Errors below this are never left out, px."""
+"""Views with smaller errors are always used, px."""
 _THREAD_COUNT = Lock()
-"""Held while OpenCV's number of threads, one for the whole process, is changed."""
+"""Held while OpenCV's number of threads is changed, which is one for the whole process."""
 
 
 class TooFewViewsError(CalibrationError):
@@ -146,8 +146,8 @@ class TooFewViewsError(CalibrationError):
 
     Args:
         subject: the cameras, in words.
-        cameras: their names.
         found: how often they saw it.
+        expected: how often they must see it.
         expected: how often they should.
         remedy: what the user can do about it.
     """
@@ -161,7 +161,7 @@ class TooFewViewsError(CalibrationError):
 
 @value(eq=False)
 class InitialRig:
-    """First values of the adjustment, good to a pixel or so."""
+    """Initial values of the adjustment, good to about a pixel."""
 
     intrinsics: Mapping[str, Float64[Array, 10]]
     """Camera → fx, fy, cx, cy (px), k1, k2, p1, p2, k3, and no skew (px)."""
@@ -178,18 +178,19 @@ def initialise(
     intrinsics_observations: Mapping[str, Observations] | None = None,
     priors: Mapping[str, CameraPrior] | None = None,
 ) -> InitialRig:
-    """First values of all cameras and target placements, from observations alone.
+    """Initial values of all cameras and target placements, from observations alone.
 
-    Intrinsics from each camera's own views (or its separate photographs), the target's pose in every view, then the
-    graph of cameras and poses: a spanning tree, and medians over all that it leaves out.
+    Intrinsics come from each camera's own views or separate photographs, then the target's pose in every view, then the
+    poses of the whole graph by a spanning tree and medians.
 
     Args:
-        observations: the rig's target, all cameras exposed together in each pose.
-        intrinsics_observations: camera → photographs of any target that only this camera took.
-        priors: camera → its lens, which then is where its intrinsics start.
+        observations: of the rig's target, with all cameras exposed together in each pose.
+        intrinsics_observations: camera → separate photographs of any target by this camera alone.
+        priors: camera → prior of its lens, the start of its intrinsics.
 
     Raises:
-        CalibrationError: a camera saw the target too rarely, or shares no pose with the others; names it and says what
+        CalibrationError: a camera saw the target too rarely, or shares no pose with the others; names the camera and
+            what
             is needed.
     """
     own, known = dict(intrinsics_observations or {}), dict(priors or {})
@@ -228,10 +229,10 @@ def initialise(
 
 
 def require_connected(views: Sequence[tuple[str, str]]) -> None:
-    """Check that all cameras hang together by shared poses.
+    """Require that all cameras are connected by shared poses.
 
     Raises:
-        CalibrationError: some do not; names them.
+        CalibrationError: names cameras that are not connected.
     """
     groups = components(views)
     if len(groups) > 1:
@@ -241,7 +242,7 @@ def require_connected(views: Sequence[tuple[str, str]]) -> None:
             cameras=sorted(camera for cameras, _ in groups[1:] for camera in cameras),
             found=f"no pose shared with {', '.join(sorted(groups[0][0]))}",
             expected="the target seen by cameras of both groups in at least one pose",
-            remedy="Add a calibration pose that both see, exposed together",
+            remedy="Add a calibration pose that both see, with all cameras exposed together",
         )
 
 
@@ -253,7 +254,7 @@ def _check_sizes(observations: Observations, own: Mapping[str, Observations], kn
                 f"prior of camera {camera}",
                 found=f"photographs of {of_prior[0]} × {of_prior[1]} pixels",
                 expected=f"{seen[0]} × {seen[1]} pixels, as in its calibration photographs",
-                remedy="Give the prior of the same camera and the same image size, or none",
+                remedy="Use a prior of the same camera and image size, or none",
             )
     for camera, separate in own.items():
         if camera not in observations.sizes_wh:
@@ -274,7 +275,7 @@ def _check_sizes(observations: Observations, own: Mapping[str, Observations], kn
 
 
 def _usable(observations: Observations) -> list[Detection]:
-    """Views with enough points that do not lie on a line."""
+    """Views with enough points that are not on a line."""
     points = observations.target.points_target
     least = _least_placed(points)
     usable = []
@@ -289,17 +290,17 @@ def _usable(observations: Observations) -> list[Detection]:
 
 
 def least_views(target: Target) -> int:
-    """Fewest views of a target by which a camera's own parameters are found."""
+    """Fewest views of a target that determine a camera's own parameters."""
     return _LEAST_VIEWS if is_flat(target.points_target) else 1
 
 
 def _least_placed(points: Float64[Array, "n 3"]) -> int:
-    """Fewest points by which a camera is placed before them."""
+    """Fewest points that determine a camera's pose."""
     return _LEAST_FLAT_POINTS if is_flat(points) else LEAST_POINTS
 
 
 def is_flat(points: Float64[Array, "n 3"]) -> bool:
-    """Whether points lie in a plane."""
+    """Whether points are in a plane."""
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(spread[2] < _FLAT * spread[0])
 
@@ -322,7 +323,7 @@ def _intrinsics(camera: str, source: Observations, views: Sequence[Detection]) -
     keep = list(best)
     values, errors = _from_flat(camera, points, keep, source.sizes_wh[camera])
     while errors.max() > max(_VIEW_ERROR_PX, _VIEW_ERROR_RATIO * float(np.median(errors))) and len(keep) > _LEAST_VIEWS:
-        del keep[int(errors.argmax())]  # one at a time: it may have pulled the others
+        del keep[int(errors.argmax())]  # one at a time: it may have affected the others
         values, errors = _from_flat(camera, points, keep, source.sizes_wh[camera])
     return values
 
@@ -330,10 +331,10 @@ def _intrinsics(camera: str, source: Observations, views: Sequence[Detection]) -
 def _from_flat(
     camera: str, points: Float64[Array, "n 3"], views: Sequence[Detection], size_wh: tuple[int, int]
 ) -> tuple[Float64[Array, 10], Float64[Array, " v"]]:
-    """Zhang's method as OpenCV has it: aspect fixed, no tangential terms. And each view's RMS, px."""
+    """Zhang's method by OpenCV, with fixed aspect and no tangential terms. Also each view's RMS, px."""
     flags = cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
     try:
-        with _one_opencv_thread():  # several would add up their sums in the order in which they finish
+        with _one_opencv_thread():  # several threads would sum in a random order
             _, matrix, distortion, _, _, _, _, errors = cv2.calibrateCameraExtended(
                 [points[view.ids].astype(np.float32).reshape(-1, 1, 3) for view in views],
                 [view.uv.astype(np.float32).reshape(-1, 1, 2) for view in views],
@@ -344,7 +345,7 @@ def _from_flat(
                 criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-9),
             )
     except cv2.error as error:
-        raise _undetermined(camera, "views that determine no focal length") from error
+        raise _undetermined(camera, "views that do not determine a focal length") from error
     k1, k2 = np.asarray(distortion, np.float64).ravel()[:2]
     values = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], k1, k2, *np.zeros(4)])
     if not (np.isfinite(values).all() and min(values[:2]) > 0):
@@ -354,7 +355,7 @@ def _from_flat(
 
 @contextmanager
 def _one_opencv_thread() -> Iterator[None]:
-    """Limit OpenCV to one thread, so that sums are reproducible. They come out the same to the last bit."""
+    """Limit OpenCV to one thread, so that sums are the same to the last bit."""
     with _THREAD_COUNT:
         before = cv2.getNumThreads()
         cv2.setNumThreads(1)
@@ -368,13 +369,13 @@ def _undetermined(camera: str, found: str) -> CalibrationError:
     return CalibrationError(
         f"camera {camera}",
         found=found,
-        expected="a target that is tilted differently from view to view",
+        expected="a target with a different tilt in each view",
         remedy="Add poses in which the target is tilted by 20–40° to either side",
     )
 
 
 def _direct_linear(camera: str, points: Float64[Array, "n 3"], uv: Float64[Array, "n 2"]) -> Float64[Array, 10]:
-    """Direct linear transformation from one view of a solid target. Lens distortion zero."""
+    """Direct linear transformation from one view of a spatial target. Lens distortion is zero."""
     centre, spread = points.mean(axis=0), float(points.std())
     middle, extent = uv.mean(axis=0), float(uv.std())
     ideal = np.column_stack([(points - centre) / spread, np.ones(len(points))])
@@ -396,7 +397,7 @@ def _direct_linear(camera: str, points: Float64[Array, "n 3"], uv: Float64[Array
     matrix /= matrix[2, 2]
     values = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *np.zeros(6)])
     if not (np.isfinite(values).all() and min(values[:2]) > 0):
-        raise _undetermined(camera, "points that determine no focal length")
+        raise _undetermined(camera, "points that do not determine a focal length")
     return values
 
 
@@ -415,10 +416,10 @@ def _poses(
 def resect(
     points: Float64[Array, "n 3"], uv: Float64[Array, "n 2"], intrinsics: Float64[Array, 10]
 ) -> Transform | None:
-    """Find camera_from_target from one view by the given intrinsics.
+    """Find camera_from_target from one view with given intrinsics.
 
-    None where no pose puts the points in front. Of a flat target's two possible tilts the one that fits better, both
-    refined.
+    None if no pose puts the points in front of the camera. Both possible tilts of a flat target are refined, and the
+    better one is returned.
     """
     distorted = (uv - intrinsics[2:4]) / intrinsics[:2]
     ideal = undistort(distorted, intrinsics[4:9])

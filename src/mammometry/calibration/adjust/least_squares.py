@@ -1,7 +1,7 @@
 """Levenberg–Marquardt on normal equations.
 
-Knows nothing of cameras. The first parameters are dense: all are coupled. Any number of triples follow, coupled only
-through the first. They are eliminated first (Schur complement).
+Independent of cameras. The first parameters are dense. Any number of triples follow that are coupled only through the
+first parameters; they are eliminated first (Schur complement).
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ S = TypeVar("S")
 _DAMPING_START = 1e-4
 """First damping, relative to the matrix's diagonal."""
 DAMPING_LEAST = 1e-12
-"""Least damping: below, rounding is larger."""
+"""Smallest damping: below it, rounding is larger."""
 _DAMPING_MOST = 1e12
-"""Damping from which on no step can lower the cost."""
+"""Damping from which on no step can reduce the cost."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,12 +54,12 @@ class NormalEquations:
         )
 
     def without_triples(self) -> NormalEquations:
-        """Normal equations of the coupled parameters alone, with the triples fixed."""
+        """Normal equations of the dense parameters alone, with the triples fixed."""
         size = len(self.matrix)
         return replace(self, cross=self.cross[:, :0], triples=self.triples[:0], gradient=self.gradient[:size])
 
     def minus(self, other: NormalEquations) -> NormalEquations:
-        """Without what some of the observations contributed."""
+        """Normal equations without the contribution of some observations."""
         return NormalEquations(
             matrix=self.matrix - other.matrix,
             cross=self.cross - other.cross,
@@ -68,7 +68,7 @@ class NormalEquations:
         )
 
     def holding(self, held: Bool[Array, " p"]) -> NormalEquations:
-        """With parameters that keep their values: ones on the diagonal."""
+        """Normal equations with held parameters: ones on the diagonal."""
         matrix, cross, gradient = self.matrix.copy(), self.cross.copy(), self.gradient.copy()
         matrix[held], matrix[:, held], cross[held] = 0.0, 0.0, 0.0
         gradient[: len(matrix)][held] = 0.0
@@ -94,13 +94,13 @@ class NormalEquations:
 
 @runtime_checkable
 class Problem(Protocol[S]):
-    """Problem to minimise: half a sum of squares, or a robust cost. The state may be of any kind."""
+    """Problem to minimise: half a sum of squares, or a robust cost. The state may have any type."""
 
     def cost(self, state: S) -> float:
-        """Half the (robust) sum of squares. Infinite where the state is impossible."""
+        """Half the (robust) sum of squares. Infinite if the state is impossible."""
 
     def normal_equations(self, state: S) -> NormalEquations:
-        """Gauss–Newton matrix and gradient by a small step of the state."""
+        """Gauss–Newton matrix and gradient with respect to a small step of the state."""
 
     def moved(self, state: S, step: Float64[Array, " q"]) -> S:
         """The state after a small step."""
@@ -108,13 +108,13 @@ class Problem(Protocol[S]):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Minimum(Generic[S]):
-    """The minimum that the descent reached."""
+    """Result of a minimisation."""
 
     state: S
     cost: float
     iterations: int
     converged: bool
-    """Whether the step that was left is shorter than the tolerance."""
+    """Whether the remaining step is shorter than the tolerance."""
 
 
 class SingularNormalEquationsError(ValueError):
@@ -123,17 +123,17 @@ class SingularNormalEquationsError(ValueError):
     def __init__(self, parameter: int) -> None:
         super().__init__(f"parameter {parameter} is not determined")
         self.parameter = parameter
-        """Index of the parameter with the largest part in what is undetermined."""
+        """Index of the parameter with the largest share in the undetermined direction."""
 
 
 def minimise(problem: Problem[S], start: S, *, max_iterations: int, tolerance: float = 1e-5) -> Minimum[S]:
-    """Descend from `start` by Levenberg–Marquardt with Marquardt's scaling.
+    """Minimise from `start` by Levenberg–Marquardt with Marquardt's scaling.
 
     Args:
-        problem: what is minimised.
-        start: where to begin; its cost must be finite.
-        max_iterations: at most so many accepted or refused steps.
-        tolerance: end when the Newton step that is left is this many standard deviations long (of unit weight).
+        problem: the problem.
+        start: initial state; its cost must be finite.
+        max_iterations: largest number of accepted and rejected steps.
+        tolerance: stop when the remaining Newton step is this many standard deviations long (of unit weight).
     """
     state, cost = start, problem.cost(start)
     damping = _DAMPING_START
@@ -153,7 +153,7 @@ def minimise(problem: Problem[S], start: S, *, max_iterations: int, tolerance: f
             if small:
                 return Minimum(state=state, cost=cost, iterations=iteration, converged=True)
             equations = problem.normal_equations(state)
-        elif decrement < max(tolerance**2, 1e-12 * cost):  # the cost is the same within its rounding
+        elif decrement < max(tolerance**2, 1e-12 * cost):  # the cost differs by rounding only
             return Minimum(state=state, cost=cost, iterations=iteration, converged=True)
         else:
             damping = max(damping, 1e-8) * 10
@@ -163,7 +163,7 @@ def minimise(problem: Problem[S], start: S, *, max_iterations: int, tolerance: f
 
 
 def inverse(equations: NormalEquations) -> Float64[Array, "p p"]:
-    """Covariance of the coupled parameters, for observations of unit weight. The triples are left out.
+    """Covariance of the dense parameters, for observations of unit weight.
 
     Raises:
         SingularNormalEquationsError: the matrix is not positive definite to working precision.
@@ -181,7 +181,7 @@ def inverse(equations: NormalEquations) -> Float64[Array, "p p"]:
 
 
 def damped_step(equations: NormalEquations, damping: float) -> Float64[Array, " q"] | None:
-    """The step that Marquardt's damping leaves. None where the matrix is not positive definite."""
+    """The step with Marquardt's damping. None if the matrix is not positive definite."""
     scale = np.maximum(equations.scale, np.finfo(np.float64).tiny)
     size = len(equations.matrix)
     scaled = equations.scaled(scale).damped(damping)

@@ -1,10 +1,12 @@
-"""Cross-validation: poses left out should fit as well as the others.
+"""Cross-validation: residuals of poses that were left out of the adjustment.
 
-The adjustment without some poses starts at the minimum of all, which is near. Their part of the normal equations can
-be subtracted from the whole. So a single step leads there, at the price of one look at each observation for all folds.
-Even a flawless model fits what it has seen better than what it has not, by as much as it has unknowns for its
-observations. How much that is, is found by doing the same once more to residuals of the same sizes whose signs were
-drawn, so that neighbours no longer share theirs (the wild bootstrap: Wu 1986, Annals of Statistics 14).
+The adjustment without some poses starts at the minimum of all poses, which is near. Their contribution is subtracted
+from
+the normal equations, so that a single step is enough and each observation is evaluated once for all folds. Even a
+correct
+model fits used poses better than unused ones, by an amount that depends on the number of unknowns. This amount is found
+by repeating the procedure with residuals whose signs are random, which removes correlations between neighbours (wild
+bootstrap: Wu 1986, Annals of Statistics 14).
 """
 
 from __future__ import annotations
@@ -21,47 +23,48 @@ from mammometry.calibration.adjust.robust import GROUPS, Solved
 from mammometry.geometry.arrays import Array, Int64
 
 _FOLDS = 12
-"""Groups in which poses are left out, for speed. Rigs of up to twelve poses leave out one at a time."""
+"""Number of groups of left-out poses, for speed. Rigs with up to twelve poses leave out one at a time."""
 _STEPS = 6
-"""Levenberg–Marquardt steps without a fold, at most. It starts near its minimum."""
+"""Most Levenberg–Marquardt steps without a fold, which starts near its minimum."""
 _NEAR = 0.1  # standard deviations
-_LINEAR = 0.1  # by which share the cost may fall otherwise than the linear problem's
+_LINEAR = 0.1  # largest relative difference of the cost's decrease from the linear problem's
 _NO_PRIOR = 1e9
-"""Factor on a prior's standard deviation that makes it tell nothing."""
-_SEED = 0  # of the signs: the same calibration says the same twice
+"""Factor on a prior's standard deviation that makes it ineffective."""
+_SEED = 0  # of the random signs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LeftOut:
-    """Residuals of poses with and without them in the adjustment."""
+    """Residuals of poses that were used and left out."""
 
     poses: int
-    """Number of poses that could be left out: all but those that a camera needs."""
+    """Number of poses that could be left out without leaving a camera undetermined."""
     fitted_px: float
-    """RMS length of these poses' residuals in the adjustment of all."""
+    """RMS length of these poses' residuals in the adjustment of all poses."""
     left_out_px: float
-    """The same with each pose left out in turn: everything else is adjusted without it, then only its target's
-    placement is found, with the points from the other poses."""
+    """The same with each pose left out in turn: everything is adjusted without it, then only its target's placement is
+    estimated, with points from the other poses."""
     chance_ratio: float
     """`ratio` for errors of the same size that are independent between points: the effect of the number of unknowns
-    alone."""
+    only.
+    """
 
     @property
     def ratio(self) -> float:
-        """Left out over fitted residuals. 1 if the cameras fit unseen poses as well as seen ones."""
+        """RMS of left-out over that of used poses. 1 if the cameras fit unused poses as well as used ones."""
         return self.left_out_px / self.fitted_px
 
     @property
     def excess(self) -> float:
-        """`ratio` over `chance_ratio`: 1 where the model is right. More where a pose errs as a whole."""
+        """`ratio` over `chance_ratio`: 1 if the model is right, more if errors are shared within a pose."""
         return self.ratio / self.chance_ratio
 
 
 def leave_poses_out(solved: Solved) -> LeftOut | None:
-    """Leave out each shared pose in turn, many poses in groups.
+    """Leave out each shared pose in turn, in groups if there are many.
 
-    None if no pose can be spared. If no shared pose can be, as with one exposure of a surveyed target, the cameras'
-    separate photographs are left out instead.
+    If no shared pose can be spared, as with one exposure of a surveyed target, the cameras' separate photographs are
+    left out instead. None if none of them can be spared either.
     """
     for group in range(GROUPS):
         found = _left_out(solved, group)
@@ -74,7 +77,7 @@ def leave_poses_out(solved: Solved) -> LeftOut | None:
 
 
 def _with_drawn_signs(solved: Solved) -> Solved:
-    """Simulate independent errors of the same sizes, and their minimum."""
+    """Simulate independent errors of the same sizes, and minimise."""
     problem, state = solved.problem, solved.state
     residual_px, _ = residuals(problem.network, state)
     signs = np.random.default_rng(_SEED).choice([-1.0, 1.0], size=(len(residual_px), 1))
@@ -84,7 +87,7 @@ def _with_drawn_signs(solved: Solved) -> Solved:
 
 
 def _left_out(solved: Solved, group: int) -> tuple[int, float, float] | None:
-    """Number of a group's poses that could be left out, and their RMS residuals fitted and left out, px."""
+    """Number of a group's poses that could be left out, and their RMS residuals used and left out, px."""
     problem, state = solved.problem, solved.state
     network = problem.network
     fitted_px, _ = residuals(network, state)
@@ -114,7 +117,7 @@ def _left_out(solved: Solved, group: int) -> tuple[int, float, float] | None:
 
 
 def _adjusted_without(without: Adjustment, state: State, equations: NormalEquations) -> State:
-    """Take one Newton step from the minimum of all poses. Minimise in full where the cost falls otherwise."""
+    """Take one Newton step from the minimum of all poses. Minimise fully if the cost does not fall as predicted."""
     step = damped_step(equations.holding(without.held), DAMPING_LEAST)
     if step is not None:
         stepped = without.moved(state, step)
@@ -125,7 +128,7 @@ def _adjusted_without(without: Adjustment, state: State, equations: NormalEquati
 
 
 def _of_views(problem: Adjustment, members: Int64[Array, " v"], state: State) -> NormalEquations:
-    """Contribution of these views alone to the normal equations, nothing held."""
+    """Contribution of these views to the normal equations, with nothing held."""
     network = problem.network.of_views(members.tolist())
     network = replace(
         network,
@@ -137,10 +140,7 @@ def _of_views(problem: Adjustment, members: Int64[Array, " v"], state: State) ->
 
 
 def _holding(problem: Adjustment, stations: Sequence[int]) -> Adjustment:
-    """Hold these stations and no other.
-
-    They are those left out, which nothing determines, and one as the datum.
-    """
+    """Hold only these stations: those left out, which are undetermined, and one as the datum."""
     held = problem.held.copy()
     for station in range(len(problem.network.stations)):
         held[problem.network.columns_of_station(station)] = station in stations
@@ -148,7 +148,7 @@ def _holding(problem: Adjustment, stations: Sequence[int]) -> Adjustment:
 
 
 def _placing(problem: Adjustment, members: Int64[Array, " v"], stations: Sequence[int]) -> Adjustment:
-    """Problem of these stations' placements alone. Cameras and the target's points stay fixed."""
+    """Problem of these stations' placements alone. Cameras and target points are fixed."""
     network = problem.network.of_views(members.tolist())
     network = replace(network, prior_mm=np.full_like(network.prior_mm, np.inf))
     held = np.ones_like(problem.held)

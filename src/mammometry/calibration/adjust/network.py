@@ -1,9 +1,9 @@
 """Observations of a rig as plain arrays for the adjustment.
 
-A *view* is one detection: one camera's view of the target in one *station*. A station is one placement of a target: a
-pose that all cameras share, or one that a single camera saw by itself (a photograph for its intrinsics). Parameters
-per camera: intrinsics, then rotation and perspective centre. Per station: rotation and translation. Where free, also
-the target's points. Rotations move by a small rotation vector from the left.
+A *view* is one camera's detection of the target in one *station*. A station is one placement of a target: a pose shared
+by all cameras, or one seen by a single camera (a photograph for its intrinsics). Parameters per camera: intrinsics,
+rotation and perspective centre. Per station: rotation and translation. Also the target's points, if free. Rotations are
+updated by a small rotation vector from the left.
 """
 
 from __future__ import annotations
@@ -22,18 +22,19 @@ POSE_NAMES_STATION = ("rotation_x_rad", "rotation_y_rad", "rotation_z_rad", "x_m
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Network:
-    """The observations, flattened: views in order, their points one after the other."""
+    """The observations as arrays: views in order, with their points one after another."""
 
     cameras: tuple[str, ...]
     stations: tuple[str, ...]
-    """The first one's frame is the world."""
+    """Names. The first station's frame is the world."""
     view_camera: Int64[Array, " v"]
     view_station: Int64[Array, " v"]
     view_group: Int64[Array, " v"]
-    """Group of each view: 0 the rig's target, 1 the intrinsics'. A group shares one factor on its detections'
+    """Group of each view: 0 for the rig's target, 1 for intrinsics photographs. A group has one factor on its
+    detections'
     covariances."""
     view_start: Int64[Array, " v1"]
-    """Index of each view's first point. One more at the end."""
+    """Index of each view's first point, and the number of points at the end."""
     point: Int64[Array, " n"]
     """Row of the state's `points`."""
     uv: Float64[Array, "n 2"]
@@ -44,9 +45,9 @@ class Network:
     intrinsic_names: tuple[str, ...]
     """Names of the adjusted intrinsic parameters."""
     prior_intrinsics: Float64[Array, "c 10"]
-    """What is known of the intrinsic values beforehand."""
+    """Prior values of the intrinsics."""
     prior_intrinsics_std: Float64[Array, "c 10"]
-    """Its standard deviation. Infinite where nothing is known."""
+    """Their standard deviation. Infinite without a prior."""
     nominal_points: Float64[Array, "p 3"]
     """All targets' points, each in its target's frame, mm."""
     prior_mm: Float64[Array, "p 3"]
@@ -90,13 +91,13 @@ class Network:
         return len(self.cameras) * self.per_camera + 6 * station + np.arange(6)
 
     def columns_of_intrinsic(self, name: str) -> Int64[Array, " c"]:
-        """Column of one intrinsic parameter of each camera. Empty where the model has none."""
+        """Column of one intrinsic parameter of each camera. Empty if the model does not have it."""
         if name not in self.intrinsic_names:
             return np.empty(0, np.int64)
         return np.arange(len(self.cameras)) * self.per_camera + self.intrinsic_names.index(name)
 
     def of_views(self, views: Sequence[int]) -> Network:
-        """Network of the same cameras, stations and points, seen in these views only."""
+        """Network of the same cameras, stations and points with these views only."""
         rows = np.concatenate([np.arange(self.view_start[i], self.view_start[i + 1]) for i in views])
         chosen = np.asarray(views)
         return replace(
@@ -129,7 +130,7 @@ class State:
 
 
 def tie_of(names: Sequence[str]) -> Float64[Array, "10 m"]:
-    """Matrix from adjusted parameters to the ten intrinsic values. ``f_px`` is both focal lengths."""
+    """Matrix from adjusted parameters to the ten intrinsic values. ``f_px`` sets both focal lengths."""
     unit = dict(zip(INTRINSIC_NAMES, np.eye(len(INTRINSIC_NAMES)), strict=True))
     unit["f_px"] = unit["fx_px"] + unit["fy_px"]
     return np.stack([unit[name] for name in names], axis=1)
@@ -145,7 +146,7 @@ def residuals(network: Network, state: State) -> tuple[Float64[Array, "n 2"], Fl
 
 
 def into_camera(network: Network, state: State, part: slice) -> tuple[Float64[Array, "n 3"], Float64[Array, "n 3"]]:
-    """Points turned to the world's directions but not yet moved, and in the camera's frame, mm."""
+    """Points rotated into the world's directions but not translated, and points in the camera's frame, mm."""
     view = network.view[part]
     camera, station = network.view_camera[view], network.view_station[view]
     turned = np.einsum("nij,nj->ni", state.station_rotation[station], state.points[network.point[part]])
@@ -154,5 +155,5 @@ def into_camera(network: Network, state: State, part: slice) -> tuple[Float64[Ar
 
 
 def before_camera(points_camera: Float64[Array, "n 3"], keep: Bool[Array, " n"]) -> Float64[Array, "n 3"]:
-    """Put points behind the camera onto its axis, unless kept. Their depth is judged, not their image."""
+    """Move points behind the camera onto its axis, unless kept, so that their projection is finite."""
     return np.where(((points_camera[:, 2] <= 0) & ~keep)[:, None], (0.0, 0.0, 1.0), points_camera)

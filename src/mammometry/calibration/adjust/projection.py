@@ -1,6 +1,6 @@
-"""Camera with analytic derivatives, many points at once, and what is known of a lens beforehand.
+"""Projection of many points with analytic derivatives, and priors on lenses.
 
-The same model as `geometry.camera.Camera`, its oracle in the tests, and a skew. The lens is `geometry.lens`.
+The model is that of `geometry.camera.Camera` plus a skew. The lens is `geometry.lens`.
 """
 
 from __future__ import annotations
@@ -14,13 +14,14 @@ from mammometry.base.value import value
 from mammometry.geometry import Array, Camera, Float64, lens
 
 INTRINSIC_NAMES = ("fx_px", "fy_px", "cx_px", "cy_px", *lens.COEFFICIENTS, "skew_px")
-"""Order of a camera's ten intrinsic values everywhere in the adjustment. The skew, u's change with the distorted y, is
-zero in every camera that we return. Only published calibrations of older cameras have one."""
+"""Order of a camera's ten intrinsic values in the adjustment. The skew, the change of u with the distorted y, is zero
+in
+every camera that we return. Only published calibrations of older cameras have one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Projection:
-    """Image points and what they depend on."""
+    """Image points and their derivatives."""
 
     uv: Float64[Array, "n 2"]
     """Distorted pixels."""
@@ -79,27 +80,26 @@ def _pixels(
 
 
 LENS_NAMES = INTRINSIC_NAMES[:9]
-"""Parameters of which something may be known beforehand."""
+"""Parameters that may have a prior."""
 
 
 @value(eq=False)
 class CameraPrior:
-    """A camera's earlier lens, each parameter free, fixed or softly held.
+    """An earlier lens of a camera, with each parameter free, fixed or weighted.
 
-    Only the lens is kept. Where the camera stands is found again, so that a moved camera is detected and not pulled
-    back.
+    Only the lens is used. The camera's pose is estimated again, so that a moved camera is noticed.
     """
 
     camera: Camera
-    """Its matrix and distortion count."""
+    """Camera with the lens. Its pose is not used."""
     std: Mapping[str, float]
-    """Parameter (``fx_px`` … ``k3``) → standard deviation, px or dimensionless. Zero fixes it. Missing ones are free.
-    """
+    """Parameter (``fx_px`` … ``k3``) → standard deviation, px or dimensionless. Zero fixes it. Missing ones are
+    free."""
 
     def __post_init__(self) -> None:
         for name, std in self.std.items():
             if name not in LENS_NAMES or not (np.isfinite(std) and std >= 0):
-                raise ValueError(f"{self.camera.name}: no prior can have a standard deviation of {std} in {name}")
+                raise ValueError(f"{self.camera.name}: a prior of {name} cannot have the standard deviation {std}")
 
     @property
     def intrinsics(self) -> Float64[Array, 10]:
@@ -108,10 +108,10 @@ class CameraPrior:
 
     @property
     def intrinsics_std(self) -> Float64[Array, 10]:
-        """Standard deviations of the intrinsics' pull. Infinite if free, or fixed and in need of none."""
+        """Standard deviations of the priors. Infinite if the parameter is free or fixed."""
         return np.array([self.std.get(name) or np.inf for name in INTRINSIC_NAMES])
 
     @property
     def fixed(self) -> frozenset[str]:
-        """Names of the parameters that stay."""
+        """Names of the fixed parameters."""
         return frozenset(name for name, std in self.std.items() if std == 0)

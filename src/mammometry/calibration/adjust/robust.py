@@ -1,10 +1,13 @@
-"""Robust adjustment: the noise, gross errors left out, and the parameters' covariance.
+"""Robust adjustment: noise estimate, outliers, and the parameters' covariance.
 
-Corner errors of one photograph are not independent: defocus, light and the lens's remainder shift neighbours alike.
-The inverse of the normal matrix does not include this. The scatter of the views' own pulls on the minimum does: V = Σ
-dᵥ dᵥᵀ, with dᵥ the step towards which view v's residuals pull. This is the *sandwich* covariance clustered by views,
-with the small-sample correction CR2 (Bell and McCaffrey 2002, Survey Methodology 28): a view has drawn its own camera
-and station towards itself, so its residuals are smaller than its errors.
+Corner errors of one photograph are not independent: defocus, light and lens errors shift neighbours alike. The inverse
+of
+the normal matrix does not include this, but the scatter between views does: V = Σ dᵥ dᵥᵀ, where dᵥ is the step that
+    view
+v's residuals cause. This is the *sandwich* covariance clustered by views, with the small-sample correction CR2 (Bell
+and
+McCaffrey 2002, Survey Methodology 28): each view has affected its own camera and station, so its residuals are smaller
+than its errors.
 """
 
 from __future__ import annotations
@@ -19,11 +22,11 @@ from mammometry.calibration.adjust.network import Network, State, residuals
 from mammometry.geometry.arrays import Array, Bool, Float64
 
 HUBER_MAD = 3.0
-"""Residuals up to this many robust standard deviations count in full, larger ones linearly."""
+"""Robust standard deviations up to which residuals count quadratically; larger ones count linearly."""
 REJECT_SIGMA = 10.0
-"""Robust standard deviations beyond which points are left out of the last adjustment. Photographs of one capture differ
-twofold in noise, so ten of all photographs' are five of the worst one's. Nearer points do no harm, since they count
-linearly only."""
+"""Robust standard deviations beyond which points are excluded from the last adjustment. Photographs of one capture
+differ twofold in noise, so ten for all photographs are five for the worst one. Smaller outliers do no harm, since they
+count linearly only."""
 _MAX_ITERATIONS = 50
 """Levenberg–Marquardt steps of one adjustment. 5–15 are usual."""
 
@@ -33,19 +36,19 @@ RAYLEIGH_MEDIAN = float(np.sqrt(2 * np.log(2)))
 """Median length of a two-dimensional residual with unit standard deviation in each coordinate."""
 
 _SIGMA_ROUNDS = 8
-"""Estimates of the noise, at most."""
+"""Most estimates of the noise."""
 _SIGMA_SETTLED = 0.01
-"""Relative change of the noise that counts as none."""
+"""Relative change of the noise below which it has converged."""
 _LEAST_SIGMA = 0.05
-"""Least factor on the detections' standard deviations: exact pictures would have none."""
-_ROUGH = 1e-2  # standard deviations: enough while noise and outliers are still being found
+"""Smallest factor on the detections' standard deviations: exact synthetic images would have none."""
+_ROUGH = 1e-2  # standard deviations: tolerance while noise and outliers are estimated
 _REJECT_ROUNDS = 3
-"""Times that outliers are sought again, at most."""
+"""Most searches for outliers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solved:
-    """A problem without its outliers, and its minimum."""
+    """A problem without outliers, and its minimum."""
 
     problem: Adjustment
     minimum: Minimum[State]
@@ -57,7 +60,7 @@ class Solved:
 
 
 def adjusted(network: Network, held: Bool[Array, " p"], start: State) -> Solved:
-    """Adjust with the noise estimated along the way, then without outliers."""
+    """Adjust while estimating the noise, then without outliers."""
     problem = Adjustment(
         network=network, active=np.ones(len(network.uv), bool), held=held, group_sigma=np.ones(GROUPS), huber=HUBER_MAD
     )
@@ -78,7 +81,7 @@ def adjusted(network: Network, held: Bool[Array, " p"], start: State) -> Solved:
 
 
 def bad_views(network: Network, state: State, ratio: float, least_px: float) -> dict[int, float]:
-    """View → median residual, px, if far beyond its group's others."""
+    """View → median residual, px, of views far above the others of their group."""
     residual_px, depth = residuals(network, state)
     length = np.where(depth > 0, np.linalg.norm(residual_px, axis=1), np.inf)
     starts = network.view_start
@@ -98,7 +101,7 @@ def robust_sigma(lengths: Float64[Array, " n"]) -> float:
 
 
 def _with_sigma(problem: Adjustment, state: State) -> Adjustment:
-    """Replace each group's noise by that of its active points' residuals."""
+    """Update each group's noise from the residuals of its used points."""
     length = problem.whitened_lengths(state)
     group = problem.network.view_group[problem.network.view]
     sigma = problem.group_sigma.copy()
@@ -109,15 +112,13 @@ def _with_sigma(problem: Adjustment, state: State) -> Adjustment:
     return replace(problem, group_sigma=sigma)
 
 
-_LEAST_REST = 0.1  # a view that tells nine tenths of what is known of something cannot be judged by the others
+_LEAST_REST = 0.1  # smallest share of the other views' information about a view's parameters
 _LEAST_SHARE = 1e-12
-"""Smallest share that is divided by, against rounding."""
+"""Smallest share used as a divisor, against rounding."""
 
 
 def independent_covariance(solved: Solved) -> Float64[Array, "p p"]:
-    """Inverse normal matrix of cameras and stations, times the residuals' variance factor.
-
-    Zero where held.
+    """Inverse normal matrix of cameras and stations, times the residuals' variance factor. Zero if held.
 
     Raises:
         SingularNormalEquationsError: the observations do not determine the parameters.
@@ -136,11 +137,12 @@ def independent_covariance(solved: Solved) -> Float64[Array, "p p"]:
 
 
 def clustered_covariance(solved: Solved, independent: Float64[Array, "p p"]) -> Float64[Array, "p p"]:
-    """Covariance of errors that the points of a view share.
+    """Covariance of errors shared by the points of a view.
 
-    Nowhere below the independent one. There are fewer views than parameters, so that directions in which no view
-    happens to pull would seem to be known exactly, and others too badly. In the independent covariance's units, in
-    which they all are alike where errors are independent, the variances are therefore drawn half-way to their mean.
+    It is nowhere below the independent covariance. There are fewer views than parameters, so some directions would seem
+    exact and others too uncertain. Therefore the variances, in units of the independent ones, are moved half-way to
+    their
+    mean.
     """
     free = ~solved.problem.held
     lower = np.linalg.cholesky(independent[np.ix_(free, free)])
@@ -153,7 +155,7 @@ def clustered_covariance(solved: Solved, independent: Float64[Array, "p p"]) -> 
 
 
 def _shifts(solved: Solved) -> Float64[Array, "v p"]:
-    """Newton step towards which each view's residuals pull, its leverage undone."""
+    """Newton step due to each view's residuals, corrected for leverage."""
     problem, state = solved.problem, solved.state
     equations = problem.normal_equations(state)
     _, by_triple = equations.reduced()
@@ -175,10 +177,10 @@ def _shifts(solved: Solved) -> Float64[Array, "v p"]:
 def _without_leverage(
     flat: Float64[Array, "m k"], covariance: Float64[Array, "k k"], residual: Float64[Array, " m"]
 ) -> Float64[Array, " m"]:
-    """A view's residuals without leverage: (1 − J C Jᵀ)^−½ r.
+    """A view's residuals corrected for leverage: (1 − J C Jᵀ)^−½ r.
 
-    J is by the view's own camera and station. The result is as large as the errors. The target's points, which all
-    views share, are taken as fixed here.
+    J is the derivative by the view's own camera and station. The result is as large as the errors. The target's points,
+    which all views share, are taken as fixed.
     """
     root = flat @ np.linalg.cholesky(covariance)
     shares, vectors = np.linalg.eigh(root.T @ root)

@@ -1,4 +1,4 @@
-"""Find the target in photographs, measure its points to .01 px, or say why it was not found."""
+"""Find the target in photographs and measure its points to 0.01 px, or explain why it was not found."""
 
 from __future__ import annotations
 
@@ -32,27 +32,27 @@ def points_from_table(
     *,
     std_px: float | Sequence[float] = 0.2,
 ) -> FoundPoints:
-    """Check a table of measured points and bring it into order.
+    """Check a table of measured points and sort it.
 
     Args:
-        name: what to call the table in messages, e.g. ``calibration/00/front_left.csv``.
-        ids: which points of the target: positions in its list, from 0.
+        name: its name in messages, e.g. ``calibration/00/front_left.csv``.
+        ids: index of each point in the target's list, from 0.
         uv: distorted pixels, integers at pixel centres.
         target: the target.
         size_wh: the photograph's size, pixels.
         std_px: standard deviation of a coordinate, pixels, one for all or one for each point.
 
     Raises:
-        CalibrationError: no points, an id that is unknown or there twice, a point outside the photograph, or a
-            standard deviation that is not positive.
+        CalibrationError: no points, an unknown or duplicate id, a point outside the photograph, or a standard deviation
+            that is not positive.
     """
     count = len(target.points_target)
     deviation = np.broadcast_to(np.asarray(std_px, np.float64), (len(ids),))
     if not len(ids):
-        raise _error(name, "no points", f"ids from 0 to {count - 1} with their u and v", "Measure some, or remove it")
+        raise _error(name, "no points", f"ids from 0 to {count - 1} with u and v", "Add points, or remove the table")
     for number in ids.tolist():
         if not 0 <= number < count:
-            expected = f"0 to {count - 1}, positions in the target's list"
+            expected = f"0 to {count - 1}, indices in the target's list"
             raise _error(name, f"id {number}", expected, "Correct the id; the first point is 0")
     numbers, repeats = np.unique(ids, return_counts=True)
     if (repeats > 1).any():
@@ -64,7 +64,7 @@ def points_from_table(
         expected = f"pixels inside the photograph of {size_wh[0]} × {size_wh[1]}"
         raise _error(name, found, expected, "Give u (column) and v (row) in pixels, 0 at the first pixel's centre")
     if not (np.isfinite(deviation) & (deviation > 0)).all():
-        raise _error(name, "a standard deviation that is not positive", "pixels above 0", "Leave it out if unknown")
+        raise _error(name, "a standard deviation that is not positive", "pixels above 0", "Omit it if unknown")
     order = np.argsort(ids)
     covariance = deviation[order, None, None] ** 2 * np.eye(2)
     return FoundPoints(ids=ids[order], uv=uv[order], covariance_px2=covariance)
@@ -75,21 +75,21 @@ def _error(name: str, found: str, expected: str, remedy: str) -> CalibrationErro
 
 
 _WHITE, _MAX_WHITE_SHARE = 252, 0.35
-"""Overexposed grey level of 255, and its share in an over-exposed picture. Chosen by eye."""
+"""Grey level of 255 that counts as overexposed, and its share in an overexposed image."""
 _DARK = 40
-"""Brightest grey level of a picture that is nearly black. Chosen by eye."""
+"""Brightest grey level of an image that is nearly black."""
 _MIN_STEP = 0.16
-"""Share of the picture's contrast that a sharp edge climbs from one reduced pixel to the next. A smeared one climbs
+"""Share of the image's contrast that a sharp edge rises between two pixels of the reduced image; a blurred one rises
 less."""
 _MIN_CONTRAST = 50
-"""Grey levels between dark and bright above which a picture without edges is called blurred. Chosen by eye."""
+"""Grey levels between dark and bright above which an image without edges is called blurred."""
 
 NOT_IN_VIEW = Cause(found="no target", remedy="")
-"""Nothing in the photograph says that the target should have been found."""
+"""Nothing suggests that the photograph shows the target."""
 
 
 def diagnose(photograph: Photograph, target: Target) -> Cause:
-    """Say why a photograph has no detection."""
+    """Explain why a photograph has no detection."""
     small, _ = reduced(grey_bytes(photograph), SEARCH_WIDTH_PX)
     return explain_miss(target, small) or _about_exposure(small) or NOT_IN_VIEW
 
@@ -98,23 +98,22 @@ def _about_exposure(small: UInt8[Array, "h w"]) -> Cause | None:
     low, high = (float(level) for level in np.percentile(small, (1, 99.5)))
     white = float((small >= _WHITE).mean())
     if white > _MAX_WHITE_SHARE:
-        return Cause(found=f"an over-exposed picture: {100 * white:.0f} % of it is white", remedy="Expose it less")
+        return Cause(found=f"an overexposed image: {100 * white:.0f} % of it is white", remedy="Expose it less")
     if high < _DARK:
-        return Cause(found="a picture that is nearly black", remedy="Expose it more, or check its flash")
+        return Cause(found="an image that is nearly black", remedy="Expose it more, or check its flash")
     steps = np.abs(np.diff(small.astype(np.float32), axis=1))
     if high - low > _MIN_CONTRAST and float(np.percentile(steps, 99.9)) < _MIN_STEP * (high - low):
         return Cause(
-            found="a picture without one sharp edge: blurred by motion or focus, or without the target",
-            remedy="Focus on the board and hold it still while it is exposed",
+            found="an image without sharp edges: blurred by motion or focus, or without the target",
+            remedy="Focus on the board and keep it still during the exposure",
         )
     return None
 
 
 SEARCH_WIDTH_PX = 1100
-"""Width of the reduced picture in which the target is searched. Only its scale matters for finding. The final
-measurement uses the original pixels."""
+"""Width of the reduced image in which the target is searched. The points are then measured in the original image."""
 _FLOOR_PX = 0.01
-"""Standard deviation added to every point's own, px: what no fit of one point can show (print, pixel grid)."""
+"""Standard deviation added to every point's own, px, for errors of the print and the pixel grid."""
 _THREADS = 2
 """Photographs processed in parallel. Each needs about 200 MB at 13 megapixels."""
 
@@ -126,31 +125,31 @@ class Detection:
     camera: str
     pose: str
     ids: Int64[Array, " n"]
-    """Rows of ``target.points_target``. Each at most once, ascending."""
+    """Indices into ``target.points_target``, ascending without duplicates."""
     uv: Float64[Array, "n 2"]
     """Distorted pixels of the original photograph, integers at pixel centres."""
     covariance_px2: Float64[Array, "n 2 2"]
     """Covariance of each point's `uv`, px²."""
     inverse: bool = False
-    """Whether it was found in the photograph's inverse: the target is printed white on black."""
+    """Whether it was found in the inverted photograph: the target is printed white on black."""
 
     def __post_init__(self) -> None:
         if not (len(self.ids) == len(self.uv) == len(self.covariance_px2)):
-            raise ValueError(f"{self.pose}/{self.camera}: ids, uv and covariances differ in number")
+            raise ValueError(f"{self.pose}/{self.camera}: different numbers of ids, uv and covariances")
         if np.any(np.diff(self.ids) <= 0):
-            raise ValueError(f"{self.pose}/{self.camera}: ids must ascend without repetition")
+            raise ValueError(f"{self.pose}/{self.camera}: ids must be ascending without duplicates")
         if not (np.isfinite(self.uv).all() and np.isfinite(self.covariance_px2).all()):
             raise ValueError(f"{self.pose}/{self.camera}: a point or covariance is not finite")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissedView:
-    """A photograph that is not used, and why."""
+    """A photograph that is not used, and the reason."""
 
     camera: str
     pose: str
     found: str
-    """What it shows instead, in words."""
+    """What it shows instead."""
     remedy: str
     """What to do. Empty if nothing is wrong: not every camera sees the target in every pose."""
 
@@ -167,15 +166,15 @@ class Observations:
     sizes_wh: Mapping[str, tuple[int, int]]
     """Camera → image width and height, pixels. Read-only. Cameras that saw nothing are included."""
     detections: tuple[Detection, ...]
-    """In order of pose, then camera. Photographs without the target are left out."""
+    """In order of pose, then camera. Photographs without the target are not included."""
     missed: tuple[MissedView, ...] = ()
-    """Photographs that are not used, and why."""
+    """Photographs that are not used, with reasons."""
 
     def __post_init__(self) -> None:
         count = len(self.target.points_target)
         for detection in self.detections:
             if detection.camera not in self.sizes_wh:
-                raise ValueError(f"no image size is known for camera {detection.camera!r}")
+                raise ValueError(f"no image size for camera {detection.camera!r}")
             if len(detection.ids) and not 0 <= detection.ids.min() <= detection.ids.max() < count:
                 raise ValueError(f"{detection.pose}/{detection.camera}: an id is outside 0…{count - 1}")
 
@@ -196,12 +195,11 @@ def detect_in(
 ) -> Detection | None:
     """Find the target in one photograph.
 
-    None where it is not, or shows fewer than the target's `least_points`. A kind whose numbering is agreed between
-    photographs, as the columns of a dotted cylinder, is numbered from the first points seen; `detect` makes the
-    photographs agree.
+    None if it is not found or has fewer than the target's `least_points`. The columns of a dotted cylinder are numbered
+    from the first one seen; `detect` makes the numbers of all photographs consistent.
 
     Raises:
-        SessionError: the target's description cannot be used (unknown marker dictionary).
+        SessionError: the target's description is invalid (unknown marker dictionary).
     """
     seen = _look(photograph, target, search_width_px)
     if isinstance(seen, Cause | None) or len(seen.ids) < target.least_points:
@@ -219,14 +217,13 @@ def detect(
 ) -> Observations:
     """Find the target in all photographs, keyed by pose and camera.
 
-    The mapping may load them when they are asked for. Photographs without the target have no detection, but a line in
-    `Observations.missed` that says what they show instead; where there are points that were `measured` elsewhere,
-    those count and the photograph is not searched.
+    Photographs may be loaded on look-up. Those without the target have no detection but an explanation in
+    `Observations.missed`. Photographs with `measured` points are not searched.
 
     Raises:
-        CalibrationError: a table of measured points does not fit, or photographs do not agree on the points' numbers.
+        CalibrationError: a table of measured points is wrong, or photographs contradict each other in their numbering.
         ImageError: photographs of one camera differ in size.
-        SessionError: the target's description cannot be used.
+        SessionError: the target's description is invalid.
     """
     keys = sorted(photographs)
 
@@ -257,7 +254,7 @@ def detect(
 
 
 def merged(parts: Sequence[Observations]) -> Observations:
-    """Join the observations of one target from several sets of photographs.
+    """Combine the observations of one target from several sets of photographs.
 
     Raises:
         ImageError: photographs of one camera differ in size.
@@ -265,7 +262,7 @@ def merged(parts: Sequence[Observations]) -> Observations:
     sizes_wh: dict[str, tuple[int, int]] = {}
     for part in parts:
         for camera, size_wh in part.sizes_wh.items():
-            name = f"photographs of pose {', '.join(part.poses)} by {camera}"
+            name = f"photographs of pose {', '.join(part.poses)} of {camera}"
             _require_size(name, camera, size_wh, sizes_wh.setdefault(camera, size_wh))
     detections = sorted((seen for part in parts for seen in part.detections), key=lambda seen: (seen.pose, seen.camera))
     missed = tuple(view for part in parts for view in part.missed)
@@ -273,8 +270,9 @@ def merged(parts: Sequence[Observations]) -> Observations:
 
 
 def _look(photograph: Photograph, target: Target, search_width_px: int) -> FoundPoints | Cause | None:
-    # OpenCV's searches for grids draw at random. Without a fresh start, what is found would depend on the photographs
-    # that the same thread searched before.
+    # OpenCV's grid searches use random numbers. Without a new seed, results would depend on the photographs that the
+    # same
+    # thread searched before.
     cv2.setRNGSeed(0)
     seen = find(target, photograph, search_width_px)
     if not target.has_inverse or (isinstance(seen, FoundPoints) and len(seen.ids)):
@@ -286,7 +284,7 @@ def _look(photograph: Photograph, target: Target, search_width_px: int) -> Found
 
 
 def _look_or_explain(photograph: Photograph, target: Target) -> FoundPoints | Cause:
-    """Find the target, or say why it cannot be used."""
+    """Find the target, or explain why it cannot be used."""
     seen = _look(photograph, target, SEARCH_WIDTH_PX)
     if isinstance(seen, Cause):
         return seen
@@ -296,7 +294,7 @@ def _look_or_explain(photograph: Photograph, target: Target) -> FoundPoints | Ca
         return Cause(
             found=f"{len(seen.uv)} of {len(target.points_target)} points of the target, fewer than "
             f"{target.least_points}",
-            remedy="Have more of it in the picture, larger, or less aslant",
+            remedy="Show more of it, larger or less tilted",
         )
     return seen
 
@@ -324,19 +322,19 @@ def _require_size(name: str, camera: str, size_wh: tuple[int, int], expected_wh:
 
 
 _SAME_PX = 0.1
-"""Median distance of the same points, px. Different cameras are never so near. One camera that stands still is, but
-then all cameras of the pose are."""
+"""Median distance of the same points, px. Different cameras are never so close. One camera at rest is, but then all
+cameras of the pose are."""
 _COPIED_PX = 1e-3
 """Noise alone moves corners by more than this between exposures, px."""
 _COMMON = 0.9
-"""Least share of points that two copies of a picture have in common."""
+"""Smallest share of points that two copies of an image have in common."""
 
 
 def set_duplicates_aside(observations: Observations) -> Observations:
-    """Leave out photographs that are there more than once, and say so.
+    """Exclude photographs that exist more than once, with an explanation.
 
-    A picture may stand under two cameras' names, or in two poses of one camera while the others saw the target move.
-    Neither of the two can be trusted. A whole pose that was copied counts once.
+    An image may have the names of two cameras, or be in two poses of one camera while the others saw the target move.
+    Neither copy is used. A copied whole pose counts once.
     """
     twins: dict[tuple[str, str], list[Detection]] = defaultdict(list)
     for a, b in combinations(observations.detections, 2):
@@ -353,8 +351,8 @@ def set_duplicates_aside(observations: Observations) -> Observations:
         MissedView(
             camera=camera,
             pose=pose,
-            found=f"the same picture as {', '.join(f'{other.pose}/{other.camera}' for other in others)}",
-            remedy="Copy the right photograph there again, or remove the pose",
+            found=f"the same image as {', '.join(f'{other.pose}/{other.camera}' for other in others)}",
+            remedy="Copy the right photograph again, or remove the pose",
         )
         for (pose, camera), others in twins.items()
     ]
@@ -372,7 +370,7 @@ def _stood_still(observations: Observations, a: Detection, b: Detection) -> bool
 
 
 def _distance_px(a: Detection, b: Detection) -> float:
-    """Median distance of the points that both have. Infinite where they are hardly the same points."""
+    """Median distance of the points in both. Infinite if few points are in both."""
     _, i, j = np.intersect1d(a.ids, b.ids, assume_unique=True, return_indices=True)
     if len(i) < _COMMON * max(len(a.ids), len(b.ids)) or not len(i):
         return float("inf")

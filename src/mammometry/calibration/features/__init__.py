@@ -1,1 +1,1 @@
-"""Features measured in a picture of a target: corners, dots, lattices."""
+"""Features measured in images of a target: corners, dots, lattices."""

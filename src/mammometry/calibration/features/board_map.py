@@ -1,7 +1,8 @@
-"""Map of a flat board to a distorted photograph.
+"""Smooth map from a flat board to a distorted photograph: a homography, then a cubic lens polynomial.
 
-A homography, then a cubic lens. The lens is a polynomial of the *picture's* coordinates. So Brown's k1, p1, p2 are met
-exactly, and a board that fills part of the frame needs no more terms than one that fills it all.
+The polynomial is a function of *image* coordinates. So Brown's k1, p1, p2 are represented exactly, and a board that
+fills
+part of the frame needs no more terms than one that fills all of it.
 """
 
 from __future__ import annotations
@@ -16,25 +17,25 @@ from mammometry.calibration.features.pixels import MIN_POINTS
 from mammometry.geometry.arrays import Array, Float64
 
 LENS_TOLERANCE = 0.006
-"""Largest bend of a board away from a homography by lens distortion, picture widths."""
+"""Largest deviation of a board from a homography by lens distortion, image widths."""
 _CUBIC_POINTS = 40
-"""Fewest points for a cubic lens, ten coefficients a coordinate."""
+"""Fewest points for a cubic lens, ten coefficients per coordinate."""
 _QUADRATIC_POINTS = 20
-"""Fewest points for a quadratic lens, six coefficients a coordinate. Fewer get none."""
+"""Fewest points for a quadratic lens, six coefficients per coordinate. With fewer the lens is ignored."""
 _ROUNDS = 3
-"""Fits of homography and lens in turn. Chosen by eye."""
+"""Alternating fits of homography and lens."""
 _RIDGE = 1e-6
-"""Share of the number of points added to the normal equations' diagonal, for points in a line."""
+"""Regularisation: share of the number of points added to the normal equations' diagonal, for points on a line."""
 
 
 def search_tolerance_px(size_wh: tuple[int, int], scale: Float64[Array, 2]) -> float:
-    """How far points found in a reduced picture, of that scale, may lie from a plain homography, pixels."""
+    """Largest distance of points in a reduced image of that scale from a plain homography, px."""
     return LENS_TOLERANCE * max(size_wh) + 2.0 * float(scale.max())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BoardMap:
-    """A smooth map between the board's plane, mm, and the photograph, pixels. Both ways."""
+    """A smooth map between the board's plane, mm, and the photograph, px, in both directions."""
 
     ideal_from_board: Float64[Array, "3 3"]
     """Homography to ideal pixels, those of a lens without distortion."""
@@ -58,7 +59,7 @@ class BoardMap:
 
     def jacobian(self, board_mm: Float64[Array, "n 2"]) -> Float64[Array, "n 2 2"]:
         """Derivative of uv by board coordinates, pixels per mm. Column j belongs to board axis j."""
-        halves = 0.5 * np.eye(2)  # either way: a millimetre together
+        halves = 0.5 * np.eye(2)  # central difference over 1 mm
         columns = [self.image(board_mm + half) - self.image(board_mm - half) for half in halves]
         return np.stack(columns, axis=-1)
 
@@ -68,13 +69,13 @@ def fit_board_map(
 ) -> tuple[BoardMap, np.ndarray] | None:
     """Fit the map robustly.
 
-    Returns it with the mask of the points it explains, or None where there is none. A mirrored picture (board
-    coordinates that turn the other way) has no map: a board is seen from its front.
+    Also returns the mask of the points that it explains. None if there is no map. A mirrored image has none: a board is
+    seen from its front.
 
     Args:
         board_mm: points of the board.
-        uv: where they were seen, pixels.
-        tolerance_px: how far a good point may lie from a plain homography, lens distortion included.
+        uv: their positions in the image, px.
+        tolerance_px: largest distance of a good point from a plain homography, including lens distortion.
     """
     if len(board_mm) < MIN_POINTS:
         return None

@@ -1,9 +1,9 @@
-"""Identify a picture's dots as points of a surveyed target.
+"""Identify an image's dots as points of a surveyed target, by their positions only.
 
-Only their places count. Three neighbouring dots and three neighbouring points give two scaled orthographic cameras
-(Alter 1994). Each is tried on the points around. The best are grown into perspective cameras, point by point. The one
-that explains most dots counts. If another explains nearly as many in another way, the places do not decide and both
-are returned.
+Three neighbouring dots and three neighbouring points give two scaled orthographic cameras (Alter 1994). Each is tested
+on
+the surrounding points. The best are grown into perspective cameras, point by point. The camera that explains most dots
+is chosen. If another explains nearly as many differently, the image is ambiguous and both are returned.
 """
 
 from __future__ import annotations
@@ -19,40 +19,42 @@ from mammometry.calibration.features.pixels import MIN_POINTS
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 
 _NEAREST = 8
-"""Neighbours of a point that can complete its triple."""
+"""Neighbours of a point that may complete its triple."""
 _SEEDS = 6
-"""Dots that triples are started from."""
+"""Dots from which triples are started."""
 _AROUND = 12
-"""Points around the triple on which a start is tried."""
+"""Points around the triple on which a start is tested."""
 _GROWN = 8
-"""Starts of each seed that are grown."""
+"""Starts grown for each seed."""
 _FOCAL_WIDTHS = (1.4, 3.2)
-"""Starting focal lengths, in picture widths. Each is good from half to twice itself."""
+"""Initial focal lengths, in image widths. Each converges from half to twice its value."""
 _LOOSE, _TIGHT = 0.35, 0.12
-"""Largest distance of a dot from its expected place, in distances of neighbouring dots: at first, and at last."""
+"""Largest distance of a dot from its predicted position, in distances between neighbouring dots: at first, and at
+last."""
 _FITTING = 0.015
-"""Largest median distance of a reading's dots from its camera's, in distances of neighbouring dots. A target with its
-relief turned inside out would fit to about a twentieth."""
+"""Largest median distance of a reading's dots from their prediction, in distances between neighbouring dots. A target
+with inverted relief would fit to about a twentieth."""
 _ROUNDS = 5
-"""Rounds of growing. Each matches twice as many points around the start as the one before. The last is strict."""
+"""Rounds of growing. Each matches twice as many points around the start as the one before. The last uses the strict
+limit."""
 _STEPS = 12
-"""Gauss–Newton steps of one adjustment, at most."""
+"""Most Gauss–Newton steps of one adjustment."""
 _FOCAL_PRIOR, _LENS_PRIOR = 0.7, 0.5
 """Standard deviations of the focal length's logarithm about its start, and of the radial term about 0."""
 _LEAST_SHARE = 0.65
-"""Least share of dots to explain where the target is seen."""
+"""Smallest share of dots to explain in the area of the target."""
 _FLAT = 0.03
-"""Points this thin are in a plane. One plane of a spatial target is not enough: a mirrored picture of it is the same
+"""Points thinner than this are in a plane. One plane of a spatial target is not enough: its mirror image is the same
 plane seen from behind."""
 _RIVAL_SHARE = 0.8
-"""Share of the best reading's dots at which a second reading leaves doubt."""
+"""Share of the best reading's dots from which on a second reading makes it ambiguous."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TargetCamera:
-    """A camera that explains the dots of one picture.
+    """A camera that explains the dots of one image. Target → pixels.
 
-    It has one focal length and one radial term, both centred. Target → pixels.
+    It has one focal length and one radial term, both centred.
     """
 
     rotation_vector: Float64[Array, 3]
@@ -68,7 +70,7 @@ class TargetCamera:
 
     @property
     def centre_mm(self) -> Float64[Array, 3]:
-        """The camera's place, target frame."""
+        """The camera's position, target frame."""
         rotation = Rotation.from_rotvec(self.rotation_vector).as_matrix()
         centre: Float64[Array, 3] = -rotation.T @ self.translation_mm
         return centre
@@ -76,27 +78,28 @@ class TargetCamera:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Reading:
-    """One way to read a picture's dots as points of the target."""
+    """One assignment of an image's dots to points of the target."""
 
     camera: TargetCamera
     ids: Int64[Array, " n"]
     dots: Int64[Array, " n"]
-    """Which of the dots each point is."""
+    """Index of the dot of each point."""
 
 
 def read_constellation(
     points: Float64[Array, "n 3"], uv: Float64[Array, "m 2"], size_wh: tuple[int, int]
 ) -> tuple[Reading, ...]:
-    """Read the dots of a picture as points of a target.
+    """Assign the dots of an image to points of a target.
 
     Args:
         points: the target's points, target frame, mm; not mirrored.
-        uv: dots, pixels. Some may be anything else, and not every point needs a dot.
-        size_wh: the picture's size, pixels.
+        uv: dots, pixels. Some may be something else, and not every point needs a dot.
+        size_wh: the image's size, pixels.
 
     Returns:
-        An empty tuple where nothing fits. One reading where the picture decides. The best two where they explain nearly
-        the same number of dots by different points, so that the picture alone does not decide.
+        Empty if nothing fits. One reading if the image is unambiguous. Otherwise the best two, which explain nearly the
+        same
+        number of dots by different points.
     """
     if len(points) < MIN_POINTS or len(uv) < MIN_POINTS:
         return ()
@@ -121,7 +124,7 @@ def _readings(
     tree: cKDTree,
     size_wh: tuple[int, int],
 ) -> Iterator[Reading]:
-    """All readings that hold, grown from several triples of neighbouring dots."""
+    """All consistent readings, grown from several triples of neighbouring dots."""
     middle = np.median(uv, axis=0)
     seeds = np.argsort(np.linalg.norm(uv - middle, axis=1))
     triples = _triples(points)
@@ -166,7 +169,7 @@ def _orthographic(
         c1 = np.column_stack([np.broadcast_to(d1, (len(h1), 2)), sign * h1])
         c2 = np.column_stack([np.broadcast_to(d2, (len(h2), 2)), sign * h2])
         image = np.stack([c1, c2, np.cross(c1, c2) / np.sqrt(np.maximum(scale2, 1e-12))[:, None]], axis=2)
-        flat = np.abs(np.linalg.det(world)) < 1e-9  # three points in a line
+        flat = np.abs(np.linalg.det(world)) < 1e-9  # three points on a line
         matrix = image @ np.linalg.inv(np.where(flat[:, None, None], np.eye(3), world))
         matrix[flat] = 0.0
         shift = np.append(uv[0], 0.0) - np.einsum("tij,tj->ti", matrix, origin)
@@ -181,7 +184,7 @@ def _local_scores(
     spacing: Float64[Array, " m"],
     tree: cKDTree,
 ) -> Float64[Array, " s"]:
-    """Number of points around each triple that fall on dots. Nearness adds a little."""
+    """Number of points around each triple that project onto dots, plus a little for closeness."""
     around = np.asarray(cKDTree(points).query(points, k=min(_AROUND, len(points)))[1])
     first = np.tile(triples[:, 0], 2)
     nearby = points[around[first]]
@@ -244,7 +247,7 @@ def _match(
     tree: cKDTree,
     tolerance: float,
 ) -> tuple[Int64[Array, " k"], Int64[Array, " k"]]:
-    """Points and dots that are each other's nearest, within the tolerance."""
+    """Pairs of points and dots that are each other's nearest, within the tolerance."""
     image = camera.image(points)
     usable = np.flatnonzero(reach & np.isfinite(image).all(axis=1))
     if not len(usable):
@@ -260,10 +263,10 @@ def _match(
 def adjusted(
     camera: TargetCamera, points: Float64[Array, "n 3"], uv: Float64[Array, "n 2"], *, free_lens: bool
 ) -> TargetCamera:
-    """Adjusted pose and focal length, and with `free_lens` the radial term.
+    """Adjust pose and focal length, and with `free_lens` the radial term.
 
-    Robust Gauss–Newton with difference quotients. The focal length is held within a factor of about two of its start,
-    and the lens near none: flat targets seen straight on determine neither.
+    Robust Gauss–Newton with numerical derivatives. The focal length is held within a factor of about two of its start,
+    and the lens near zero, since flat targets seen frontally determine neither.
     """
     lens = [camera.k1] if free_lens else []
     x = np.concatenate([camera.rotation_vector, camera.translation_mm, [np.log(camera.focal_px)], lens])
@@ -312,7 +315,7 @@ def _images(
 
 
 def _thickness(points: Float64[Array, "n 3"]) -> float:
-    """Extent across the best plane, as share of the greatest extent."""
+    """Extent across the best plane, as a share of the largest extent."""
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return float(spread[2] / spread[0])
 
@@ -320,7 +323,7 @@ def _thickness(points: Float64[Array, "n 3"]) -> float:
 def _explains(
     camera: TargetCamera, points: Float64[Array, "n 3"], uv: Float64[Array, "m 2"], dots: Int64[Array, " k"]
 ) -> bool:
-    """Whether most dots where the camera sees the target are explained."""
+    """Whether most dots in the area of the target are explained."""
     image = camera.image(points)
     inside = ((uv >= np.nanmin(image, axis=0)) & (uv <= np.nanmax(image, axis=0))).all(axis=1)
     inside[dots] = True
@@ -328,7 +331,7 @@ def _explains(
 
 
 def _common(a: Reading, b: Reading) -> int:
-    """How many dots both read as the same point."""
+    """Number of dots that both assign to the same point."""
     return len(
         set(zip(a.ids.tolist(), a.dots.tolist(), strict=True)) & set(zip(b.ids.tolist(), b.dots.tolist(), strict=True))
     )

@@ -1,7 +1,6 @@
-"""Compiled kernels of the corner measurement.
+"""Compiled kernels for corner measurement.
 
-Their plain NumPy twins stand in tests/unit/calibration/. They hold no lock, so that as many photographs are measured
-at once as there are threads.
+The NumPy versions are in tests/unit/calibration/. They release the GIL, so that photographs are measured in parallel.
 """
 
 import math
@@ -12,31 +11,30 @@ from mammometry.base.machine.compiled import fast_kernel, kernel
 from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
 
 EDGE_BAND_SIGMAS = 4.0
-"""Distance to an edge below which all pixels are fitted. Flat parts use one pixel in stride²."""
+"""Distance to an edge below which all pixels are used. In flat parts one pixel in stride² is used."""
 LEAST_STRIDE = 3
-"""Smallest stride between the pixels that are fitted in flat parts."""
+"""Smallest stride of the pixels used in flat parts."""
 STRIDES = 20
-"""Largest number of strides in a window's half-width. Flat parts give only the brightness, and need no million pixels.
-"""
+"""Most strides in a window's half-width. Flat parts determine only the brightness and need few pixels."""
 STEEPEST = 2.0
-"""Largest change of a pixel's distance from an edge between neighbours, px: 1 at the corner. So far from both edges
-pixels are passed over without being looked at."""
+"""Largest change of a pixel's distance from an edge between neighbours, px: 1 at the corner. Pixels farther than this
+from both edges are skipped."""
 STEPS = 16
-"""Gauss–Newton steps, at most."""
+"""Most Gauss–Newton steps."""
 CONVERGED_PX = 3e-4
-"""A step of this length ends the fit: a thirtieth of the floor of a point's standard deviation."""
+"""A step of this length ends the fit: a thirtieth of the smallest standard deviation of a point."""
 CONVERGED_STD = 0.05
 """Converged step, in standard deviations of the corner: smaller ones are within the noise."""
 SIDE_PIXELS = 8
 """Fewest pixels on each of the four sides of a corner."""
 RESULTS = 16
 """Columns of the kernel's result: shift (u, v), σ, six photometric terms, covariance of the shift (uu, uv, vv),
-residual, then 1 if converged, 1 if there were enough pixels, and the number of pixels."""
+residual, 1 if converged, 1 if there were enough pixels, and the number of pixels."""
 
 _TERMS = 9  # unknowns of the fit: shift (u, v), σ and six photometric terms
-_BLOCK = 128  # pixels whose terms are computed and summed at a time: they stay in the first cache
-_FAINTEST = 2.0  # sixteenth of the exponent beyond which a Gaussian counts as nothing: 1e-14
-_MIN_SIGMA_PX, _MAX_SIGMA_PX = 0.25, 8.0  # blur that is believed
+_BLOCK = 128  # pixels per block, so that their terms stay in the L1 cache
+_FAINTEST = 2.0  # sixteenth of the exponent beyond which a Gaussian is zero: 1e-14
+_MIN_SIGMA_PX, _MAX_SIGMA_PX = 0.25, 8.0  # plausible blur
 
 
 @kernel
@@ -46,7 +44,7 @@ def weighted_levels(
     green: Float32[Array, " 256"],
     blue: Float32[Array, " 256"],
 ) -> Float32[Array, "h w"]:
-    """Sum of three look-ups, one a channel."""
+    """Sum of three look-ups, one per channel."""
     height, width, _ = pixels.shape
     out = np.empty((height, width), np.float32)
     for i in range(height):
@@ -67,18 +65,18 @@ def fit_windows(
     blank_half_mm: Float64[Array, " n"],
     sigma_px: float,
 ) -> Float64[Array, "n 16"]:
-    """Gauss–Newton of the corner's model, one corner after the other. See `RESULTS` for what is returned.
+    """Fit the corner model by Gauss–Newton, one corner after another. See `RESULTS` for the result.
 
     Args:
         linear: the photograph in linear light.
-        centre: pixel at the middle of each window: column, row.
+        centre: pixel at the centre of each window: column, row.
         radius: half-width of each window, pixels.
         board_from_offset: coefficients of a cubic of (offset / radius) that gives the offset on the board, mm.
         mm_per_px: mm on the board per pixel, across the edges u = 0 and v = 0.
-        window_mm: pixels within ± this on the board are used.
-        blank_centre_mm: |u| and |v| of the middle of an area to leave out (a marker).
+        window_mm: pixels within ± this distance on the board are used.
+        blank_centre_mm: |u| and |v| of the centre of an excluded area (a marker).
         blank_half_mm: its half-width at each corner, mm; 0 for none.
-        sigma_px: blur to start from.
+        sigma_px: initial blur.
     """
     count = len(centre)
     out = np.zeros((count, RESULTS))
@@ -101,7 +99,7 @@ def fit_windows(
 def _select(  # type: ignore[no-untyped-def]  # compiled: types are those of `fit_windows`
     linear, centre, radius, c, mm_per_px, window_mm, blank_centre_mm, blank_half_mm, band_px, pixels
 ):
-    """Fill `pixels`, and return their number and whether it suffices.
+    """Fill `pixels`; return their number and whether it is enough.
 
     Rows are u, v in pixels from the edges, x, y in radii, and the value.
     """
@@ -121,7 +119,7 @@ def _select(  # type: ignore[no-untyped-def]  # compiled: types are those of `fi
         u2, v2 = c[3, 0] + y * c[7, 0], c[3, 1] + y * c[7, 1]
         u3, v3 = c[6, 0], c[6, 1]
         dx, last = -min(radius, centre[0]), min(radius, width - 1 - centre[0])
-        strided = last + 1  # next column of which flat parts use a pixel
+        strided = last + 1  # next column that is used in flat parts
         if dy % stride == 0:
             strided = -(-dx // stride) * stride
         while dx <= last:
@@ -149,7 +147,7 @@ def _select(  # type: ignore[no-untyped-def]  # compiled: types are those of `fi
 
 @kernel
 def _fit(pixels, used, sigma_px, out):  # type: ignore[no-untyped-def]
-    """Photometric terms first, while those of the shape are zero. Then all nine until the step is small."""
+    """Fit the photometric terms first with the shape held, then all nine until the step is small."""
     shift_u, shift_v, sigma = 0.0, 0.0, sigma_px
     solution = np.zeros(_TERMS)
     normal, inverse, right = np.empty((_TERMS, _TERMS)), np.empty((_TERMS, _TERMS)), np.empty(_TERMS)
@@ -190,7 +188,7 @@ def _fit(pixels, used, sigma_px, out):  # type: ignore[no-untyped-def]
 
 @kernel
 def _invert(matrix, ridge, inverse):  # type: ignore[no-untyped-def]
-    """Inverse of a positive definite matrix plus `ridge` on its diagonal, one pivot after the other."""
+    """Inverse of a positive definite matrix plus `ridge` on its diagonal, by pivoting."""
     for i in range(_TERMS):
         for j in range(_TERMS):
             inverse[i, j] = matrix[i, j]
@@ -210,11 +208,11 @@ def _invert(matrix, ridge, inverse):  # type: ignore[no-untyped-def]
 
 @fast_kernel
 def _fill_terms(pixels, first, count, shape, last, terms):  # type: ignore[no-untyped-def]
-    """Derivatives of the model by its nine terms at some pixels. The last row holds the pixels' values.
+    """Derivatives of the model by its nine terms at some pixels. The last row contains the pixels' values.
 
-    Written without calls, and into rows at fixed distances, so that the compiler makes vectors of it. exp(−z) is the
-    sixteenth power of 1 / e^(z / 16), that by its series: right to 1e-8 where it matters. The error function follows
-    from it (Abramowitz and Stegun 7.1.26, right to 1.5e-7).
+    Written without calls and with fixed strides, so that the compiler vectorises it. exp(−z) is the sixteenth power of
+    1 / e^(z / 16) by its series, accurate to 1e-8. The error function follows from it (Abramowitz and Stegun 7.1.26,
+    accurate to 1.5e-7).
     """
     shift_u, shift_v, sigma = shape
     a, a_x, a_y = last[3], last[4], last[5]

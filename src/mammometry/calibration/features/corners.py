@@ -1,4 +1,4 @@
-"""Measure a board's corners by two fits of four blurred squares. Gates reject false corners."""
+"""Measure a board's corners by fitting a model of four blurred squares. Tests reject false corners."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ _GRID = np.linspace(-1.0, 1.0, 7)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MarkerArea:
-    """Middles of the squares that meet in a corner, left out since the bright ones hold markers."""
+    """Centres of the squares around a corner, excluded because the bright ones contain markers."""
 
     square_mm: float
     marker_mm: float
     rim_px: float
-    """Width of a marker's blurred rim, left out with it."""
+    """Width of a marker's blurred edge, excluded with it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CornerFits:
-    """Results of the fit at each corner. Rows of failed fits have `ok` False and carry no meaning."""
+    """Results of the fit at each corner. Rows with `ok` False are meaningless."""
 
     uv: Float64[Array, "n 2"]
     """Corner, distorted pixels."""
     covariance_px2: Float64[Array, "n 2 2"]
     """From the residuals and the normal equations, px²."""
     amplitude: Float64[Array, " n"]
-    """a: half the step from dark to bright, linear light. Positive if the square before the corner in both directions
-    (and the one after it) is the brighter."""
+    """a: half the step from dark to bright, linear light. Positive if the squares before and after the corner in both
+    directions are the brighter ones."""
     background: Float64[Array, " n"]
     """b: mean of dark and bright, linear light."""
     residual: Float64[Array, " n"]
@@ -43,9 +43,9 @@ class CornerFits:
     sigma_px: Float64[Array, " n"]
     """Blur."""
     shift_px: Float64[Array, " n"]
-    """How far the corner lies from where it was expected."""
+    """Distance of the corner from its expected position."""
     ok: Bool[Array, " n"]
-    """The fit converged on enough pixels on all four sides."""
+    """Whether the fit converged on enough pixels on all four sides."""
 
 
 def fit_corners(
@@ -62,12 +62,12 @@ def fit_corners(
 
     Args:
         linear: the photograph in linear light.
-        expected_uv: where the corners are expected, good to about a third of the window.
-        board_mm: the corners on the board.
+        expected_uv: expected positions of the corners, good to about a third of the window.
+        board_mm: positions of the corners on the board.
         board_from_uv: smooth map from distorted pixels to the board, mm; only its shape around each corner matters.
-        window_mm: pixels within ± this on the board, in both directions, are used.
-        blank: which pixels to leave out (markers).
-        sigma_px: blur to start from.
+        window_mm: pixels within ± this distance on the board, in both directions, are used.
+        blank: pixels to exclude (markers).
+        sigma_px: initial blur.
     """
     windows = _cut(expected_uv, board_mm, board_from_uv, _radii(expected_uv, board_from_uv, window_mm))
     jacobian = windows.jacobian(expected_uv - windows.centre)
@@ -107,7 +107,7 @@ def _radii(
     board_from_uv: Callable[[Float64[Array, "*n 2"]], Float64[Array, "*n 2"]],
     window_mm: float,
 ) -> Int64[Array, " n"]:
-    """Half-width in pixels of a square that holds each corner's window."""
+    """Half-width in pixels of a square that contains each corner's window."""
     steps = np.eye(2)
     columns = [(board_from_uv(expected_uv + step) - board_from_uv(expected_uv - step)) / 2 for step in steps]
     uv_from_board = np.linalg.inv(np.stack(columns, axis=-1))
@@ -155,23 +155,23 @@ def _cut(
 
 
 _WINDOW_SQUARES = 0.48
-"""Half-width of the fitted window around a corner, in sides of a square: nearly all of the four squares that meet
-there, without the neighbouring corners' blurred edges."""
+"""Half-width of the fitted window around a corner, in squares: nearly all of the four adjacent squares, without the
+neighbouring corners' blurred edges."""
 _FIRST_WINDOW = 0.5
 """Half-width of the first, robust pass as a share of the final window."""
 _REACH_SQUARES = 1.2
-"""Distance from seen corners beyond which none is predicted, squares: extrapolation invents. Chosen by eye."""
+"""Largest distance of predicted corners from seen ones, squares: extrapolation is unreliable."""
 _MIN_SQUARE_PX = 9.0
-"""Smallest foreshortened square that is measured, px: below it, the edges' blurs overlap."""
+"""Smallest foreshortened square that is measured, px: below it the blurred edges overlap."""
 _MIN_CONTRAST = 0.12
-"""Least amplitude as a share of the mean brightness."""
+"""Smallest amplitude as a share of the mean brightness."""
 _MAX_RESIDUAL = 0.25
 """Largest residual as a share of the amplitude."""
 _MAX_RESIDUAL_SPREAD = 6.0
-"""Largest residual as a multiple of the median one in the picture."""
+"""Largest residual as a multiple of the image's median one."""
 _MAX_SHIFT_SQUARES = 0.12
 _MAX_SHIFT_PX = 3.0
-"""Largest distance of a corner from its expected place, px: the larger of the two counts."""
+"""Largest distance of a corner from its expected position, px: the larger of the two applies."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -179,7 +179,7 @@ class CornerGrid:
     """A board's corners by id, in the board's plane."""
 
     corners_mm: Float64[Array, "n 2"]
-    """Places, mm."""
+    """Positions, mm."""
     square_mm: float
     """Side of a square, mm."""
     bright_first: Bool[Array, " n"]
@@ -194,14 +194,14 @@ def refine_corners(
     *,
     blank: MarkerArea | None = None,
 ) -> FoundPoints | None:
-    """Fit corners in two passes: narrow for the map, wide to measure.
+    """Fit corners in two passes: a narrow one for the map, a wide one to measure.
 
     Args:
         linear: the photograph in linear light.
-        board_map: where the corners are expected.
+        board_map: expected positions of the corners.
         seen_mm: points of the board that have been seen.
         grid: all corners.
-        blank: pixels to leave out.
+        blank: pixels to exclude.
     """
     corners_mm, square_mm = grid.corners_mm, grid.square_mm
     ids = _predictable(board_map, seen_mm, corners_mm, square_mm, linear.shape)
@@ -236,7 +236,7 @@ def _predictable(
     square_mm: float,
     shape_hw: tuple[int, ...],
 ) -> Int64[Array, " k"]:
-    """Ids of corners near what was seen, inside the frame, in squares large enough."""
+    """Ids of corners near seen ones, inside the image, in squares that are large enough."""
     distance = np.linalg.norm(corners_mm[:, None] - seen_mm[None], axis=2).min(axis=1)
     uv = board_map.image(corners_mm)
     inside = ((uv > 2.0) & (uv < np.array(shape_hw[::-1]) - 3.0)).all(axis=1)
@@ -251,10 +251,7 @@ def _square_px(board_map: BoardMap, corners_mm: Float64[Array, "n 2"], square_mm
 
 
 def _trusted(fits: CornerFits, bright_first: Bool[Array, " n"], square_px: Float64[Array, " n"]) -> Bool[Array, " n"]:
-    """Gates for measured corners.
-
-    They converged, near the expected place, with right parity, contrast, and a residual like their neighbours'.
-    """
+    """Tests for measured corners: converged near the expected position, right parity, contrast, usual residual."""
     good = fits.ok & (fits.shift_px < np.maximum(_MAX_SHIFT_PX, _MAX_SHIFT_SQUARES * square_px))
     good &= np.where(bright_first, fits.amplitude, -fits.amplitude) > _MIN_CONTRAST * fits.background
     ratio = fits.residual / np.maximum(np.abs(fits.amplitude), 1e-9)

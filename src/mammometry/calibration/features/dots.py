@@ -1,12 +1,12 @@
 """Sub-pixel centre and size of dark dots and other printed marks.
 
-The centre is the centroid of its darkness, corrected for perspective and curvature. Darkness is the share of a pixel
-that the dot covers, between the background's light and the dot's own, each a plane. A plain difference to the
-background would weigh the lit side of a dot more, and move the centroid of a disc of radius r by r²/4 times the
-relative slope of the light: 0.25 px for a dot of 20 px in light that falls by 1 % a pixel. The dot's own plane, from
-its middle, distinguishes light that falls off from gloss and haze, which add to dot and background alike. The centroid
-of a dot's picture is not the picture of its centre. With a smooth map from the surface to the picture the difference is
-known: it is computed from the map over the dot's area, and taken off.
+The centre is the centroid of darkness, corrected for perspective and curvature. Darkness is the share of a pixel that
+the
+dot covers, between the background's light and the dot's own, each a plane. A plain difference to the background would
+weigh the lit side of a dot more, and move the centroid of a disc of radius r by r²/4 times the relative gradient of the
+light: 0.25 px for a dot of 20 px in light that falls by 1 % per pixel. The dot's own plane, from its middle, separates
+falling light from gloss and haze, which add to dot and background alike. The centroid of a dot's image is not the image
+of its centre. The difference is computed from the map over the dot's area and subtracted.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from mammometry.calibration.features.pixels import Cause
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64
 
 _BLUR_PX = 2.0
-"""Width of a dot's blurred rim, px."""
+"""Width of a dot's blurred edge, px."""
 _RING_PX = 3.0
 """Width of the ring of background around a dot, px."""
 _RING_LIMIT = 0.85
-"""Largest reach of the background ring, as share of the way to the neighbouring dot."""
+"""Largest radius of the background ring, as a share of the distance to the neighbouring dot."""
 _MIN_RING_PIXELS = 20
 """Fewest pixels of the ring for a plane of background light. Chosen by eye."""
 _MIN_CORE_PIXELS = 12
@@ -37,24 +37,24 @@ _MIN_CONTRAST = 0.15
 _QUADRATURE = 6
 """Gauss nodes along an axis, exact to the eleventh order."""
 _MIN_HALF_PX = 1.5
-"""Half-width of the smallest dot that is measured, px: below it, the whole dot is blurred rim."""
+"""Half-width of the smallest dot that is measured, px: a smaller one consists of blurred edge only."""
 
 ROUNDS = 2
-"""Measurements of a picture's dots, each with the map or camera of the one before. Chosen by eye."""
+"""Repeated measurements of an image's dots, each with the map or camera of the one before."""
 MAX_OFF = 0.15
-"""Largest distance of a disc from where all others put it, in diameters."""
+"""Largest distance of a disc from the position predicted by all others, in diameters."""
 SIZE_OFF = 0.1
-"""Share by which dots may differ from their stated size: rulers and ink err by .5 mm of a small dot."""
+"""Largest relative difference of dots from their stated size: rulers and ink err by 0.5 mm of a small dot."""
 
 ToImage = Callable[[Float64[Array, "*n 2"]], Float64[Array, "*n 2"]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Dots:
-    """Measured dots. Rows with `ok` False carry no meaning."""
+    """Measured dots. Rows with `ok` False are meaningless."""
 
     uv: Float64[Array, "n 2"]
-    """Picture of the dot's centre, distorted pixels."""
+    """Image of the dot's centre, distorted pixels."""
     covariance_px2: Float64[Array, "n 2 2"]
     """From the background's noise, px²."""
     mass_mm2: Float64[Array, " n"]
@@ -71,13 +71,13 @@ def measure_dots(
     half_mm: float,
     pitch_mm: tuple[float, float],
 ) -> Dots:
-    """Measure dots with places known to a third of their size.
+    """Measure dots whose positions are known to a third of their size.
 
     Args:
         linear: the photograph in linear light.
         to_image: from the surface, mm, to distorted pixels.
         centres_mm: dots on the surface.
-        shape: a disc's radius or half a square's side is `half_mm`.
+        shape: `half_mm` is a disc's radius or half a square's side.
         half_mm: half the size of a dot.
         pitch_mm: distance to the next dot along the two axes of the surface.
     """
@@ -105,7 +105,7 @@ def measure_dots(
 def area_centroids(
     to_image: ToImage, centres_mm: Float64[Array, "n 2"], shape: Literal["disc", "square"], half_mm: float
 ) -> Float64[Array, "n 2"]:
-    """Centroids of the pictures of dots, pixels. Gauss quadrature of the map over the dot's area."""
+    """Centroids of the images of dots, px, by Gauss quadrature of the map over the dot's area."""
     node, weight = np.polynomial.legendre.leggauss(_QUADRATURE)
     if shape == "square":
         offsets = np.stack(np.meshgrid(node, node), axis=-1).reshape(-1, 2)
@@ -133,10 +133,10 @@ def _darkness_centroid(
     *,
     centred: bool,
 ) -> tuple[Float64[Array, 2], Float64[Array, "2 2"], float] | None:
-    """Centroid of the dot's share of each pixel.
+    """Centroid of the dot's share of each pixel, within its outline and blur.
 
-    Within its outline and its blur. The background is a plane, from a ring. If `start` is `centred`, the middle of the
-    dot is known to be dark, and its light is taken from there.
+    The background is a plane fitted to a ring. If `start` is `centred`, the middle of the dot is known to be dark, and
+    the dot's light is taken from there.
     """
     inverse = np.linalg.inv(jacobian)
     mm_per_px = np.linalg.norm(inverse, axis=1)
@@ -169,7 +169,7 @@ def _darkness_centroid(
         plane = np.linalg.lstsq(design[use], value[use], rcond=None)[0]
         residual = value - design @ plane
         noise = MAD * float(np.median(np.abs(residual[use])))
-        use = ring & (np.abs(residual) < 3.5 * noise + 1e-4)  # half of them at least: their median is nearer
+        use = ring & (np.abs(residual) < 3.5 * noise + 1e-4)  # at least half of them: the median is nearer
     background = design @ plane
     if background[inside].min() <= 0:
         return None
@@ -195,52 +195,53 @@ def _darkness_centroid(
 
 
 _MOST_MARKS = 40
-"""Marks that are looked at: as many again would make the median no surer."""
+"""Marks that are measured: more would not make the median more accurate."""
 _STEPS = 80
-"""Samples along a line, from a tenth of its length on. Chosen by eye."""
+"""Samples along a line, from a tenth of its length on."""
 _DIRECTIONS = 16
-"""Lines from a disc's middle. Chosen by eye."""
+"""Lines from a disc's centre."""
 _BESIDE = (-0.2, 0.0, 0.2)
-"""Places of the lines across a square, in lengths of a line: between its corners for all but the smallest squares."""
+"""Positions of the lines across a square, in lengths of a line: between its corners for all but the smallest
+squares."""
 _OUTER = 0.7
-"""Share of a line beyond which the bright around a mark is sought: a marker's own bright cells end before it."""
+"""Share of a line beyond which the bright surroundings begin: a marker's own bright cells end before it."""
 _LEAST_MARKS = 4
-"""Fewest marks wholly in the picture. Chosen by eye."""
+"""Fewest marks completely in the image."""
 _DARKER = 0.6
-"""Largest share of the bright light that the dark has. Chosen by eye."""
+"""Largest brightness of the dark, relative to the bright."""
 _DOUBT_PX, _DOUBT_BLURS = 0.5, 0.5
-"""What a step may be off without meaning anything, px and standard deviations of the blur: where a bright gap is
-narrower than two of these, half the height is no longer where the step is."""
+"""Uncertainty of a step's position, px and standard deviations of the blur: if a bright gap is narrower than two of
+these, the step is no longer at half the height."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MarkSize:
-    """Size of the marks in one picture."""
+    """Size of the marks in one image."""
 
     half_mm: float
-    """Distance from a mark's middle to its edge, in the target's millimetres."""
+    """Distance from a mark's centre to its edge, mm."""
     doubt_mm: float
-    """What that may be off by the picture's resolution and blur."""
+    """Uncertainty from the image's resolution and blur."""
 
     def contradicts(self, half_mm: float, tolerance: float) -> bool:
-        """Whether it is another size than `half_mm`, by more than this share of it and the doubt."""
+        """Whether it differs from `half_mm` by more than this share of it plus the uncertainty."""
         off_mm = abs(self.half_mm - half_mm)
         return off_mm > tolerance * half_mm and off_mm > self.doubt_mm
 
     def cause(self, mark: tuple[str, float], pitch: tuple[str, float]) -> Cause:
-        """Say that the marks have another size than ``[target]`` says.
+        """Explain that the marks' size differs from ``[target]``.
 
         Args:
-            mark: key of the marks' whole size in it, and its value, mm.
-            pitch: likewise of their distance, or of the squares around them.
+            mark: key of the marks' size in ``[target]``, and its value, mm.
+            pitch: key and value of their distance, or of the squares around them.
         """
         (mark_key, mark_mm), (pitch_key, pitch_mm) = mark, pitch
         ratio = 2 * self.half_mm / pitch_mm
         return Cause(
-            found=f"{mark_key} {ratio:.3f} times {pitch_key}, where [target] says {mark_mm:g} and {pitch_mm:g} mm, "
+            found=f"{mark_key} {ratio:.3f} times {pitch_key}, but in [target] {mark_mm:g} and {pitch_mm:g} mm, "
             f"{mark_mm / pitch_mm:.3f} times",
-            remedy=f"Measure both on the print, and correct [target]: to {pitch_key} = {pitch_mm:g} belongs {mark_key} "
-            f"= {ratio * pitch_mm:.1f}, to {mark_key} = {mark_mm:g} belongs {pitch_key} = {mark_mm / ratio:.1f}",
+            remedy=f"Measure both on the print, and correct [target]: either {pitch_key} = {pitch_mm:g} and {mark_key} "
+            f"= {ratio * pitch_mm:.1f}, or {mark_key} = {mark_mm:g} and {pitch_key} = {mark_mm / ratio:.1f}",
         )
 
 
@@ -252,17 +253,18 @@ def mark_size(
     shape: Literal["disc", "square"],
     reach_mm: float,
 ) -> MarkSize | None:
-    """Measure how far dark marks reach from their middles.
+    """Measure the distance from the centres of dark marks to their edges.
 
     Args:
         linear: the photograph in linear light.
         to_image: from the target's surface, mm, to distorted pixels.
-        centres_mm: the marks' middles on the surface.
+        centres_mm: centres of the marks on the surface.
         shape: whether they are round, or square along the surface's axes.
-        reach_mm: distance from a middle to the next dark, or to midway between two marks. A mark ends well before it.
+        reach_mm: distance from a centre to the next dark area, or to midway between two marks. A mark ends well before
+            it.
 
     Returns:
-        The size. None where too few marks are in the picture, or they are not darker than what is around them.
+        The size. None if too few marks are in the image, or they are not darker than their surroundings.
     """
     chosen = centres_mm[np.linspace(0, len(centres_mm) - 1, min(len(centres_mm), _MOST_MARKS)).astype(int)]
     away_mm = reach_mm * np.linspace(0.1, 1.0, _STEPS)
@@ -276,7 +278,7 @@ def mark_size(
     light = ndimage.map_coordinates(linear, [uv[..., 1], uv[..., 0]], order=1)
     profile = np.median(light.reshape(-1, _STEPS), axis=0).astype(np.float64)
     outer = profile[int(_OUTER * _STEPS) :]
-    bright = _STEPS - 1 - int(outer[::-1].argmax())  # the outermost, where several are saturated
+    bright = _STEPS - 1 - int(outer[::-1].argmax())  # the outermost one, if several are saturated
     dark = int(profile[: bright + 1].argmin())
     if profile[dark] > _DARKER * profile[bright]:
         return None
@@ -294,7 +296,7 @@ def mark_size(
 
 
 def _lines(shape: Literal["disc", "square"], reach_mm: float, away_mm: Float64[Array, " s"]) -> Float64[Array, "l s 2"]:
-    """Places along the lines around a mark's middle, mm."""
+    """Points along the lines around a mark's centre, mm."""
     if shape == "disc":
         angle = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
         directions = np.stack([np.cos(angle), np.sin(angle)], axis=1)

@@ -1,7 +1,4 @@
-"""Natural features that two pictures share.
-
-SIFT (Lowe 2004) of OpenCV, on a reduced picture: enough to tell which pictures show the same thing from where.
-"""
+"""Natural features shared by two images: SIFT (Lowe 2004) of OpenCV on a reduced image."""
 
 from __future__ import annotations
 
@@ -14,36 +11,36 @@ from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Float32, Float64
 
 WIDTH_PX = 450
-"""Columns, about, of the reduced picture: hundreds still match, as many as of 600, in three quarters of the time."""
+"""Approximate width of the reduced image, px: as many features match as at 600 px, in three quarters of the time."""
 MOST = 1000
-"""Features of a picture, the strongest: more cost time and tell no more of where it was taken."""
-_CONTRAST = 0.01  # of a feature; skin is weak: OpenCV's usual 0.04 leaves a tenth of them
-_COARSE_STEP = 4  # pixels to one of the reduced picture, from which on half of each row and column are left out
-_RATIO = 0.8  # of the nearest to the second nearest descriptor; Lowe 2004, section 7.1
+"""Most features of an image, the strongest: more take time without more information."""
+_CONTRAST = 0.01  # smallest contrast of a feature; on skin OpenCV's default 0.04 leaves a tenth of them
+_COARSE_STEP = 4  # reduction factor from which on only every other row and column is used
+_RATIO = 0.8  # largest ratio of the nearest to the second nearest descriptor's distance; Lowe 2004, section 7.1
 
 _DETERMINED_BY = 7  # matches that determine a fundamental matrix (up to three of them)
-_CONSENSUS = 0.006  # distance from an epipolar line up to which a match agrees, picture widths: as of known cameras
-_ATTEMPTS = 2000  # fundamental matrices that are tried
-_UNLIKELY = 1e-3  # probability below which matches do not agree by chance, in all attempts together
+_CONSENSUS = 0.006  # largest distance of a match from its epipolar line, image widths
+_ATTEMPTS = 2000  # number of fundamental matrices tested
+_UNLIKELY = 1e-3  # probability of a chance agreement in all attempts together
 
 
 @value(eq=False)
 class Keypoints:
-    """Features of one picture."""
+    """Features of one image."""
 
     uv: Float64[Array, "n 2"]
-    """Places in the whole picture, px, integers at pixel centres."""
+    """Positions in the full-size image, px, integers at pixel centres."""
     descriptors: Float32[Array, "n 128"]
 
 
 def keypoints(photograph: Photograph, width_px: int = WIDTH_PX, most: int = MOST) -> Keypoints:
-    """Find features in a picture reduced to about `width_px` columns, the strongest `most`."""
+    """Find the strongest `most` features in an image reduced to about `width_px` columns."""
     pixels = photograph.pixels
     step = max(1, round(pixels.shape[1] / width_px))
     if pixels.dtype == np.uint16:
         pixels = (pixels >> 8).astype(np.uint8)
-    # Green alone: 13.5 million pixels of three colours take ten times as long to reduce.
-    # Of a large one every other pixel does as well.
+    # Only green is used: three colours of 13.5 million pixels take ten times as long to reduce. In a large image every
+    # other pixel is enough.
     thin = 2 if step >= _COARSE_STEP else 1
     step = thin * (step // thin)
     green = pixels[..., 1] if pixels.ndim == 3 else pixels
@@ -56,15 +53,14 @@ def keypoints(photograph: Photograph, width_px: int = WIDTH_PX, most: int = MOST
     if not found:
         return Keypoints(uv=np.empty((0, 2)), descriptors=np.empty((0, 128), np.float32))
     uv = np.array([point.pt for point in found], dtype=np.float64)
-    # A block's middle, of the pixels that were taken of it.
+    # Centre of a block's used pixels.
     return Keypoints(uv=(uv + 0.5) * step - 0.5 * thin, descriptors=np.asarray(descriptors, np.float32))
 
 
 def matched(one: Keypoints, other: Keypoints) -> tuple[Float64[Array, "m 2"], Float64[Array, "m 2"]]:
-    """Find the places, px, of features that are each other's nearest, clearly before any second.
+    """Match features that are each other's nearest, clearly before any second one. Returns positions, px.
 
-    The second may be in either picture: the squares of a patterned board look alike, and the nearest in the other
-    picture is most probably another one.
+    The second nearest may be in either image, since the squares of a patterned board look alike.
     """
     if min(len(one.uv), len(other.uv)) < 2:
         return np.empty((0, 2)), np.empty((0, 2))
@@ -78,10 +74,9 @@ def matched(one: Keypoints, other: Keypoints) -> tuple[Float64[Array, "m 2"], Fl
 
 
 def show_the_same(uv_one: Float64[Array, "m 2"], uv_other: Float64[Array, "m 2"]) -> bool:
-    """Whether matches agree on where two cameras stand, wherever that is: more than chance explains.
+    """Whether matches agree on the relative pose of two cameras better than by chance.
 
-    So many must fit one fundamental matrix that matches by chance would not, in all the attempts at finding it
-    (Moisan and Stival 2004).
+    More matches must fit one fundamental matrix than random matches would in all attempts (Moisan and Stival 2004).
     """
     count = len(uv_one)
     if count <= _DETERMINED_BY:
@@ -106,7 +101,7 @@ def _squares(one: Keypoints, other: Keypoints) -> Float32[Array, "n m"]:
 
 
 def _nearest_of_own(points: Keypoints) -> Float32[Array, " n"]:
-    """Squared distance of each feature to the one most like it in its own picture."""
+    """Squared distance of each feature to the most similar one in its own image."""
     squares = _squares(points, points)
     np.fill_diagonal(squares, np.inf)
     found: Float32[Array, " n"] = squares.min(axis=1)

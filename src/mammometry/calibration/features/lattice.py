@@ -11,23 +11,23 @@ from scipy.spatial import cKDTree
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
 
 _DARKER = 20
-"""Least darkness of a dot below its neighbourhood's mean, of 255 grey levels. Chosen by eye."""
+"""Smallest darkness of a dot below its neighbourhood's mean, of 255 grey levels."""
 _MIN_AREA_PX = 30
-"""Smallest dot in the reduced picture, px². Chosen by eye."""
+"""Smallest dot in the reduced image, px²."""
 _MAX_AREA_SHARE = 5e-3
-"""Largest dot, as a share of the picture. Chosen by eye."""
+"""Largest dot, as a share of the image."""
 _MIN_FILL = 0.7
-"""Least share of its bounding box that a dot covers: a turned or round dot has π/4, letters less."""
+"""Smallest share of its bounding box that a dot covers: a rotated or round dot has π/4, letters less."""
 _NEIGHBOURS = 12
-"""Nearest dots among which the next one in a direction is sought."""
+"""Nearest dots among which the next one in a direction is searched."""
 _CONE_COS = 0.64
 """Cosine of the search cone: a neighbour is within 50° of the expected direction."""
 _STEP_CHANGE = 1.6
-"""Two steps in line may differ by this factor."""
+"""Two consecutive steps may differ by this factor."""
 
 
 def find_dots(grey: UInt8[Array, "h w"], neighbourhood: float) -> Float64[Array, "n 2"]:
-    """Find compact blobs darker than their neighbourhood (side in picture widths).
+    """Find compact blobs darker than their neighbourhood (side in image widths).
 
     Returns centroids, pixels.
     """
@@ -43,11 +43,11 @@ def find_dots(grey: UInt8[Array, "h w"], neighbourhood: float) -> Float64[Array,
 
 
 def index_lattice(uv: Float64[Array, "n 2"]) -> tuple[Int64[Array, " m"], Int64[Array, "m 2"]]:
-    """Walk the lattice from neighbour to neighbour.
+    """Index the lattice from neighbour to neighbour.
 
-    Returns which points belong to it, and their (row, column). Rows count upwards and columns to the right in the
-    picture, from 0 at the least of each. The lattice must stand upright within about 40°. Of several connected pieces
-    the largest is taken.
+    Returns the indices of the points that belong to it, and their (row, column). Rows count upwards and columns to the
+    right in the image, from 0. The lattice must be upright within about 40°. Of several connected pieces the largest is
+    returned.
     """
     if len(uv) < 4:
         return np.zeros(0, np.int64), np.zeros((0, 2), np.int64)
@@ -61,7 +61,7 @@ def index_lattice(uv: Float64[Array, "n 2"]) -> tuple[Int64[Array, " m"], Int64[
             best = piece
     points = np.array(sorted(best), dtype=np.int64)
     places = np.array([best[point] for point in points.tolist()], dtype=np.int64)
-    # Two points at one place: the walk ran over noise there, and neither is known to be the right one.
+    # Two points at one position: indexing failed there, and neither is reliable.
     _, inverse, count = np.unique(places, axis=0, return_inverse=True, return_counts=True)
     single = count[inverse.ravel()] == 1
     points, places = points[single], places[single]
@@ -69,14 +69,14 @@ def index_lattice(uv: Float64[Array, "n 2"]) -> tuple[Int64[Array, " m"], Int64[
 
 
 def _links(uv: Float64[Array, "n 2"]) -> Int64[Array, "n 4"]:
-    """Neighbour of each point: right, left, up, down, −1 for none. Only links that hold both ways."""
+    """Neighbour of each point: right, left, up, down; −1 for none. Only mutual links."""
     found = cKDTree(uv).query(uv, k=min(_NEIGHBOURS + 1, len(uv)))
     distance, near = np.asarray(found[0])[:, 1:], np.asarray(found[1])[:, 1:]
     direction = (uv[near] - uv[:, None]) / np.maximum(distance, 1e-9)[..., None]
     links = np.full((len(uv), 4), -1, np.int64)
     for side, axis in enumerate(np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, -1.0], [0.0, 1.0]])):
         along = direction @ axis
-        # Straight ahead counts as near, aslant as far: the next dot beats the one beside it.
+        # Distances across the direction count more: the next dot in line is preferred.
         reach = np.where(along > _CONE_COS, distance / np.maximum(along, 1e-9), np.inf)
         choice = reach.argmin(axis=1)
         any_ahead = np.isfinite(reach[np.arange(len(uv)), choice])
@@ -91,7 +91,7 @@ def _links(uv: Float64[Array, "n 2"]) -> Int64[Array, "n 4"]:
 
 
 def _drop_jumps(uv: Float64[Array, "n 2"], links: Int64[Array, "n 4"]) -> None:
-    """Cut links much longer than their neighbours in line: a missed dot."""
+    """Remove links much longer than the adjacent ones in line: a dot was missed there."""
     for side, opposite in ((0, 1), (2, 3)):
         after, before = links[:, side], links[:, opposite]
         both = (after >= 0) & (before >= 0)

@@ -1,4 +1,4 @@
-"""Small grey pictures to search in, linear light to measure in, and the points that are found."""
+"""Reduced grey images for searching, linear light for measuring, and the points that are found."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from mammometry.calibration.features.corner_kernels import weighted_levels
 from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
 
 MIN_POINTS = 8
-"""Fewest points from which a target is recognised. Fewer are found in any scatter by chance."""
+"""Fewest points by which a target is recognised. Fewer may match by chance."""
 _BRIGHTEST, _SPARSE = 99.5, 4
-"""Percentile of the levels that is black in the inverse, and rows and columns from one looked at to the next, for
-speed."""
+"""Percentile of the levels that becomes black in the inverse, and step of the rows and columns used for it, for speed.
+"""
 _REC709 = np.array([[0.2126, 0.7152, 0.0722]], dtype=np.float32)
 
 
 def grey_bytes(photograph: Photograph) -> UInt8[Array, "h w"]:
-    """Grey of the encoded values, 8 bit: what detectors want."""
+    """Grey of the encoded values, 8 bit, for detectors."""
     pixels = photograph.pixels
     if pixels.dtype == np.uint16:
         pixels = (pixels >> 8).astype(np.uint8)
@@ -28,10 +28,11 @@ def grey_bytes(photograph: Photograph) -> UInt8[Array, "h w"]:
 
 
 def reduced(grey: UInt8[Array, "h w"], width_px: int) -> tuple[UInt8[Array, "p q"], Float64[Array, 2]]:
-    """Area-averaged picture of about `width_px`, and its scale.
+    """Area-averaged image of about `width_px`, and its scale.
 
-    The scale is original pixels per reduced pixel, x and y. Large pictures are reduced by a whole number, three times
-    as fast as by another, and become up to half as wide again.
+    The scale is original pixels per reduced pixel, x and y. Large images are reduced by an integer, which is three
+    times
+    as fast, and may be up to half as wide again.
     """
     height, width = grey.shape
     if width <= 1.25 * width_px:
@@ -51,9 +52,9 @@ def enlarge(uv: Float64[Array, "*n 2"], scale: Float64[Array, 2]) -> Float64[Arr
 
 
 def linear_luma(photograph: Photograph) -> Float32[Array, "h w"]:
-    """Rec. 709 luminance in linear light, 0…1. There a blurred edge is symmetric about its place."""
+    """Rec. 709 luminance in linear light, 0…1, in which a blurred edge is symmetric."""
     if photograph.pixels.dtype == np.uint8:
-        # The same values as Photograph.linear(), by look-up: ten times as fast, and no picture in between.
+        # The same values as Photograph.linear(), by look-up: ten times as fast, without an intermediate image.
         levels = Photograph(name=photograph.name, pixels=np.arange(256, dtype=np.uint8)[None]).linear()[0]
         if photograph.pixels.ndim == 2:
             return levels[photograph.pixels]
@@ -63,9 +64,9 @@ def linear_luma(photograph: Photograph) -> Float32[Array, "h w"]:
 
 
 def inverse_of(photograph: Photograph) -> Photograph:
-    """The photograph in which what is darkest is brightest, in 16 bit.
+    """The inverted photograph, 16 bit.
 
-    Light is subtracted, linearly, from that of the brightest parts: blurred edges keep their places.
+    Linear light is subtracted from that of the brightest parts, so that blurred edges keep their positions.
     """
     light = linear_of(photograph.pixels.dtype)
     top = light[int(np.percentile(photograph.pixels[::_SPARSE, ::_SPARSE], _BRIGHTEST))]
@@ -80,20 +81,20 @@ class FoundPoints:
     """Points of the target in one photograph."""
 
     ids: Int64[Array, " n"]
-    """Rows of ``target.points_target``, ascending."""
+    """Indices into ``target.points_target``, ascending."""
     uv: Float64[Array, "n 2"]
     """Distorted pixels of the original photograph."""
     covariance_px2: Float64[Array, "n 2 2"]
     """Covariance of each point's `uv` by the fit alone, px²."""
     inverse: bool = False
-    """Whether they were found in the photograph's inverse: the target is printed white on black."""
+    """Whether they were found in the inverted photograph: the target is printed white on black."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cause:
-    """Content of a photograph that shows no target that can be used."""
+    """Reason why a photograph's target cannot be used."""
 
     found: str
-    """What it shows, in words."""
+    """What the photograph shows."""
     remedy: str
     """What to do. Empty if nothing is wrong: not every camera sees the target in every pose."""

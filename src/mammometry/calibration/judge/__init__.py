@@ -1,1 +1,1 @@
-"""Is the calibration good, and does it still hold?"""
+"""Assess whether a calibration is good, and whether it is still valid."""

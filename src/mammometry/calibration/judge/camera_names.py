@@ -1,9 +1,10 @@
-"""Test whether photographs bear the right names, and nobody moved.
+"""Test whether photographs have the right camera names, and whether something moved.
 
-Features that the two photographs of a pair share must lie on one another's epipolar lines, as the calibration has them,
-and the points they show must lie where the rig's cameras look. A photograph of another camera fails that nearly
-everywhere. Then photographs are exchanged in thought until the pairs agree. If they are the right ones but all features
-miss their lines by a little and alike, something moved between the two exposures.
+Features that both photographs of a pair share must be on each other's epipolar lines, and their points must be in the
+cameras' common field of view. A photograph of another camera fails this for nearly all features. Then the photographs
+are
+permuted until the pairs agree. If the names are right but all features are off their lines by a similar small amount,
+something moved between the two exposures.
 """
 
 from __future__ import annotations
@@ -21,42 +22,41 @@ from mammometry.calibration.detection.detect import Detection
 from mammometry.calibration.features.keypoints import WIDTH_PX, Keypoints, matched, show_the_same
 from mammometry.geometry import Array, Camera, Float64, Rig
 
-_NEAR_PX = 2.0  # of the reduced pictures' pixels from the epipolar line
-_BY_CHANCE_NEAR = 0.01  # share of matches by chance that are so near: the band's share of a picture
-_FAR_PX = 16.0  # likewise, within which something that moved still is; a patient's start moves 10 mm, some 8 px
-_DEPTH = (0.5, 2.0)  # of the distance to where the target was held, between which the subject is
-_FEWEST = 12  # matches of a pair, fewer tell nothing
-_RIGHT = 0.5  # share of a pair's matches that fits at least where the names are right (benchmarks.accuracy.exchanged)
-_FOREIGN = 0.25  # share up to which two photographs have nothing to do with one another, likewise; between: undecided
-_UNLIKELY = 1e-5  # probability below which matches do not fit by chance
-_UNLIKELY_NEARER = 1e-3  # the same, of lying on the lines rather than a little off them
-_MANY = 30  # matches of photographs that show the same; others have 5 to 24 by chance, likewise
-_RICH = 200  # features of a photograph, from which a sixteenth and more is found again in its partner, likewise
-_BY_CHANCE = 5  # fitting matches; photographs of different things have none to two, likewise
-_WIDER = 1.3  # times the angle at which other pairs share features, up to which a pair must, too
+_NEAR_PX = 2.0  # largest distance from the epipolar line, pixels of the reduced images
+_BY_CHANCE_NEAR = 0.01  # share of random matches within this distance: the band's share of an image
+_FAR_PX = 16.0  # the same, if something moved; a startled patient moves 10 mm, about 8 px
+_DEPTH = (0.5, 2.0)  # range of the subject's distance, relative to the target's
+_FEWEST = 12  # fewest matches of a pair for a decision
+_RIGHT = 0.5  # smallest share of matches that fit if the names are right (benchmarks.accuracy.exchanged)
+_FOREIGN = 0.25  # largest share for two unrelated photographs, measured likewise; in between: undecided
+_UNLIKELY = 1e-5  # probability of a chance fit below which matches count as fitting
+_UNLIKELY_NEARER = 1e-3  # the same, for being on the lines rather than near them
+_MANY = 30  # fewest matches of photographs of the same subject; others have 5 to 24 by chance, measured likewise
+_RICH = 200  # features of a photograph from which on its partner shares at least a sixteenth, measured likewise
+_BY_CHANCE = 5  # fitting matches; photographs of different subjects have at most two, measured likewise
+_WIDER = 1.3  # largest angle of a pair that must share features, relative to other pairs that do
 _ASTRAY_MM = 3.0  # offset from the lines that no touch of a camera explains; what moved less is put right later
-_GAIN = 0.2  # of both shares that fit, summed, by the exchange of two pairs: of wrong names .4, of right ones none
-_STILL_MM = 1.0  # offset from the epipolar lines at the subject: a calibrated rig's are below 0.1 mm
-"""A pair's own two photographs exchanged fit by 0 to 0.9, the more the better both cameras mirror one another, and are
-then 2 to 20 mm off."""
+_GAIN = 0.2  # smallest gain of the two shares, summed, by swapping two pairs: 0.4 with wrong names, 0 with right ones
+_STILL_MM = 1.0  # largest offset from the epipolar lines of a rig at rest; calibrated ones have below 0.1 mm
+"""For a pair with its own two photographs swapped, the share is 0 to 0.9, the larger the more symmetric the two cameras
+are, and the offset is 2 to 20 mm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairAgreement:
-    """Agreement of the matches of a pair's photographs with its cameras."""
+    """Agreement between the matches of a pair's photographs and its cameras."""
 
     matches: int
     fitting: float
-    """Share that lies near the epipolar line, with a depth where the subject may be."""
+    """Share of matches near the epipolar line, with a plausible depth."""
     offset_mm: float
-    """Median distance from the epipolar line of the matches that are not wild, with its sign, at the subject's depth,
-    mm. NaN where there are none."""
+    """Median signed distance of the inliers from the epipolar line, at the subject's depth, mm. NaN without any."""
     supported: bool = False
-    """Whether more matches fit than chance explains, however few of all they are."""
+    """Whether more matches fit than by chance, even if their share is small."""
 
     @property
     def tells(self) -> bool:
-        """Whether there are enough matches to tell."""
+        """Whether there are enough matches for a decision."""
         return self.matches >= _FEWEST
 
     @property
@@ -71,34 +71,34 @@ class PairAgreement:
 
     @property
     def moved(self) -> bool:
-        """Whether all lies further from its lines than when still."""
+        """Whether all matches are farther from their lines than with a rig at rest."""
         return abs(self.offset_mm) > _STILL_MM
 
     @property
     def sure(self) -> bool:
-        """Whether the photographs are of these cameras, which stood still."""
+        """Whether the photographs are of these cameras and nothing moved."""
         return self.fits and not self.moved
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Names:
-    """Verdict of the features on the photographs' names."""
+    """Result of testing the photographs' names by their features."""
 
     pairs: Mapping[str, PairAgreement]
     exchanged: Mapping[str, str] = field(default_factory=dict)
-    """Camera → camera under whose name its photograph stands, where exchanges make pairs agree."""
+    """Camera → camera whose name its photograph has, if swaps make the pairs agree."""
     misfitting: tuple[str, ...] = ()
-    """Pairs whose photographs show the same, but not from where the calibration has the cameras."""
+    """Pairs whose photographs show the same subject, but not from the calibrated cameras' poses."""
     unrelated: tuple[str, ...] = ()
-    """Pairs whose photographs do not show the same, though other pairs' do."""
+    """Pairs whose photographs do not show the same subject, although other pairs' do."""
     foreign: tuple[str, ...] = ()
-    """Of those pairs, cameras whose photographs fit no other's, while their partners' do."""
+    """Of those pairs, cameras whose photographs match no other's, while their partners' do."""
     unknown: tuple[str, ...] = ()
-    """Pairs of which it cannot be told."""
+    """Pairs that cannot be decided."""
 
     @property
     def cycles(self) -> tuple[tuple[str, ...], ...]:
-        """Cameras whose photographs are exchanged among one another."""
+        """Groups of cameras whose photographs are swapped among each other."""
         left = dict(self.exchanged)
         found = []
         while left:
@@ -112,18 +112,18 @@ class Names:
 
     @property
     def another_rig(self) -> bool:
-        """Whether most pairs' photographs do not fit."""
+        """Whether most pairs' photographs do not fit the calibration."""
         return len(self.misfitting) > max(1, len(self.pairs) / 2)
 
     @property
     def right(self) -> bool:
-        """Whether nothing shows that a photograph is a wrong one."""
+        """Whether there is no sign of a wrong photograph."""
         return not (self.exchanged or self.misfitting or self.unrelated)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WrongPhotographs:
-    """Photographs that cannot be measured together, in words."""
+    """Photographs that cannot be measured together, with texts for the user."""
 
     cameras: tuple[str, ...]
     found: str
@@ -131,19 +131,19 @@ class WrongPhotographs:
 
     @property
     def listed(self) -> str:
-        """The cameras, as a sentence names them."""
+        """The cameras, for a sentence."""
         return " and ".join(part for part in (", ".join(self.cameras[:-1]), self.cameras[-1]) if part)
 
 
 def wrong_photographs(names: Names, pairs: Mapping[str, tuple[str, str]]) -> Iterator[WrongPhotographs]:
-    """Say which photographs are wrong, and what to do.
+    """Explain which photographs are wrong, and what to do.
 
     Args:
-        names: as found.
+        names: result of `check_names`.
         pairs: pair → its cameras.
     """
     for cycle in names.cycles:
-        way = "each shows the other's view" if len(cycle) == 2 else "each shows another one's view"
+        way = "each shows the other's view" if len(cycle) == 2 else "each shows another camera's view"
         yield WrongPhotographs(
             cameras=cycle,
             found=f"photographs that seem to be exchanged: by the calibration, {way}",
@@ -152,25 +152,25 @@ def wrong_photographs(names: Names, pairs: Mapping[str, tuple[str, str]]) -> Ite
     if names.another_rig:
         yield WrongPhotographs(
             cameras=tuple(dict.fromkeys(name for pair in names.misfitting for name in pairs[pair])),
-            found="photographs that seem to be of another rig, or of this one before it was changed: most pairs do not "
+            found="photographs that seem to be from another rig, or from this one before a change: most pairs do not "
             "fit the calibration",
-            remedy="Choose the photographs of this rig, or calibrate it again",
+            remedy="Use the photographs of this rig, or calibrate it again",
         )
         return
     for pair in names.misfitting:
         yield WrongPhotographs(
             cameras=pairs[pair],
-            found="photographs that show the same, but not from where these cameras were calibrated",
-            remedy="Choose the photographs of these cameras; if they are the right ones, calibrate again",
+            found="photographs that show the same subject, but not from the calibrated camera positions",
+            remedy="Use the photographs of these cameras. If they are the right ones, calibrate again",
         )
     for pair in names.unrelated:
         foreign = tuple(name for name in pairs[pair] if name in names.foreign)
         yield WrongPhotographs(
             cameras=foreign or pairs[pair],
-            found="a photograph that seems to be of another exposure or patient"
+            found="a photograph that seems to be from another exposure or of another patient"
             if foreign
-            else "photographs that do not show the same",
-            remedy="Choose the photographs of one exposure of one patient",
+            else "photographs that do not show the same subject",
+            remedy="Use the photographs of one exposure of one patient",
         )
 
 
@@ -181,11 +181,11 @@ _Assignment: TypeAlias = tuple[_Score, dict[str, str]]
 
 
 def check_names(rig: Rig, seen: Mapping[str, Keypoints]) -> Names:
-    """Find photographs under wrong names, and those that do not belong to the others.
+    """Find photographs with wrong names, and those that do not belong to the others.
 
     Args:
-        rig: calibrated.
-        seen: camera → features of the photograph with its name; may lack cameras.
+        rig: the calibrated rig.
+        seen: camera → features of the photograph with its name; cameras may be missing.
     """
     pairs = {name: both for name, both in rig.pair_names.items() if set(both) <= set(seen)}
 
@@ -204,7 +204,7 @@ def check_names(rig: Rig, seen: Mapping[str, Keypoints]) -> Names:
     own = {pair: agreement(*both, *both) for pair, both in pairs.items()}
     suspects = {pair: pairs[pair] for pair, found in own.items() if not found.sure}
     exchanged: dict[str, str] = {}
-    if suspects:  # mostly photographs are exchanged among the pairs that look wrong; some do so by chance only
+    if suspects:  # photographs are usually swapped among the pairs that look wrong; some look wrong by chance
         exchanged = _best_exchange(suspects, own, agreement) or _best_exchange(pairs, own, agreement)
     exchanged = exchanged or _mirrored_pairs(pairs, own, agreement)
     unsolved = {pair: both for pair, both in suspects.items() if not set(both) & set(exchanged)}
@@ -212,7 +212,7 @@ def check_names(rig: Rig, seen: Mapping[str, Keypoints]) -> Names:
     shared = [pair for pair in unsolved if own[pair].matches >= _MANY]
     misfitting = tuple(pair for pair in shared if pair in poor and show_the_same(*correspondences(*pairs[pair])))
     astray = tuple(pair for pair in shared if pair in misfitting or abs(own[pair].offset_mm) > _ASTRAY_MM)
-    if len(astray) > max(1, len(pairs) / 2):  # one pair may have moved by so much, most have not
+    if len(astray) > max(1, len(pairs) / 2):  # one pair may have moved that far, but not most pairs
         misfitting = astray
     rich = {name for name, features in seen.items() if len(features.uv) >= _RICH}
     reach = max((_angle_deg(rig, pairs[pair]) for pair in _plain(own, pairs, rich)), default=0.0)
@@ -235,14 +235,14 @@ def check_names(rig: Rig, seen: Mapping[str, Keypoints]) -> Names:
 
 
 def _plain(own: Mapping[str, PairAgreement], pairs: Mapping[str, tuple[str, str]], rich: Set[str]) -> Iterator[str]:
-    """Pairs that show how many features are shared where the photographs belong together."""
+    """Pairs that share as many features as photographs that belong together."""
     for pair, found in own.items():
         if found.sure and found.fitting_matches >= _MANY and set(pairs[pair]) <= rich:
             yield pair
 
 
 def _angle_deg(rig: Rig, both: tuple[str, str]) -> float:
-    """Angle between two cameras' axes: the wider it is, the fewer features look alike."""
+    """Angle between two cameras' axes: the larger it is, the fewer features match."""
     cosine = rig.cameras[both[0]].axis_world @ rig.cameras[both[1]].axis_world
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
@@ -250,15 +250,15 @@ def _angle_deg(rig: Rig, both: tuple[str, str]) -> float:
 def _best_exchange(
     pairs: Mapping[str, _Cameras], own: Mapping[str, PairAgreement], agreement: _Agreement
 ) -> dict[str, str]:
-    """Exchange photographs so that more pairs agree, and none less.
+    """Swap photographs so that more pairs agree, and no pair agrees less.
 
     Args:
         pairs: pair → its cameras.
-        own: pair → agreement of the photographs that have its cameras' names.
-        agreement: of any two cameras with any two cameras' photographs.
+        own: pair → agreement of the photographs with its cameras' names.
+        agreement: function for any two cameras with any two cameras' photographs.
 
     Returns:
-        Camera → camera under whose name its photograph stands. Empty where no exchange makes more pairs agree.
+        Camera → camera whose name its photograph has. Empty if no swap makes more pairs agree.
     """
     cameras = list(dict.fromkeys(name for both in pairs.values() for name in both))
     fitting = {
@@ -299,9 +299,9 @@ def _best_exchange(
 def _mirrored_pairs(
     pairs: Mapping[str, _Cameras], own: Mapping[str, PairAgreement], agreement: _Agreement
 ) -> dict[str, str]:
-    """Exchange two pairs that agree under each other's names, and better than under their own.
+    """Swap two pairs that agree better under each other's names.
 
-    Pairs that mirror one another, as a rig's left and right ones, have much the same epipolar lines.
+    Pairs that are mirror images, such as a rig's left and right ones, have similar epipolar lines.
     """
     for one, other in combinations((pair for pair in pairs if own[pair].sure), 2):
         in_others = agreement(*pairs[one], *pairs[other]), agreement(*pairs[other], *pairs[one])
@@ -312,7 +312,7 @@ def _mirrored_pairs(
 
 
 def _foreign(wrong: Mapping[str, _Cameras], cameras: Sequence[str], agreement: _Agreement) -> tuple[str, ...]:
-    """Cameras of wrong pairs whose photographs fit no other's, while their partners' do."""
+    """Cameras of wrong pairs whose photographs match no other's, while their partners' do."""
 
     def belongs(name: str, partner: str) -> bool:
         others = (other for other in cameras if other not in (name, partner))
@@ -327,17 +327,16 @@ def _foreign(wrong: Mapping[str, _Cameras], cameras: Sequence[str], agreement: _
 
 
 def check_board_names(rig: Rig, seen: Mapping[str, Detection]) -> tuple[str, str] | None:
-    """Find exchanged cables on pictures of the calibration board.
+    """Find swapped cables in images of the calibration board.
 
-    Its points need no likeness: the same number is the same point. So any two cameras that see it are compared, not
-    those of a pair alone.
+    Board points are identified by their numbers. So any two cameras that see the board are compared, not only pairs.
 
     Args:
         rig: as calibrated before, or with the poses so far.
-        seen: camera → what was detected in the picture with its name; lacks cameras that saw nothing.
+        seen: camera → detection in the image with its name; without cameras that saw nothing.
 
     Returns:
-        The two cameras whose exchange makes all agree; None where nothing is wrong, or no exchange explains it.
+        The two cameras whose swap makes all agree. None if nothing is wrong, or no swap explains it.
     """
 
     @cache
@@ -351,7 +350,7 @@ def check_board_names(rig: Rig, seen: Mapping[str, Detection]) -> tuple[str, str
         return found if found.tells else None
 
     def judged(source: Mapping[str, str]) -> dict[tuple[str, str], bool]:
-        """Two cameras → whether their pictures agree, where they show it."""
+        """Two cameras → whether their images agree, if that can be decided."""
         found = {both: agreement(*both, source[both[0]], source[both[1]]) for both in combinations(rig.cameras, 2)}
         return {both: agreement.fits for both, agreement in found.items() if agreement is not None}
 
@@ -362,7 +361,7 @@ def check_board_names(rig: Rig, seen: Mapping[str, Detection]) -> tuple[str, str
     best: tuple[int, tuple[str, str]] | None = None
     for pair in combinations(rig.cameras, 2):
         if not all(both & set(pair) for both in wrong):
-            continue  # something would stay wrong
+            continue  # something would still be wrong
         after = judged({**own, pair[0]: pair[1], pair[1]: pair[0]})
         if after and all(after.values()):
             best = max(best or (0, pair), (len(after), pair))
@@ -376,14 +375,14 @@ def pair_agreement(
     uv_right: Float64[Array, "n 2"],
     middle: Float64[Array, 3] | None,
 ) -> PairAgreement:
-    """Measure how well two pictures' features fit two cameras.
+    """Measure how well two images' features fit two cameras.
 
     Args:
         left: calibrated, as `right`.
         right: the other camera.
-        uv_left: places, px, in the picture that `left` is said to have taken.
-        uv_right: of the same things, likewise of `right`.
-        middle: world point, mm, about which the subject stands. None: it may stand anywhere before the cameras.
+        uv_left: positions, px, in the image that has the name of `left`.
+        uv_right: positions of the same features in the image that has the name of `right`.
+        middle: world point, mm, near the subject. None: the subject may be anywhere in front of the cameras.
     """
     if len(uv_left) < _FEWEST:
         return PairAgreement(matches=len(uv_left), fitting=0.0, offset_mm=float("nan"))
@@ -392,7 +391,7 @@ def pair_agreement(
     tx, ty, tz = right_from_left.translation_mm
     essential = np.array([[0, -tz, ty], [tz, 0, -tx], [-ty, tx, 0]]) @ right_from_left.rotation
     rays, others = (np.concatenate([part, np.ones((len(part), 1))], axis=1) for part in (x, y))
-    lines = rays @ essential.T  # in the right picture
+    lines = rays @ essential.T  # in the right image
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = (lines * others).sum(axis=1) / np.linalg.norm(lines[:, :2], axis=1) * right.matrix[1, 1]
         # Least squares of s x = R⁻¹(t' y) for depths along both rays.
@@ -410,7 +409,7 @@ def pair_agreement(
         placed = np.all((depths > _DEPTH[0] * away[:, None]) & (depths < _DEPTH[1] * away[:, None]), axis=0)
     tame = placed & (np.abs(distance) < _FAR_PX * unit)
     offset = float(np.median(distance[tame])) if tame.sum() >= _FEWEST else float("nan")
-    # What moved as a whole is of the right camera all the same: distances are taken from their median.
+    # A common offset is a motion, not a wrong name: distances are relative to their median.
     near = placed & (np.abs(distance - np.nan_to_num(offset)) < _NEAR_PX * unit)
     return PairAgreement(
         matches=len(uv_left),
@@ -423,10 +422,11 @@ def pair_agreement(
 
 
 def _is_supported(near: int, tame: int, matches: int) -> bool:
-    """Whether matches speak for the cameras: more fit than chance explains.
+    """Whether more matches fit than by chance.
 
-    Photographs of the same by other cameras have many matches in the lines' neighbourhood as well, but as many a
-    little off them as on them.
+    Photographs of the same subject by other cameras also have many matches near the lines, but as many slightly off
+    them
+    as on them.
     """
     on_lines = float(bdtrc(near - 1, tame, _NEAR_PX / _FAR_PX))
     return on_lines < _UNLIKELY_NEARER and float(bdtrc(near - 1, matches, _BY_CHANCE_NEAR)) < _UNLIKELY

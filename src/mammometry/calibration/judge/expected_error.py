@@ -1,4 +1,4 @@
-"""Working volume of the rig, and expected error, mm, of points that its pairs reconstruct there."""
+"""Working volume of the rig, and expected error, mm, of the points that its pairs reconstruct there."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from mammometry.calibration.adjust.projection import intrinsics_of, project_with
 from mammometry.geometry import Array, Bool, Camera, Float64, Int64, Rig
 from mammometry.geometry.twist import rigid_motions, without
 
-_STEPS = 9  # points along each side of the working volume; chosen by eye
+_STEPS = 9  # points along each side of the working volume
 
 
 @value(eq=False)
 class WorkingVolume:
-    """Cube in which skin is expected, as a grid along world axes."""
+    """Cube in which skin is expected, as a grid along the world axes."""
 
     grid_world: Float64[Array, "n n n 3"]
     """Grid points, world frame, mm. Indices along x, y and z."""
     seen: Bool[Array, "n n n"]
     """Points that both cameras of a pair see: the working volume."""
     shown: Bool[Array, "n n n"]
-    """Points nearer to a target point than to their neighbours: calibrated, and not only extrapolated."""
+    """Points closer to a target point than to their neighbours: calibrated, not extrapolated."""
 
     @property
     def spacing_mm(self) -> float:
@@ -36,20 +36,20 @@ class WorkingVolume:
 
     @property
     def middle_world(self) -> Float64[Array, 3]:
-        """Middle of the places where the target was held, world, mm."""
+        """Mean position of the target, world, mm."""
         middle: Float64[Array, 3] = self.grid_world.mean(axis=(0, 1, 2))
         return middle
 
     @property
     def coverage(self) -> float:
-        """Share of what is seen that was shown. NaN where no pair sees anything."""
+        """Share of the seen part that was covered by the target. NaN if no pair sees anything."""
         return float(self.shown[self.seen].mean()) if self.seen.any() else float("nan")
 
 
 def working_volume(calibration: Calibration) -> WorkingVolume:
     """Compute the volume in which a calibrated rig measures.
 
-    A cube about the middle of the places where the target was held, as wide as the cameras' pictures are high there.
+    It is a cube about the mean position of the target, as wide as the images' height there.
     """
     rig = calibration.rig
     placed = [placed.apply(calibration.target_points) for placed in calibration.world_from_target.values()]
@@ -66,12 +66,12 @@ def working_volume(calibration: Calibration) -> WorkingVolume:
 
 
 def middle_world(rig: Rig) -> Float64[Array, 3]:
-    """Middle of the target's places, world, mm. Of imported cameras: where their axes meet."""
+    """Mean position of the target, world, mm. For imported cameras: where their axes meet."""
     return meeting_point(rig) if rig.target_middle_world is None else rig.target_middle_world
 
 
 def meeting_point(rig: Rig) -> Float64[Array, 3]:
-    """Find the point nearest to all optical axes, world, mm. For parallel ones near the cameras' mean."""
+    """Find the point closest to all optical axes, world, mm. For parallel axes: near the cameras' mean."""
     centres = np.stack([camera.centre_world for camera in rig.cameras.values()])
     across = np.stack([np.eye(3) - np.outer(c.axis_world, c.axis_world) for c in rig.cameras.values()])
     weak = 1e-6 * np.eye(3)
@@ -80,12 +80,12 @@ def meeting_point(rig: Rig) -> Float64[Array, 3]:
 
 
 def sees(camera: Camera, points_world: Float64[Array, "*n 3"]) -> Bool[Array, "*n"]:
-    """Tell which points, mm, fall into the camera's picture."""
+    """Mask of the points, mm, inside the camera's image."""
     return in_picture(camera, camera.project(points_world))
 
 
 def in_picture(camera: Camera, uv: Float64[Array, "*n 2"]) -> Bool[Array, "*n"]:
-    """Tell which pixels the camera's picture has. NaN, of points behind it, is none."""
+    """Mask of the pixels inside the camera's image. NaN (points behind the camera) is outside."""
     return np.all((uv > -0.5) & (uv < np.array(camera.size_wh) - 0.5), axis=-1)
 
 
@@ -98,20 +98,20 @@ def _half_height_mm(camera: Camera, point_world: Float64[Array, 3]) -> float:
 class ExpectedError:
     """Standard deviations of reconstructed points from the calibration alone.
 
-    They cover the working volume. Errors that move everything rigidly do not change a shape and are left out. So is
-    the scale of the whole: it depends only on the target's, ``Calibration.scale_std``, and no residual shows it.
+    Over the working volume. Rigid motions of all points do not change a shape and are not included. Neither is the
+    overall scale: it depends only on the target's, ``Calibration.scale_std``, and no residual shows it.
     """
 
     volume: WorkingVolume
     std_mm: Mapping[str, Float64[Array, "n n n"]]
     """Pair → standard deviation of a reconstructed point's distance from the true one (root of the covariance's trace)
-    on the volume's grid. NaN where one camera does not see it."""
+    on the volume's grid. NaN if one camera does not see it."""
 
     @property
     def rms_mm(self) -> Mapping[str, float]:
-        """Pair → root mean square over the seen part near the target.
+        """Pair → root mean square over the seen part near the target. NaN if there is none.
 
-        NaN if there is none. Beyond, cameras are extrapolated, and errors grow without a meaningful bound.
+        Farther away the cameras are extrapolated, and errors grow without a meaningful bound.
         """
         found = {}
         for pair, std in self.std_mm.items():
@@ -122,15 +122,15 @@ class ExpectedError:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ShapeShifts:
-    """Shifts of reconstructed points with the cameras' parameters, less their common motion and scale."""
+    """Derivatives of reconstructed points by the cameras' parameters, without common motion and scale."""
 
     volume: WorkingVolume
     names: tuple[str, ...]
-    """Of the cameras' parameters, those that were adjusted."""
+    """Names of the cameras' adjusted parameters."""
     columns: tuple[int, ...]
-    """Their places in the calibration's covariance."""
+    """Their indices in the calibration's covariance."""
     inside: Mapping[str, Int64[Array, " n"]]
-    """Pair → points of the volume's grid, in one row, that both cameras see."""
+    """Pair → indices of the grid's points that both cameras see."""
     by_parameter: Mapping[str, Float64[Array, "n 3 p"]]
     """Pair → shift of those points, mm, by each parameter."""
 
@@ -146,9 +146,10 @@ def expected_error(calibration: Calibration) -> ExpectedError:
 def shape_shifts(calibration: Calibration) -> ShapeShifts:
     """Derivatives of the pairs' triangulation by the cameras' parameters.
 
-    A point X is seen where both cameras project it. Had they other parameters θ, the same image points would lead to
-    X + dX, with P dX + Q dθ = 0 to first order in least squares, P and Q being the derivatives of both projections:
-    dX = −(PᵀP)⁻¹PᵀQ dθ. Of all points' dX the best common motion, turn and scale are taken off.
+    With parameters θ + dθ, the image points of X give X + dX, where P dX + Q dθ = 0 to first order in least squares,
+    and
+    P and Q are the derivatives of both projections: dX = −(PᵀP)⁻¹PᵀQ dθ. The best common motion, rotation and scale of
+    all dX are subtracted.
     """
     volume = working_volume(calibration)
     columns, names = _of_cameras(calibration.rig, calibration.covariance)
@@ -185,7 +186,7 @@ def _of_cameras(rig: Rig, covariance: ParameterCovariance) -> tuple[tuple[int, .
 def _shifts(
     rig: Rig, names: tuple[str, ...], points: Float64[Array, "n 3"]
 ) -> tuple[Mapping[str, Int64[Array, " _"]], Mapping[str, Float64[Array, "_ 3 p"]]]:
-    """Pair → points that both cameras see, and their shifts by each parameter less the common similarity."""
+    """Pair → points that both cameras see, and their shifts by each parameter without the common similarity."""
     parts, seen = [], {}
     for pair in rig.pairs:
         inside = np.flatnonzero(sees(pair.left, points) & sees(pair.right, points))
@@ -227,6 +228,6 @@ def derivatives(
 
 
 def _without_similarity(points: Float64[Array, "n 3"], moved: Float64[Array, "n 3 p"]) -> Float64[Array, "n 3 p"]:
-    """Remove the best motion, turn and scale from the points' shifts. For each parameter."""
+    """Remove the best common motion, rotation and scale from the points' shifts, for each parameter."""
     centred = points - points.mean(axis=0)
     return without(np.concatenate([rigid_motions(centred), centred[:, :, None]], axis=2), moved)

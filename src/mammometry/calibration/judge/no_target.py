@@ -1,4 +1,4 @@
-"""Refusals for photographs without the target: the cause and the remedy first, then details."""
+"""Errors for photographs without the target: cause and remedy first, then details."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from mammometry.calibration.features.pixels import Cause
 from mammometry.calibration.targets.target import Target
 
 _TRIED = 4
-"""Photographs in which the target is sought as it is commonly mistaken."""
+"""Number of photographs in which commonly confused targets are searched."""
 
 Photographs = Mapping[tuple[str, str], Photograph]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Reading:
-    """A target as it commonly is described by mistake."""
+    """A target that is described by a common mistake."""
 
     cause: Cause
     target: Target
@@ -33,8 +33,8 @@ def no_target(target: Target, parts: Sequence[Observations], photographs: Photog
 
     Args:
         target: as described.
-        parts: what was seen.
-        photographs: (pose, camera) → photograph of this target; read only where nothing else tells the cause.
+        parts: all detections.
+        photographs: (pose, camera) → photograph of this target; read only if the cause is not known otherwise.
     """
     missed = [view for part in parts for view in part.missed]
     shown = _fitting_reading(target, photographs, sorted(photographs)) or _common_cause(missed)
@@ -50,14 +50,14 @@ def no_target(target: Target, parts: Sequence[Observations], photographs: Photog
 
 
 def with_causes(error: CalibrationError, parts: Sequence[Observations], photographs: Photographs) -> CalibrationError:
-    """Return an error of the adjustment with the photographs that could not be used.
+    """Add the photographs that could not be used to an error of the adjustment.
 
-    If cameras have too few views, those are the reason, and the error says so first.
+    If cameras have too few views for this reason, the error says so first.
 
     Args:
         error: of the adjustment.
-        parts: what was seen of the rig's target, then of others.
-        photographs: (pose, camera) → photograph of the rig's target; read only where nothing else tells the cause.
+        parts: detections of the rig's target, then of others.
+        photographs: (pose, camera) → photograph of the rig's target; read only if the cause is not known otherwise.
     """
     every = [view for part in parts for view in part.missed]
     cameras = error.cameras if isinstance(error, TooFewViewsError) else ()
@@ -77,7 +77,7 @@ def with_causes(error: CalibrationError, parts: Sequence[Observations], photogra
 
 
 def _lines(missed: Sequence[MissedView], remedy: str) -> tuple[str, ...]:
-    """One line a camera and cause. The error's own remedy is not repeated."""
+    """One line per camera and cause. The error's own remedy is not repeated."""
     poses: dict[tuple[str, str, str], list[str]] = {}
     for view in missed:
         if view.remedy:
@@ -90,7 +90,7 @@ def _lines(missed: Sequence[MissedView], remedy: str) -> tuple[str, ...]:
 
 
 def _common_cause(missed: Sequence[MissedView]) -> tuple[str, str] | None:
-    """Return what most missed photographs show instead, in words, and its remedy."""
+    """Return what most photographs without detection show instead, as text, and its remedy."""
     causes = [view for view in missed if view.remedy]
     if not causes:
         return None
@@ -103,7 +103,7 @@ def _common_cause(missed: Sequence[MissedView]) -> tuple[str, str] | None:
 def _fitting_reading(
     target: Target, photographs: Photographs, keys: Sequence[tuple[str, str]]
 ) -> tuple[str, str] | None:
-    """Return the common mistake that explains most of some missed photographs, in words, and its remedy."""
+    """Return the common mistake that explains most of some photographs without detection, as text, and its remedy."""
     some = [photographs[keys[k]] for k in np.unique(np.linspace(0, len(keys) - 1, _TRIED).astype(int)) if keys]
     for reading in _other_targets(target):
         fitting = sum(_fits(reading, photograph) for photograph in some[:2])
@@ -111,7 +111,7 @@ def _fitting_reading(
             fitting += sum(_fits(reading, photograph) for photograph in some[2:])
         if 2 * fitting > len(some):
             return (
-                f"{fitting} of {len(some)} photographs that were looked at again show {reading.cause.found}",
+                f"{fitting} of {len(some)} photographs that were examined again show {reading.cause.found}",
                 reading.cause.remedy,
             )
     return None
@@ -123,6 +123,6 @@ def _fits(reading: _Reading, photograph: Photograph) -> bool:
 
 def _other_targets(target: Target) -> Iterator[_Reading]:
     for keys, other in target.mistaken():
-        remedy = f"Write {keys} in [target] of session.toml, or photograph the board that it describes"
+        remedy = f"Write {keys} in [target] of session.toml, or photograph the described board"
         cause = Cause(found=f"a board with {keys}", remedy=remedy)
         yield _Reading(cause=cause, target=other)

@@ -1,8 +1,8 @@
-"""Judge whether a calibration is good enough.
+"""Assess whether a calibration is good enough, for each camera, pose and pair, in millimetres.
 
-The judgement is in words and millimetres, for each camera, pose and pair. Nothing of the adjustment is taken on trust.
-Residuals are computed again with the finished cameras, including points that were left out. The target is
-reconstructed from each pair as the skin will be. Each view alone is tested for whether its camera stood still.
+Independently of the adjustment: residuals are computed again with the final cameras, including excluded points; the
+target
+is reconstructed from each pair, as the skin will be; and each view is tested for whether its camera moved.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Residuals of single views, and the target as each pair reconstructs it: an independent check."""
+"""Residuals of single views, and the target as reconstructed by each pair: an independent check."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class PairQuality:
     poses: int
     points: int
     scale_ppm: float
-    """Reconstructed sizes over nominal ones, less one, millionths. NaN without a common pose, as below."""
+    """Relative difference of reconstructed from nominal sizes, ppm. NaN without a common pose, as below."""
     geometry_mm: float
-    """RMS distance of reconstructed from nominal points, rigidly aligned without scaling, pose by pose."""
+    """RMS distance of reconstructed from nominal points, aligned rigidly without scaling for each pose."""
     planarity_mm: float | None
-    """RMS distance from the best plane, pose by pose. None if the target is not flat."""
+    """RMS distance from the best plane, for each pose. None if the target is not flat."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,15 +34,15 @@ class MovedPair:
     """Error of a pair after a camera moved, with the old calibration."""
 
     displacement_mm: float
-    """RMS distance of measured from true points: this pair's surface against the others'."""
+    """RMS distance of measured from true points: the shift of this pair's surface relative to the others'."""
     shape_mm: float
-    """The rest of it after a rigid alignment: the error of its own surface."""
+    """The remainder after a rigid alignment: the error of the surface's shape."""
     scale_ppm: float
-    """Measured sizes over true ones, less one, millionths. Three times that in volume."""
+    """Relative difference of measured from true sizes, ppm. The difference in volume is three times as large."""
 
 
 def moved_pair(pair: StereoPair, left: Camera, right: Camera, points_world: Float64[Array, "n 3"]) -> MovedPair | None:
-    """Points measured by a pair whose true cameras are `left` and `right`. None if it sees too few."""
+    """Error of a pair whose true cameras are `left` and `right`. None if it sees too few points."""
     uv_left, uv_right = left.project(points_world), right.project(points_world)
     seen = in_picture(left, uv_left) & in_picture(right, uv_right)
     if seen.sum() < LEAST_POINTS:
@@ -60,7 +60,7 @@ def moved_pair(pair: StereoPair, left: Camera, right: Camera, points_world: Floa
 def triangulate(
     pair: StereoPair, uv_left: Float64[Array, "n 2"], uv_right: Float64[Array, "n 2"]
 ) -> Float64[Array, "n 3"]:
-    """World points, mm, midway between the two rays where they come closest."""
+    """World points, mm, midway between the two rays at their closest approach."""
     left, right = pair.left.rays_world(uv_left), pair.right.rays_world(uv_right)
     baseline = pair.right.centre_world - pair.left.centre_world
     cosine = np.sum(left * right, axis=1)
@@ -74,7 +74,7 @@ def triangulate(
 
 
 def reconstruct(calibration: Calibration, pair: StereoPair) -> PairQuality:
-    """Triangulate the target from one pair, pose by pose, and compare."""
+    """Triangulate the target from one pair for each pose, and compare with its nominal points."""
     seen = {
         (detection.camera, detection.pose): (detection, np.isfinite(residual_px).all(axis=1))
         for detection, residual_px in zip(calibration.observations.detections, calibration.residuals_px, strict=True)
@@ -126,7 +126,7 @@ def _plane_rms(points: Float64[Array, "n 3"]) -> float:
 
 
 _FAR_PX = 1e6  # residual of a point behind its camera
-_GRAZING_COSINE = float(np.cos(np.radians(75.0)))  # beyond, a board stays dark and its markers are too narrow
+_GRAZING_COSINE = float(np.cos(np.radians(75.0)))  # beyond it, a board is dark and its markers too narrow
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,24 +137,25 @@ class ViewQuality:
     pose: str
     points: int
     rejected: int
-    """Points left out as outliers, or all of them if the view was set aside."""
+    """Points excluded as outliers, or all of them if the view was excluded."""
     rms_px: float
-    """Of the points that took part. NaN where none did."""
+    """RMS of the points that were used. NaN if none were."""
     bias: float
-    """Length of the median residual in its own standard errors, all points included: 1–5 by chance, more if something
-    moved."""
+    """Length of the median residual in its own standard errors, over all points: 1–5 by chance, more if something
+    moved.
+    """
 
 
 def view_qualities(calibration: Calibration) -> tuple[ViewQuality, ...]:
-    """All views in the order of the detections. Residuals are formed again with the finished cameras."""
+    """All views in the order of the detections, with residuals computed again from the final cameras."""
     pairs = zip(calibration.observations.detections, calibration.residuals_px, strict=True)
     return tuple(_view_quality(calibration, detection, residual_px) for detection, residual_px in pairs)
 
 
 def sees_badly(calibration: Calibration, camera: str, pose: str) -> bool:
-    """Whether a camera saw the target from behind, aslant, or hardly.
+    """Whether a camera saw the target from behind, at a grazing angle, or hardly at all.
 
-    By the finished calibration. Flat targets are viewed from their negative z. For others only the frame is checked.
+    By the final calibration. Flat targets are seen from their negative z. For others only the field of view is tested.
     """
     placed, seer = calibration.world_from_target.get(pose), calibration.rig.cameras.get(camera)
     if placed is None or seer is None:
@@ -167,7 +168,7 @@ def sees_badly(calibration: Calibration, camera: str, pose: str) -> bool:
 
 
 def pooled_rms(views: Sequence[ViewQuality]) -> float:
-    """RMS over all points of the views that took part, px. NaN where none did."""
+    """RMS over all points of the used views, px. NaN if none were used."""
     used = np.array([view.points - view.rejected for view in views], float)
     squares = np.nan_to_num([view.rms_px for view in views]) ** 2
     return float(np.sqrt(used @ squares / used.sum())) if used.sum() else float("nan")

@@ -1,7 +1,7 @@
-"""Test whether a rig has the size of one that sees its subject, or is in another unit.
+"""Test whether a rig's size fits its subject, or its lengths are in another unit.
 
-A whole capture can be scaled without any residual. What betrays a wrong unit is how wide the pictures are where the
-subject stands: a cast or a body has to fit in.
+A whole capture can be scaled without any residual. A wrong unit shows in the width of the field of view at the subject,
+which must contain a cast or a body.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from mammometry.calibration.judge.expected_error import meeting_point
 from mammometry.geometry.camera import Rig
 
 _MARGIN = 1.25
-"""Least width of a picture, in widths of its subject."""
+"""Smallest width of the field of view, in widths of the subject."""
 _BREAST_MM = 120.0
-"""Least width of what a camera must see of a torso. Real bases are 110 to 150 mm wide, and skin around them is seen."""
+"""Smallest width of a torso's part that a camera must see. Real bases are 110 to 150 mm wide, plus skin around them."""
 _USUAL_VIEW_MM: Range = (120.0, 1200.0)
-"""Usual width of a picture at the subject. The simulated rigs have 280 to 440 mm, real ones that we know 150 to 450."""
+"""Usual width of the field of view at the subject. Simulated rigs have 280 to 440 mm, known real ones 150 to 450."""
 _BASELINE_MM: Range = (10.0, 2500.0)
-"""Possible distance of a pair's cameras: the smallest stereo modules have 18 mm."""
+"""Possible distance between a pair's cameras: the smallest stereo modules have 18 mm."""
 _USUAL_BASELINE_MM: Range = (30.0, 1500.0)
-"""Usual distance of a pair's cameras. The simulated rigs and real ones that we know have 100 to 450 mm."""
+"""Usual distance between a pair's cameras. Simulated rigs and known real ones have 100 to 450 mm."""
 _PARALLEL_COSINE = float(np.cos(np.radians(5.0)))
-"""Optical axes within 5° of each other are called parallel: they meet nowhere."""
+"""Optical axes within 5° of each other count as parallel: they meet nowhere."""
 
 
 def require_scale(calibration: Calibration, subject_kind: str) -> None:
-    """Refuse a calibration whose target's sizes make a rig that cannot see its subject.
+    """Refuse a calibration whose target size gives a rig that cannot see its subject.
 
     Args:
-        calibration: with the target's sizes as session.toml has them.
+        calibration: with the target's sizes as in session.toml.
         subject_kind: ``model``, ``torso`` or ``surface``.
 
     Raises:
@@ -47,7 +47,7 @@ def require_scale(calibration: Calibration, subject_kind: str) -> None:
     name, stated_mm = calibration.observations.target.stated_size
     raise CalibrationError(
         f"session.toml: target.{name}",
-        found=f"{stated_mm:g} mm, by which {wrong}",
+        found=f"{stated_mm:g} mm, with which {wrong}",
         expected=wrong.expected,
         remedy=f"Measure the target, and enter its sizes in millimetres{fitting(stated_mm, sizes)}",
     )
@@ -62,7 +62,7 @@ def require_camera_scale(file: str, rig: Rig, subject_kind: str) -> tuple[str, .
         subject_kind: ``model``, ``torso`` or ``surface``.
 
     Returns:
-        Why their lengths are doubtful, in sentences. Empty if they are usual.
+        Sentences on why their lengths are doubtful. Empty if they are usual.
 
     Raises:
         SessionError: names the file and the unit that would fit.
@@ -74,14 +74,14 @@ def require_camera_scale(file: str, rig: Rig, subject_kind: str) -> tuple[str, .
     if wrong is not None:
         raise SessionError(
             file,
-            found=f"translations by which {wrong}",
+            found=f"translations with which {wrong}",
             expected=wrong.expected,
             remedy=f"Give the cameras' translations in millimetres{seem}",
         )
     rare = [str(size) for size in sizes if not size.is_usual()]
     if not rare:
         return ()
-    doubt = f"By the imported cameras {' and '.join(rare)}, which is rare. If the subject is of another size than that"
+    doubt = f"With the imported cameras {' and '.join(rare)}, which is rare. If this is not the subject's size"
     return (f"{doubt}, check the cameras' unit{seem}",)
 
 
@@ -90,7 +90,7 @@ def _impossible(sizes: Sequence[Size]) -> Size | None:
 
 
 def calibrated_sizes(calibration: Calibration, subject_kind: str = "model") -> tuple[Size, ...]:
-    """Sizes of a calibrated rig, with the target held where the subject stands."""
+    """Sizes of a calibrated rig, with the target at the subject's position."""
     depths: dict[str, list[float]] = {}
     for seen in calibration.observations.detections:
         if seen.pose in calibration.world_from_target:
@@ -103,7 +103,7 @@ def calibrated_sizes(calibration: Calibration, subject_kind: str = "model") -> t
 
 
 def _rig_sizes(rig: Rig, subject_kind: str) -> tuple[Size, ...]:
-    """Sizes of a rig whose cameras alone are known, with the subject where their axes meet."""
+    """Sizes of a rig without calibration photographs, with the subject where the cameras' axes meet."""
     depths_mm = {}
     axes = np.stack([camera.axis_world for camera in rig.cameras.values()])
     if (axes @ axes.T).min() <= _PARALLEL_COSINE:
@@ -115,9 +115,9 @@ def _rig_sizes(rig: Rig, subject_kind: str) -> tuple[Size, ...]:
 
 
 def _sizes(rig: Rig, depths_mm: Mapping[str, float], subject_kind: str, where: str) -> tuple[Size, ...]:
-    """Shorter side of the pictures at these depths, and distance of a pair's cameras: medians over the rig.
+    """Shorter side of the field of view at these depths, and distance between a pair's cameras: medians over the rig.
 
-    Casts and bodies have usual sizes. A surface may be of anything, so all that is possible is usual.
+    Casts and bodies have usual sizes. A surface may have any size, so all possible ones are usual.
     """
     baselines = [float(np.linalg.norm(pair.left.centre_world - pair.right.centre_world)) for pair in rig.pairs]
     views = [
@@ -134,7 +134,7 @@ def _sizes(rig: Rig, depths_mm: Mapping[str, float], subject_kind: str, where: s
                 mm=float(np.median(views)),
                 possible_mm=possible_mm,
                 usual_mm=possible_mm if subject_kind == "surface" else _USUAL_VIEW_MM,
-                words=f"the pictures' shorter side is {{}} {where}",
+                words=f"the shorter side of the field of view is {{}} {where}",
             )
         )
     if baselines:
@@ -143,21 +143,22 @@ def _sizes(rig: Rig, depths_mm: Mapping[str, float], subject_kind: str, where: s
                 mm=float(np.median(baselines)),
                 possible_mm=_BASELINE_MM,
                 usual_mm=_BASELINE_MM if subject_kind == "surface" else _USUAL_BASELINE_MM,
-                words="the two cameras of a pair stand {} apart",
+                words="the two cameras of a pair are {} apart",
             )
         )
     return tuple(sizes)
 
 
 def require_sides(rig: Rig, upside_down: Collection[str]) -> None:
-    """Refuse a pair whose right camera stands left of the left one.
+    """Refuse a pair whose right camera is to the left of the left one.
 
-    As seen from behind, or as their pictures show it, which differ for cameras that are upside down. No result depends
-    on which one is called left.
+    Either as seen from behind or in the images, which differ for cameras that are upside down. No result depends on
+    which
+    camera is called left.
 
     Args:
         rig: as calibrated.
-        upside_down: cameras that are mounted with their tops down.
+        upside_down: cameras that are mounted upside down.
 
     Raises:
         CalibrationError: names the pair, and what to do.
@@ -166,16 +167,16 @@ def require_sides(rig: Rig, upside_down: Collection[str]) -> None:
         x_mm, y_mm, _ = pair.left.camera_from_world.apply(pair.right.centre_world)
         if pair.left.name in upside_down:
             if pair.right.name in upside_down:
-                continue  # left in the pictures is right from behind: either is meant
+                continue  # left in the images is right from behind: both are accepted
             x_mm = -x_mm
         if x_mm < 0 and abs(x_mm) > abs(y_mm):
             opposed = pair.left.camera_from_world.rotation[0] @ pair.right.camera_from_world.rotation[0] < 0
             reversed_ = pair.left.name in upside_down or pair.right.name in upside_down
             raise CalibrationError(
                 f"pair {pair.name}",
-                found=f"{pair.right.name} standing {-x_mm:.0f} mm to the left of {pair.left.name}",
-                expected="the right camera to the right of the left one, as their pictures show it",
-                remedy="Say in session.toml which of the two is mounted upside down, such as "
+                found=f"{pair.right.name} {-x_mm:.0f} mm to the left of {pair.left.name}",
+                expected="the right camera to the right of the left one, as seen in their images",
+                remedy="State in session.toml which camera is mounted upside down, such as "
                 f'rig.mounting = {{ {pair.left.name} = "upside-down" }}'
                 if opposed and not reversed_
                 else "Exchange left and right in the pair, or the two cameras' files if those are swapped. If all "

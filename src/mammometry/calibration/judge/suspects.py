@@ -1,7 +1,7 @@
-"""All photographs that spoil a calibration, and what is left without them.
+"""Find all photographs that spoil a calibration, and calibrate without them.
 
-A bad photograph pulls the others, and may hide a second one. So suspects are taken out, the rest is adjusted and judged
-again, until it is fit to measure with or nothing more can be spared.
+A bad photograph affects the others and may hide a second one. So suspects are excluded, and the rest is adjusted and
+assessed again, until it is good enough or nothing more can be spared.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from mammometry.calibration.judge.quality import CalibrationQuality, assess
 from mammometry.calibration.settings import QualitySettings
 
 _MOST = 1 / 3
-"""Share of the photographs that may be suspect. With more, it is the rest that may be wrong."""
+"""Largest share of photographs that may be suspect. With more, the rest may be wrong instead."""
 _WORST = 0.5
-"""Share of the largest bias from which a view is suspect as well: a bad view biases its neighbours, but by less."""
+"""Share of the largest bias from which on a view is suspect too: a bad view also biases its neighbours, but less."""
 
 Shot: TypeAlias = tuple[str, str]
 """Pose and camera of a photograph."""
 Recalibrate: TypeAlias = Callable[[Observations, tuple[float, float, float] | None], Calibration]
-"""Adjust observations. If standard deviations in x, y and z, mm, are given, the board's points with them as well."""
+"""Adjust observations. With standard deviations in x, y and z, mm, the board's points are adjusted too."""
 _ANY_SHAPE_MM = (10.0, 10.0, 10.0)
-"""Standard deviations of a board's points that let it have any shape."""
+"""Standard deviations of a board's points that allow any shape."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -39,19 +39,19 @@ class Suspects:
     """Photographs that do not fit the others, and the calibration without them."""
 
     reasons: Mapping[Shot, str]
-    """Photograph → why it is suspect. In the order of pose, then camera."""
+    """Photograph → reason why it is suspect, in order of pose, then camera."""
     rest: CalibrationQuality | None
-    """Judgement of the calibration without them. None where they cannot be spared."""
+    """Assessment of the calibration without them. None if they cannot be spared."""
     views: Mapping[str, int]
-    """Camera → photographs that are left."""
+    """Camera → number of remaining photographs."""
 
     @property
     def suffices(self) -> bool:
-        """Whether the rest is fit to measure with."""
+        """Whether the rest is good enough to measure with."""
         return self.rest is not None and self.rest.verdict != "refuse"
 
     def rest_words(self) -> str:
-        """The views that are left without them, in a sentence."""
+        """Sentence about the remaining views."""
         if self.rest is None:
             return "Without them, too few photographs are left to calibrate"
         worst_mm = max(self.rest.expected_mm.values(), default=float("nan"))
@@ -59,14 +59,14 @@ class Suspects:
             f"Without them, {len(self.rest.rms_px_per_pose)} poses are left, at least {min(self.views.values())} "
             f"for each camera. Residuals are then {self.rest.rms_px:.3f} px, and points known to {worst_mm:.3f} mm"
         )
-        return words if self.suffices else f"{words}. It would be refused as well: {self.rest.refusals[0]}"
+        return words if self.suffices else f"{words}. It would be refused too: {self.rest.refusals[0]}"
 
 
 class SuspectPhotographsError(CalibrationError):
-    """A calibration that is refused for some photographs.
+    """A calibration is refused because of some photographs.
 
     Args:
-        suspects: the photographs, and what is left without them.
+        suspects: the photographs, and the calibration without them.
     """
 
     code = "suspect-photographs"
@@ -75,11 +75,11 @@ class SuspectPhotographsError(CalibrationError):
         named = [f"{camera} in pose {pose}" for pose, camera in suspects.reasons]
         listed = " and ".join(part for part in (", ".join(named[:-1]), named[-1]) if part)
         count = f"{len(named)} photographs" if len(named) > 1 else "a photograph"
-        leave = "Take them out, and calibrate again" if suspects.suffices else "Take these poses again"
+        leave = "Remove them, and calibrate again" if suspects.suffices else "Take these poses again"
         super().__init__(
             "calibration",
-            found=f"{count} that the others contradict: {listed}",
-            expected="all cameras exposed together in each pose, and none moved between poses",
+            found=f"{count} that contradict the others: {listed}",
+            expected="all cameras exposed together in each pose, and no camera moved between poses",
             remedy=f"{leave}. {suspects.rest_words()}",
         )
         self.suspects = suspects
@@ -89,12 +89,12 @@ class SuspectPhotographsError(CalibrationError):
 def refusal(
     calibration: Calibration, quality: CalibrationQuality, recalibrate: Recalibrate, settings: QualitySettings
 ) -> CalibrationError:
-    """Return the error of a calibration that is not fit to measure with.
+    """Return the error of a calibration that is not good enough to measure with.
 
     Args:
-        calibration: that is refused.
-        quality: its judgement.
-        recalibrate: the adjustment of other observations, with or without the board's shape.
+        calibration: the refused calibration.
+        quality: its assessment.
+        recalibrate: adjustment of other observations, with or without the board's shape.
         settings: limits.
     """
     fault = _board_fault(calibration, recalibrate)
@@ -105,14 +105,14 @@ def refusal(
         CalibrationError(
             "calibration target",
             found=fault.found,
-            expected="a flat board, printed the same both ways, as [target] describes it",
+            expected="a flat board, printed at the same scale in both directions, as described in [target]",
             remedy=fault.remedy,
         )
         if fault
         else CalibrationError(
             "calibration",
             found=f"that {quality.refusals[0].rstrip('.')}",
-            expected="a calibration fit to measure with",
+            expected="a calibration that is good enough to measure with",
             remedy="Take the calibration photographs again",
         )
     )
@@ -121,9 +121,9 @@ def refusal(
 
 
 def _board_fault(calibration: Calibration, recalibrate: Recalibrate) -> Cause | None:
-    """Find out whether it is the board that does not fit, where its shape was not adjusted.
+    """Test whether the board is at fault, if its shape was not adjusted.
 
-    Few poses do not separate it from the cameras well, but show how much better they fit with it.
+    A few poses hardly separate it from the cameras, but show how much better they fit with an adjusted board.
     """
     if np.ptp(calibration.target_points - calibration.observations.target.points_target) > 0:
         return next((fault for sizes_are_lost, fault in board_faults(calibration) if sizes_are_lost), None)
@@ -137,14 +137,14 @@ def _board_fault(calibration: Calibration, recalibrate: Recalibrate) -> Cause | 
 def find_suspects(
     calibration: Calibration, quality: CalibrationQuality, recalibrate: Recalibrate, settings: QualitySettings
 ) -> Suspects | None:
-    """Find all photographs without which the rest is fit to measure with.
+    """Find all photographs without which the calibration is good enough.
 
-    None if it is not for single photographs that the calibration is refused.
+    None if it is not refused because of single photographs.
 
     Args:
-        calibration: that is refused.
-        quality: its judgement.
-        recalibrate: the adjustment of other observations, with or without the board's shape.
+        calibration: the refused calibration.
+        quality: its assessment.
+        recalibrate: adjustment of other observations, with or without the board's shape.
         settings: limits.
     """
     reasons: dict[Shot, str] = {}
@@ -173,26 +173,28 @@ def find_suspects(
 
 
 _LEAST_AGREEING = 5
-"""Photographs of a camera that must agree without the one that is left out. Two or three agree with anything."""
+"""Fewest photographs of a camera without the one that is left out. Two or three always agree."""
 
 
 def spared_photograph(
     calibration: Calibration, quality: CalibrationQuality, recalibrate: Recalibrate, settings: QualitySettings
 ) -> tuple[Calibration, CalibrationQuality] | None:
-    """Leave out the one photograph for which a calibration is refused, if all others agree without it.
+    """Exclude the one photograph for which a calibration is refused, if all others agree without it.
 
-    A camera's last photograph is not left out: if the camera moved before it, the subject's photographs, which come
-    later, would be measured from the wrong place.
+    A camera's last photograph is not excluded: if the camera moved before it, the subject's photographs, which come
+    later,
+    would be measured with a wrong pose.
 
     Args:
-        calibration: that is refused.
-        quality: its judgement.
-        recalibrate: the adjustment of other observations, with or without the board's shape.
+        calibration: the refused calibration.
+        quality: its assessment.
+        recalibrate: adjustment of other observations, with or without the board's shape.
         settings: limits.
 
     Returns:
-        The calibration without the photograph, which it names as set aside, and its judgement. None where several
-        photographs contradict one another, or a camera moved for good.
+        The calibration without the photograph, which is listed as excluded, and its assessment. None if several
+        photographs
+        contradict each other, or a camera moved permanently.
     """
     shot = _worst_photograph(quality)
     if shot is None:
@@ -219,7 +221,7 @@ def spared_photograph(
 
 
 def _worst_photograph(quality: CalibrationQuality) -> Shot | None:
-    """The photograph that contradicts the others most. None where it is more than one, or something else."""
+    """The photograph that contradicts the others most. None if there are several, or the cause is another."""
     if quality.movements:
         worst = quality.movements[0]
         return (worst.first, worst.cameras[0]) if worst.only and len(worst.cameras) == 1 else None
@@ -236,9 +238,7 @@ def _suspicious(calibration: Calibration, quality: CalibrationQuality) -> Iterat
                 continue
             if movement.only and shot[0] == movement.first:
                 yield shot, f"not exposed together with the others, or moved ({size})"
-            if (
-                not movement.only and shot[0] < movement.first
-            ):  # the photographs of the subject come after the last pose
+            if not movement.only and shot[0] < movement.first:  # the subject's photographs come after the last pose
                 yield shot, f"taken before {shot[1]} moved ({size})"
     if quality.movements:
         return

@@ -1,1 +1,1 @@
-"""Calibration targets, a file a kind."""
+"""Calibration targets, one file per kind."""

@@ -1,4 +1,4 @@
-"""Flat boards: what all printed boards share, boards of squares, and their solid for the simulation."""
+"""Flat boards: common properties, boards of squares, and their solid for the simulation."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mammometry.calibration.targets.target import Target, require_grid, require_
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 
 BORDER_MM = 10.0
-"""White border outside a board's pattern. Chosen by eye, detectors need a part of it."""
+"""White border around a board's pattern. Detectors need a part of it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,26 +48,26 @@ class FlatBody(Body):
 
     @property
     def looks_alike_turned(self) -> bool:
-        """As the board says."""
+        """Delegates to the board."""
         return self.board.looks_alike_turned
 
     @property
     def pattern(self) -> Pattern | None:
-        """As the board says.
+        """Delegates to the board.
 
         Raises:
-            SessionError: there is no marker dictionary of the target's name.
+            SessionError: unknown marker dictionary.
         """
         return self.board.pattern
 
     def is_whole(
         self, seen: Bool[Array, " n"], in_picture: Callable[[Float64[Array, "m 3"]], Bool[Array, " m"]]
     ) -> bool:
-        """Whether everything printed is in the picture, unless croppable."""
+        """Whether everything printed is in the image, unless the board may be cropped."""
         return self.board.may_be_cropped or bool(seen.all() and in_picture(_corners(self.board.extent_mm)).all())
 
     def meet(self, origins: Float64[Array, "n 3"], directions: Float64[Array, "n 3"]) -> Hits:
-        """Meet the plane z = 0 from its printed side."""
+        """Intersect rays with the plane z = 0 from its printed side."""
         with np.errstate(divide="ignore", invalid="ignore"):
             along = -origins[:, 2] / directions[:, 2]
             points = origins + along[:, None] * directions
@@ -85,24 +85,25 @@ def _corners(extent_mm: Float64[Array, "2 2"]) -> Float64[Array, "4 3"]:
 
 
 LEAST_SQUARES = 3
-"""Fewest columns and rows: two inner corners each way make the smallest grid."""
+"""Fewest columns and rows: two inner corners in each direction are the smallest grid."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Board(Target):
-    """A flat print that is moved about. Frame: x right, y down, z into the board, mm."""
+    """A flat print in several poses. Frame: x right, y down, z into the board, mm."""
 
     may_be_cropped: ClassVar[bool] = False
-    """Whether a part of it in the picture suffices to identify its points."""
+    """Whether a part of it in the image is enough to identify its points."""
 
     least_points: ClassVar[int] = 4
-    """Fewest measured points of a usable view: four determine a plane's picture. What the points are is known from the
-    markers or the whole grid, of which more was seen."""
+    """Fewest measured points of a usable view: four determine a homography. The points are identified by the markers or
+    the
+    whole grid, of which more was seen."""
 
     edge_std_mm: float | None = None
-    """Standard uncertainty of `edge_mm` as measured, mm. None: the print was not measured."""
+    """Standard uncertainty of the measured `edge_mm`, mm. None: the print was not measured."""
     flatness_mm: float | None = None
-    """Standard deviation of the board's points from a plane, mm, as measured. None: not measured."""
+    """Measured standard deviation of the board's points from a plane, mm. None: not measured."""
 
     def __post_init__(self) -> None:
         require_measured(edge_std_mm=self.edge_std_mm, flatness_mm=self.flatness_mm)
@@ -124,15 +125,15 @@ class Board(Target):
 
     @property
     def looks_alike_turned(self) -> bool:
-        """Whether half a turn in its plane gives the same board, so that only its direction decides."""
+        """Whether half a turn in its plane gives the same board, so that its numbering is ambiguous."""
         return False
 
     @property
     def pattern(self) -> Pattern | None:
-        """The printed pattern, where it is a regular one, else None.
+        """The printed pattern, if it is a regular one. Otherwise None.
 
         Raises:
-            SessionError: there is no marker dictionary of the target's name.
+            SessionError: unknown marker dictionary.
         """
         return None
 
@@ -152,14 +153,14 @@ class Board(Target):
 class SquaresBoard(Board):
     """A board of squares.
 
-    Frame as OpenCV's: origin at the outer corner of the first one, x right, y down, z into it. Ids count the inner
-    corners row by row: ``(columns − 1) × (rows − 1)`` of them.
+    Frame as in OpenCV: origin at the outer corner of the first square, x right, y down, z into the board. Ids count the
+    ``(columns − 1) × (rows − 1)`` inner corners row by row.
     """
 
     size_key: ClassVar[str] = "square_mm"
 
     squares: tuple[int, int]
-    """Columns and rows of SQUARES: one more each than inner corners."""
+    """Columns and rows of squares: one more than inner corners in each direction."""
     square_mm: float
     """Side of a square, mm, as measured on the print."""
 
@@ -189,14 +190,14 @@ class SquaresBoard(Board):
         """The pattern printed in the squares.
 
         Raises:
-            SessionError: there is no marker dictionary of the target's name.
+            SessionError: unknown marker dictionary.
         """
 
     def sheet(self) -> Sheet:
         """Return the dark squares and marker cells.
 
         Raises:
-            SessionError: there is no marker dictionary of the target's name.
+            SessionError: unknown marker dictionary.
         """
         return Sheet(extent_mm=self.extent_mm, rectangles=self.pattern.rectangles())
 

@@ -1,10 +1,8 @@
-"""A strip of counting lamps on the calibration board.
+"""A strip of counting lamps on the calibration board, whose light shows when an image was exposed.
 
-By their light a picture tells when it was exposed.
-
-Twelve lamps show a counter in Gray code (F. Gray 1953, US 2632058), so that only one changes at a tick. Two more, at
-the ends, are always on: they tell how bright a whole exposure is. The share of an exposure for which a lamp was lit is
-then a number between 0 and 1, and tells the moment far more finely than a tick.
+Twelve lamps show a counter in Gray code (F. Gray 1953, US 2632058), so that only one changes at a tick. Two more at the
+ends are always on and show the brightness of a full exposure. The share of an exposure for which a lamp was lit is a
+number between 0 and 1, so the time is known much more precisely than a tick.
 """
 
 from __future__ import annotations
@@ -22,37 +20,34 @@ class LampStrip:
     """The strip, clamped below the lower edge of a board (docs/how-to/counting-lamps.ino)."""
 
     bits: int = 12
-    """Lamps that count."""
+    """Number of lamps that count."""
     tick_ms: float = 0.5
-    """Time between two counts. An exposure should last one to four of them."""
+    """Time between two counts, ms. An exposure should last one to four of them."""
     pitch_mm: float = 12.0
-    """Between neighbouring lamps."""
+    """Distance between neighbouring lamps."""
     below_mm: float = 25.0
-    """From the pattern's lower edge to the lamps' middles."""
+    """Distance from the pattern's lower edge to the lamps' centres."""
     lamp_mm: float = 5.0
     """Diameter of a lamp."""
 
     @property
     def period_ms(self) -> float:
-        """After which the counter begins again. Moments are known but for whole periods."""
+        """Time after which the counter repeats, ms. Times are known up to whole periods."""
         return self.tick_ms * 2**self.bits
 
     def places_mm(self, board: Board) -> Float64[Array, "l 3"]:
-        """Middles of the lamps, board frame, mm.
-
-        A reference, the counter with its highest bit first, a reference.
-        """
+        """Centres of the lamps, board frame, mm: reference, counter (highest bit first), reference."""
         (left, _), (right, bottom) = board.extent_mm
         count = self.bits + 2
         x = 0.5 * (left + right) + self.pitch_mm * (np.arange(count) - 0.5 * (count - 1))
         return np.stack([x, np.full(count, bottom + self.below_mm), np.zeros(count)], axis=1)
 
     def lit_share(self, begin_ms: Float64[Array, " n"], exposure_ms: float) -> Float64[Array, "n bits"]:
-        """Share of an exposure for which each lamp is lit. The highest bit comes first.
+        """Share of an exposure for which each lamp is lit, highest bit first.
 
         Args:
-            begin_ms: when the exposure begins, after the counter's 0.
-            exposure_ms: how long it lasts.
+            begin_ms: start of the exposure after the counter's 0.
+            exposure_ms: its duration.
         """
         ticks = np.arange(2**self.bits)
         gray = ticks ^ (ticks >> 1)

@@ -1,4 +1,4 @@
-"""A calibration target as a PDF at true scale, with a ruler that shows whether the printer kept it."""
+"""A calibration target as a PDF at true scale, with a ruler to test the printer's scale."""
 
 from __future__ import annotations
 
@@ -30,32 +30,32 @@ PAGES_MM = {
 Corner: TypeAlias = tuple[float, float]
 
 _RULER_MM = 100.0
-"""Long enough to see a scale error of half a percent with a school ruler."""
+"""Length at which a school ruler shows a scale error of half a percent."""
 _FOOT_MM = 16.0
-"""Height of ruler and caption below the board. Fits their 6-point text."""
+"""Height of ruler and caption below the board, for 6-point text."""
 _CAPTION_UP_MM = 8.0
-"""Foot of the caption above the lower margin, clear of the ruler's ticks."""
+"""Height of the caption above the lower margin, clear of the ruler's ticks."""
 _CUT_MM = 4.0
-"""Length of a cutting mark. Chosen by eye."""
+"""Length of a cutting mark."""
 _FONT_POINTS = 6
-"""Size of ruler's and caption's text. Chosen by eye."""
+"""Size of ruler's and caption's text."""
 _TRUETYPE = 42
 """matplotlib's number for embedded TrueType fonts."""
 _MM_PER_INCH = 25.4  # by definition; matplotlib sizes pages in inches
 
 
 def target_pdf(target: Target, *, page: str = "fit", margin_mm: float = 10.0) -> bytes:
-    """Draw a board at true scale. Returns the PDF file's content.
+    """Draw a board at true scale. Returns the content of a PDF file.
 
     Args:
-        target: of any kind that is printed: a board, or the sheet to wrap round a dotted cylinder.
-        page: a name of `PAGES_MM`, turned sideways where that fits better, or ``fit`` for a page of the board's size
-            and its margins.
-        margin_mm: white around the board; detectors need it, printers cannot print to the edge.
+        target: of any printed kind: a board, or the sheet to wrap around a dotted cylinder.
+        page: a name of `PAGES_MM`, in landscape if that fits better, or ``fit`` for a page of the board's size plus
+            margins.
+        margin_mm: white border; detectors need it, and printers cannot print to the edge.
 
     Raises:
-        SettingsError: the page is unknown, the board does not fit on it, or the target is none to be printed.
-        SessionError: no marker dictionary of the target's name.
+        SettingsError: the page is unknown, the board does not fit, or the target is not printed.
+        SessionError: unknown marker dictionary.
     """
     sheet = target.sheet()
     width_mm, height_mm = (float(side) for side in sheet.extent_mm[1] - sheet.extent_mm[0])
@@ -107,7 +107,7 @@ def _draw(sheet: Sheet, caption: str, page_mm: tuple[float, float], corner_mm: C
 
 
 def _outline(sheet: Sheet, corner_mm: Corner) -> Path:
-    """All dark shapes in one path. Otherwise viewers draw hairlines where two of them meet."""
+    """All dark shapes in one path. Otherwise viewers draw hairlines between adjacent shapes."""
     from matplotlib.path import Path
 
     shift = np.asarray(corner_mm) - sheet.extent_mm[0]
@@ -130,12 +130,12 @@ def _ruler(axes: Axes, left_mm: float, foot_mm: float) -> None:
     for tick in np.linspace(0.0, _RULER_MM, 11).tolist():
         length = 3.0 if tick in (0.0, 50.0, 100.0) else 1.5
         axes.plot([left_mm + tick] * 2, [foot_mm - 4.0, foot_mm - 4.0 - length], color="black", linewidth=0.2)
-    text = f"{_RULER_MM:g} mm — measure it: print at 100 %, and enter the sizes that you measure"
+    text = f"{_RULER_MM:g} mm — measure it: print at 100 %, and enter the measured sizes"
     axes.text(left_mm + _RULER_MM / 2, foot_mm - 3.0, text, ha="center", va="top", fontsize=_FONT_POINTS)
 
 
 def _cuts(axes: Axes, sheet: Sheet, corner_mm: Corner) -> None:
-    """Marks where to cut: left and right edge of the sheet, which meet where columns go all round."""
+    """Cutting marks at the left and right edge of the sheet, which meet if columns go all the way around."""
     width_mm, height_mm = sheet.extent_mm[1] - sheet.extent_mm[0]
     for x in (corner_mm[0], corner_mm[0] + width_mm):
         for y in (corner_mm[1], corner_mm[1] + height_mm - _CUT_MM):

@@ -1,6 +1,6 @@
 """The printed sheet, as dark shapes on white paper, and the target as a solid for the simulation.
 
-Nothing here knows of cameras or light. A ray is an origin and a direction in the target's frame, mm.
+Independent of cameras and light. A ray is an origin and a direction in the target's frame, mm.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Bool, Float64, UInt8
 
 DARK, WHITE, MARKER = 0, 1, 2
-"""What is printed in a square of a `Pattern`."""
+"""Content of a square of a `Pattern`."""
 
 
 def _none(columns: int) -> np.ndarray:
@@ -29,14 +29,14 @@ class Sheet:
     extent_mm: Float64[Array, "2 2"]
     """First and last printed corner (x, y). The white border is outside."""
     rectangles: Float64[Array, "n 4"] = field(default_factory=lambda: _none(4))
-    """x, y, width and height, mm. No two overlap."""
+    """x, y, width and height, mm. Without overlaps."""
     discs: Float64[Array, "k 3"] = field(default_factory=lambda: _none(3))
     """x and y of the centre, and radius, mm."""
     cut_at_sides: bool = False
     """Whether the left and right edges are marked for cutting."""
 
     def is_dark(self, places_mm: Float64[Array, "n 2"]) -> Bool[Array, " n"]:
-        """Tell which places (x, y) of the paper are ink."""
+        """Mask of the positions (x, y) of the paper that are ink."""
         x, y = places_mm[:, 0], places_mm[:, 1]
         dark: Bool[Array, " n"] = np.zeros(len(places_mm), bool)
         for left, top, width, height in self.rectangles:
@@ -48,19 +48,21 @@ class Sheet:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pattern:
-    """A regular pattern on a board, drawn with exact edges. The simulation's kernel draws it."""
+    """A regular pattern on a board. The simulation's kernel draws it with exact edges."""
 
     grid: Literal["squares", "circles", "staggered"]
-    """Squares from the frame's origin. Or circles, from a centre there, with every second row shifted if staggered."""
+    """Squares from the frame's origin; or circles from a centre there, with every second row shifted if staggered."""
     count: tuple[int, int]
     """Columns and rows."""
     pitch_mm: float
-    """Side of a square. Distance of neighbouring circles. If staggered, of rows, and half the distance in a row."""
+    """Side of a square, or distance between neighbouring circles. If staggered: between rows, and half of it in a
+    row."""
     mark_mm: float
-    """Side of a marker in the middle of its square, or radius of a circle."""
+    """Side of a marker in the centre of its square, or radius of a circle."""
     cells: UInt8[Array, "rows columns c c"]
     """Content of each square: [j, i, 0, 0] is `DARK`, `WHITE` or `MARKER`. A marker's cells start at [1, 1], 0 for
-    black. Empty (0, 0, 1, 1) for circles."""
+    black.
+    Empty (0, 0, 1, 1) for circles."""
 
     def rectangles(self) -> Float64[Array, "n 4"]:
         """Dark squares and dark marker cells: x, y, width and height, mm."""
@@ -80,7 +82,7 @@ class Pattern:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Hits:
-    """First points in which rays meet a target, target frame."""
+    """First intersections of rays with a target, target frame."""
 
     points: Float64[Array, "n 3"]
     normals: Float64[Array, "n 3"]
@@ -95,9 +97,9 @@ class Body(ABC):
     __slots__ = ()
 
     attitude: ClassVar[Literal["facing", "upright", "any"]]
-    """How it is held: printed side towards the cameras, z axis up in all pictures, or turned at random."""
+    """Placement: printed side towards the cameras, z axis up in all images, or rotated at random."""
     comes_measured: ClassVar[bool] = False
-    """Whether each virtual photograph comes with a table of its measured image points."""
+    """Whether each virtual photograph has a table of its image points."""
 
     @property
     @abstractmethod
@@ -107,34 +109,34 @@ class Body(ABC):
     @property
     @abstractmethod
     def middle_mm(self) -> Float64[Array, 3]:
-        """Middle of the target, mm, held in the middle of the rig."""
+        """Centre of the target, mm, placed at the centre of the rig."""
 
     @property
     @abstractmethod
     def hull_target(self) -> Float64[Array, "n 3"]:
-        """Points whose pictures enclose the target's, mm."""
+        """Points whose images enclose the target's, mm."""
 
     @property
     def looks_alike_turned(self) -> bool:
-        """Whether half a turn gives the same picture, so that only its direction decides."""
+        """Whether half a turn gives the same image, so that its numbering is ambiguous."""
         return False
 
     @property
     def pattern(self) -> Pattern | None:
-        """The regular pattern of a flat body, else None."""
+        """The regular pattern of a flat body. Otherwise None."""
         return None
 
     @abstractmethod
     def is_whole(
         self, seen: Bool[Array, " n"], in_picture: Callable[[Float64[Array, "m 3"]], Bool[Array, " m"]]
     ) -> bool:
-        """Whether enough of the target is in the picture to identify points.
+        """Whether enough of the target is in the image to identify points.
 
         Args:
-            seen: which of the target's points are in the picture and face the camera.
-            in_picture: tells which points, target frame, are in the picture.
+            seen: mask of the target's points that are in the image and face the camera.
+            in_picture: returns the mask of points, target frame, that are in the image.
         """
 
     @abstractmethod
     def meet(self, origins: Float64[Array, "n 3"], directions: Float64[Array, "n 3"]) -> Hits:
-        """Find where rays first meet the surface, and what is printed there."""
+        """Find the rays' first intersections with the surface, and what is printed there."""

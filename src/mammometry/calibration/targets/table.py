@@ -15,23 +15,24 @@ from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.target import TARGETS, Target
 
 _MAX_PRINT_SCALE = 0.1
-"""Largest relative scale error of a print. Chosen by eye: printers err by a few per cent at most, so a larger
-difference is a typing error."""
+"""Largest relative scale error of a print. Printers err by a few per cent at most, so a larger difference is a typing
+error."""
 _TARGET_MM, _USUAL_TARGET_MM = (20.0, 2500.0), (60.0, 1500.0)
-"""Possible and usual longest side of what a target's points span. A cast of 40 mm is no smaller than its target."""
+"""Possible and usual longest side of a target's points. A cast of 40 mm is no smaller than its target."""
 
 
 def target_from_table(table: Mapping[str, object]) -> Target:
     """Read the manifest's ``[target]`` table strictly.
 
-    ``edge_mm`` is the pattern's length along x as measured on the print. It scales all sizes of a board: the target
-    that is returned has the true ones.
+    ``edge_mm`` is the pattern's length along x, measured on the print. It scales all sizes of a board: the returned
+    target
+    has the true ones.
 
     Raises:
         SessionError: an unknown kind or key, a missing key, a value of the wrong type or outside its range.
     """
     cls = TARGETS.find(
-        table.get("kind"), "[target] kind", error=SessionError, remedy="Name the calibration target in session.toml"
+        table.get("kind"), "[target] kind", error=SessionError, remedy="Name a kind of target in session.toml"
     )
     kind = TARGETS.name_of(cls)
     values = {key: _as_tuples(value) for key, value in table.items() if key != "kind"}
@@ -55,17 +56,17 @@ def target_from_table(table: Mapping[str, object]) -> Target:
             raise _table_error(name, repr(value), error.errors()[0]["msg"].removeprefix("Input should be ")) from None
     for field in fields(cls):  # type: ignore[arg-type]
         if field.default is MISSING and field.name not in values:
-            raise _table_error(field.name, "nothing", f"a value: every {kind} target has one")
+            raise _table_error(field.name, "nothing", f"a value, which every {kind} target needs")
     try:
         target = cls(**values)
     except ValueError as error:
-        raise _table_error(kind, "a table that makes no target", str(error)) from None
+        raise _table_error(kind, "an invalid target", str(error)) from None
     _require_size(target)
     return _as_measured(target, edge_mm) if isinstance(target, Board) and edge_mm is not None else target
 
 
 def _require_size(target: Target) -> None:
-    """Refuse sizes that no target of ours has. `judge.scale` finds finer errors, with the cameras."""
+    """Refuse impossible sizes. `judge.scale` finds smaller errors by means of the cameras."""
     span = Size(
         mm=float(np.ptp(target.points_target, axis=0).max()),
         possible_mm=_TARGET_MM,
@@ -77,7 +78,7 @@ def _require_size(target: Target) -> None:
     name, stated_mm = target.stated_size
     raise SessionError(
         f"[target] {name}",
-        found=f"{stated_mm:g} mm, by which {span}",
+        found=f"{stated_mm:g} mm, with which {span}",
         expected=span.expected,
         remedy=f"Enter millimetres in session.toml{fitting(stated_mm, [span])}",
     )
@@ -88,12 +89,12 @@ def _as_measured(board: Board, edge_mm: object) -> Board:
     if isinstance(edge_mm, bool) or not isinstance(edge_mm, int | float):
         raise _table_error("edge_mm", repr(edge_mm), "a number of millimetres")
     if board.edge_std_mm is None:
-        raise _table_error("edge_std_mm", "nothing", "the standard uncertainty of the edge_mm that was measured")
+        raise _table_error("edge_std_mm", "nothing", "the standard uncertainty of the measured edge_mm")
     if not abs(edge_mm / board.edge_mm - 1.0) < _MAX_PRINT_SCALE:
         raise _table_error(
             "edge_mm",
             f"{edge_mm:g} mm",
-            f"within {_MAX_PRINT_SCALE:.0%} of the {board.edge_mm:g} mm that the other sizes give along x",
+            f"within {_MAX_PRINT_SCALE:.0%} of the {board.edge_mm:g} mm that follow from the other sizes along x",
         )
     return board.scaled(edge_mm / board.edge_mm)
 

@@ -1,6 +1,7 @@
-"""Calibration targets of any kind, as the stages see them, and the registry of the kinds.
+"""Calibration targets of any kind, and the registry of the kinds.
 
-A target lists its points in its own frame, mm. A detection's ids index that list. Each kind is a file in `kinds`.
+A target lists its points in its own frame, mm. A detection's ids are indices in that list. Each kind is a file in
+`kinds`.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from mammometry.calibration.targets.sheet import Body, Sheet
 from mammometry.geometry.arrays import Array, Float64
 
 TARGETS: Registry[type[Target]] = Registry("calibration target", package="mammometry.calibration.targets.kinds")
-"""Kind, as ``[target] kind`` names it, → class of the target."""
-_MAX_PER_SIDE = 2000  # columns or rows: more than any picture could resolve
+"""Kind in ``[target] kind`` → class of the target."""
+_MAX_PER_SIDE = 2000  # columns or rows: more than any image could resolve
 
 
 class Target(ABC):
@@ -34,9 +35,9 @@ class Target(ABC):
     """Whether its points were surveyed, so that its frame is the world. For a board, the world is its first pose."""
 
     has_inverse: ClassVar[bool] = True
-    """Whether it is another pattern where it is printed white on black. The inverse of a chessboard is a chessboard."""
+    """Whether it is another pattern if printed white on black. The inverse of a chessboard is a chessboard."""
     least_points: ClassVar[int] = 8
-    """Fewest measured points of a usable view: fewer of a solid are found in any scatter by chance."""
+    """Fewest measured points of a usable view: fewer points of a spatial target may match by chance."""
 
     @property
     def kind(self) -> str:
@@ -44,7 +45,7 @@ class Target(ABC):
         return TARGETS.name_of(type(self))
 
     size_key: ClassVar[str] = "sizes"
-    """Key of ``[target]`` that says how large it is."""
+    """Key of ``[target]`` that sets its size."""
 
     @property
     def stated_size(self) -> tuple[str, float]:
@@ -62,17 +63,17 @@ class Target(ABC):
     @property
     @abstractmethod
     def scale_std(self) -> float | None:
-        """Relative standard uncertainty of all lengths. None: not known."""
+        """Relative standard uncertainty of all lengths. None: unknown."""
 
     @property
     def flatness_mm(self) -> float | None:
-        """Standard deviation of the points from a plane, mm, as measured. None: not measured, or not flat."""
+        """Measured standard deviation of the points from a plane, mm. None: not measured, or not flat."""
         return None
 
     def mistaken(self) -> Iterator[tuple[str, Target]]:
-        """Yield targets that this description commonly stands for by mistake, the likeliest first.
+        """Yield targets that are commonly confused with this description, the likeliest first.
 
-        Each with the keys of session.toml that would have to be written for it.
+        Each with the keys of session.toml that describe it.
         """
         yield from ()
 
@@ -83,18 +84,18 @@ class Target(ABC):
         return self.kind
 
     def sheet(self) -> Sheet:
-        """Return what is printed.
+        """Return the printed sheet.
 
         Raises:
             SettingsError: the target is not printed, or cannot be.
-            SessionError: it names a marker dictionary that does not exist.
+            SessionError: unknown marker dictionary.
         """
         printed = [kind for kind, known in TARGETS.items() if known.sheet is not Target.sheet]
         raise SettingsError(
             "target",
             found=f"a target of kind {self.kind!r}",
             expected=f"one of {', '.join(map(repr, printed))}",
-            remedy="An object with surveyed points has to be made and measured",
+            remedy="Make and survey an object with points; it cannot be printed",
         )
 
     # --- what it looks like ---
@@ -109,7 +110,7 @@ def require_grid(name: str, grid: tuple[int, int], least: int) -> None:
     """Refuse a grid with too few or too many columns or rows.
 
     Raises:
-        ValueError: fewer than `least`, or more than any picture could resolve.
+        ValueError: fewer than `least`, or more than any image could resolve.
     """
     if min(grid) < least or max(grid) > _MAX_PER_SIDE:
         raise ValueError(
@@ -137,4 +138,4 @@ def require_measured(**measured: float | None) -> None:
     """
     for name, value in measured.items():
         if value is not None and not (value > 0 and math.isfinite(value)):
-            raise ValueError(f"{name} must be a positive number, found {value}: leave it out if it was not measured")
+            raise ValueError(f"{name} must be a positive number, found {value}; omit it if it was not measured")

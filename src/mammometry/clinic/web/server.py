@@ -14,7 +14,7 @@ from pathlib import Path
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 import mammometry
-from mammometry.base.child_process import ChildProcess, NotDone
+from mammometry.base.child_process import CallError, ChildProcess
 from mammometry.base.machine.cores import available_cores
 from mammometry.clinic.config import ClinicConfig, ClinicError, host_and_port, read_config
 from mammometry.clinic.site import application
@@ -213,7 +213,7 @@ def beside(task: Callable[[Path], None], folder: Path, *, again: bool = True) ->
 
     def keep() -> None:
         while not ended.is_set():
-            with ChildProcess(cores=available_cores()) as child, suppress(NotDone):
+            with ChildProcess(cores=available_cores()) as child, suppress(CallError):
                 processes[:] = [child.process]
                 child.call(task, folder)
             if not again:

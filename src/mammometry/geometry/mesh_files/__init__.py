@@ -1,1 +1,1 @@
-"""Mesh files of other programs."""
+"""Readers for mesh files of other programs."""

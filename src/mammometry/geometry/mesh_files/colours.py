@@ -1,4 +1,4 @@
-"""Colours of vertices as programs write them: 0 to 1, 8 bits or 16 bits."""
+"""Vertex colours of other programs: 0 to 1, 8 bits or 16 bits."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import numpy as np
 
 from mammometry.geometry.arrays import Array, Int64, UInt8
 
-_SHARE = 2.0  # floats up to here are shares of full light, a little of it over 1: of 255 levels they would be black
-_OVER = 0.01  # share of the values that may be larger all the same: single ones are defects of the exporting program
-_BYTE, _WORD = 255, 65535  # full light in 8 and in 16 bits
+_SHARE = 2.0  # floats up to this are on a scale of 0 to 1; on a scale of 255 they would be black
+_OVER = 0.01  # share of values that may be larger: a few are defects of exporting programs
+_BYTE, _WORD = 255, 65535  # white in 8 and 16 bits
 
 
 def eight_bit(values: Array, *, whole: bool) -> UInt8[Array, "n 3"]:
     """Colours as 8-bit sRGB.
 
-    Floats are shares from 0 to 1, unless more than single ones are larger. Integers above 255 are 16-bit levels.
+    Floats are on a scale of 0 to 1, unless more than a few are larger. Integers above 255 are 16-bit levels.
 
     Args:
-        values: as the file has them (n, 3).
-        whole: whether the file has integers. The array may be of another type.
+        values: as in the file, (n, 3).
+        whole: whether the file has integers. The array may have another type.
     """
     numbers = np.nan_to_num(np.asarray(values, dtype=np.float64), posinf=0.0, neginf=0.0)
     if not whole and (numbers > _SHARE).mean() <= _OVER:

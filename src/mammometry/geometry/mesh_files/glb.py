@@ -1,7 +1,7 @@
-"""GLB (glTF 2.0 in one file), read as the specification draws it or refused by name.
+"""Read GLB (glTF 2.0 in one file) completely, or refuse it and name the reason.
 
-Of the scene that the file shows: all placements, sparse and normalized numbers, strips and fans, morph targets, skins,
-instances and hidden nodes. An extension that the file requires and that is not in `_READ` is a refusal.
+Reads the default scene: all instances of meshes, sparse and normalized numbers, strips and fans, morph targets, skins,
+GPU instancing and hidden nodes. A file that requires an extension not in `_READ` is refused.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from mammometry.geometry.mesh_files.scene import ANIMATED, GREY, HIDDEN, MIRRORE
 
 _MAGIC, _VERSION = b"glTF", 2
 _JSON, _BIN = 0x4E4F534A, 0x004E4942  # kinds of chunks (specification, "Binary glTF Layout")
-_HEAD = 12  # bytes of the file's header; each chunk has 8 more
+_HEAD = 12  # bytes of the file's header; a chunk's header has 8
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _NO_SURFACE = (0, 1, 2, 3)  # modes of points and lines
@@ -35,7 +35,7 @@ _WEBP, _TEXTURE_PLACE, _SPECULAR = "EXT_texture_webp", "KHR_texture_transform", 
 _READ = frozenset({
     _VISIBILITY, _INSTANCES, _WEBP, _TEXTURE_PLACE, "KHR_mesh_quantization", "KHR_lights_punctual", "KHR_xmp_json_ld",
 })  # fmt: skip
-_LIGHT_ALONE = "KHR_materials_"  # how the names of extensions begin that change how the surface looks, not its shape
+_LIGHT_ALONE = "KHR_materials_"  # extensions that affect the appearance only, not the shape
 _ENDINGS = ((b"\xff\xd8", ".jpg"), (b"\x89PNG", ".png"), (b"RIFF", ".webp"))
 
 
@@ -43,12 +43,12 @@ def read_glb(content: bytes, name: str) -> Scene:
     """Read the meshes of a GLB.
 
     Args:
-        content: of the file.
-        name: what to call it in messages.
+        content: of the file, bytes.
+        name: the file's name in messages.
 
     Raises:
-        SessionError: it needs what is not read here, or names other files.
-        ValueError: it is damaged; so are KeyError, IndexError, TypeError and `struct.error`.
+        SessionError: it uses features that are not read here, or refers to other files.
+        ValueError: it is damaged (also KeyError, IndexError, TypeError and `struct.error`).
     """
     table, binary = _chunks(content, name)
     return _Reader(name=name, table=table, binary=binary, size=len(content)).scene()
@@ -57,21 +57,21 @@ def read_glb(content: bytes, name: str) -> Scene:
 def _chunks(content: bytes, name: str) -> tuple[dict[str, Any], bytes]:
     magic, version, length = struct.unpack_from("<4sII", content)
     if magic != _MAGIC or version != _VERSION:
-        raise ValueError("no GLB of version 2")
+        raise ValueError("it is not a GLB of version 2")
     table, binary, at = None, b"", _HEAD
-    end = length if _HEAD < length < len(content) else len(content)  # later bytes are not part of it
+    end = length if _HEAD < length < len(content) else len(content)  # later bytes are ignored
     while at + 8 <= end:
         size, kind = struct.unpack_from("<II", content, at)
         chunk = content[at + 8 : at + 8 + size]
         if kind == _JSON and table is None:
             table = json_value(chunk.decode(), name, "a GLB")
         if len(chunk) < size:
-            raise ValueError("it ends before all that its header counts")
+            raise ValueError("it is shorter than its header states")
         if kind == _BIN and not binary:
             binary = chunk
         at += 8 + size
     if not isinstance(table, dict):
-        raise ValueError("no description of its content")
+        raise ValueError("it has no JSON chunk")
     return table, binary
 
 
@@ -89,8 +89,8 @@ class _Reader:
         self._check()
         drawn = list(self._drawn())
         count = sum(self._triangle_count(part) * len(places) for _, part, places in drawn)
-        if count > self.size:  # one mesh placed a thousand times, before it is copied as often
-            self._refuse(f"{count} triangles out of {self.size} bytes", "a surface", "Export it again")
+        if count > self.size:  # a mesh instanced too many times: refuse before copying
+            self._refuse(f"{count} triangles from {self.size} bytes", "a surface", "Export it again")
         parts = [self._part(node, part, place) for node, part, places in drawn for place in places]
         if self.table.get("animations"):
             self.remarks.append(ANIMATED)
@@ -106,7 +106,7 @@ class _Reader:
         self._refuse(f"a mesh compressed with {how}", "a mesh without compression", "Export it without compression")
 
     def _check(self) -> None:
-        """Refuse what is not read: compression, other files, unknown extensions."""
+        """Refuse compression, other files and unknown extensions."""
         required = [str(extension) for extension in self.table.get("extensionsRequired", [])]
         for extension in required:
             if extension == _DRACO:
@@ -116,15 +116,15 @@ class _Reader:
         unknown = [name for name in required if name not in _READ and not name.startswith(_LIGHT_ALONE)]
         if unknown:
             self._refuse(
-                f"the extension {', '.join(unknown)}, without which it cannot be read",
-                "a GLB that needs no other than " + ", ".join(sorted(_READ)),
+                f"the required extension {', '.join(unknown)}, which is not supported",
+                "a GLB that requires only " + ", ".join(sorted(_READ)),
                 "Export it without that extension",
             )
         for buffer in self.table.get("buffers", []):
             if not str(buffer.get("uri", "data:")).startswith("data:"):
-                self._refuse("vertices in another file", "a GLB that holds them itself", "Export it as one file")
+                self._refuse("vertices in another file", "a GLB with its vertices inside", "Export it as one file")
         if any(accessor["count"] > self.size for accessor in self.table.get("accessors", [])):
-            self._refuse("counts that it cannot hold", "a whole GLB", "Export it again")
+            self._refuse("counts larger than the file", "a complete GLB", "Export it again")
 
     # --- numbers ---
 
@@ -133,11 +133,11 @@ class _Reader:
         if "uri" in buffer:
             return base64.b64decode(buffer["uri"].partition(",")[2])
         if number:
-            raise ValueError("a buffer without content")
+            raise ValueError("an empty buffer")
         return self.binary
 
     def _view(self, number: int) -> tuple[bytes, int]:
-        """Bytes of a view, and the distance of its rows. 0: they follow one another."""
+        """Bytes of a buffer view, and its stride. 0: tightly packed."""
         view = self.table["bufferViews"][number]
         compressed = next((how for how in _MESHOPT if how in view.get("extensions", {})), None)
         if compressed is not None:
@@ -147,7 +147,7 @@ class _Reader:
         start, length = view.get("byteOffset", 0), view["byteLength"]
         content = self._buffer(view["buffer"])[start : start + length]
         if len(content) < length or start < 0:
-            raise ValueError("it ends before all that its header counts")
+            raise ValueError("it is shorter than its header states")
         return content, view.get("byteStride", 0)
 
     def _rows(self, view: int, offset: int, kind: np.dtype[Any], count: int, width: int) -> Array:
@@ -155,11 +155,11 @@ class _Reader:
         row = width * kind.itemsize
         stride = stride or row
         if offset < 0 or count < 0 or stride < row or (count and offset + (count - 1) * stride + row > len(content)):
-            raise ValueError("it ends before all that its header counts")
+            raise ValueError("it is shorter than its header states")
         return np.ndarray((count, width), kind, content, offset, (stride, kind.itemsize)).copy()
 
     def _numbers(self, number: int) -> Array:
-        """Rows of an accessor (count, width): whole numbers as they are, normalized ones as shares."""
+        """Rows of an accessor (count, width): integers as they are, normalized ones as floats."""
         accessor = self.table["accessors"][number]
         count, width = accessor["count"], _WIDTHS[accessor["type"]]
         kind = np.dtype(_COMPONENTS[accessor["componentType"]])
@@ -174,12 +174,12 @@ class _Reader:
         return np.maximum(values / float(np.iinfo(kind).max), -1.0)
 
     def _replace(self, values: Array, sparse: Mapping[str, Any], kind: np.dtype[Any]) -> None:
-        """Put in the rows that differ from the accessor's own."""
+        """Write the rows of a sparse accessor."""
         count, where, what = sparse["count"], sparse["indices"], sparse["values"]
         index_kind = np.dtype(_COMPONENTS[where["componentType"]])
         places = self._rows(where["bufferView"], where.get("byteOffset", 0), index_kind, count, 1)[:, 0]
         if places.max(initial=0) >= max(len(values), 1):
-            raise ValueError("rows that are not there")
+            raise ValueError("it refers to rows that do not exist")
         values[places] = self._rows(what["bufferView"], what.get("byteOffset", 0), kind, count, values.shape[1])
 
     # --- nodes ---
@@ -189,7 +189,7 @@ class _Reader:
         return list(self.table.get("nodes", []))
 
     def _roots(self) -> list[int]:
-        """Nodes of the scene that is shown; of a file without scenes, all that have no parent."""
+        """Root nodes of the default scene. Without scenes: all nodes without a parent."""
         if self.table.get("scenes"):
             return list(self.table["scenes"][self.table.get("scene", 0)].get("nodes", []))
         inner = {child for node in self._nodes for child in node.get("children", [])}
@@ -197,13 +197,13 @@ class _Reader:
 
     @cached_property
     def _placed(self) -> dict[int, tuple[Float64[Array, "4 4"], bool]]:
-        """Node of the scene → its transform, and whether it is shown."""
+        """Node of the scene → its transform, and whether it is visible."""
         placed: dict[int, tuple[Float64[Array, "4 4"], bool]] = {}
         waiting = [(number, np.eye(4), True) for number in self._roots()]
         while waiting:
             number, parent, shown = waiting.pop()
             if number in placed or number < 0:
-                raise ValueError("nodes in a circle")
+                raise ValueError("its nodes form a cycle")
             node = self._nodes[number]
             here = parent @ _transform(node)
             shown = shown and node.get("extensions", {}).get(_VISIBILITY, {}).get("visible", True) is not False
@@ -212,7 +212,7 @@ class _Reader:
         return placed
 
     def _drawn(self) -> Iterator[tuple[dict[str, Any], dict[str, Any], list[Float64[Array, "4 4"]]]]:
-        """Node, primitive and its places, for all that have a surface and are shown."""
+        """Node, primitive and transforms of its instances, for all visible surfaces."""
         for number, (place, shown) in sorted(self._placed.items()):
             node = self._nodes[number]
             if "mesh" not in node:
@@ -267,7 +267,7 @@ class _Reader:
         )  # fmt: skip
 
     def _morphed(self, node: Mapping[str, Any], part: Mapping[str, Any]) -> Float64[Array, "n 3"] | float:
-        """By how much the morph targets of weights other than 0 move the points."""
+        """Offset of the points by the morph targets of non-zero weight."""
         weights = node.get("weights") or self.table["meshes"][node["mesh"]].get("weights") or []
         moved: Float64[Array, "n 3"] | float = 0.0
         for weight, target in zip(weights, part.get("targets", []), strict=False):
@@ -276,7 +276,7 @@ class _Reader:
         return moved
 
     def _skinned(self, number: int, attributes: Mapping[str, int], count: int) -> Float64[Array, "n 4 4"]:
-        """Transform of each vertex by its joints. The node's own does not count (specification, "Skins")."""
+        """Transform of each vertex by its joints. The node's own is ignored (specification, "Skins")."""
         skin = self.table["skins"][number]
         joints = np.array([self._joint(joint) for joint in skin["joints"]]).reshape(-1, 4, 4)
         if "inverseBindMatrices" in skin:
@@ -291,18 +291,18 @@ class _Reader:
             matrices += np.einsum("nk,nkij->nij", weights, joints[which])
             total += weights.sum(axis=1)
         if not (total > 0).all():
-            raise ValueError("vertices that no joint holds")
+            raise ValueError("it has vertices without joints")
         return matrices / total[:, None, None]
 
     def _joint(self, number: int) -> Float64[Array, "4 4"]:
         if number not in self._placed:
-            raise ValueError("a joint outside the scene")
+            raise ValueError("a joint is outside the scene")
         return self._placed[number][0]
 
     def _faces(self, part: Mapping[str, Any], count: int) -> Int64[Array, "m 3"]:
         corners = self._numbers(part["indices"])[:, 0].astype(np.int64) if "indices" in part else np.arange(count)
         if corners.max(initial=-1) >= count:
-            raise ValueError("faces of vertices that are not there")
+            raise ValueError("faces refer to vertices that do not exist")
         mode = part.get("mode", _TRIANGLES)
         if mode == _TRIANGLES:
             return corners[: len(corners) // 3 * 3].reshape(-1, 3)
@@ -321,7 +321,7 @@ class _Reader:
         return eight_bit(values, whole=values.dtype.kind != "f")
 
     def _picture(self, part: Mapping[str, Any]) -> tuple[Float64[Array, "n 2"] | None, str | None]:
-        """Places in the picture of the surface's colour, (0, 0) lower left, and the picture's name."""
+        """Texture coordinates of the base colour, (0, 0) lower left, and the image's name."""
         if "material" not in part:
             return None, None
         material = self.table["materials"][part["material"]]
@@ -343,7 +343,7 @@ class _Reader:
         return np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1), self._image(source)
 
     def _image(self, number: int) -> str | None:
-        """Name of a picture, which is put to the others. None: it lies in another file."""
+        """Name of an image, which is added to the scene's. None: it is in another file."""
         image = self.table["images"][number]
         if "bufferView" in image:
             content = self._view(image["bufferView"])[0]
@@ -357,8 +357,8 @@ class _Reader:
 
 
 def _transform(node: Mapping[str, Any]) -> Float64[Array, "4 4"]:
-    """A node's own transform, from its matrix or its translation, rotation and scale."""
-    from scipy.spatial.transform import Rotation  # sessions of photographs import this module, and need no SciPy
+    """A node's local transform, from its matrix or its translation, rotation and scale."""
+    from scipy.spatial.transform import Rotation  # imported late: sessions of photographs need no SciPy
 
     if "matrix" in node:
         return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T

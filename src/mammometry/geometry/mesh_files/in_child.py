@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Concatenate, ParamSpec, TypeVar
 
-from mammometry.base.child_process import ChildProcess, NotDone
+from mammometry.base.child_process import CallError, ChildProcess
 from mammometry.base.errors import MammometryError, SessionError
 from mammometry.base.machine.system import limit_memory
 from mammometry.base.parse import require_file
@@ -46,7 +46,7 @@ def read_in_child(read: Callable[Concatenate[Path, _P], _T], path: Path, *argume
                 found = child.call(_read, read, path, arguments, named)
             finally:
                 late.cancel()
-    except NotDone:
+    except CallError:
         raise SessionError(
             str(path), found="a file on which its reader fails", expected="a mesh file that can be read within limits",
             remedy="Export it again as plain meshes",

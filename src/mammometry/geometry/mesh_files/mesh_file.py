@@ -1,4 +1,4 @@
-"""Triangles of other programs' PLY, OBJ, STL, GLB and USDZ files, which mostly do not say their unit."""
+"""Read triangles from other programs' PLY, OBJ, STL, GLB and USDZ files, often without a unit."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ _Parsed: TypeAlias = tuple[
 SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".usdz")
 KINDS = "PLY, OBJ, STL, GLB or USDZ"
 _KINDS = f"a mesh as {KINDS}"
-_MOST_MIB = 4096  # nearly a hundred million triangles as STL; a larger file would fill the memory
-_HEAD_BYTES = 65_536  # in which a file shows how it is written
-_SIGN = 64  # bytes in which every second one is zero in UTF-16, and in no mesh
+_MOST_MIB = 4096  # almost 100 million triangles as STL; a larger file would not fit into memory
+_HEAD_BYTES = 65_536  # from which the format is recognised
+_SIGN = 64  # bytes; every second one is zero in UTF-16 and in no mesh format
 _DECIMAL_COMMA = re.compile(rb"\d+,\d+")
 
 
 def read_mesh_file(path: Path) -> MeshContent:
     """Read a mesh file in a child process.
 
-    Vertices in one place become one. Faces without area are dropped. Nothing but this file is read: no materials, no
-    pictures, no buffers beside it.
+    Vertices at one position are merged. Faces without area are dropped. Only this file is read: no materials, pictures
+    or buffers next to it.
 
     Raises:
-        SessionError: the file cannot be read, or holds no triangles or no numbers.
+        SessionError: the file cannot be read, has no triangles, or has values that are not numbers.
     """
     _check_name(path)
     return read_in_child(parse_mesh_file, path)
@@ -51,18 +51,18 @@ def parse_mesh_file(path: Path) -> MeshContent:
     content = read_bytes(path, str(path), _KINDS, most_mib=_MOST_MIB).removeprefix(codecs.BOM_UTF8)
     if (found := _other_content(path, content[:_HEAD_BYTES])) is not None:
         raise _refused(
-            path, found, f"what the ending {path.suffix} says", "Give it its right ending, or export it again"
+            path, found, f"a {path.suffix} file, as its name says", "Correct the file extension, or export it again"
         )
     try:
         vertices, faces, colours, remarks = _parsed(path, content)
     except MammometryError:
         raise
-    except Exception as error:  # the readers raise anything that a damaged file makes them stumble over
+    except Exception as error:  # on damaged files the readers may raise any exception
         raise _cause(path, content, error) from None
     if not len(faces):
         raise _refused(path, "no triangles", "a triangulated surface", "Export it with its faces, not as points")
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise _refused(path, "faces of vertices that are not there", "a whole mesh", "Export it again")
+        raise _refused(path, "faces that refer to vertices that do not exist", "a complete mesh", "Export it again")
     if not (np.abs(vertices[faces]) <= LARGEST).all():
         raise _refused(path, "coordinates that are not finite", "numbers", "Export it again")
     _, first, place = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
@@ -82,13 +82,13 @@ def parse_mesh_file(path: Path) -> MeshContent:
 
 def _check_name(path: Path) -> None:
     if path.suffix.lower() not in SUFFIXES:
-        raise _refused(path, "another kind of file", _KINDS, "Export the mesh as one of them")
+        raise _refused(path, "another file type", _KINDS, "Export the mesh as one of them")
     if not path.exists():
         raise _refused(path, "no such file", _KINDS, "Check the path")
 
 
 def _in_order(faces: Int64[Array, "m 3"]) -> Int64[Array, "m 3"]:
-    """Faces in the order of their corners, each with its smallest first: no result hangs on a file's order."""
+    """Faces sorted, each with its smallest index first, so that no result depends on the file's order."""
     start = np.argmin(faces, axis=1)
     turned = np.take_along_axis(faces, (start[:, None] + np.arange(3)) % 3, axis=1)
     return turned[np.lexsort(turned.T[::-1])]
@@ -114,13 +114,13 @@ def _grey(points: Float64[Array, "n 3"]) -> UInt8[Array, "n 3"]:
 
 
 def _other_content(path: Path, head: bytes) -> str | None:
-    """Format of a file whose ending says another, None where they fit or nothing is known."""
+    """Format of a file with a wrong extension. None if the two match or the format is unknown."""
     letters, between = head[:_SIGN:2], head[1:_SIGN:2]
     kind = path.suffix.lower()
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return None if kind == ".obj" else "a text in UTF-16"
+        return None if kind == ".obj" else "text in UTF-16"
     if len(between) > 0 and not any(between) and all(letters):
-        return "a text in UTF-16 that does not say so"
+        return "text in UTF-16 without a byte-order mark"
     head = head.lstrip()
     if kind != ".ply" and re.match(rb"ply[ \t]*[\r\n]", head):
         return "a PLY"
@@ -130,12 +130,12 @@ def _other_content(path: Path, head: bytes) -> str | None:
         return "an STL"
     if kind in (".ply", ".stl") and re.search(rb"[\r\n]v +\S+ +\S+ +\S+[^\r\n]*[\r\n]+v ", head):
         return "an OBJ"
-    is_text = re.search(rb"(?:^|[\r\n])v[ \t]", head) is not None  # whose comments may hold anything
-    return "numbers in binary" if kind == ".obj" and b"\0" in head and not is_text else None
+    is_text = re.search(rb"(?:^|[\r\n])v[ \t]", head) is not None  # comments may contain anything
+    return "binary data" if kind == ".obj" and b"\0" in head and not is_text else None
 
 
 def _cause(path: Path, content: bytes, error: Exception) -> SessionError:
-    """The refusal of a file that a reader stumbled over, by its likeliest cause."""
+    """The error for a file that a reader failed on, with its likeliest cause."""
     head = content[:_HEAD_BYTES]
     commas = _DECIMAL_COMMA.search(head.partition(b"end_header")[2] or head) if _is_text(head) else None
     if commas is not None:

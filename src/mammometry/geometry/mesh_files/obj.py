@@ -1,7 +1,6 @@
 """Wavefront OBJ files: vertices, triangles and places in pictures.
 
-A negative number counts back from the line that it stands on, whatever groups came before (the format's specification,
-"Referencing vertex data").
+A negative index counts back from its own line, whatever groups came before (specification, "Referencing vertex data").
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from mammometry.base.errors import SessionError
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
 from mammometry.geometry.mesh_files.colours import eight_bit
 
-_NUMBERS = ("v ", "vt ", "vn ", "f ")  # lines of numbers only: a # begins a comment, not part of a name
+_NUMBERS = ("v ", "vt ", "vn ", "f ")  # lines of numbers: a # begins a comment here, not in names
 _KEPT = ("v", "vt", "vn", "f", "usemtl")
 _WIDE = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 _DECIMAL_COMMA = re.compile(r"\d,\d")
@@ -28,34 +27,34 @@ class ObjFile:
     """An OBJ's content."""
 
     points: Float64[Array, "n 3"]
-    """Its vertices, in its own unit."""
+    """Vertices, in the file's unit."""
     colours: UInt8[Array, "n 3"] | None
-    """sRGB behind each vertex's coordinates, where all have one."""
+    """sRGB after each vertex's coordinates. None unless all vertices have it."""
     faces: Int64[Array, "m 3"]
-    """Triangles. A polygon is a fan around its first corner."""
+    """Triangles. Polygons are split into fans around their first corner."""
     uv: Float64[Array, "k 2"]
-    """Places in pictures, (0, 0) lower left."""
+    """Texture coordinates, (0, 0) lower left."""
     face_uv: Int64[Array, "m 3"]
-    """Place of each triangle's corner. −1: none."""
+    """Index of each corner's texture coordinates. −1: none."""
     face_material: Int64[Array, " m"]
-    """Number of each triangle's material. −1: none."""
+    """Index of each triangle's material. −1: none."""
     materials: tuple[str, ...]
-    """Names in the order of their first use."""
+    """Names of the materials in the order of first use."""
     libraries: tuple[str, ...]
-    """What stands behind each ``mtllib``, as it stands: one name, or several with blanks between them."""
+    """Text after each ``mtllib``, unchanged: one name, or several separated by spaces."""
     lines: tuple[str, ...]
-    """Vertices, faces and uses of materials; no comments and no names of parts."""
+    """Lines of vertices, faces and material uses, without comments and group names."""
 
 
 def parse_obj(content: bytes, name: str) -> ObjFile:
     """Read an OBJ.
 
     Args:
-        content: of the file. Bytes that are not UTF-8 are kept as surrogates, as in names of files.
-        name: what to call it in messages.
+        content: of the file. Bytes that are not UTF-8 become surrogates, as in file names.
+        name: the file's name in messages.
 
     Raises:
-        SessionError: a line holds no numbers, or names a vertex that is not there.
+        SessionError: a line has no numbers, or refers to a vertex that does not exist.
     """
     vertices: list[list[str]] = []
     places: list[list[str]] = []
@@ -148,25 +147,25 @@ def _rows(line: str, rows: Array) -> str:
 
 
 def decimal_commas(name: str, sample: str) -> SessionError:
-    """The refusal of a mesh file whose numbers have commas.
+    """The error for a mesh file whose numbers have decimal commas.
 
     Args:
-        name: what to call the file.
+        name: the file's name in messages.
         sample: one such number.
     """
     return SessionError(
         name,
         found=f"numbers with decimal commas, such as {sample[:20]}",
         expected="decimal points",
-        remedy="Set the exporting program, or its computer, to decimal points and export it again",
+        remedy="Set decimal points in the exporting program or its computer, and export again",
     )
 
 
 def _lines(content: bytes) -> Iterator[str]:
-    """Lines with a blank behind the first word, without comments behind numbers; continued lines are joined."""
+    """Lines with a space after the first word and without comments after numbers; continued lines are joined."""
     wide = next((code for mark, code in _WIDE.items() if content.startswith(mark) and len(content) % 2 == 0), None)
     text = content.decode("utf-8-sig", "surrogateescape")
-    if wide is not None and "\nf " not in text.replace("\r", "\n"):  # else its comments alone are in UTF-16
+    if wide is not None and "\nf " not in text.replace("\r", "\n"):  # otherwise only its comments are UTF-16
         text = content.decode(wide, "replace")
     for line in re.split("\r\n|\r|\n", re.sub("\\\\(\r\n|\r|\n)", " ", text)):
         plain = line.strip(" \t\0").replace("\t", " ")
@@ -176,7 +175,7 @@ def _lines(content: bytes) -> Iterator[str]:
 def _points(vertices: list[list[str]]) -> tuple[Float64[Array, "n 3"], UInt8[Array, "n 3"] | None]:
     widths = {len(row) for row in vertices}
     if min(widths, default=3) < 3:
-        raise ValueError("a vertex of fewer than three numbers")
+        raise ValueError("a vertex with fewer than three numbers")
     points = np.array([row[:3] for row in vertices], dtype=np.float64).reshape(-1, 3)
     if min(widths, default=0) < 6:
         return points, None
@@ -184,7 +183,7 @@ def _points(vertices: list[list[str]]) -> tuple[Float64[Array, "n 3"], UInt8[Arr
 
 
 def _corner(text: str, vertex_count: int, place_count: int) -> tuple[int, int]:
-    """Vertex and place of one corner, such as ``7``, ``7/3``, ``7//2`` or ``-1/-1/-1``."""
+    """Vertex and texture index of a corner, such as ``7``, ``7/3``, ``7//2`` or ``-1/-1/-1``."""
     vertex, _, rest = text.partition("/")
     place = rest.partition("/")[0]
     return _index(vertex, vertex_count), _index(place, place_count) if place else -1
@@ -202,5 +201,5 @@ def _wrong_numbers(name: str, rows: list[list[str]]) -> SessionError:
     if commas:
         return decimal_commas(name, commas)
     return SessionError(
-        name, found="a line without its numbers", expected="a whole OBJ", remedy="Export it again"
+        name, found="a line without its numbers", expected="a complete OBJ", remedy="Export it again"
     )  # fmt: skip

@@ -28,18 +28,18 @@ _NAMES = {np.dtype(f"<{_TYPES[name]}"): name for name in ("double", "float", "uc
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 _CORNERS = ("vertex_indices", "vertex_index")
 _COLOURS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
-_HEADER_BYTES = 1 << 22  # in which a header must end
+_HEADER_BYTES = 1 << 22  # largest header
 _LINE = re.compile(rb"[^\r\n]*(?:\r\n|\r|\n)")
-_LONGEST = 100_000  # corners of a polygon
+_LONGEST = 100_000  # most corners of a polygon
 
 
 @dataclass(slots=True)
 class _Property:
     name: str
     kind: str
-    """NumPy's code of a value."""
+    """NumPy's type code of a value."""
     length: str = ""
-    """NumPy's code of a list's length. Empty: a single value."""
+    """NumPy's type code of a list's length. Empty: a single value."""
 
 
 @dataclass(slots=True)
@@ -92,7 +92,7 @@ def parse_ply(content: bytes, name: str) -> PlyFile:
 
     Args:
         content: of the file.
-        name: what to call it in messages.
+        name: the file's name in messages.
 
     Raises:
         ValueError: it is no PLY, is cut short, or holds no numbers where they should be. So are KeyError, IndexError
@@ -158,7 +158,7 @@ def write_ply(
 def _header(content: bytes, name: str) -> tuple[str, list[_Element], tuple[str, ...], bytes]:
     """Byte order, empty for a text; elements; comments; and what follows."""
     if not content.startswith(b"ply"):
-        raise ValueError("no header of a PLY")
+        raise ValueError("it has no PLY header")
     order, start = None, 0
     elements: list[_Element] = []
     comments: list[str] = []
@@ -182,13 +182,13 @@ def _header(content: bytes, name: str) -> tuple[str, list[_Element], tuple[str, 
                 )
             elements.append(_Element(rest[0], int(rest[1])))
             if not 0 <= elements[-1].count <= len(content):
-                raise ValueError("it ends before all that its header counts")
+                raise ValueError("it is shorter than its header states")
         elif word == "property" and rest[0] == "list":
             elements[-1].properties.append(_Property(rest[3], _TYPES[rest[2]], _TYPES[rest[1]]))
         elif word == "property":
             elements[-1].properties.append(_Property(rest[1], _TYPES[rest[0]]))
     if not start:
-        raise ValueError("no header of a PLY")
+        raise ValueError("it has no PLY header")
     if order is None:
         raise ValueError("no format")
     return order, elements, tuple(comments), content[start:]
@@ -216,7 +216,7 @@ class _Text:
     def _take(self, count: int) -> list[bytes]:
         words = self._words[self._at : self._at + count]
         if len(words) < count or count < 0:
-            raise ValueError("it ends before all that its header counts")
+            raise ValueError("it is shorter than its header states")
         self._at += count
         return words
 
@@ -231,7 +231,7 @@ class _Binary:
         return self._one_by_one(element) if known is None else known
 
     def _first_length(self, element: _Element, number: int) -> int:
-        """Length of the list `number` in the first row, as if the others of the row were as they are there."""
+        """Length of list `number` in the first row, if the lists before it have the given lengths."""
         at = self._at
         for place, property_ in enumerate(element.properties):
             count = 1
@@ -247,11 +247,11 @@ class _Binary:
         return 1
 
     def _rows(self, element: _Element, lengths: list[int]) -> dict[str, Any] | None:
-        """All rows at once, where their lists are as long as the first row's. None: they are not."""
+        """All rows at once, if all lists are as long as the first row's. Otherwise None."""
         fields: list[Any] = []
         for place, (property_, length) in enumerate(zip(element.properties, lengths, strict=True)):
             if not 0 <= length <= _LONGEST:
-                raise ValueError("a list that it cannot hold")
+                raise ValueError("a list is longer than the file")
             if property_.length:
                 fields.append((f"n{place}", self._order + property_.length))
             fields.append((f"v{place}", self._order + property_.kind, (length,) if property_.length else ()))
@@ -259,7 +259,7 @@ class _Binary:
         if self._at + element.count * row.itemsize > len(self._body):
             if any(property_.length for property_ in element.properties):
                 return None
-            raise ValueError("it ends before all that its header counts")
+            raise ValueError("it is shorter than its header states")
         table = np.frombuffer(self._body, row, element.count, self._at)
         for place, (property_, length) in enumerate(zip(element.properties, lengths, strict=True)):
             if property_.length and not (table[f"n{place}"] == length).all():
@@ -279,7 +279,7 @@ class _Binary:
     def _take(self, kind: str, count: int) -> Array:
         size = np.dtype(kind).itemsize * count
         if count < 0 or self._at + size > len(self._body):
-            raise ValueError("it ends before all that its header counts")
+            raise ValueError("it is shorter than its header states")
         found = np.frombuffer(self._body, self._order + kind, count, self._at)
         self._at += size
         return found

@@ -1,4 +1,4 @@
-"""Contents of a mesh file of any format."""
+"""Content of a mesh file of any format."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Float64, Int32, Int64, UInt8
 
 GREY = 128
-"""sRGB of what has no colour."""
+"""sRGB of points without a colour."""
 MIRRORED = (
-    "The file places a part of the mesh mirrored (a negative scale), and it was read so. Compare left and right with "
+    "A part of the mesh is mirrored in the file (negative scale), and was read so. Compare left and right with "
     "the patient: a mole, the operated side or a tattoo."
 )
-HIDDEN = "Parts that the file hides, or does not draw, were left out."
-SUBDIVIDED = "The file asks for a smoothed surface (subdivision). The mesh was read as it is, without it."
-ANIMATED = "The file has an animation. The mesh was read as it is at its beginning."
+HIDDEN = "Hidden parts of the file were not read."
+SUBDIVIDED = "The file asks for a smoothed surface (subdivision). The mesh was read without smoothing."
+ANIMATED = "The file has an animation. The mesh was read at its first moment."
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ScenePart:
-    """A piece of a scene with one picture or none."""
+    """A part of a scene with at most one image."""
 
     points: Float64[Array, "n 3"]
-    """In the file's unit, where they are in the scene."""
+    """In the file's unit and the scene's frame."""
     faces: Int64[Array, "m 3"]
     colours: UInt8[Array, "n 3"]
-    """sRGB of each point. `GREY` where the file has none."""
+    """sRGB of each point. `GREY` if the file has none."""
     uv: Float64[Array, "n 2"] | None = None
-    """Place of each point in the picture, (0, 0) lower left. None: no picture covers it."""
+    """Texture coordinates of each point, (0, 0) lower left. None: no image."""
     picture: str | None = None
-    """Name of the picture."""
+    """Name of the image."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -41,29 +41,29 @@ class Scene:
 
     parts: tuple[ScenePart, ...]
     pictures: dict[str, bytes] = field(default_factory=dict)
-    """Name, with its ending → content of a JPEG, PNG or WebP."""
+    """File name → content of a JPEG, PNG or WebP."""
     metres_per_unit: float | None = None
-    """None where the file does not say it."""
+    """None if the file does not state it."""
     remarks: tuple[str, ...] = ()
-    """What was left out or needs a look, one sentence each."""
+    """Sentences about parts that were not read or need a check."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeshContent:
-    """The triangles of a mesh file, in its own unit and frame."""
+    """Triangles of a mesh file, in its own unit and frame."""
 
     points: Float64[Array, "n 3"]
     faces: Int32[Array, "m 3"]
     colours: UInt8[Array, "n 3"]
-    """sRGB of each point. `GREY` where the file has none."""
+    """sRGB of each point. `GREY` if the file has none."""
     remarks: tuple[str, ...] = ()
-    """What was left out or needs a look, one sentence each."""
+    """Sentences about parts that were not read or need a check."""
 
 
 def joined_parts(
     parts: Sequence[ScenePart],
 ) -> tuple[Float64[Array, "n 3"], Int64[Array, "m 3"], UInt8[Array, "n 3"]]:
-    """Points, triangles and colours of all parts as one mesh."""
+    """Points, triangles and colours of all parts, as one mesh."""
     before = np.cumsum([0, *(len(part.points) for part in parts)])
     return (
         np.concatenate([np.empty((0, 3)), *(part.points for part in parts)]),

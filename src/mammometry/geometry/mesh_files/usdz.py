@@ -1,4 +1,4 @@
-"""Meshes of a USDZ, as telephones write it, and their pictures.
+"""Meshes and images of a USDZ, as telephones write it.
 
 Nothing outside the file is read.
 """
@@ -29,11 +29,11 @@ def read_usdz(path: Path, *, shape: bool = True) -> Scene:
 
     Args:
         path: of the file.
-        shape: whether meshes and pictures are wanted, beside the unit.
+        shape: whether to read meshes and images, not only the unit.
 
     Raises:
         MissingLibraryError: USD is not installed.
-        SessionError: it cannot be read.
+        SessionError: the file cannot be read.
     """
     return read_in_child(parse_usdz, path, shape=shape)
 
@@ -47,7 +47,7 @@ def parse_usdz(path: Path, *, shape: bool = True) -> Scene:
     except Exception as error:  # the reader raises many kinds of error for a damaged file
         read = f"a file that cannot be read ({error_text(error)})"
     if isinstance(read, str):
-        expected = "a USDZ of plain meshes that it holds itself"
+        expected = "a USDZ with plain meshes inside"
         raise SessionError(str(path), found=read, expected=expected, remedy="Export it again as plain meshes")
     return read
 
@@ -60,11 +60,11 @@ def _opened(path: Path, *, shape: bool) -> Scene | str:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
             if any(member.compress_type != zipfile.ZIP_STORED or member.flag_bits & 1 for member in members):
-                return "a ZIP that is packed, which a USDZ is not"
-            archive.extractall(folder)  # which keeps names within the folder
+                return "a compressed ZIP, which is not a USDZ"
+            archive.extractall(folder)  # extracts only into the folder
             first = next((folder / m.filename for m in members if Path(m.filename).suffix.lower() in _LAYERS), None)
         if first is None:
-            return "a ZIP without USD in it"
+            return "a ZIP without a USD file"
         for file in sorted(folder.rglob("*")):
             if file.suffix.lower() in _LAYERS:
                 layer = Sdf.Layer.FindOrOpen(str(file))
@@ -86,7 +86,7 @@ def _opened(path: Path, *, shape: bool) -> Scene | str:
 
 
 def _is_drawn(prim: Any) -> bool:
-    """Whether a geometry is shown, and neither a proxy nor a guide."""
+    """Whether a geometry is visible, and neither a proxy nor a guide."""
     from pxr import Usd, UsdGeom
 
     shown = UsdGeom.Imageable(prim).ComputeVisibility(Usd.TimeCode.EarliestTime()) != UsdGeom.Tokens.invisible
@@ -105,7 +105,7 @@ def _is_animated(mesh: Any) -> bool:
 
 
 def _unread(stage: Any) -> str | None:
-    """Name the first thing a scene draws that is not read here. None if all of it is read."""
+    """Name the first visible thing that is not supported. None if everything is."""
     from pxr import Usd, UsdGeom, UsdSkel
 
     now = Usd.TimeCode.EarliestTime()
@@ -115,14 +115,14 @@ def _unread(stage: Any) -> str | None:
         if not prim.IsA(UsdGeom.Boundable) or not _is_drawn(prim):
             continue
         if prim.IsA(UsdGeom.PointInstancer):
-            return "copies of a mesh placed by a PointInstancer"
+            return "meshes instanced by a PointInstancer"
         if prim.IsA(UsdGeom.Gprim) and not prim.IsA(UsdGeom.Mesh) and prim.GetTypeName() not in _NO_SURFACE:
-            return f"a {prim.GetTypeName()} beside its meshes"
+            return f"a {prim.GetTypeName()} in addition to its meshes"
         binding = UsdSkel.BindingAPI(prim)
         if prim.IsA(UsdGeom.Mesh) and binding.GetJointIndicesAttr().HasValue() and binding.GetInheritedSkeleton():
-            return "a mesh that a skeleton moves"
+            return "a mesh with a skeleton"
         if prim.IsA(UsdGeom.Mesh) and blended and binding.GetBlendShapeTargetsRel().GetTargets():
-            return "a mesh that blend shapes change"
+            return "a mesh with blend shapes"
     return None
 
 
@@ -151,7 +151,7 @@ def _parts(stage: Any, folder: Path, pictures: dict[str, bytes], remarks: list[s
         if not len(counts):
             continue
         if counts.min() < 0 or counts.sum() != len(corners) or corners.min() < 0 or corners.max() >= len(points):
-            raise ValueError("faces of vertices that are not there")
+            raise ValueError("faces refer to vertices that do not exist")
         place = np.array(places.GetLocalToWorldTransform(prim))
         points = points @ place[:3, :3] + place[3, :3]
         polygon, where = _fans(counts)
@@ -180,7 +180,7 @@ def _parts(stage: Any, folder: Path, pictures: dict[str, bytes], remarks: list[s
 
 
 def _fans(counts: Int64[Array, " k"]) -> tuple[Int64[Array, " m"], Int64[Array, "m 3"]]:
-    """Triangles of polygons: the polygon of each, and its three corners, counted over all polygons."""
+    """Split polygons into fans: the polygon of each triangle, and the positions of its corners in the file's list."""
     triangles = np.maximum(counts - 2, 0)
     polygon = np.repeat(np.arange(len(counts)), triangles)
     number = np.arange(len(polygon)) - np.repeat(np.cumsum(triangles) - triangles, triangles)
@@ -191,7 +191,7 @@ def _fans(counts: Int64[Array, " k"]) -> tuple[Int64[Array, " m"], Int64[Array, 
 def _corner_values(
     prim: Any, names: tuple[str, ...], faces: Int64[Array, "m 3"], where: Int64[Array, "m 3"]
 ) -> Float64[Array, "m 3 k"] | None:
-    """Values of the first of these primvars at each triangle's corners."""
+    """Values at each triangle's corners, of the first of these primvars that exists."""
     from pxr import Usd, UsdGeom
 
     primvars = UsdGeom.PrimvarsAPI(prim)
@@ -219,7 +219,7 @@ def _colours(prim: Any, faces: Int64[Array, "m 3"], where: Int64[Array, "m 3"]) 
 
 
 def _picture_of_each(prim: Any, count: int, folder: Path, pictures: dict[str, bytes]) -> Array:
-    """Name of each polygon's picture. Empty: none."""
+    """Name of each polygon's image. Empty: none."""
     from pxr import UsdShade
 
     bound = UsdShade.MaterialBindingAPI(prim)
@@ -231,7 +231,7 @@ def _picture_of_each(prim: Any, count: int, folder: Path, pictures: dict[str, by
 
 
 def _picture(bound: Any, folder: Path, pictures: dict[str, bytes]) -> str:
-    """Name of the picture of a material's colour, which is read into `pictures`. Empty: none."""
+    """Name of the image of a material's colour, which is read into `pictures`. Empty: none."""
     from pxr import UsdShade
 
     material, _ = bound.ComputeBoundMaterial()

@@ -1,1 +1,1 @@
-"""Cameras in files: our own, and those of other programs."""
+"""Read and write cameras: our own format and those of other programs."""

@@ -1,8 +1,9 @@
-"""Cameras in Agisoft's XML, as Metashape and PhotoScan (from 1.3) export them.
+"""Cameras in Agisoft's XML, as exported by Metashape and PhotoScan (from 1.3).
 
-Their formulas (Metashape's manual, appendix "Camera models"): the principal point counts from the image's middle, and
-pixel centres lie at halves. P1 and P2 stand in the other order than OpenCV's. A camera's transform takes its points
-to the chunk, whose own transform takes them to the world, in metres.
+Conventions (Metashape's manual, appendix "Camera models"): the principal point is relative to the image centre, pixel
+centres are at half-integers, and P1 and P2 are in the opposite order to OpenCV's. A camera's transform maps its points
+to
+the chunk, and the chunk's own transform maps them to the world, in metres.
 """
 
 from __future__ import annotations
@@ -21,20 +22,20 @@ from mammometry.io.cameras.own import camera_from_entry, camera_name, unfit
 
 _EXPECTED = "cameras as Agisoft exports them (Export Cameras, Agisoft XML)"
 _MM_PER_M = 1000.0  # Agisoft's world is in metres
-_HALF = 0.5  # px: Agisoft counts from the first pixel's corner, we from its centre
+_HALF = 0.5  # px: Agisoft's origin is the first pixel's corner, ours its centre
 _LENS = frozenset({"f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4"})
-_ZERO = {"b2": "skew", "k4": "a term that Brown's lens has not", "p3": "a term of no lens here", "p4": "the same"}
+_ZERO = {"b2": "skew", "k4": "no term of Brown's model", "p3": "a term that no lens here has", "p4": "the same"}
 
 
 def read_agisoft(path: Path, known: Collection[str]) -> dict[str, Camera]:
-    """Read cameras that were aligned, named by their labels.
+    """Read the aligned cameras, named by their labels.
 
     Args:
         path: the XML.
         known: names of the session's cameras.
 
     Raises:
-        SessionError: a lens that is not Brown's, no scale, or a value that is missing or none.
+        SessionError: a lens model other than Brown's, no scale, or a missing or invalid value.
     """
     root = read_xml(path, _EXPECTED)
     chunks = [chunk for chunk in root.iter("chunk") if chunk.find("cameras") is not None]
@@ -50,18 +51,18 @@ def read_agisoft(path: Path, known: Collection[str]) -> dict[str, Camera]:
         transform = node.find("transform")
         if transform is None or node.get("enabled") == "false":
             if node.get("master_id") is not None and name in known:
-                raise unfit(subject, "a camera of a rig without a transform of its own", "cameras without a rig")
+                raise unfit(subject, "a camera of an Agisoft rig, without its own transform", "cameras without a rig")
             continue
         if name in cameras:
-            raise unfit(subject, f"a second picture of camera {name}", "one picture of every camera")
+            raise unfit(subject, f"a second image of camera {name}", "one image per camera")
         sensor = sensors.get(node.get("sensor_id"))
         if sensor is None:
-            raise unfit(subject, "no sensor", "the sensor with its calibration, in the same file")
-        with parsing("an unfit value", subject, _EXPECTED):
+            raise unfit(subject, "no sensor", "its sensor with a calibration in the same file")
+        with parsing("an invalid value", subject, _EXPECTED):
             entry = _lens(subject, sensor) | _pose(subject, _values(transform, 4, 4), _scale(subject, chunk, node))
         cameras[name] = camera_from_entry(path.name, name, entry)
     if not cameras:
-        raise unfit(path.name, "no camera that was aligned", _EXPECTED)
+        raise unfit(path.name, "no aligned camera", _EXPECTED)
     return cameras
 
 
@@ -103,7 +104,7 @@ def _pose(subject: str, chunk_from_camera: Float64[Array, "4 4"], scale: Any) ->
 
 
 def _scale(subject: str, chunk: ElementTree.Element, camera: ElementTree.Element) -> Any:
-    """Rotation, translation and scale from the chunk, or from the camera's component of it, to the world in metres."""
+    """Rotation, translation and scale to the world, m, of the chunk or of the camera's component in it."""
     parts = [part for part in chunk.iter("component") if part.get("id") == camera.get("component_id")]
     for owner in (*parts, chunk):
         transform = owner.find("transform")
@@ -114,7 +115,7 @@ def _scale(subject: str, chunk: ElementTree.Element, camera: ElementTree.Element
         translation = np.zeros(3) if moved is None else _values(moved, 3)
         return rotation, translation, float(_values(factor, 1)[0])
     raise unfit(
-        subject, "no scale of its chunk", "a chunk with scale bars or measured cameras, so that lengths are in metres"
+        subject, "no scale of its chunk", "a chunk with scale bars or surveyed cameras, so that lengths are in metres"
     )
 
 
@@ -123,6 +124,6 @@ def _values(node: ElementTree.Element, *shape: int) -> Any:
 
 
 def _stem(label: str) -> str:
-    """A label without a picture's ending. Others may have points in them."""
+    """A label without the extension of an image. Other labels may contain dots."""
     path = PurePosixPath(label)
     return path.stem if path.suffix.lower() in (".jpg", ".jpeg", ".png", ".tif", ".tiff") else label

@@ -1,7 +1,7 @@
 """Cameras in COLMAP's text files: cameras.txt, images.txt, points3D.txt.
 
-COLMAP puts the first pixel's centre at (0.5, 0.5), we (as OpenCV) at (0, 0). Its poses are x_cam = R x_world + t, with
-R as a quaternion, w first.
+COLMAP's first pixel centre is (0.5, 0.5), ours and OpenCV's is (0, 0). Poses are x_cam = R x_world + t, with R as a
+quaternion, w first.
 """
 
 import math
@@ -15,10 +15,10 @@ from mammometry.base.parse import number, parsing, read_text, whole
 from mammometry.geometry.camera import Camera
 from mammometry.io.cameras.own import camera_from_entry, camera_name, unfit
 
-_SHIFT = 0.5  # px: COLMAP counts from the first pixel's corner, OpenCV from its centre
-_UNIT = 1e-2  # a quaternion's length differs from 1 by no more, as COLMAP writes it
-_IMAGE = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, and the next line its points"
-# Model → how its parameters read as fx, fy, cx, cy, k1, k2, p1, p2, k3; more than these must be zero.
+_SHIFT = 0.5  # px: COLMAP's origin is the first pixel's corner, OpenCV's its centre
+_UNIT = 1e-2  # largest deviation of a quaternion's length from 1 in COLMAP's files
+_IMAGE = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, followed by a line with its points"
+# Model → how its parameters map to fx, fy, cx, cy, k1, k2, p1, p2, k3; more than these must be zero.
 _MODELS: Mapping[str, Sequence[int | None]] = {
     "SIMPLE_PINHOLE": (0, 0, 1, 2, None, None, None, None, None),
     "PINHOLE": (0, 1, 2, 3, None, None, None, None, None),
@@ -31,17 +31,15 @@ _COUNTS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "
 
 
 def read_colmap(cameras_path: Path, images_path: Path, known: Collection[str] = ()) -> dict[str, Camera]:
-    """Read cameras, named as their images without the ending, or as the folder that these lie in.
-
-    Lengths are taken for mm.
+    """Read cameras, named by their image or by the folder that contains it. Lengths are taken to be in mm.
 
     Args:
         cameras_path: cameras.txt.
         images_path: images.txt.
-        known: names of the session's cameras, one of which a folder may have.
+        known: names of the session's cameras, for which folder names are tested.
 
     Raises:
-        SessionError: a lens model that is not Brown's, a line that is not as COLMAP documents, or two images of a name.
+        SessionError: a lens model other than Brown's, a line not as COLMAP documents it, or two images of one name.
     """
     from scipy.spatial.transform import Rotation
 
@@ -49,7 +47,7 @@ def read_colmap(cameras_path: Path, images_path: Path, known: Collection[str] = 
     for line, text in _lines(cameras_path):
         if not text:
             continue
-        with parsing("another line", f"{cameras_path.name}, line {line}", "CAMERA_ID MODEL WIDTH HEIGHT PARAMS…"):
+        with parsing("a malformed line", f"{cameras_path.name}, line {line}", "CAMERA_ID MODEL WIDTH HEIGHT PARAMS…"):
             identity, lens = _lens(cameras_path.name, text.split())
             if identity in lenses:
                 raise ValueError(f"a second camera {identity}")
@@ -58,19 +56,19 @@ def read_colmap(cameras_path: Path, images_path: Path, known: Collection[str] = 
     for (line, text), (_, points) in _pairs(images_path):
         if not text and not points:
             continue
-        with parsing("another line", f"{images_path.name}, line {line}", _IMAGE):
-            # Limited, because a file's name may have blanks.
+        with parsing("a malformed line", f"{images_path.name}, line {line}", _IMAGE):
+            # Limited, because a file name may contain spaces.
             _, *pose, identity, image = text.split(maxsplit=9)
             w, x, y, z, *translation = (number(word) for word in pose)
             if abs(math.hypot(w, x, y, z) - 1.0) > _UNIT:
-                raise ValueError("a quaternion that is not of length 1")
+                raise ValueError("a quaternion whose length is not 1")
             _require_points(points)
             if identity not in lenses:
-                raise ValueError(f"a camera {identity} that {cameras_path.name} has not")
+                raise ValueError(f"camera {identity}, which is not in {cameras_path.name}")
             path = PurePosixPath(image.strip().replace("\\", "/"))
             name = camera_name(path.parts, known) or path.stem
             if name in cameras:
-                raise ValueError(f"a second image called {name}, where a rig has one of each camera")
+                raise ValueError(f"a second image called {name}; a rig has one per camera")
             entry = {**lenses[identity], "R": Rotation.from_quat([x, y, z, w]).as_matrix(), "t": translation}
             cameras[name] = camera_from_entry(images_path.name, name, entry)
     if not cameras:
@@ -79,7 +77,7 @@ def read_colmap(cameras_path: Path, images_path: Path, known: Collection[str] = 
 
 
 def _lens(file: str, words: Sequence[str]) -> tuple[str, dict[str, Any]]:
-    """Identity and values of a lens, from the words of its line."""
+    """Identity and values of a lens, from the words of a line."""
     identity, model, width, height, *parameters = words
     if model not in _MODELS:
         raise unfit(file, f"camera model {model}", f"one of {', '.join(_MODELS)}")
@@ -87,7 +85,7 @@ def _lens(file: str, words: Sequence[str]) -> tuple[str, dict[str, Any]]:
     if len(values) != _COUNTS[model]:
         raise ValueError(f"{len(values)} parameters of {model}, which has {_COUNTS[model]}")
     if any(values[1 + max(place for place in places if place is not None) :]):
-        raise unfit(file, f"{model} with k4, k5 or k6", "a lens without them, which Brown's has not")
+        raise unfit(file, f"{model} with k4, k5 or k6", "a lens without them; Brown's model does not have them")
     fx, fy, cx, cy, *lens = (0.0 if place is None else values[place] for place in places)
     return identity, {
         "K": [[fx, 0.0, cx - _SHIFT], [0.0, fy, cy - _SHIFT], [0.0, 0.0, 1.0]],
@@ -97,13 +95,10 @@ def _lens(file: str, words: Sequence[str]) -> tuple[str, dict[str, Any]]:
 
 
 def _require_points(text: str) -> None:
-    """The line after an image lists its points.
-
-    An image there instead means that such lines were taken out.
-    """
+    """Require a line of points after an image. Another image there means that these lines were removed."""
     words = text.split()
     if len(words) % 3 or (words and not words[-1].lstrip("-").isdigit()):
-        raise ValueError("no line of points after it, which may be empty")
+        raise ValueError("no line of points after it (it may be empty)")
 
 
 def _pairs(path: Path) -> list[tuple[tuple[int, str], tuple[int, str]]]:
@@ -112,15 +107,15 @@ def _pairs(path: Path) -> list[tuple[tuple[int, str], tuple[int, str]]]:
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:
-    """Number and text of every line that is no comment."""
+    """Number and text of every line that is not a comment."""
     lines = read_text(path, path.name, "COLMAP text").split("\n")
     return [(place, line.strip()) for place, line in enumerate(lines, start=1) if not line.startswith("#")]
 
 
 def colmap_texts(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    """All cameras as text files of a COLMAP model without points, mm.
+    """All cameras as a COLMAP text model without points, mm.
 
-    ``OPENCV`` lenses, and ``FULL_OPENCV`` ones where k3 is not zero.
+    Lenses are ``OPENCV``, or ``FULL_OPENCV`` if k3 is not zero.
     """
     from scipy.spatial.transform import Rotation
 

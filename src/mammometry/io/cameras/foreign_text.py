@@ -1,4 +1,4 @@
-"""XML and YAML of other programs, read without what can do harm."""
+"""Read XML and YAML of other programs safely."""
 
 import re
 from collections.abc import Callable
@@ -11,19 +11,19 @@ import yaml
 
 from mammometry.base.parse import DEEPEST, parsing, read_text, require_sane, shown
 
-_MOST_MIB = 16  # a large project of photogrammetry has some MiB of cameras
+_MOST_MIB = 16  # the cameras of a large project take a few MiB
 
 
 def read_xml(path: Path, expected: str) -> ElementTree.Element:
-    """Read the root of an XML file. Declarations are refused: a few entities unfold to gigabytes.
+    """Read the root of an XML file. Declarations are refused: entities can expand to gigabytes.
 
     Raises:
-        SessionError: it cannot be read, or is no such XML.
+        SessionError: it cannot be read or is not XML.
     """
     text = read_text(path, path.name, expected, most_mib=_MOST_MIB).lstrip()
     with parsing("a file that cannot be parsed", path.name, expected):
         if "<!" in text.replace("<!--", ""):
-            raise ValueError("a declaration, <!…>")
+            raise ValueError("a declaration <!…>")
         try:
             return ElementTree.fromstring(text)
         except ElementTree.ParseError as error:
@@ -38,16 +38,16 @@ _FLOAT = re.compile(
 
 
 def yaml_value(text: str, subject: str, expected: str, tags: dict[str, Callable[[Any], Any]] | None = None) -> Any:
-    """Parse YAML with distinct keys, sane numbers and no aliases.
+    """Parse YAML with unique keys, numbers within `parse.LARGEST`, and no aliases.
 
     Args:
         text: the YAML.
-        subject: what to call it in messages.
-        expected: what should be there, in words.
-        tags: tag → what makes a value of the mapping so tagged; every other object is refused.
+        subject: its name in messages.
+        expected: what it should be, for messages.
+        tags: tag → function that converts a mapping with this tag. Other objects are refused.
 
     Raises:
-        SessionError: it is no such YAML.
+        SessionError: it is not valid YAML of this kind.
     """
 
     class Loader(_PlainLoader):
@@ -72,14 +72,14 @@ def _construct(make: Callable[..., Any], loader: yaml.SafeLoader, node: yaml.Map
 
 
 class _PlainLoader(yaml.SafeLoader):
-    """Safe values only. ``1e-5`` is a number, as other programs write it."""
+    """Loads safe values only. ``1e-5`` is a number, as other programs write it."""
 
     _depth = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """Refuse aliases: a few lines of them unfold to gigabytes."""
+        """Refuse aliases: a few lines of them can expand to gigabytes."""
         if self.check_event(yaml.AliasEvent):
-            raise ValueError("an alias, *name")
+            raise ValueError("an alias *name")
         self._depth += 1
         if self._depth > DEEPEST:
             raise ValueError(f"nested more than {DEEPEST} deep")
@@ -88,7 +88,7 @@ class _PlainLoader(yaml.SafeLoader):
         return node
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-        """Refuse duplicate keys, of which PyYAML would keep the last."""
+        """Refuse duplicate keys: PyYAML would keep the last one."""
         keys = [self.construct_object(key, deep=True) for key, _ in getattr(node, "value", ())]
         for place, key in enumerate(keys):
             if key in keys[:place]:
@@ -97,7 +97,7 @@ class _PlainLoader(yaml.SafeLoader):
         return table
 
 
-# PyYAML's own patterns take 1e-5 for a word, 1:30 for ninety and 010 for eight.
+# PyYAML's own patterns read 1e-5 as text, 1:30 as ninety and 010 as eight.
 _PlainLoader.yaml_implicit_resolvers = {
     first: [(tag, pattern) for tag, pattern in pairs if tag.rpartition(":")[2] not in ("float", "int")]
     for first, pairs in yaml.SafeLoader.yaml_implicit_resolvers.items()

@@ -1,4 +1,4 @@
-"""Cameras from and for other programs, and our cameras.json."""
+"""Import and export of cameras in all formats."""
 
 import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -19,7 +19,7 @@ from mammometry.io.cameras.opencv import opencv_text, read_opencv
 from mammometry.io.cameras.own import READERS, cameras_table, read_cameras, require_plausible, unfit
 
 CameraFormat: TypeAlias = Literal["json", "opencv", "colmap", "kalibr"]
-_HEAD_BYTES = 1024  # in which a file says whose it is
+_HEAD_BYTES = 1024  # in which a file's format is recognised
 
 
 def import_cameras(paths: Sequence[Path], pair_names: Mapping[str, tuple[str, str]]) -> dict[str, Camera]:
@@ -32,17 +32,17 @@ def import_cameras(paths: Sequence[Path], pair_names: Mapping[str, tuple[str, st
 
     Args:
         paths: the files.
-        pair_names: the session's pairs, which say which camera a stereo file's first and second one are.
+        pair_names: the session's pairs: names for the first and second camera of a stereo file.
 
     Raises:
-        SessionError: a file of unknown kind, one that lacks something, a camera that is there twice or cannot be.
+        SessionError: a file of unknown type, a missing value, a duplicate camera, or an impossible one.
     """
     cameras: dict[str, Camera] = {}
 
     def add(file: str, by_name: Mapping[str, Camera]) -> None:
         for name in by_name:
             if name in cameras:
-                raise unfit(file, f"a second camera called {name}", "every camera once")
+                raise unfit(file, f"a second camera called {name}", "each camera once")
         require_plausible(file, by_name)
         cameras.update(by_name)
 
@@ -56,7 +56,7 @@ def import_cameras(paths: Sequence[Path], pair_names: Mapping[str, tuple[str, st
             add(path.name, READERS[path.suffix.lower()](path, pair_names))
         elif path not in halcon and path.suffix != ".txt":
             expected = "files of OpenCV, Kalibr, COLMAP, Agisoft, MATLAB or HALCON, or a cameras.json"
-            raise unfit(path.name, "a file of unknown kind", expected)
+            raise unfit(path.name, "an unknown file type", expected)
     if halcon:
         add(", ".join(path.name for path in halcon), read_halcon(halcon, pair_names))
     if texts:
@@ -67,10 +67,10 @@ def import_cameras(paths: Sequence[Path], pair_names: Mapping[str, tuple[str, st
 
 
 def camera_texts(cameras: Mapping[str, Camera], form: CameraFormat) -> dict[str, str]:
-    """Cameras as another program's files: name → content.
+    """Cameras in another program's format: file name → content.
 
     Raises:
-        SessionError: a lens that the format cannot tell.
+        SessionError: a lens that the format cannot represent.
     """
     match form:
         case "opencv":
@@ -84,7 +84,7 @@ def camera_texts(cameras: Mapping[str, Camera], form: CameraFormat) -> dict[str,
 
 
 def camera_file_names(names: Iterable[str], form: CameraFormat) -> tuple[str, ...]:
-    """Names of the files that `camera_texts` makes of cameras of these names."""
+    """Names of the files that `camera_texts` writes for cameras of these names."""
     match form:
         case "opencv":
             return tuple(f"{name}.yml" for name in names)
@@ -107,7 +107,8 @@ def _read_own(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[str
 def _read_marked(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[str, Camera]:
     """Read YAML or XML of the program whose mark it begins with.
 
-    OpenCV's YAML is marked, and old enough that others do not read it. Agisoft's root is a document.
+    OpenCV's YAML begins with a header of an old version that other programs do not write. Agisoft's root is
+    ``document``.
     """
     known = _names(pair_names)
     with path.open("rb") as file:
@@ -132,29 +133,29 @@ def require_rig(
     subject_kind: str,
     upside_down: Collection[str] = (),
 ) -> tuple[str, ...]:
-    """Refuse imported cameras in one place, on exchanged sides, or in another unit.
+    """Refuse imported cameras that are at one position, swapped, or in another unit.
 
     Args:
         files: names of the cameras' files, for messages.
         cameras: all cameras of the pairs.
         pair_names: pair → its left and right camera.
         subject_kind: ``model``, ``torso`` or ``surface``.
-        upside_down: cameras that are mounted with their tops down.
+        upside_down: cameras that are mounted upside down.
 
     Returns:
-        Why their lengths are doubtful, in sentences. Empty if they are usual.
+        Sentences on why their lengths are doubtful. Empty if they are usual.
 
     Raises:
         SessionError: names the files, what was found, and the unit that would fit.
-        CalibrationError: names the pair whose right camera stands left of the left one.
+        CalibrationError: names the pair whose right camera is to the left of the left one.
     """
     for camera_pair, other in combinations(dict.fromkeys(name for pair in pair_names.values() for name in pair), 2):
         distance_mm = np.linalg.norm(cameras[camera_pair].centre_world - cameras[other].centre_world)
         if distance_mm < _ONE_PLACE_MM:
             raise SessionError(
                 files,
-                found=f"no R and T by which cameras {camera_pair} and {other} stand in different places",
-                expected="each camera's own R and T, all in one frame, T in millimetres",
+                found=f"R and T that put cameras {camera_pair} and {other} at one position",
+                expected="R and T of each camera, all in one frame, T in millimetres",
                 remedy="Export the cameras with their poses, from a calibration of the whole rig",
             )
     rig = Rig(name="imported", cameras=dict(cameras), pair_names=dict(pair_names))

@@ -1,9 +1,9 @@
 """Cameras in HALCON's text files: internal parameters (write_cam_par) and poses (write_pose).
 
-HALCON's lenses take a distorted point on the sensor to the ideal one, Brown's the other way round. So Brown's
-coefficients are fitted, and a lens for which they miss HALCON's formula by a hundredth of a pixel is refused. Pixel
-centres lie at integers, as ours. Lengths are metres. A pose is that of the camera in the rig's frame, as
-``get_camera_setup_param`` and ``RelPose`` of ``binocular_calibration`` give it: it takes the camera's points there.
+HALCON's lens model maps distorted points to ideal ones, Brown's maps ideal points to distorted ones. So Brown's
+coefficients are fitted, and a lens with a residual above 0.01 px is refused. Pixel centres are at integers, as ours.
+Lengths are in metres. A pose is that of the camera in the rig's frame, as returned by ``get_camera_setup_param`` and as
+``RelPose`` of ``binocular_calibration``: it maps points from the camera to the rig.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ _NEEDED = ("focus", "sx", "sy", "cx", "cy", "imagewidth", "imageheight")
 _POLYNOMIAL = ("poly1", "poly2", "poly3", "poly4", "poly5")
 _KNOWN = frozenset({*_NEEDED, *_POLYNOMIAL, "kappa"})
 _ORDERS = {0: "XYZ", 2: "ZYX", 4: ""}  # Rp+T of points, by rotations gba, abg or Rodriguez's vector
-_MM_PER_M = 1000.0  # HALCON writes metres
-_MISS_PX = 0.01  # largest difference of Brown's lens from HALCON's: a tenth of what a corner is found to
-_GRID = 41  # points along each side of the image, on which both are compared
+_MM_PER_M = 1000.0  # HALCON's unit is the metre
+_MISS_PX = 0.01  # largest residual of the fitted lens: a tenth of a corner's standard deviation
+_GRID = 41  # points along each side of the image for the fit
 
 
 def read_halcon(paths: Sequence[Path], pair_names: Mapping[str, tuple[str, str]]) -> dict[str, Camera]:
-    """Read cameras, named as their files, with poses in files that have the camera's name in theirs.
+    """Read cameras, named by their files. A pose file's name contains the camera's name.
 
-    One pose beside the two cameras of one pair is that of its second camera in the first one's frame.
+    A single pose for the two cameras of a pair is that of the second camera in the first one's frame.
 
     Raises:
-        SessionError: a lens that Brown's does not fit, a camera without a pose, or a value that is none.
+        SessionError: a lens that Brown's model does not fit, a camera without a pose, or an invalid value.
     """
     lenses: dict[str, tuple[str, Lens]] = {}
     poses: dict[Path, tuple[Any, Any]] = {}
     for path in paths:
         text = read_text(path, path.name, "HALCON text", most_mib=1)
-        with parsing("an unfit value", path.name, "a camera or pose as HALCON writes it"):
+        with parsing("an invalid value", path.name, "a camera or pose as HALCON writes it"):
             if "ParGroup" in text:
                 lenses[path.stem] = path.name, _lens(path.name, text)
             else:
@@ -52,7 +52,7 @@ def read_halcon(paths: Sequence[Path], pair_names: Mapping[str, tuple[str, str]]
     cameras = {}
     for name, (file, values) in lenses.items():
         rotation, centre_m = placed[name]
-        with parsing("an unfit value", file, "a camera as HALCON writes it"):
+        with parsing("an invalid value", file, "a camera as HALCON writes it"):
             entry = _entry(file, values) | {"R": rotation.T, "t": -rotation.T @ centre_m * _MM_PER_M}
         cameras[name] = camera_from_entry(file, name, entry)
     return cameras
@@ -60,7 +60,7 @@ def read_halcon(paths: Sequence[Path], pair_names: Mapping[str, tuple[str, str]]
 
 def _lens(file: str, text: str) -> Lens:
     if re.search(r"ParGroup\s*:\s*Camera\s*:\s*Parameter", text) is None:
-        raise unfit(file, "another group of parameters", "ParGroup: Camera: Parameter, of an area scan camera")
+        raise unfit(file, "another parameter group", "ParGroup: Camera: Parameter, of an area scan camera")
     values: dict[str, float] = {}
     for name, value in _PARAMETER.findall(text):
         if name == "ParGroup":
@@ -71,12 +71,12 @@ def _lens(file: str, text: str) -> Lens:
                 continue
             raise unfit(file, f"{name}: {value.strip()}", "an area scan camera with division or polynomial distortion")
         if key in values:
-            raise unfit(file, f"two values of {name}", "one")
+            raise unfit(file, f"two values of {name}", "one value")
         values[key] = number(value.strip())
     if missing := [name for name in _NEEDED if name not in values]:
         raise unfit(file, f"no {', '.join(missing)}", "Focus, Sx, Sy, Cx, Cy, ImageWidth and ImageHeight")
     if values["focus"] <= 0 or values["sx"] <= 0 or values["sy"] <= 0:
-        raise unfit(file, "Focus, Sx or Sy not above zero", "a lens that is not telecentric, in metres")
+        raise unfit(file, "Focus, Sx or Sy not above zero", "positive values in metres (no telecentric lens)")
     return values
 
 
@@ -89,8 +89,8 @@ def _pose(file: str, text: str) -> tuple[Any, Any]:
         raise unfit(file, "no pose", "a pose as write_pose writes it: lines f, r and t")
     code = whole(rows["f"][0])
     if code not in _ORDERS:
-        raise unfit(file, f"a pose of type {code}", "type 0, 2 or 4, by convert_pose_type to 'Rp+T' and 'point'")
-    if code == 4:  # as long as the tangent of half the angle
+        raise unfit(file, f"a pose of type {code}", "type 0, 2 or 4 (convert_pose_type to 'Rp+T' and 'point')")
+    if code == 4:  # its length is the tangent of half the angle
         rotation = Rotation.from_quat([*rows["r"], 1.0])
     else:
         angles = rows["r"] if code == 0 else rows["r"][::-1]
@@ -101,7 +101,7 @@ def _pose(file: str, text: str) -> tuple[Any, Any]:
 def _placed(
     lenses: Collection[str], poses: Mapping[Path, tuple[Any, Any]], pair_names: Mapping[str, tuple[str, str]]
 ) -> dict[str, tuple[Any, Any]]:
-    """Each camera's rotation and position."""
+    """Rotation and position of each camera."""
     named = {name: pose for path, pose in poses.items() if (name := camera_name((path.stem,), lenses, within=True))}
     pair = pair_of_two(pair_names)
     if len(poses) == 1 and pair is not None and set(pair) == set(lenses):
@@ -125,7 +125,7 @@ def _entry(file: str, values: Lens) -> dict[str, Any]:
     seen = np.stack([(column.ravel() - values["cx"]) * sx, (row.ravel() - values["cy"]) * sy], axis=1)
     coefficients, miss_px = _brown(_ideal(seen, values) / focus, seen / focus, focal_px)
     if not miss_px <= _MISS_PX:
-        found = f"a lens that Brown's misses by {miss_px:.2g} pixels"
+        found = f"a lens that Brown's model fits with an error of {miss_px:.2g} pixels"
         raise unfit(file, found, f"at most {_MISS_PX:g}: calibrate for OpenCV, or with less distortion")
     return {
         "K": [[focal_px[0], 0.0, values["cx"]], [0.0, focal_px[1], values["cy"]], [0.0, 0.0, 1.0]],
@@ -135,7 +135,7 @@ def _entry(file: str, values: Lens) -> dict[str, Any]:
 
 
 def _ideal(seen: Float64[Array, "n 2"], values: Lens) -> Float64[Array, "n 2"]:
-    """Ideal points on the sensor of distorted ones, metres, by HALCON's formulas (chapter "Calibration")."""
+    """Ideal points on the sensor, m, of distorted ones, by HALCON's formulas (chapter "Calibration")."""
     r2 = (seen**2).sum(axis=1, keepdims=True)
     if "kappa" in values:
         return seen / (1.0 + values["kappa"] * r2)
@@ -154,7 +154,7 @@ def _ideal(seen: Float64[Array, "n 2"], values: Lens) -> Float64[Array, "n 2"]:
 def _brown(
     ideal: Float64[Array, "n 2"], seen: Float64[Array, "n 2"], focal_px: Float64[Array, 2]
 ) -> tuple[Float64[Array, 5], float]:
-    """Coefficients that take ideal points to seen ones, and the largest miss, pixels."""
+    """Coefficients that map ideal points to the distorted ones, and the largest residual, px."""
     x, y = ideal.T
     r2 = x * x + y * y
     along = ideal[:, :, None] * np.stack([r2, r2**2, r2**3], axis=1)[:, None, :]

@@ -1,6 +1,7 @@
 """Cameras in Kalibr's camchain YAML: pinhole lenses with radtan distortion.
 
-Each camera's pose is relative to the one before. ``T_cn_cnm1`` takes a point of camera n − 1 to camera n, in metres.
+Each camera's pose is relative to the camera before it: ``T_cn_cnm1`` maps points from camera n − 1 to camera n, in
+metres.
 ``radtan`` is Brown's model with k1, k2, p1, p2. Pixel centres are at integers, since Kalibr uses OpenCV's corners.
 """
 
@@ -23,21 +24,22 @@ from mammometry.io.cameras.own import camera_from_entry, camera_name, unfit
 _MM_PER_M = 1000.0  # Kalibr writes metres, we write mm
 _CAMERA = re.compile(r"^cam(\d+)$")
 _COEFFICIENTS: Mapping[str, int] = {"radtan": 4, "none": 0}
-_ROUNDED = 1e-3  # a matrix this near to a rotation was one before its digits were cut
+_ROUNDED = 1e-3  # largest deviation from a rotation that truncated digits explain
 
 
 def read_kalibr(path: Path, known: Collection[str] = ()) -> dict[str, Camera]:
     """Read the cameras of a Kalibr camchain file.
 
-    Its first camera is the world. Cameras are named after the part of their ``rostopic`` that the session knows, else
-    after its first part.
+    Its first camera is the world. A camera's name is the part of its ``rostopic`` that the session knows, or otherwise
+    the
+    first part.
 
     Args:
         path: the file.
         known: names of the session's cameras.
 
     Raises:
-        SessionError: it is no camchain, or has a lens that is no pinhole with Brown's distortion.
+        SessionError: it is not a camchain, or a lens is not a pinhole with Brown's distortion.
     """
     table = yaml_value(read_text(path, path.name, "YAML", most_mib=1), path.name, "YAML")
     entries = {key: entry for key, entry in table.items() if _CAMERA.match(str(key))} if isinstance(table, dict) else {}
@@ -51,7 +53,7 @@ def read_kalibr(path: Path, known: Collection[str] = ()) -> dict[str, Camera]:
         if entry["camera_model"] != "pinhole" or str(entry["distortion_model"]) not in _COEFFICIENTS:
             found = f"{entry['camera_model']} with {entry['distortion_model']}"
             raise unfit(subject, f"a lens {found}", "pinhole with radtan or none: other lenses are not Brown's")
-        with parsing("an unfit value", subject, "numbers as Kalibr writes them"):
+        with parsing("an invalid value", subject, "numbers as Kalibr writes them"):
             if number:
                 _require(subject, entry, ["T_cn_cnm1"])
                 camera_from_world = _rigid(entry["T_cn_cnm1"]) @ camera_from_world
@@ -79,10 +81,10 @@ def read_kalibr(path: Path, known: Collection[str] = ()) -> dict[str, Camera]:
 
 
 def kalibr_text(cameras: Mapping[str, Camera]) -> str:
-    """All cameras as a camchain, which has relative poses but no world.
+    """All cameras as a camchain, which contains relative poses only.
 
     Raises:
-        SessionError: a lens with k3, which radtan has not.
+        SessionError: a lens with k3, which radtan does not have.
     """
     chain: dict[str, dict[str, Any]] = {}
     before: Camera | None = None
@@ -117,13 +119,13 @@ def _require(subject: str, entry: object, keys: Sequence[str]) -> None:
 
 
 def _rigid(rows: object) -> Float64[Array, "4 4"]:
-    """A 4 × 4 pose whose digits may have been cut."""
+    """A 4 × 4 pose whose digits may be truncated."""
     from scipy.spatial.transform import Rotation
 
     matrix = numbers(rows, 4, 4)
     turn = matrix[:3, :3]
     skewed = np.abs(turn @ turn.T - np.eye(3)).max() > _ROUNDED or np.linalg.det(turn) < 0
     if skewed or matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
-        raise ValueError("T_cn_cnm1 is no rigid pose")
+        raise ValueError("T_cn_cnm1 is not a rigid transform")
     matrix[:3, :3] = Rotation.from_matrix(turn).as_matrix()
     return matrix

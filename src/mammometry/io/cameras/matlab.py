@@ -1,9 +1,9 @@
 """Cameras of MATLAB's Computer Vision Toolbox, in a MAT-file of version 5 to 7.
 
-MATLAB's objects cannot be read without MATLAB: ``toStruct`` makes structures of them. Pixels are counted from 1, at
-their centres. Matrices named ``IntrinsicMatrix`` and ``Rotation…`` are for row vectors, the transposes of ours. The
-file is not read by SciPy, whose reader ends the whole process at some damaged files. Its format is that of MathWorks'
-"MAT-File Format", chapter "Level 5".
+Only MATLAB can read its objects: ``toStruct`` converts them to structures. Pixels are counted from 1, at their centres.
+``IntrinsicMatrix`` and ``Rotation…`` are for row vectors, so they are the transposes of ours. SciPy's reader is not
+used,
+because it crashes on some damaged files. The format is documented in MathWorks' "MAT-File Format", chapter "Level 5".
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from mammometry.geometry.camera import Camera
 from mammometry.io.cameras.own import READERS, camera_from_entry, pair_of_two, unfit
 
 Variable: TypeAlias = Any
-"""An array of numbers, a text, a structure as a dictionary, a list (of cells or structures), or `OBJECT`."""
+"""An array of numbers, text, a structure as a dictionary, a list of cells or structures, or `OBJECT`."""
 OBJECT: Final = object()
-"""Stands for what only MATLAB reads: objects, functions, sparse matrices."""
+"""Placeholder for types that only MATLAB reads: objects, functions, sparse matrices."""
 _HEAD_BYTES = 128
-_MOST_BYTES = 256 << 20  # unpacked: a calibration with all its pictures' points has some MiB
+_MOST_BYTES = 256 << 20  # decompressed: a calibration with all image points takes a few MiB
 _MATRIX, _PACKED = 14, 15  # types of elements
-_CELL, _STRUCT, _CHAR, _DOUBLE, _UINT64 = 1, 2, 4, 6, 15  # classes of arrays; those of numbers lie between the last two
+_CELL, _STRUCT, _CHAR, _DOUBLE, _UINT64 = 1, 2, 4, 6, 15  # classes of arrays; numeric classes are between the last two
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8", 16: "u1"}
 """Type of an element → NumPy's name."""
 _ENCODINGS = {1: "utf-8", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
@@ -39,11 +39,11 @@ def read_variables(content: bytes) -> dict[str, Variable]:
     """Read all variables of a MAT-file.
 
     Raises:
-        ValueError: it is no such file, or damaged.
+        ValueError: it is not a MAT-file, or is damaged.
     """
     mark = content[126:_HEAD_BYTES]
     if mark not in (b"IM", b"MI"):
-        raise ValueError("no mark of a MAT-file of version 5 or 7")
+        raise ValueError("no header of a MAT-file of version 5 to 7")
     reader = _Reader(order="<" if mark == b"IM" else ">")
     try:
         return dict(reader.variables(content[_HEAD_BYTES:]))
@@ -54,7 +54,7 @@ def read_variables(content: bytes) -> dict[str, Variable]:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Reader:
     order: Literal["<", ">"]
-    """Of bytes, as `struct` writes it."""
+    """Byte order, as in `struct`."""
 
     def variables(self, content: bytes) -> Iterator[tuple[str, Variable]]:
         for kind, data in self._elements(content):
@@ -68,18 +68,18 @@ class _Reader:
                 yield self._array(data, 0)
 
     def _elements(self, content: bytes) -> Iterator[tuple[int, bytes]]:
-        """Type and data of one element after the other."""
+        """Type and data of each element in turn."""
         place = 0
         while place < len(content):
             kind, size = struct.unpack_from(f"{self.order}II", content, place)
             start = place + 8
-            if kind >> 16:  # both in four bytes, and the data in the next four
+            if kind >> 16:  # small element: type and length in four bytes, data in the next four
                 kind, size, start = kind & 0xFFFF, kind >> 16, place + 4
                 place += 8
             else:
                 place = start + size + (0 if kind == _PACKED else -size % 8)
             if start + size > len(content):
-                raise ValueError("a file that ends too early")
+                raise ValueError("a truncated file")
             yield kind, content[start : start + size]
 
     def _array(self, content: bytes, depth: int) -> tuple[str, Variable]:
@@ -110,19 +110,19 @@ class _Reader:
         length = int(self._numbers(*self._next(parts))[0])
         text = self._next(parts)[1]
         if length < 1:
-            raise ValueError("names of no letters")
+            raise ValueError("field names without letters")
         names = [text[place : place + length].split(b"\0")[0].decode("ascii") for place in range(0, len(text), length)]
         values = [self._array(data, depth + 1)[1] for _, data in parts]
         return [dict(zip(names, values[place:], strict=False)) for place in range(0, len(values), max(1, len(names)))]
 
     def _numbers(self, kind: int, data: bytes) -> np.ndarray[Any, Any]:
         if kind not in _NUMBERS:
-            raise ValueError(f"numbers of an unknown type {kind}")
+            raise ValueError(f"numbers of unknown type {kind}")
         return np.frombuffer(data, dtype=np.dtype(_NUMBERS[kind]).newbyteorder(self.order)).astype(np.float64)
 
     def _text(self, kind: int, data: bytes) -> str:
         if kind not in _ENCODINGS:
-            raise ValueError(f"letters of an unknown type {kind}")
+            raise ValueError(f"text of unknown type {kind}")
         wide = {"utf-16": "utf-16-", "utf-32": "utf-32-"}.get(_ENCODINGS[kind])
         return data.decode(f"{wide}{'le' if self.order == '<' else 'be'}" if wide else _ENCODINGS[kind])
 
@@ -130,12 +130,12 @@ class _Reader:
     def _next(parts: Iterator[tuple[int, bytes]]) -> tuple[int, bytes]:
         part = next(parts, None)
         if part is None:
-            raise ValueError("a variable that ends too early")
+            raise ValueError("a truncated variable")
         return part
 
 
 _EXPECTED = "a structure of stereoParameters, or of cameraParameters with rotationMatrix and translationVector"
-_MOST_MIB = 64  # with all points of the board's pictures
+_MOST_MIB = 64  # including all image points of the board
 _HDF5 = b"MATLAB 7.3 MAT-file"
 _MM = {
     **dict.fromkeys(("mm", "millimeters", "millimetres", ""), 1.0),
@@ -149,13 +149,14 @@ _AS_STRUCT = "In MATLAB: s = toStruct(stereoParams); save('rig.mat', 's', '-v7')
 
 @READERS.add(".mat")
 def read_matlab(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[str, Camera]:
-    """Read a pair of cameras, or one camera that is named as the file.
+    """Read a pair of cameras, or one camera that is named by the file.
 
-    The world is the frame of the pair's first camera; or the board, as ``extrinsics`` gives rotationMatrix and
-    translationVector beside a single camera.
+    The world is the frame of the pair's first camera. For a single camera it is the board's frame, by
+    ``rotationMatrix``
+    and ``translationVector`` from ``extrinsics``.
 
     Raises:
-        SessionError: it holds objects or no such structures, or a lens or unit that cannot be.
+        SessionError: it contains objects or other structures, or an impossible lens or unit.
     """
     variables = _variables(path)
     structures = [value for value in variables.values() if isinstance(value, Mapping)]
@@ -165,7 +166,7 @@ def read_matlab(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[s
     if len(pairs) == 1:
         pair = pair_of_two(pair_names)
         if pair is None:
-            found = f"a pair of cameras, and a session of {len(pair_names)} pairs"
+            found = f"a pair of cameras for a session of {len(pair_names)} pairs"
             raise unfit(path.name, found, "a session of one pair, or a file for each camera")
         names, stereo = pair, pairs[0]
         lenses = [_part(path, stereo, "CameraParameters1"), _part(path, stereo, "CameraParameters2")]
@@ -174,7 +175,7 @@ def read_matlab(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[s
     elif len(singles) == 1:
         names, lenses = (path.stem,), singles
         if not {"rotationMatrix", "translationVector"} <= set(variables):
-            raise unfit(path.name, "one camera without its place in the rig", _EXPECTED)
+            raise unfit(path.name, "one camera without its pose in the rig", _EXPECTED)
         poses = [(variables["rotationMatrix"], variables["translationVector"])]
     elif any(value is OBJECT for value in variables.values()):
         raise SessionError(path.name, found="MATLAB's objects", expected=_EXPECTED, remedy=_AS_STRUCT)
@@ -182,7 +183,7 @@ def read_matlab(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[s
         raise unfit(path.name, f"variables {', '.join(variables) or 'none'}", _EXPECTED)
     cameras = {}
     for name, lens, (rotation, translation) in zip(names, lenses, poses, strict=True):
-        with parsing("an unfit value", f"{path.name}, camera {name}", _EXPECTED):
+        with parsing("an invalid value", f"{path.name}, camera {name}", _EXPECTED):
             entry = _lens(path, lens) | {"R": numbers(rotation, 3, 3).T, "t": numbers(translation, 3) * _mm(path, lens)}
         cameras[name] = camera_from_entry(path.name, name, entry)
     return cameras
@@ -192,7 +193,7 @@ def _variables(path: Path) -> dict[str, Any]:
     content = read_bytes(path, path.name, "a MAT-file", most_mib=_MOST_MIB)
     if content.startswith(_HDF5):
         raise SessionError(path.name, found="a MAT-file of version 7.3", expected="version 7", remedy=_AS_STRUCT)
-    with parsing("no MAT-file", path.name, "a MAT-file of version 7"):
+    with parsing("an invalid MAT-file", path.name, "a MAT-file of version 7"):
         return read_variables(content)
 
 

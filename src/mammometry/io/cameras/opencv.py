@@ -23,18 +23,18 @@ _MATRICES = (f"{_YAML}opencv-matrix", f"{_YAML}opencv-nd-matrix")
 
 
 def read_opencv(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[str, Camera]:
-    """Read one camera, named as the file, or a stereo rig.
+    """Read one camera, named by the file, or a stereo rig, whose first camera is the world.
 
-    The world is then the frame of the stereo rig's first camera. A camera has ``camera_matrix`` or ``K``,
-    ``distortion_coefficients`` or ``D``, ``image_width``, ``image_height`` and, where the rig needs a pose, ``R`` and
-    ``T``; a stereo rig has ``M1 D1 M2 D2 R T``.
+    A camera has ``camera_matrix`` or ``K``, ``distortion_coefficients`` or ``D``, ``image_width``, ``image_height``
+    and,
+    if the rig needs a pose, ``R`` and ``T``. A stereo rig has ``M1 D1 M2 D2 R T``.
 
     Args:
         path: the file.
-        pair_names: the session's pairs, which say which cameras a stereo file's are.
+        pair_names: the session's pairs: names for the cameras of a stereo file.
 
     Raises:
-        SessionError: it cannot be parsed, or lacks something.
+        SessionError: it cannot be parsed, or a value is missing.
     """
     from scipy.spatial.transform import Rotation
 
@@ -55,12 +55,12 @@ def read_opencv(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[s
         missing = " and ".join(name for name, value in (("R", rotation), ("T", translation)) if value is None)
         raise unfit(path.name, f"no {missing}", "R and T, the camera's pose in the rig's frame, T in millimetres")
     if width is None or height is None:
-        raise unfit(path.name, "no image_width and image_height", "the size that the calibration holds for")
+        raise unfit(path.name, "no image_width and image_height", "the image size of the calibration")
     names: tuple[str, ...] = (path.stem,)
     if stereo:
         pair = pair_of_two(pair_names)
         if pair is None:
-            raise unfit(path.name, f"a stereo rig, and a session of {len(pair_names)} pairs", "a session of one pair")
+            raise unfit(path.name, f"a stereo rig for a session of {len(pair_names)} pairs", "a session of one pair")
         names = pair
     cameras = {}
     for index, (name, (intrinsic, lens)) in enumerate(zip(names, lenses, strict=True)):
@@ -83,7 +83,7 @@ def read_opencv(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[s
 def _storage(path: Path) -> dict[str, Any]:
     """The file's values by name.
 
-    Not read by `cv::FileStorage`: a deeply nested file ends the whole process there.
+    `cv::FileStorage` is not used: it crashes on deeply nested files.
     """
     text = read_text(path, path.name, "OpenCV YAML or XML", most_mib=1).lstrip()
     if text.startswith("<?xml"):
@@ -106,7 +106,7 @@ def _xml_storage(path: Path) -> dict[str, Any]:
 
 
 def _xml_value(node: ElementTree.Element) -> Any:
-    """A matrix, a list of numbers, a number, or else text."""
+    """A matrix, a list of numbers, a number, or text."""
     if f"{_YAML}{node.get('type_id')}" in _MATRICES:
         return _matrix({part.tag: _xml_value(part) for part in node})
     words = (node.text or "").split()
@@ -118,10 +118,7 @@ def _xml_value(node: ElementTree.Element) -> Any:
 
 
 def _matrix(table: Mapping[str, Any]) -> Float64[Array, ...]:
-    """A matrix from its size and its data, which must agree.
-
-    The size is given as rows and cols, or as sizes.
-    """
+    """A matrix from its size (rows and cols, or sizes) and its data, which must agree."""
     size = numbers(table["sizes"] if "sizes" in table else [table["rows"], table["cols"]], -1)
     shape, values = tuple(whole(length) for length in size), numbers(table["data"], -1)
     if min(shape) < 1 or math.prod(shape) != len(values):
@@ -134,13 +131,13 @@ def _first(storage: Mapping[str, Any], *names: str) -> Any:
 
 
 def _array(storage: Mapping[str, Any], *names: str) -> Float64[Array, ...] | None:
-    """The first of these values, as numbers."""
+    """The first of these values that exists, as numbers."""
     value = _first(storage, *names)
     return None if value is None else value if isinstance(value, np.ndarray) else numbers(value, -1)
 
 
 def opencv_text(camera: Camera) -> str:
-    """One camera as a YAML file that `read_opencv` and ``cv::FileStorage`` read. T in mm."""
+    """One camera as YAML for `read_opencv` and ``cv::FileStorage``. T in mm."""
     import cv2
 
     storage = cv2.FileStorage(".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)

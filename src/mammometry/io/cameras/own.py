@@ -1,4 +1,4 @@
-"""Cameras in our cameras.json and in the paper's terms, and helpers shared with other formats."""
+"""Cameras as cameras.json and as the paper's parameters, and functions shared by all formats."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ CONVENTION = (
     "x_cam = R x_world + t; then pinhole with K; dist = k1, k2, p1, p2, k3 (OpenCV); pixel centres at integers; mm"
 )
 _FORMAT = 1  # version of cameras.json
-_ROUNDED = 1e-3  # a matrix this near to a rotation was one before its digits were cut
+_ROUNDED = 1e-3  # largest deviation from a rotation that truncated digits explain
 _KEYS = {"K", "dist", "R", "t", "image_size"}
 _NAME = re.compile(r"(?!\.{1,2}$)[^\x00-\x1f/\\]{1,100}")  # it is also a file's name
-_LARGEST_PX = 65_535  # a side of the largest JPEG
-_SHORTEST, _LONGEST = 0.1, 100.0  # focal lengths over the image's longer side: fish-eyes 0.3, telescopes 50
+_LARGEST_PX = 65_535  # longest side of a JPEG
+_SHORTEST, _LONGEST = 0.1, 100.0  # focal length over the image's longer side: 0.3 for fisheyes, 50 for telescopes
 _SQUARE = 2.0  # ratio of both focal lengths; anamorphic lenses have 2
-_FARTHEST_MM = 1e5  # of a camera from the origin: 100 m
+_FARTHEST_MM = 1e5  # largest distance of a camera from the origin: 100 m
 
 
 def cameras_table(
     cameras: Mapping[str, Camera], std: Mapping[str, Mapping[str, float]] | None = None
 ) -> dict[str, Any]:
-    """Cameras as the plain table that cameras.json holds.
+    """Cameras as the plain table of cameras.json.
 
-    ``paper`` where the paper's eleven parameters say it all.
+    ``paper`` has the paper's eleven parameters, if they describe the camera completely.
     """
     eleven = {name: PaperCamera.of(camera) for name, camera in cameras.items()}
     return {
@@ -61,7 +61,7 @@ def cameras_table(
 
 
 def cameras_from_table(table: object, name: str) -> dict[str, Camera]:
-    """Read what `cameras_table` wrote. Keys that it does not write are ignored.
+    """Read a table of `cameras_table`. Unknown keys are ignored.
 
     Raises:
         SessionError: a camera lacks a key, or as `camera_from_entry`.
@@ -82,22 +82,22 @@ def read_cameras(path: Path) -> dict[str, Camera]:
     """Read our own cameras.json.
 
     Raises:
-        SessionError: it cannot be read, is no JSON, lacks something, or as `require_plausible`.
+        SessionError: it cannot be read, is not JSON, a value is missing, or as `require_plausible`.
     """
     return _read(path)[0]
 
 
 def read_priors(path: Path) -> dict[str, CameraPrior]:
-    """Read a cameras.json as priors on lenses. Each camera's lens is weighted by its ``std``.
+    """Read a cameras.json as priors on lenses, weighted by ``std``.
 
     Raises:
-        SessionError: as `read_cameras`, or a standard deviation that is none.
+        SessionError: as `read_cameras`, or an invalid standard deviation.
     """
     cameras, table = _read(path)
     priors = {}
     for name, camera in cameras.items():
         expected = "std: {fx_px … k3: standard deviation, zero if fixed}"
-        with parsing("an unfit prior", f"{path.name}, camera {name}", expected):
+        with parsing("an invalid prior", f"{path.name}, camera {name}", expected):
             given = table["cameras"][name].get("std", {})
             std = {key: float(numbers(value, 1)[0]) for key, value in given.items() if key in LENS_NAMES}
             priors[name] = CameraPrior(camera=camera, std=std)
@@ -113,25 +113,23 @@ def _read(path: Path) -> tuple[dict[str, Camera], Any]:
 
 
 def camera_from_entry(file: str, name: str, entry: Mapping[str, Any]) -> Camera:
-    """A camera from ``K``, ``dist``, ``R``, ``t`` (mm) and ``image_size``.
-
-    Up to five coefficients of Brown's.
+    """Make a camera from ``K``, ``dist`` (up to five coefficients), ``R``, ``t`` (mm) and ``image_size``.
 
     Args:
-        file: what to call the file in messages.
+        file: the file's name in messages.
         name: the camera's name.
         entry: the values, as lists or arrays.
 
     Raises:
-        SessionError: a value is of the wrong shape or no number, or they make no camera of ours.
+        SessionError: a value has the wrong shape or is not a number, or the values are not a valid camera.
     """
     subject = f"{file}, camera {name}"
     if not _NAME.fullmatch(name):
-        raise unfit(file, f"a camera called {shown(name)}", "a name that a file can have")
-    with parsing("no camera", subject, "K, dist, R, t and image_size of a camera"):
+        raise unfit(file, f"a camera called {shown(name)}", "a name that is valid for a file")
+    with parsing("an invalid camera", subject, "K, dist, R, t and image_size of a camera"):
         given = numbers(entry["dist"], -1)
         if np.any(given[5:]):
-            raise ValueError(f"{len(given)} distortion coefficients, of which ours has the first five")
+            raise ValueError(f"{len(given)} distortion coefficients, of which only the first five may be non-zero")
         distortion = np.zeros(5)
         distortion[: min(len(given), 5)] = given[:5]
         width, height = (whole(value) for value in numbers(entry["image_size"], 2))
@@ -150,11 +148,12 @@ def camera_from_entry(file: str, name: str, entry: Mapping[str, Any]) -> Camera:
 
 
 def require_plausible(file: str, cameras: Mapping[str, Camera]) -> None:
-    """Require plausible cameras, to catch typing errors before measuring.
+    """Require plausible cameras, to find typing errors before measuring.
 
     Raises:
-        SessionError: an image, focal length, principal point or distance that no such camera has, or a lens model that
-            folds back before the nearer edge of the image.
+        SessionError: an implausible image size, focal length, principal point or distance, or a lens model that folds
+            back
+            before the nearer edge of the image.
     """
     for name, camera in cameras.items():
         subject, longest = f"{file}, camera {name}", max(camera.size_wh)
@@ -169,17 +168,17 @@ def require_plausible(file: str, cameras: Mapping[str, Camera]) -> None:
             raise unfit(subject, f"focal lengths of {focal[0]:g} and {focal[1]:g} pixels", "nearly square pixels")
         if (np.abs(principal - np.array(camera.size_wh) / 2) > np.array(camera.size_wh)).any():
             found = f"a principal point at u {principal[0]:g}, v {principal[1]:g}"
-            raise unfit(subject, found, f"one near the middle of the image of {_size(camera)} pixels")
+            raise unfit(subject, found, f"one near the centre of the image of {_size(camera)} pixels")
         if away_mm > _FARTHEST_MM:
             raise unfit(
-                subject, f"a place {away_mm:.3g} mm from the origin", f"at most {_FARTHEST_MM:g} mm; check units"
+                subject, f"a position {away_mm:.3g} mm from the origin", f"at most {_FARTHEST_MM:g} mm; check units"
             )
-        # A calibration need not have seen the target in the corners: there its lens model may be anything.
+        # The calibration may not have seen the target in the corners: the lens model is undetermined there.
         edge_xy = float((np.array(camera.size_wh) / (2 * focal)).min())
         fold_xy = lens.fold_xy(camera.distortion)
         if edge_xy > fold_xy:
             found = f"a lens model that folds back at {fold_xy / edge_xy:.0%} of the way to the image's nearer edge"
-            raise unfit(subject, found, "one that holds up to that edge")
+            raise unfit(subject, found, "one that is valid up to that edge")
 
 
 def _size(camera: Camera) -> str:
@@ -187,12 +186,12 @@ def _size(camera: Camera) -> str:
 
 
 def camera_name(parts: Sequence[str], known: Collection[str], *, within: bool = False) -> str | None:
-    """The session's camera that a path or topic names in one of its parts, or None.
+    """The session's camera that is named in one part of a path or topic. None if there is none.
 
     Args:
-        parts: of the path, such as ``("front_left", "0001.jpg")``. An ending is no part of a name.
+        parts: of the path, such as ``("front_left", "0001.jpg")``. Extensions are ignored.
         known: names of the session's cameras.
-        within: whether the name may be a part of a part, as in ``front_left_pose``.
+        within: whether the name may be only a section of a part, as in ``front_left_pose``.
     """
     for part in reversed(parts):
         stem = PurePosixPath(part).stem if part not in known else part
@@ -204,12 +203,12 @@ def camera_name(parts: Sequence[str], known: Collection[str], *, within: bool = 
 
 
 def pair_of_two(pair_names: Mapping[str, tuple[str, str]]) -> tuple[str, str] | None:
-    """Both cameras of a session of one pair, the left one first. None for any other session."""
+    """Both cameras of a session with one pair, the left one first. Otherwise None."""
     return next(iter(pair_names.values())) if len(pair_names) == 1 else None
 
 
 def unfit(subject: str, found: str, expected: str) -> SessionError:
-    """The error of a file that cannot be used."""
+    """The error for a file that cannot be used."""
     return SessionError(subject, found=found, expected=expected, remedy="Correct the file, or export it again")
 
 
@@ -217,17 +216,16 @@ def unfit(subject: str, found: str, expected: str) -> SessionError:
 class PaperCamera:
     """A camera by the paper's eleven parameters, C = [α β γ X₀ Y₀ Z₀ x₀ y₀ f μ ν] (paper 2.2).
 
-    The paper says neither in which order its angles turn nor what its two distortion terms multiply. Ours turn about
-    the axes of the world, x first, then y, then z (R = R_z(γ) R_y(β) R_x(α)), and the terms are Brown's first two
-    radial ones.
+    The paper states neither the order of its rotations nor the factors of its two distortion terms. Here the rotations
+    are about the world's axes, x first, then y, then z (R = R_z(γ) R_y(β) R_x(α)), and μ and ν are Brown's k1 and k2.
     """
 
     alpha_rad: float
-    """First turn, about the world's x axis."""
+    """First rotation, about the world's x axis."""
     beta_rad: float
-    """Second turn, about its y axis. Between −π/2 and π/2."""
+    """Second rotation, about its y axis. Between −π/2 and π/2."""
     gamma_rad: float
-    """Third turn, about its z axis."""
+    """Third rotation, about its z axis."""
     x_mm: float
     """Perspective centre, world."""
     y_mm: float
@@ -244,7 +242,7 @@ class PaperCamera:
 
     @classmethod
     def of(cls, camera: Camera) -> PaperCamera | None:
-        """The camera's eleven parameters. None where it has more: another focal length along y, p1, p2 or k3."""
+        """The camera's eleven parameters. None if it has more: another focal length along y, p1, p2 or k3."""
         f_px, fy_px = float(camera.matrix[0, 0]), float(camera.matrix[1, 1])
         if f_px != fy_px or np.any(camera.distortion[2:]):
             return None
@@ -266,7 +264,7 @@ class PaperCamera:
         )
 
     def camera(self, name: str, size_wh: tuple[int, int]) -> Camera:
-        """Our camera of the eleven parameters, with what they lack."""
+        """Our camera from the eleven parameters."""
         rotation = _turn(2, self.gamma_rad) @ _turn(1, self.beta_rad) @ _turn(0, self.alpha_rad)
         return Camera(
             name=name,
@@ -296,7 +294,7 @@ def _turn(axis: int, angle_rad: float) -> Float64[Array, "3 3"]:
 def _angles(rotation: Float64[Array, "3 3"]) -> tuple[float, float, float]:
     """α, β, γ.
 
-    Where β is a right angle and only γ ∓ α is determined, γ is what rounding makes it, and α fits it.
+    If β is a right angle, only γ ∓ α is determined. Then γ follows from rounding, and α fits it.
     """
     gamma = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
     beta = float(np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0])))

@@ -90,7 +90,7 @@ def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False
             thing to be measured here.
     """
     if path.suffix.lower() not in SUFFIXES:
-        raise _refused(path, "another kind of file", f"a mesh as {KINDS}", "Export the mesh as one of them")
+        raise _refused(path, "another file type", f"a mesh as {KINDS}", "Export the mesh as one of them")
     if units is not None and unit_named(units) is None:
         raise _refused(path, f"the unit {units!r}", f"one of {UNIT_NAMES}", "Correct --units")
     unit, who = (unit_named(units), "as stated") if units is not None else _stated_unit(path)

@@ -1,7 +1,8 @@
-"""Compiled kernel that reads a JPEG's coded pixels without making a picture.
+"""Compiled kernel that reads a JPEG's entropy-coded data without decoding the image.
 
-It follows ITU-T T.81, annexes F and G, and finds what decoders pass over: codes that no table has, more coefficients
-than a block has, brightness that no pixel has, and pixels that end before or after the picture does.
+It follows ITU-T T.81, annexes F and G, and finds errors that decoders ignore: undefined codes, too many coefficients in
+a
+block, impossible brightness, and data that end before or after the image.
 """
 
 import numpy as np
@@ -10,17 +11,17 @@ from mammometry.base.machine.compiled import kernel, small_kernel
 from mammometry.geometry.arrays import Array, Int32, Int64, UInt8, UInt16
 from mammometry.io.photographs.jpeg_stream import AC_REFINED, DC_FIRST, DC_REFINED, SEQUENTIAL
 
-DAMAGED = -1  # instead of a place in the stream
+DAMAGED = -1  # instead of a position in the stream
 _LARGEST_DC_BITS, _LARGEST_AC_BITS = 11, 10  # of 8-bit samples: T.81, F.1.2.1 and F.1.2.2
 COLUMNS = 6
-"""What a component of a scan is described by: blocks across and down in a unit, blocks in a row, number of its first
-block, its two tables' numbers together as 16 × DC + AC, and the largest DC."""
+"""Columns that describe a component of a scan: blocks across and down in a unit, blocks in a row, index of its first
+block, its tables' numbers as 16 × DC + AC, and the largest DC."""
 
 
 @small_kernel
 def _peek(data, bit):  # type: ignore[no-untyped-def]
     """The next 16 bits."""
-    place = np.uintp(bit >> 3)  # unsigned, so that numba does not ask whether it counts from the end
+    place = np.uintp(bit >> 3)  # unsigned, so that numba does not test for negative indices
     one, two = np.uintp(1), np.uintp(2)
     three = (np.int64(data[place]) << 16) | (np.int64(data[place + one]) << 8) | np.int64(data[place + two])
     return (three >> (8 - (bit & 7))) & 0xFFFF
@@ -28,22 +29,22 @@ def _peek(data, bit):  # type: ignore[no-untyped-def]
 
 @small_kernel
 def _symbol(data, bit, table):  # type: ignore[no-untyped-def]
-    """The next symbol + 256 × length of its code. 0 where there is no such code."""
+    """The next symbol + 256 × length of its code. 0 for an undefined code."""
     bits = _peek(data, bit)
-    entry = np.int64(table[np.uintp(65536 + (bits >> 6))])  # short codes, near each other in memory
+    entry = np.int64(table[np.uintp(65536 + (bits >> 6))])  # a small table for short codes
     return entry if entry != 0 else np.int64(table[np.uintp(bits)])
 
 
 @small_kernel
 def _difference(data, bit, size):  # type: ignore[no-untyped-def]
-    """A signed value of so many bits (T.81, F.2.2.1)."""
+    """A signed value of `size` bits (T.81, F.2.2.1)."""
     value = _peek(data, bit) >> (16 - size)
     return value if size == 0 or value >> (size - 1) else value - (1 << size) + 1
 
 
 @kernel
 def _dc(data, bit, table, dc, block, previous, shift, largest):  # type: ignore[no-untyped-def]
-    """Read a block's mean. The place behind it, or `DAMAGED`."""
+    """Read a block's DC coefficient. Returns the position after it, or `DAMAGED`."""
     entry = _symbol(data, bit, table)
     size = entry & 255
     if entry == 0 or size > _LARGEST_DC_BITS:
@@ -56,7 +57,7 @@ def _dc(data, bit, table, dc, block, previous, shift, largest):  # type: ignore[
 
 @kernel
 def _ac(data, bit, table):  # type: ignore[no-untyped-def]
-    """Pass over the rest of a sequential block. The place behind it, or `DAMAGED`."""
+    """Skip the AC coefficients of a sequential block. Returns the position after them, or `DAMAGED`."""
     k = 1
     while k < 64:
         entry = _symbol(data, bit, table)
@@ -82,7 +83,7 @@ def _ac(data, bit, table):  # type: ignore[no-untyped-def]
 
 @kernel
 def _ac_first(data, bit, table, known, band):  # type: ignore[no-untyped-def]
-    """Read a band's first bits (G.1.2.2). The place behind them, or `DAMAGED`, and how many next blocks are empty."""
+    """Read a band's first bits (G.1.2.2). The position after it or `DAMAGED`, and the number of empty blocks."""
     k = band[0]
     while k <= band[1]:
         entry = _symbol(data, bit, table)
@@ -106,7 +107,7 @@ def _ac_first(data, bit, table, known, band):  # type: ignore[no-untyped-def]
 
 @kernel
 def _ac_refined(data, bit, table, known, band, empty):  # type: ignore[no-untyped-def]
-    """Read a band's next bit (G.1.2.3). The place behind it, or `DAMAGED`, and how many next blocks are empty."""
+    """Read a band's next bit (G.1.2.3). The position after it or `DAMAGED`, and the number of empty blocks."""
     k = band[0]
     if empty == 0:
         while k <= band[1]:
@@ -154,21 +155,22 @@ def walk(
     dc: Int32[Array, " b"],
     known: UInt8[Array, "k 64"],
 ) -> tuple[int, int]:
-    """Walk through one scan.
+    """Read one scan.
 
     Args:
-        data: coded pixels, without stuffing and markers; `PADDING` bytes more than `spans` reach.
-        spans: first bit and last bit + 1 of each stretch between restart markers.
-        tables: symbol + 256 × length of its code, by the next 16 bits; 0 where there is none. Four for DC, four for AC.
-        components: one row of `COLUMNS` for each component in the scan.
-        units: units in a row, units in all, and in a stretch.
-        scan: kind, first and last coefficient, bits left for later.
-        dc: each block's DC. Written by scans that code it.
-        known: which coefficients of a block are not 0. Read and written by progressive scans alone.
+        data: entropy-coded bytes, without stuffing and markers, and `PADDING` more bytes than `spans` use.
+        spans: first bit and last bit + 1 of each interval between restart markers.
+        tables: symbol + 256 × code length by the next 16 bits; 0 if undefined. Four for DC, four for AC.
+        components: one row of `COLUMNS` per component of the scan.
+        units: units in a row, in total, and in a restart interval.
+        scan: kind, first and last coefficient, number of bits left for later scans.
+        dc: DC coefficient of each block. Written by scans that code it.
+        known: whether each coefficient of a block is non-zero. Used by progressive scans only.
 
     Returns:
-        Units that were read, and bits that are left in the stretch that was read last. All units, and under 8 bits,
-        where the scan is undamaged.
+        Number of units read, and of bits left in the last interval. An undamaged scan has all units, and fewer than 8
+        bits
+        left.
     """
     kind, shift = scan[0], scan[3]
     band = (scan[1], scan[2])
@@ -205,6 +207,6 @@ def walk(
         if empty > 0:
             return unit, left
         left = end - bit
-        if left > 7:  # more than fills a byte
+        if left > 7:  # more than padding
             return min(total, (stretch + 1) * in_stretch), left
     return total, left

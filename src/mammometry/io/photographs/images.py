@@ -1,6 +1,6 @@
-"""Photographs and masks: JPEG, PNG, TIFF, 8 or 16 bit. The content decides the format, not the name.
+"""Read photographs and masks: JPEG, PNG, TIFF, 8 or 16 bit, recognised by content, not by name.
 
-Every photograph is read here, and a damaged one is refused: decoders fill in what is damaged and report nothing.
+All photographs are read here. Damaged ones are refused: decoders fill in damaged parts without reporting it.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from mammometry.io.photographs.tiff import (
 )
 
 EXTENSIONS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
-"""File name endings that are taken for photographs. In any case."""
+"""Extensions of photographs, in any case."""
 
 FORMATS = ("JPEG", "PNG", "TIFF")
-"""Formats of photographs, by content and not by name: Pillow hands an EPS to Ghostscript."""
+"""Formats of photographs, by content and not by name: Pillow would run Ghostscript for an EPS."""
 
-Image.MAX_IMAGE_PIXELS = None  # `LimitSettings` says what is too large, by the header, in `read_header`
+Image.MAX_IMAGE_PIXELS = None  # `read_header` checks the size by `LimitSettings`
 
-_EXIF_ORIENTATION = 274  # EXIF's tag of that name
-_TRANSPOSED = (5, 6, 7, 8)  # EXIF's orientations that swap width and height
-# What each EXIF orientation needs to look as the photographer saw it: (transpose first, flip rows, flip columns).
+_EXIF_ORIENTATION = 274  # EXIF's orientation tag
+_TRANSPOSED = (5, 6, 7, 8)  # EXIF orientations that swap width and height
+# How to bring each EXIF orientation upright: (transpose first, flip rows, flip columns).
 _UPRIGHT: Mapping[int, tuple[bool, bool, bool]] = {
     1: (False, False, False),
     2: (False, False, True),
@@ -59,14 +59,14 @@ _OTHER_FORMATS = (
     (4, b"ftypavif", "an AVIF"), (4, b"ftypcrx", "a raw picture (CR3)"), (8, b"WEBP", "a WebP"), (0, b"BM", "a BMP"),
     (0, b"GIF8", "a GIF"), (0, b"%PDF", "a PDF"),
 )  # fmt: skip
-"""Where a mark stands, the mark, and whose it is."""
+"""Position of a signature, the signature, and the format."""
 UNREAD_ENDINGS = (
     ".heic", ".heif", ".avif", ".webp", ".nef", ".nrw", ".cr2", ".cr3", ".crw", ".arw", ".srf", ".sr2", ".raf", ".orf",
     ".rw2", ".pef", ".dng", ".raw", ".3fr", ".iiq", ".x3f", ".jp2", ".jxl", ".bmp",
 )  # fmt: skip
-"""File name endings of pictures that cameras and telephones write and that are not read here. In any case."""
+"""Extensions of images from cameras and telephones that are not read here, in any case."""
 _PNG_SIGNATURE, _JPEG_SIGNATURE = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
-_PNG_TAGS = {b"eXIf", b"tEXt", b"zTXt", b"iTXt"}  # where an orientation may stand
+_PNG_TAGS = {b"eXIf", b"tEXt", b"zTXt", b"iTXt"}  # chunks that may contain an orientation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,13 +76,13 @@ class ImageHeader:
     stored_wh: tuple[int, int]
     """Width and height as stored, pixels."""
     orientation: int
-    """EXIF orientation, 1…8. 1 where the file does not say."""
+    """EXIF orientation, 1…8. 1 if the file has none."""
     bits: int
-    """Bits a channel."""
+    """Bits per channel."""
 
     @property
     def size_wh(self) -> tuple[int, int]:
-        """Width and height as shown, the orientation applied."""
+        """Width and height as shown, with the orientation applied."""
         width, height = self.stored_wh
         return (height, width) if self.orientation in _TRANSPOSED else (width, height)
 
@@ -92,11 +92,11 @@ def read_header(path: Path, name: str, limits: LimitSettings = LimitSettings()) 
 
     Args:
         path: the file.
-        name: what to call it in messages.
-        limits: the size that it may have.
+        name: its name in messages.
+        limits: largest size.
 
     Raises:
-        ImageError: it is missing, unreadable, too large, or no JPEG, PNG or TIFF by its content.
+        ImageError: it is missing, unreadable or too large, or not a JPEG, PNG or TIFF.
     """
     with _reading(path, name):
         if path.exists():
@@ -115,11 +115,11 @@ def read_header(path: Path, name: str, limits: LimitSettings = LimitSettings()) 
 
 
 def megapixels_of(folder: Path, limits: LimitSettings = LimitSettings()) -> float:
-    """Size of all photographs in a folder by their headers, megapixels.
+    """Total size of all photographs in a folder by their headers, megapixels.
 
     Raises:
-        OSError: there is no such folder.
-        ImageError: one is unreadable.
+        OSError: the folder does not exist.
+        ImageError: a photograph is unreadable.
     """
     total = 0
     for path in visible(folder):
@@ -137,39 +137,40 @@ def read_photograph(
     as_stored: bool = False,
     digest: str | None = None,
 ) -> Photograph:
-    """Read a photograph, turned as its EXIF orientation says.
+    """Read a photograph, turned upright by its EXIF orientation.
 
-    An alpha channel is dropped. Of a JPEG with several pictures, as some cameras write them (MPO), the first is taken;
-    of a TIFF the one at full size.
+    An alpha channel is dropped. From a JPEG with several images (MPO, from some cameras) the first is read, from a TIFF
+    the one at full size.
 
     Args:
         path: the file.
-        name: what to call it in messages.
-        limits: the size that it may have.
-        as_stored: whether it is left as its pixels are stored, whatever its orientation.
-        digest: SHA-256 of the file as it was when what depends on it was planned. None: unknown.
+        name: its name in messages.
+        limits: largest size.
+        as_stored: whether to ignore the orientation.
+        digest: SHA-256 of the file when the run was planned. None: unknown.
 
     Raises:
-        ImageError: as `read_header`; it is truncated or damaged, has neither 8 nor 16 bits a channel, has 10 or 12 that
-            were not scaled to 16, or is another file than `digest` says.
+        ImageError: as `read_header`; it is truncated or damaged, has neither 8 nor 16 bits per channel, has 10 or 12
+            that
+            were not scaled to 16, or its digest differs from `digest`.
     """
     header = read_header(path, name, limits)
     if header.bits not in (8, 16):
         remedy = "Export it as an ordinary JPEG, PNG or TIFF"
-        raise ImageError(name, found=f"{header.bits} bits a channel", expected="8 or 16 bits", remedy=remedy)
+        raise ImageError(name, found=f"{header.bits} bits per channel", expected="8 or 16 bits", remedy=remedy)
     with _reading(path, name):
         content = path.read_bytes()
         found = hashlib.sha256(content).hexdigest()
         if digest not in (None, found):
             raise ImageError(
                 name,
-                found="a file that was replaced during the run",
+                found="a file that changed during the run",
                 expected="the same file from beginning to end",
                 remedy="Wait until all photographs are copied, then run the same command again",
             )
         pixels = _pixels(content, header, checked=found in _undamaged)
         if pixels.shape[1::-1] != header.stored_wh:
-            raise ValueError(f"{pixels.shape} pixels, which its header does not state")
+            raise ValueError(f"{pixels.shape} pixels, unlike its header")
         if len(_undamaged) < _MOST_REMEMBERED:
             _undamaged.add(found)
         _require_scaled(pixels, name)
@@ -183,16 +184,16 @@ def read_photograph(
 def read_plain_picture(
     path: Path, name: str, formats: tuple[str, ...], limits: LimitSettings = LimitSettings()
 ) -> UInt8[Array, "h w 3"]:
-    """Read a picture of a format that no camera writes, as 8-bit RGB.
+    """Read an image of a format that no camera writes, as 8-bit RGB.
 
     Args:
         path: the file.
-        name: what to call it in messages.
-        formats: as Pillow names them.
-        limits: the size that it may have.
+        name: its name in messages.
+        formats: Pillow's names.
+        limits: largest size.
 
     Raises:
-        ImageError: it cannot be read, or is too large.
+        ImageError: it cannot be read or is too large.
     """
     with _reading(path, name), Image.open(path, formats=formats) as image:
         _check_size(image.size, name, limits)
@@ -202,7 +203,7 @@ def read_plain_picture(
 def read_mask(
     path: Path, name: str, limits: LimitSettings = LimitSettings(), *, digest: str | None = None
 ) -> Bool[Array, "h w"]:
-    """Read a foreground mask: subject where grey reaches half its range.
+    """Read a foreground mask: subject where grey is at least half its range.
 
     Raises:
         ImageError: as `read_photograph`.
@@ -221,7 +222,7 @@ def demosaiced(raw: Array, pattern: str) -> Array:
     Returns:
         (h, w, 3), RGB.
     """
-    import cv2  # its names are those of the second row's second pixel on
+    import cv2  # its patterns start at the second pixel of the second row
 
     codes = {
         "RG": cv2.COLOR_BAYER_BG2RGB,
@@ -235,16 +236,17 @@ def demosaiced(raw: Array, pattern: str) -> Array:
 def check_sizes(headers: Mapping[str, ImageHeader], camera: str, expected_wh: tuple[int, int] | None = None) -> None:
     """Require one size and orientation for all photographs of a camera.
 
-    A file turned by software keeps its look but not its stored pixels; a turned camera the other way round. Where the
-    two cannot be distinguished, the photographs are refused, because a wrong guess makes a wrong calibration.
+    A file rotated by software looks the same but has other stored pixels; with a rotated camera it is the other way
+    round.
+    If the two cannot be distinguished, the photographs are refused, since a wrong guess would give a wrong calibration.
 
     Args:
         headers: name of each photograph → its header.
         camera: the camera that took them.
-        expected_wh: the size that a ready-made calibration holds for.
+        expected_wh: image size of a ready-made calibration.
 
     Raises:
-        ImageError: names the photograph, its size or orientation, and what the others have.
+        ImageError: names the photograph, its size or orientation, and those of the others.
     """
     first: tuple[str, ImageHeader] | None = None
     for name, header in headers.items():
@@ -286,7 +288,7 @@ def _check_size(size_wh: tuple[int, int], name: str, limits: LimitSettings) -> N
 
 @contextmanager
 def _reading(path: Path, name: str) -> Iterator[None]:
-    """Turn any decoder error from a damaged file into one sentence."""
+    """Turn any decoder error on a damaged file into one sentence."""
     try:
         yield
     except (MammometryError, MemoryError):
@@ -295,23 +297,23 @@ def _reading(path: Path, name: str) -> Iterator[None]:
         raise _unreadable(path, name, error) from None
 
 
-_SENSOR_BITS = (10, 12)  # of cameras whose values are stored in 16 bits; 14 bits may be a dark picture of 16
+_SENSOR_BITS = (10, 12)  # of sensors whose values are stored in 16 bits; 14 bits may be a dark image of 16
 
 
 def _require_scaled(pixels: Array, name: str) -> None:
-    """Refuse a sensor's values in the lower bits of 16: everything that follows would take them for darkness."""
+    """Refuse 16-bit files with unscaled sensor values: they would be read as almost black."""
     largest = int(pixels.max()) if pixels.dtype == np.uint16 else 0
     if (bits := largest.bit_length()) in _SENSOR_BITS:
         raise ImageError(
             name,
-            found=f"no value above {largest} of 65535: {bits} bits that were not scaled to 16, or a black picture",
+            found=f"no value above {largest} of 65535: {bits} bits that were not scaled to 16, or a black image",
             expected="values that use all 16 bits",
             remedy=f"Export it multiplied by {1 << (16 - bits)}, or with 8 bits; if it is black, take it again",
         )
 
 
 _undamaged: set[str] = set()
-"""Digests of files that were checked. A run reads its photographs several times."""
+"""Digests of checked files. A run reads its photographs several times."""
 _MOST_REMEMBERED = 10_000  # digests: 1 MB
 
 
@@ -319,7 +321,7 @@ def _pixels(content: bytes, header: ImageHeader, *, checked: bool) -> Array:
     """Check and decode a file.
 
     Raises:
-        Exception: it is damaged. A damaged file is refused although a decoder would show it.
+        Exception: the file is damaged, even if a decoder would show it.
     """
     if content.startswith(SIGNATURES):
         if tiff_is_truncated(io.BytesIO(content)):
@@ -332,7 +334,7 @@ def _pixels(content: bytes, header: ImageHeader, *, checked: bool) -> Array:
     layout = None if checked else check_jpeg(content)
     pixels = _decoded_jpeg(content)
     if layout is not None and has_seam(pixels, layout):
-        raise DamagedJpegError("its brightness changes from one row of blocks to the next")
+        raise DamagedJpegError("its brightness jumps between rows of blocks")
     return pixels
 
 
@@ -344,9 +346,9 @@ def _by_pillow(content: bytes) -> Array:
 
 
 def _decoded_jpeg(content: bytes) -> Array:
-    """Decode a JPEG with OpenCV, or inks with Pillow.
+    """Decode a JPEG with OpenCV, or CMYK with Pillow.
 
-    OpenCV has the same library as Pillow, and takes half the time: it makes no copy of the pixels.
+    Both use libjpeg, but OpenCV takes half the time, since it does not copy the pixels.
     """
     import cv2
 
@@ -378,9 +380,9 @@ def _bits(image: Image.Image, path: Path) -> int:
 
 
 def exif_of(image: Image.Image, path: Path) -> Image.Exif:
-    """Tags of a photograph.
+    """EXIF tags of a photograph.
 
-    Pillow decodes a PNG to see what stands behind its pixels: only where something does.
+    Pillow decodes a whole PNG to find tags after its pixels, so a PNG is only opened if it has such tags.
     """
     kinds = [kind for kind, _ in _png_chunks(path)]
     behind = kinds[kinds.index(b"IDAT") :] if b"IDAT" in kinds else []
@@ -388,13 +390,13 @@ def exif_of(image: Image.Image, path: Path) -> Image.Exif:
 
 
 def is_tiff(path: Path) -> bool:
-    """Whether a file begins as a TIFF."""
+    """Whether a file has a TIFF's signature."""
     with path.open("rb") as file:
         return file.read(4) in SIGNATURES
 
 
 def _png_chunks(path: Path) -> Iterator[tuple[bytes, int]]:
-    """Kind and end, bytes, of each chunk of a PNG. The last chunk may be truncated. Empty for other files."""
+    """Type and end, bytes, of each chunk of a PNG. The last chunk may be truncated. Empty for other files."""
     size = path.stat().st_size
     with path.open("rb") as file:
         position, kind = 8, b"" if file.read(8) == _PNG_SIGNATURE else b"IEND"
@@ -407,10 +409,10 @@ def _png_chunks(path: Path) -> Iterator[tuple[bytes, int]]:
 
 
 def _check_png(content: bytes) -> None:
-    """Require each part of a PNG to have the checksum that it was written with.
+    """Require correct checksums of all chunks of a PNG.
 
     Raises:
-        ValueError: one has another.
+        ValueError: a checksum is wrong.
     """
     place, kind = len(_PNG_SIGNATURE), b""
     while kind != b"IEND":
@@ -424,11 +426,11 @@ def _check_png(content: bytes) -> None:
 
 
 def _is_truncated(path: Path) -> bool:
-    """Whether the content of a JPEG, PNG or TIFF ends before its pixels do."""
+    """Whether a JPEG, PNG or TIFF ends before its pixels do."""
     with path.open("rb") as file:
         head = file.read(len(_PNG_SIGNATURE))
     if head.startswith(SIGNATURES):
-        with path.open("rb") as file, suppress(Exception):  # it is damaged; tifffile raises anything
+        with path.open("rb") as file, suppress(Exception):  # on damaged files tifffile may raise any exception
             return tiff_is_truncated(file)
     if head == _PNG_SIGNATURE:
         return max((end for _, end in _png_chunks(path)), default=0) > path.stat().st_size
@@ -442,12 +444,12 @@ def _is_truncated(path: Path) -> bool:
 
 def _truncated(name: str) -> ImageError:
     return ImageError(
-        name, found="a truncated image", expected="the whole file", remedy="Copy it again from the camera"
+        name, found="a truncated image", expected="the complete file", remedy="Copy it again from the camera"
     )
 
 
 def _other_format(path: Path) -> str | None:
-    """Name of a picture's format that is not read here, by its first bytes."""
+    """Name of an image format that is not read here, by its first bytes."""
     with path.open("rb") as file:
         head = file.read(16)
     return next((words for place, mark, words in _OTHER_FORMATS if head[place:].startswith(mark)), None)
@@ -467,14 +469,12 @@ def _unreadable(path: Path, name: str, error: BaseException | None) -> ImageErro
         return ImageError(name, found=str(error), expected="a photograph, grey or RGB, of 8 or 16 bits", remedy=remedy)
     if isinstance(error, OSError) and error.errno is not None:
         found = f"a file that cannot be read ({error.strerror})"
-        return ImageError(name, found=found, expected="a photograph", remedy="Check the path and what it leads to")
+        return ImageError(name, found=found, expected="a photograph", remedy="Check the path and its links")
     if isinstance(error, (TruncatedJpegError, struct.error)) or _is_truncated(path):
         return _truncated(name)
     if isinstance(error, (DamagedJpegError, DamagedTiffError)):
         remedy = "Copy it again from the camera"
-        return ImageError(
-            name, found=f"a damaged image ({error})", expected="every pixel as it was written", remedy=remedy
-        )
+        return ImageError(name, found=f"a damaged image ({error})", expected="an undamaged image", remedy=remedy)
     kind = "a damaged image"
     if isinstance(error, UnidentifiedImageError):
         kind = _other_format(path) or "a file that is not an image"

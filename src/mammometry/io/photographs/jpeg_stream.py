@@ -1,6 +1,6 @@
-"""Whether a JPEG is whole: every coded pixel is read as ITU-T T.81 codes it, without making a picture.
+"""Check that a JPEG is complete and undamaged by reading its entropy-coded data (ITU-T T.81).
 
-libjpeg, and with it every program that shows photographs, fills in what is damaged.
+libjpeg, and so every program that shows photographs, fills in damaged parts.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from mammometry.geometry.arrays import Array, Int64, UInt8
 _FRAMES = (0xC0, 0xC1, 0xC2)  # start of frame: baseline, extended sequential, progressive (T.81, table B.1)
 _OTHER_FRAMES = {*range(0xC3, 0xD0)} - {0xC4, 0xC8, 0xCC}  # lossless, differential, arithmetic
 _DHT, _DQT, _DRI, _SOS, _EOI, _SOI, _TEM = 0xC4, 0xDB, 0xDD, 0xDA, 0xD9, 0xD8, 0x01  # markers (T.81, table B.1)
-_FIRST_RESTART = 0xD0  # RST0, which seven others follow
-_AMPLITUDE = 1024  # largest mean of a block of 8-bit samples, level-shifted, as the transform scales it: 8 × 128
-_ALIGNMENT = 7  # bits at most that fill the last byte of a stretch
+_FIRST_RESTART = 0xD0  # RST0, followed by seven others
+_AMPLITUDE = 1024  # largest DC coefficient of a block of level-shifted 8-bit samples: 8 × 128
+_ALIGNMENT = 7  # most padding bits in the last byte of an interval
 SEQUENTIAL, DC_FIRST, DC_REFINED, AC_FIRST, AC_REFINED = range(5)
-"""Kinds of scans. The last four are those of a progressive JPEG."""
+"""Kinds of scans. The last four are those of progressive JPEGs."""
 PADDING = 512
-"""Bytes. More than the longest codes of a block take, after which the end is looked for."""
+"""Bytes. Longer than the longest codes of a block, after which the end is tested."""
 
 
 class DamagedJpegError(ValueError):
-    """A JPEG whose coded pixels violate ITU-T T.81. The text says where."""
+    """A JPEG that violates ITU-T T.81. The text says where."""
 
 
 class TruncatedJpegError(DamagedJpegError):
@@ -37,14 +37,14 @@ class TruncatedJpegError(DamagedJpegError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
-    """In which order the blocks of a JPEG's brightness are coded."""
+    """Order in which the luminance blocks of a JPEG are coded."""
 
     unit_wh: tuple[int, int]
-    """Size of what is coded at once, pixels."""
+    """Size of a unit (MCU), pixels."""
     units_across: int
-    """Of these in a row."""
+    """Units in a row."""
     interval: int
-    """Of these between restart markers. 0: there are none."""
+    """Units between restart markers. 0: no markers."""
 
 
 @dataclass(frozen=True)
@@ -55,14 +55,14 @@ class _Component:
     quantization: int
     first_block: int
     blocks_wh: tuple[int, int]
-    """In the picture."""
+    """Blocks in the image."""
     stored_blocks_wh: tuple[int, int]
-    """In whole units of all components."""
+    """Blocks in complete units of all components."""
 
 
 @dataclass
 class _Decoder:
-    """The state that the markers have set so far."""
+    """State set by the markers so far."""
 
     tables: Array = field(default_factory=lambda: np.zeros((8, 65536 + 1024), dtype=np.uint16))
     known_tables: set[int] = field(default_factory=set)
@@ -74,23 +74,23 @@ class _Decoder:
     progressive: bool = False
     layout: Layout | None = None
     coded: set[int] = field(default_factory=set)
-    """Components whose mean brightness has been read."""
+    """Components whose DC coefficients have been read."""
     dc: Array = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
     known: Array = field(default_factory=lambda: np.zeros((1, 64), dtype=np.uint8))
 
 
 def check_jpeg(content: bytes, tables: bytes | None = None) -> Layout:
-    """Require that all pixels of the first picture of a JPEG are there, and are coded as they must be.
+    """Check that the first image of a JPEG is complete and correctly coded.
 
-    What follows the first picture does not matter: cameras put previews there.
+    Data after the first image are ignored: cameras put previews there.
 
     Args:
         content: the file, or the part of a TIFF.
-        tables: quantisation and Huffman tables that a TIFF stores separately.
+        tables: quantisation and Huffman tables, if a TIFF stores them separately.
 
     Raises:
-        DamagedJpegError: they are not.
-        TruncatedJpegError: the file ends before they do.
+        DamagedJpegError: it is damaged.
+        TruncatedJpegError: the file ends before its pixels do.
     """
     decoder = _Decoder()
     try:
@@ -102,14 +102,14 @@ def check_jpeg(content: bytes, tables: bytes | None = None) -> Layout:
     except IndexError:
         raise TruncatedJpegError from None
     except (KeyError, ValueError):
-        raise DamagedJpegError("its markers contradict each other") from None
+        raise DamagedJpegError("its markers are inconsistent") from None
     if decoder.layout is None or decoder.coded != set(decoder.components):
         raise DamagedJpegError("some of its pixels are missing")
     return decoder.layout
 
 
 def _read(data: UInt8[Array, " n"], decoder: _Decoder) -> None:
-    """Read markers and scans up to the end of the first picture."""
+    """Read markers and scans up to the end of the first image."""
     after = np.flatnonzero(data[:-1] == 0xFF) + 1
     codes = data[after]
     real = (codes != 0) & (codes != 0xFF)
@@ -121,7 +121,7 @@ def _read(data: UInt8[Array, " n"], decoder: _Decoder) -> None:
         while data[place] == 0xFF and data[place + 1] == 0xFF:
             place += 1
         if data[place] != 0xFF:
-            raise DamagedJpegError("something stands where a marker should")
+            raise DamagedJpegError("a marker is missing")
         marker = int(data[place + 1])
         place += 2
         if marker == _EOI:
@@ -156,13 +156,13 @@ def _define(marker: int, segment: UInt8[Array, " n"], decoder: _Decoder) -> None
         decoder.interval = _number(segment, 0)
     elif marker in _FRAMES:
         if decoder.components:
-            raise DamagedJpegError("it has two beginnings")
+            raise DamagedJpegError("it has two start markers")
         _start(segment, decoder)
         decoder.progressive = marker == _FRAMES[2]
         if decoder.progressive:
             decoder.known = np.zeros((len(decoder.dc), 64), dtype=np.uint8)
     elif marker in _OTHER_FRAMES:
-        raise DamagedJpegError("its pixels are coded as no camera codes them")
+        raise DamagedJpegError("its coding is not used by cameras")
 
 
 def _number(data: UInt8[Array, " n"], place: int) -> int:
@@ -170,7 +170,7 @@ def _number(data: UInt8[Array, " n"], place: int) -> int:
 
 
 def _huffman_tables(segment: UInt8[Array, " n"]) -> Iterator[tuple[int, Array]]:
-    """Number of each table, DC from 0 and AC from 4, and symbol + 256 × length by the next 16 bits (T.81, C.2)."""
+    """Number of each table (DC from 0, AC from 4), and symbol + 256 × length by the next 16 bits (T.81, C.2)."""
     place = 0
     while place < len(segment):
         kind, number = segment[place] >> 4, segment[place] & 15
@@ -178,10 +178,10 @@ def _huffman_tables(segment: UInt8[Array, " n"]) -> Iterator[tuple[int, Array]]:
         symbols = segment[place + 17 : place + 17 + counts.sum()].astype(np.uint16)
         lengths = np.repeat(np.arange(1, 17), counts)
         if kind > 1 or number > 3 or len(counts) != 16 or len(symbols) != len(lengths):
-            raise DamagedJpegError("its tables contradict each other")
+            raise DamagedJpegError("its tables are inconsistent")
         spans = 1 << (16 - lengths)
         if spans.sum() > 65536:
-            raise DamagedJpegError("its tables contradict each other")
+            raise DamagedJpegError("its tables are inconsistent")
         table = np.zeros(65536, dtype=np.uint16)
         table[: spans.sum()] = np.repeat(symbols | (lengths << 8).astype(np.uint16), spans)
         short = np.where(table[::64] >> 8 <= 10, table[::64], 0)
@@ -190,7 +190,7 @@ def _huffman_tables(segment: UInt8[Array, " n"]) -> Iterator[tuple[int, Array]]:
 
 
 def _dc_steps(segment: UInt8[Array, " n"]) -> dict[int, int]:
-    """Step of DC by the table's number."""
+    """Quantisation step of DC by table number."""
     steps: dict[int, int] = {}
     place = 0
     while place < len(segment):
@@ -198,12 +198,12 @@ def _dc_steps(segment: UInt8[Array, " n"]) -> dict[int, int]:
         steps[number] = _number(segment, place + 1) if wide else int(segment[place + 1])
         place += 1 + 64 * (1 + wide)
     if place != len(segment) or 0 in steps.values():
-        raise DamagedJpegError("its tables contradict each other")
+        raise DamagedJpegError("its tables are inconsistent")
     return steps
 
 
 def _start(segment: UInt8[Array, " n"], decoder: _Decoder) -> None:
-    """Lay out the blocks of all components (T.81, A.2)."""
+    """Compute the layout of all components' blocks (T.81, A.2)."""
     height, width, count = _number(segment, 1), _number(segment, 3), int(segment[5])
     parts = segment[6 : 6 + 3 * count].reshape(count, 3)
     across, down = parts[:, 1] >> 4, parts[:, 1] & 15
@@ -228,14 +228,14 @@ def _walk(
     """Read one scan.
 
     Args:
-        header: behind the marker's length.
+        header: scan header after its length.
         data: the file.
-        start: first byte of the scan in it.
-        end: first byte behind.
-        cuts: where its restart markers stand.
-        decoder: what is known so far; what is read is added.
+        start: first byte of the scan.
+        end: first byte after it.
+        cuts: positions of its restart markers.
+        decoder: state so far, which is updated.
     """
-    from mammometry.io.photographs.entropy_kernels import walk  # compiled: a run with nothing to do needs none
+    from mammometry.io.photographs.entropy_kernels import walk  # imported late, since it is compiled
 
     count = int(header[0])
     parts = [
@@ -263,8 +263,8 @@ def _walk(
     units = np.array([across, total, interval], dtype=np.int64)
     read, left = walk(plain, spans, decoder.tables, components, units, scan, decoder.dc, decoder.known)
     spare = plain[spans[-1, 1] // 8 - left // 8 : spans[-1, 1] // 8]
-    if read < total or (left > _ALIGNMENT and np.any(spare)):  # some programs fill a file's last sector with zeros
-        raise DamagedJpegError("its coded pixels are damaged")  # where is not known: wrong codes may be valid for long
+    if read < total or (left > _ALIGNMENT and np.any(spare)):  # some programs pad a file's last sector with zeros
+        raise DamagedJpegError("its coded pixels are damaged")  # position unknown: wrong codes may be valid for long
     if scan[0] in (SEQUENTIAL, DC_FIRST):
         decoder.coded |= {part.number for part, _, _ in parts}
         if decoder.layout is None:
@@ -277,7 +277,7 @@ def _walk(
 def _kind(
     decoder: _Decoder, parts: list[tuple[_Component, int, int]], scan: tuple[int, int, int, int]
 ) -> Int64[Array, " 4"]:
-    """Kind of a scan as the kernels name it, band and shift."""
+    """Kind of a scan for the kernels, band and shift."""
     first, last, before, shift = scan
     if not decoder.progressive:
         kind, first, last, shift = SEQUENTIAL, 1, 63, 0
@@ -298,12 +298,12 @@ def _kind(
 def _without_stuffing(
     data: UInt8[Array, " n"], start: int, end: int, cuts: Int64[Array, " r"]
 ) -> tuple[UInt8[Array, " p"], Int64[Array, "m 2"]]:
-    """A scan's bytes without stuffed zeros, markers and what fills the bytes before them; its stretches, bits."""
+    """A scan's bytes without stuffing, markers and padding before them; its intervals, bits."""
     coded = data[start:end]
     full = np.flatnonzero(coded[:-1] == 0xFF)
     keep = np.ones(len(coded), dtype=bool)
     keep[full[coded[full + 1] == 0] + 1] = False
-    keep[full[coded[full + 1] != 0]] = False  # markers, and bytes that may stand before them (T.81, B.1.1.2)
+    keep[full[coded[full + 1] != 0]] = False  # markers, and fill bytes before them (T.81, B.1.1.2)
     keep[cuts - start + 1] = False
     if len(coded) and coded[-1] == 0xFF:
         keep[-1] = False

@@ -1,7 +1,6 @@
-"""Whether two files hold the same picture: saved again without loss, renamed, or without its tags.
+"""Whether two files contain the same image, even if renamed, saved again losslessly or without tags.
 
-A picture that was compressed again is not recognised: it differs from the first as little as the next photograph of a
-board that did not move.
+An image that was compressed again is not recognised: it differs as little as two photographs of a board at rest.
 """
 
 import hashlib
@@ -14,10 +13,8 @@ from mammometry.base.photograph import Photograph
 from mammometry.geometry.arrays import Array, Float32
 from mammometry.io.photographs.images import FORMATS
 
-_DRAFT_PX, _BLOCKS = 128, 16  # sides that a JPEG is decoded in, and of the pictures that are compared first
-_REDUCED_APART = (
-    8.0  # levels of 255, RMS. A JPEG that is decoded smaller differs by up to 3.2 from its picture, other poses by 35
-)
+_DRAFT_PX, _BLOCKS = 128, 16  # size at which a JPEG is decoded, and of the images that are compared first
+_REDUCED_APART = 8.0  # of 255 levels, RMS. A JPEG decoded at a smaller size differs by up to 3.2, another pose by 35
 
 
 def pixels_digest(photograph: Photograph) -> str:
@@ -28,10 +25,10 @@ def pixels_digest(photograph: Photograph) -> str:
 
 
 def may_be_same(one: Path, other: Path) -> bool:
-    """Whether two files may hold the same picture, quickly. `pixels_digest` then decides.
+    """Quick test whether two files may contain the same image. `pixels_digest` then decides.
 
     Raises:
-        OSError: one cannot be read as a picture.
+        OSError: one is not a readable image.
     """
     with Image.open(one, formats=FORMATS) as left, Image.open(other, formats=FORMATS) as right:
         if left.size != right.size:
@@ -41,7 +38,7 @@ def may_be_same(one: Path, other: Path) -> bool:
 
 
 def _reduced(picture: Image.Image) -> Float32[Array, "h w"]:
-    """Means of blocks, grey, 0 to 255. Of a JPEG only as much is decoded as that needs."""
+    """Means of blocks, grey, 0 to 255. A JPEG is decoded only as far as needed."""
     picture.draft("L", (_DRAFT_PX, _DRAFT_PX))
     wide = picture.mode.startswith("I;16")
     grey = np.asarray(picture if wide else picture.convert("L"), dtype=np.float32) / (257.0 if wide else 1.0)

@@ -1,7 +1,8 @@
-"""Damage that leaves a JPEG's codes valid, found by what it does to the picture.
+"""Find JPEG damage that leaves the codes valid, by its effect on the image.
 
-A JPEG codes each block's brightness as its difference from the block before. One that is wrong shifts all that follow,
-so the picture has a step along its blocks: from somewhere in a row to its right end, and one row lower up to there.
+Each block's brightness is coded as the difference from the block before. A wrong difference shifts all following
+blocks,
+so the image has a step along the blocks: from a point in a row to its right end, and in the next row up to that point.
 """
 
 from __future__ import annotations
@@ -12,27 +13,27 @@ from mammometry.geometry.arrays import Array, Float32, UInt8
 from mammometry.io.photographs.jpeg_stream import Layout
 
 _LEAST_STEP = 8.0
-"""Grey levels. A smaller one is less than two cameras of a rig may differ by."""
+"""Grey levels. Smaller steps are below the difference of two cameras of a rig."""
 _LEAST_SHARE = 0.75
-"""Share of a row's units that have the same step. Damage has 0.8 to 1, the 434 photographs of the shared data 0.14 at
-most, a drawn figure 0.66."""
-_SAME, _SAME_LEVELS = 0.2, 2.0  # by how much of the step, or how many grey levels, steps of the same size may differ
-_LEAST_UNITS = 4  # on each side of the place where the damage begins
-_PLACES = 24  # in a row that are tried: the median of the step hides the rest
+"""Share of a row's units that have the same step. With damage 0.8 to 1; at most 0.14 in the 434 photographs of the
+shared data; 0.66 in a drawn figure."""
+_SAME, _SAME_LEVELS = 0.2, 2.0  # largest difference of equal steps, as a share or in grey levels
+_LEAST_UNITS = 4  # fewest units on either side of the damage's start
+_PLACES = 24  # starts tried per row; the median of the step is not affected by the others
 
 
 def has_seam(pixels: UInt8[Array, "h w *c"], layout: Layout) -> bool:
-    """Whether all blocks from some place on are brighter or darker than they were coded.
+    """Whether all blocks from some point on are brighter or darker than coded.
 
-    Where restart markers are closer than two rows, such damage is too short to differ from an edge: False.
+    False if restart markers are less than two rows apart: such damage is too short to be told from an edge.
 
     Args:
-        pixels: as decoded, not turned.
-        layout: of its blocks.
+        pixels: as decoded, not rotated.
+        layout: of the blocks.
     """
     if layout.interval and layout.interval < 2 * layout.units_across:
         return False
-    planes = [pixels] if pixels.ndim == 2 else [pixels[..., 0], pixels[..., 2]]  # red and blue show both colour signals
+    planes = [pixels] if pixels.ndim == 2 else [pixels[..., 0], pixels[..., 2]]  # these contain both chroma channels
     return any(_plane_has_seam(plane, layout) for plane in planes)
 
 
@@ -43,11 +44,11 @@ def _plane_has_seam(plane: UInt8[Array, "h w"], layout: Layout) -> bool:
 
 
 def _steps(plane: UInt8[Array, "h w"], layout: Layout) -> Float32[Array, "m n"]:
-    """Brightness that is gained across each unit's upper edge, beyond what its surroundings gain, grey levels.
+    """Change of brightness across each unit's upper edge beyond that of its surroundings, grey levels.
 
     Args:
         plane: the picture.
-        layout: of its blocks.
+        layout: of the blocks.
     """
     wide, high = layout.unit_wh
     across = plane.shape[1] // wide
@@ -58,9 +59,9 @@ def _steps(plane: UInt8[Array, "h w"], layout: Layout) -> Float32[Array, "m n"]:
 
 
 def _has_step(steps: Float32[Array, "m n"]) -> bool:
-    """Whether a row has one step from some place on, and the next row the same up to there."""
+    """Whether a row has one step from some point on, and the next row the same up to there."""
     across = steps.shape[1]
-    typical = np.median(np.abs(steps), axis=1)  # one of the two rows has the step in half its length at least
+    typical = np.median(np.abs(steps), axis=1)  # one of the two rows has the step over at least half its length
     rows = np.flatnonzero(np.maximum(typical[:-1], typical[1:]) >= _LEAST_STEP)
     places = np.unique(np.linspace(_LEAST_UNITS, across - _LEAST_UNITS, _PLACES).astype(int))
     for row in rows.tolist():

@@ -1,4 +1,4 @@
-"""Tags of photographs: which camera took one, and when. And JPEG files without tags."""
+"""EXIF data of photographs (camera, time), and JPEGs without metadata."""
 
 import datetime
 import re
@@ -14,23 +14,23 @@ _EXIF_IFD = 0x8769  # tag that points to the EXIF directory; EXIF 2.32, 4.6.3
 _MAKE, _MODEL = 271, 272  # tags of the camera; TIFF 6.0, section 8
 _TAKEN, _FRACTION, _OFFSET, _SERIAL = 0x9003, 0x9291, 0x9011, 0xA431  # EXIF 2.32, table 8
 _OFFSET_TEXT = re.compile(r"([+-])(\d\d):(\d\d)")
-_LONGEST = 64  # characters of a text that is kept
+_LONGEST = 64  # most characters of a text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exposure:
-    """Camera and time of a photograph, from its file."""
+    """Camera and time of a photograph, from its metadata."""
 
     serial: str = ""
-    """Serial number of the camera's body. Empty if the file does not say."""
+    """Serial number of the camera body. Empty if not in the file's metadata."""
     model: str = ""
-    """Maker and model of the camera. Empty if the file does not say."""
+    """Make and model of the camera. Empty if not in the file's metadata."""
     taken_s: float | None = None
-    """When, by the camera's own clock: seconds since 1970; in UTC only where the camera tells its time zone."""
+    """Time by the camera's clock, seconds since 1970; in UTC only if the camera records its time zone."""
 
 
 def read_exposure(path: Path) -> Exposure:
-    """Read which camera took a photograph, and when. What is missing, or damaged, is left out.
+    """Read the camera and time of a photograph. Missing or damaged tags are left empty.
 
     Raises:
         OSError: the file cannot be read.
@@ -42,7 +42,7 @@ def read_exposure(path: Path) -> Exposure:
             words = [_text(tags.get(_MAKE)), _text(tags.get(_MODEL))]
     except OSError:
         raise
-    except Exception:  # whatever a decoder stumbles over in damaged tags
+    except Exception:  # damaged tags may raise any exception
         return Exposure()
     return Exposure(
         serial=_text(about.get(_SERIAL)),
@@ -76,25 +76,25 @@ _START, _SCAN, _END = 0xD8, 0xDA, 0xD9  # JPEG markers, ITU-T T.81, table B.1
 _BASELINE = 0xC0  # second byte of the marker of a baseline frame (ISO 10918-1, B.1.1.3)
 _FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 _TAGS = {*range(0xE0, 0xF0), 0xFE}  # application segments and comments, table B.1
-_KEPT_TAGS = {0xE0, 0xEE}  # JFIF and Adobe: how colours are coded
+_KEPT_TAGS = {0xE0, 0xEE}  # JFIF and Adobe: colour coding
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Jpeg:
-    """A JPEG without its tags."""
+    """A JPEG without metadata."""
 
     content: bytes
     size_wh: tuple[int, int]
     components: int
     """3 for colour, 1 for grey."""
     baseline: bool
-    """Coded in the plainest of ways, which every program reads."""
+    """Whether it is baseline, which every program reads."""
 
 
 def without_tags(data: bytes) -> Jpeg | None:
-    """Take tags and comments out of a JPEG.
+    """Remove tags and comments from a JPEG without coding its image again.
 
-    Its picture is not coded again. None for any other file, and for other numbers of components.
+    None for any other file or number of components.
     """
     place, kept, frame = 2, bytearray(data[:2]), b""
     if data[:2] != bytes([0xFF, _START]):
@@ -103,7 +103,7 @@ def without_tags(data: bytes) -> Jpeg | None:
         marker, length = data[place + 1], int.from_bytes(data[place + 2 : place + 4], "big")
         segment = data[place : place + 2 + length]
         if marker == _SCAN:
-            end = data.find(bytes([0xFF, _END]), place)  # of the first picture, where a file holds several
+            end = data.find(bytes([0xFF, _END]), place)  # of the first image, if there are several
             if end < 0 or len(frame) < 10 or frame[9] not in (1, 3):
                 return None
             kept += data[place : end + 2]

@@ -1,7 +1,4 @@
-"""TIFF photographs: the page to read, its pixels, and whether they are damaged.
-
-They are read by tifffile and imagecodecs.
-"""
+"""TIFF photographs: choose the page, decode it, find damage. Uses tifffile and imagecodecs."""
 
 from __future__ import annotations
 
@@ -23,19 +20,19 @@ if TYPE_CHECKING:
 SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 """First bytes of a TIFF or BigTIFF."""
 _ORIENTATION = 274
-_MOST_SAMPLES = 8  # a channel count that no photograph has: refused before memory is allocated
-_MOST_PAGES = 64  # a photograph has a thumbnail, previews and masks; a stack of slices has more
+_MOST_SAMPLES = 8  # more channels are refused before memory is allocated
+_MOST_PAGES = 64  # a photograph has a thumbnail, previews and masks; only image stacks have more
 _REDUCED, _MASK = 1, 4  # NewSubfileType (TIFF 6.0, section 8): a smaller copy of another page; a transparency mask
 _COLOUR_SAMPLES = {"MINISWHITE": 1, "MINISBLACK": 1, "PALETTE": 1, "RGB": 3, "SEPARATED": 4, "YCBCR": 3}
-"""How a picture codes colour → samples of a pixel. What a file has beyond these is transparency, which is dropped."""
-_RAW = ("CFA", "LINEAR_RAW")  # how DNG and the makers' own formats, which are TIFFs, code a sensor's pixels
+"""Photometric interpretation → samples per pixel. Further samples are transparency and are dropped."""
+_RAW = ("CFA", "LINEAR_RAW")  # raw sensor data in DNG and in makers' formats based on TIFF
 _PLANES = 2  # PlanarConfiguration: a plane for each channel
 _JPEG = (6, 7, 34892)  # compressions that decode YCbCr to RGB
 _PLAIN, _LZW, _PACKBITS = 1, 5, 32773  # compressions without a checksum
 
 
 class UnusualTiffError(ValueError):
-    """A TIFF that is whole, and codes something else than a photograph. Its text names what."""
+    """A valid TIFF that is not an ordinary photograph. The text names what it is."""
 
 
 class DamagedTiffError(ValueError):
@@ -43,11 +40,11 @@ class DamagedTiffError(ValueError):
 
 
 def tiff_header(file: BinaryIO) -> tuple[tuple[int, int], int, int]:
-    """Stored width and height in pixels, EXIF orientation or 1, bits a channel, of the photograph.
+    """Stored width and height in pixels, EXIF orientation or 1, and bits per channel of the photograph.
 
     Raises:
-        UnusualTiffError: it holds something else than one photograph.
-        Exception: it is damaged; tifffile raises anything.
+        UnusualTiffError: it contains something other than one photograph.
+        Exception: it is damaged; tifffile may raise any exception.
     """
     with _photograph(file) as page:
         tag = page.tags.get(_ORIENTATION) or page.parent.pages.first.tags.get(_ORIENTATION)
@@ -62,11 +59,11 @@ def tiff_is_truncated(file: BinaryIO) -> bool:
     """Whether the file ends before its pixels do.
 
     Raises:
-        Exception: it is damaged; tifffile raises anything.
+        Exception: it is damaged; tifffile may raise any exception.
     """
     with _photograph(file) as page:
         if len(page.dataoffsets) != len(page.databytecounts):
-            raise ValueError("another number of offsets than of lengths")
+            raise ValueError("different numbers of offsets and lengths")
         ends = [start + length for start, length in zip(page.dataoffsets, page.databytecounts, strict=True)]
         return max(ends, default=0) > page.parent.filehandle.size
 
@@ -77,9 +74,9 @@ def tiff_pixels(file: BinaryIO) -> Array:
     Planes, tiles, compressions, palettes, inverted grey and inks (CMYK) become grey or RGB; transparency is dropped.
 
     Raises:
-        UnusualTiffError: it is coded in a way that is none of these.
+        UnusualTiffError: it has another coding.
         DamagedTiffError, DamagedJpegError: its pixels are damaged.
-        Exception: it is damaged in another way; tifffile raises anything.
+        Exception: it is damaged in another way; tifffile may raise any exception.
     """
     with _photograph(file) as page:
         coding = getattr(page.photometric, "name", "")
@@ -87,17 +84,17 @@ def tiff_pixels(file: BinaryIO) -> Array:
         if samples is None or (coding == "YCBCR" and page.compression not in _JPEG):
             raise UnusualTiffError(f"colours coded as {coding or page.photometric}")
         if page.dtype is None or page.dtype.kind != "u":
-            raise UnusualTiffError("pixels that are not whole numbers from 0 up")
+            raise UnusualTiffError("pixels that are not unsigned integers")
         layouts = _check_parts(page)
         pixels = page.asarray()
         if page.planarconfig == _PLANES and page.samplesperpixel > 1:
             pixels = np.moveaxis(pixels, 0, -1)
         pixels = pixels.reshape(page.imagelength, page.imagewidth, -1)[..., :samples]
         if page.compression == _PLAIN and _has_hole(pixels):
-            raise DamagedTiffError("a stretch of its pixels is blank")
+            raise DamagedTiffError("a part of its pixels is blank")
         for index, layout in enumerate(layouts if not page.is_tiled and page.planarconfig != _PLANES else ()):
             if has_seam(pixels[index * page.rowsperstrip : (index + 1) * page.rowsperstrip].squeeze(), layout):
-                raise DamagedTiffError("its brightness changes from one row of blocks to the next")
+                raise DamagedTiffError("its brightness jumps between rows of blocks")
         if coding == "PALETTE":
             assert page.colormap is not None
             return np.asarray((page.colormap >> 8).astype(np.uint8).T[pixels[..., 0]])
@@ -112,21 +109,21 @@ def tiff_pixels(file: BinaryIO) -> Array:
 
 @contextmanager
 def _photograph(file: BinaryIO) -> Iterator[TiffPage]:
-    """The page that is the photograph, at its full size."""
+    """The page of the photograph at full size."""
     import tifffile
 
-    logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # a damaged file is refused by us, in one sentence
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # our own error reports damaged files
     with tifffile.TiffFile(file) as tiff:
         page = _full_page([*_pages(tiff.pages)])
         if getattr(page.photometric, "name", "") in _RAW:
-            raise UnusualTiffError("a camera's raw picture, such as DNG or NEF")
+            raise UnusualTiffError("a camera's raw image, such as DNG or NEF")
         if page.samplesperpixel > _MOST_SAMPLES or page.imagedepth != 1:
             raise UnusualTiffError(f"{page.samplesperpixel} channels in {page.imagedepth} layers")
         yield page
 
 
 def _pages(series: object) -> Iterator[TiffPage]:
-    """All pages, each followed by its sub-pages, in which some programs keep the photograph of a thumbnail."""
+    """All pages, each followed by its sub-pages: some programs store the photograph as a sub-page of a thumbnail."""
     for page in islice(series, _MOST_PAGES + 1):  # type: ignore[call-overload]
         yield page
         if page.subifds:
@@ -134,10 +131,10 @@ def _pages(series: object) -> Iterator[TiffPage]:
 
 
 def _full_page(pages: list[TiffPage]) -> TiffPage:
-    """The largest page that is neither a smaller copy nor a mask.
+    """The largest page that is neither a reduced copy nor a mask.
 
     Raises:
-        UnusualTiffError: there are several as large.
+        UnusualTiffError: there are several of that size.
     """
     if len(pages) > _MOST_PAGES:
         raise UnusualTiffError(f"more than {_MOST_PAGES} pages")
@@ -147,18 +144,18 @@ def _full_page(pages: list[TiffPage]) -> TiffPage:
     sizes = [page.imagewidth * page.imagelength for page in full]
     largest = [page for page, size in zip(full, sizes, strict=True) if size == max(sizes)]
     if len(largest) != 1:
-        raise UnusualTiffError(f"{len(largest)} pages of the same size" if largest else "smaller copies alone")
+        raise UnusualTiffError(f"{len(largest)} pages of the same size" if largest else "only reduced copies")
     return largest[0]
 
 
 def _check_parts(page: TiffPage) -> list[Layout]:
-    """Require each strip or tile to hold as many pixels as it must, where its compression has no checksum.
+    """Require strips or tiles of the right length, if the compression has no checksum.
 
     Returns:
         Layout of each part that is a JPEG.
 
     Raises:
-        DamagedTiffError, DamagedJpegError: one does not.
+        DamagedTiffError, DamagedJpegError: one is damaged.
     """
     if page.compression not in (*_JPEG, _LZW, _PACKBITS):
         return []
@@ -181,7 +178,7 @@ def _parts(page: TiffPage) -> Iterator[bytes]:
 
 
 def _part_bytes(page: TiffPage, index: int) -> tuple[int, ...]:
-    """Lengths that a strip or tile may have when it is decoded, bytes. The last strip may be filled up."""
+    """Possible lengths of a decoded strip or tile, bytes. The last strip may be padded."""
     assert page.dtype is not None
     samples = 1 if page.planarconfig == _PLANES else page.samplesperpixel
     if page.is_tiled:
@@ -191,15 +188,15 @@ def _part_bytes(page: TiffPage, index: int) -> tuple[int, ...]:
     return tuple(count * page.imagewidth * samples * page.dtype.itemsize for count in (rows, page.rowsperstrip))
 
 
-_HOLE_BYTES = 512  # shortest hole that is looked for: a disk's sector
-_FEW = 0.05  # share of a hole's surroundings that may be zero
-_LEAST_STEP = 16  # grey levels of 255 by which a hole's surroundings differ from it
+_HOLE_BYTES = 512  # shortest hole that is found: a disk sector
+_FEW = 0.05  # largest share of zeros around a hole
+_LEAST_STEP = 16  # smallest difference of a hole's surroundings, of 255 grey levels
 
 
 def _has_hole(pixels: Array) -> bool:
-    """Whether zeros were written into pixels that lie row after row.
+    """Whether zeros were written into uncompressed pixels.
 
-    A hole begins or ends within a row, is dark, and the rows directly above and below it are not: no lens draws that.
+    A hole begins or ends within a row and is dark, while the rows directly above and below are not. No scene looks so.
 
     Args:
         pixels: (h, w, c), as stored.

@@ -1,1 +1,1 @@
-"""Results on disk: products, their records, and how each is written."""
+"""Results on disk: products, their records and file formats."""

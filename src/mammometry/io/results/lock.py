@@ -1,4 +1,4 @@
-"""One run at a time in a results folder. This holds on every system and on network drives."""
+"""One run at a time per results folder, on every system and on network drives."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ if TYPE_CHECKING:
 
 LOCK, MARKER, HOLDER = ".lock", ".lock-marker", ".lock-holder"
 _KNOWS_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL)
-_MARKER_TIMEOUT_S = 3.0  # filelock needs two seconds to be sure that a damaged marker is nobody's
-_CLOCK_S = 2.0  # the note has whole seconds, and the system counts a process's start in clock ticks
+_MARKER_TIMEOUT_S = 3.0  # filelock needs 2 s to recognise a damaged lock file as stale
+_CLOCK_S = 2.0  # the note has whole seconds, and process start times are rounded to clock ticks
 _HOST = re.compile(r"[\w.-]{1,253}")
 
 
 class RunLock:
     """The system's lock on a file.
 
-    Where the disk knows no locks, a marker file that names process and host. The system lifts its own lock however a
-    run ends. A marker stays when a run is killed: it is removed when its process was on this computer and is gone.
+    The lock is released when its process dies. On disks without locks a marker file names process and host. It is
+    removed
+    if its process was on this computer and has died.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -38,10 +39,10 @@ class RunLock:
         self._lock: BaseFileLock | None = None
 
     def take(self) -> None:
-        """Take it, without waiting for another run.
+        """Take the lock, without waiting for another run.
 
         Raises:
-            StorageError: another run has it, or the folder may not be written to.
+            StorageError: another run holds it, or the folder cannot be written to.
         """
         from filelock import FileLock, SoftFileLock, Timeout
 
@@ -67,11 +68,11 @@ class RunLock:
                 except Timeout:
                     raise self._taken(marker) from None
         about = {"pid": os.getpid(), "host": platform.node(), "since": datetime.now(UTC).isoformat(timespec="seconds")}
-        with suppress(OSError):  # only for the message that another run shows
+        with suppress(OSError):  # only for another run's message
             write_new(self._folder / HOLDER, json.dumps(about).encode())
 
     def release(self) -> None:
-        """Let the next run have it."""
+        """Release the lock."""
         if self._lock is not None and self._lock.is_locked:
             with suppress(OSError):
                 (self._folder / HOLDER).unlink(missing_ok=True)
@@ -80,16 +81,16 @@ class RunLock:
     def _taken(self, lock: BaseFileLock) -> BusyError:
         remedy = "Wait for it to end, or stop it"
         if Path(lock.lock_file).name == MARKER:
-            remedy += f"; if it is gone, remove {MARKER} there"
+            remedy += f"; if it is no longer running, remove {MARKER} there"
         expected = "one run at a time in a session"
         holder = self.holder()
-        found = f"another run at work there{f' ({holder})' if holder else ''}"
+        found = f"another run in progress there{f' ({holder})' if holder else ''}"
         return BusyError(str(self._folder), found=found, expected=expected, remedy=remedy)
 
     def holder(self) -> str:
-        """Process, computer and start of the run in progress, by its note. Empty if there is none.
+        """Process, computer and start time of the run in progress, from its note. Empty if there is none.
 
-        Nothing is locked or written to find out.
+        Does not lock or write anything.
         """
         import psutil
 
@@ -98,7 +99,7 @@ class RunLock:
             pid, host, since = holder["pid"], holder["host"], datetime.fromisoformat(holder["since"])
             if not (isinstance(pid, int) and isinstance(host, str) and _HOST.fullmatch(host)):
                 return ""
-            # A later process may have the number of a run that was killed.
+            # Another process may have got the number of a killed run.
             alive = host != platform.node() or psutil.Process(pid).create_time() <= since.timestamp() + _CLOCK_S
         except psutil.NoSuchProcess:
             return ""
@@ -107,5 +108,5 @@ class RunLock:
         except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
             return ""
         if not alive:
-            return ""  # left by a run that was killed
+            return ""  # left over from a killed run
         return f"process {pid} on {host}, since {since.isoformat(sep=' ', timespec='seconds')}"

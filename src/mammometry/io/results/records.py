@@ -1,4 +1,4 @@
-"""Records in provenance.json, checked strictly: the folder may be foreign."""
+"""Records in provenance.json, checked strictly: the folder may be from elsewhere."""
 
 import os
 import re
@@ -21,17 +21,14 @@ from mammometry.job.products import STAGES, Key, Stage
 
 RECORDS = "provenance.json"
 READY_RECORD = "record.json"
-_FORMAT = 1  # version of a stage's record; another one is not read
+_FORMAT = 1  # version of a stage's record; others are not read
 _STRICT = ConfigDict(extra="forbid", strict=True, frozen=True)
 _PART = re.compile(r'[^.<>:"/\\|?*\x00-\x1f\x7f][^<>:"/\\|?*\x00-\x1f\x7f]*')
 _UNREADABLE = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)
 
 
 def _is_file_name(name: str) -> str:
-    """Whether a name is a plain file name, valid on every system.
-
-    Hidden names and those of the records themselves are refused.
-    """
+    """Whether a name is a plain file name that is valid on every system, not hidden and not that of a record."""
     parts = name.split("/")
     if not all(_PART.fullmatch(part) and part[-1] not in ". " for part in parts) or name.casefold() == RECORDS:
         raise ValueError("the name of a file inside the stage's folder")
@@ -45,7 +42,7 @@ Moment = Annotated[str, StringConstraints(pattern=r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\
 
 
 class FileRecord(BaseModel):
-    """One file of a product, as it was written."""
+    """One file of a product, as written."""
 
     model_config = _STRICT
 
@@ -54,27 +51,27 @@ class FileRecord(BaseModel):
 
 
 class Record(BaseModel):
-    """Sources of a product, and its files."""
+    """Inputs of a product, and its files."""
 
     model_config = _STRICT
 
     key: Digest
     subject: str | None = None
-    """Identifier of the result's subject. None if the session names none."""
+    """Identifier of the subject. None if the session names none."""
     version: int
     settings: dict[str, Any]
     inputs: dict[str, str]
     files: dict[FileName, FileRecord]
     """Path below the stage's folder, with ``/`` → the file."""
     made: Moment
-    """UTC. Later ones sort behind earlier ones."""
+    """Time, UTC. Sorts in order of time."""
     seconds: Annotated[float, Field(ge=0)]
-    """Wall time of the making, s."""
+    """Wall time of the computation, s."""
     software: dict[str, str]
 
 
 class Ready(BaseModel):
-    """A product that is written whole and not yet in place."""
+    """A product that is completely written but not yet in place."""
 
     model_config = _STRICT
 
@@ -84,7 +81,7 @@ class Ready(BaseModel):
 
     @model_validator(mode="after")
     def _key_fits(self) -> Self:
-        """Refuse versions, settings or inputs that another key was made of.
+        """Refuse versions, settings or inputs that do not belong to the key.
 
         Records of versions up to 1.0.0 have no other digest.
         """
@@ -102,18 +99,18 @@ class Ready(BaseModel):
 
 
 class StageRecords(NamedTuple):
-    """Contents of a stage's provenance.json."""
+    """Content of a stage's provenance.json."""
 
     records: dict[str, Record]
-    """Product → record of all that are valid."""
+    """Product → record, of all valid ones."""
     invalid: list[str]
-    """Names of the others; ``provenance.json`` itself where it cannot be read or is not as it was written."""
+    """Names of invalid ones; ``provenance.json`` itself if it cannot be read or was changed."""
     has_digest: bool
-    """Whether a digest of its own confirms it. Versions up to 1.0.0 wrote none."""
+    """Whether its own digest confirms it. Versions up to 1.0.0 wrote none."""
 
 
 def read_records(folder: Path) -> StageRecords:
-    """Read the records of a stage's folder. Without a file there are none."""
+    """Read the records of a stage's folder. Empty without a file."""
     try:
         if is_link(folder) or not is_plain(folder / RECORDS):
             return StageRecords({}, [RECORDS] if os.path.lexists(folder / RECORDS) else [], has_digest=False)
@@ -136,18 +133,18 @@ def read_records(folder: Path) -> StageRecords:
 
 
 def write_records(stage: str, records: dict[str, Record]) -> bytes:
-    """Content of the provenance.json of a stage."""
+    """Content of a stage's provenance.json."""
     products = {name: record.model_dump() for name, record in sorted(records.items())}
     return sealed({"format": _FORMAT, "stage": stage, "products": products})
 
 
 def write_ready(about: Ready) -> bytes:
-    """Content of the record of a product that is written whole."""
+    """Content of the record of a completely written product."""
     return sealed(about.model_dump())
 
 
 def read_ready(folder: Path) -> Ready | None:
-    """Read the record of a product that is written whole. None where there is no valid one."""
+    """Read the record of a completely written product. None if there is no valid one."""
     try:
         if not is_plain(folder / READY_RECORD):
             return None
@@ -157,7 +154,7 @@ def read_ready(folder: Path) -> Ready | None:
 
 
 def is_own_folder(folder: Path) -> bool:
-    """Whether a hidden folder has only our own files at its top."""
+    """Whether a hidden folder contains only our own files at its top level."""
     if is_link(folder) or not folder.is_dir():
         return False
     return all(
@@ -167,17 +164,17 @@ def is_own_folder(folder: Path) -> bool:
 
 
 def is_link(path: Path) -> bool:
-    """Whether a path is a symbolic link, or on Windows a junction."""
+    """Whether a path is a symbolic link, or a junction on Windows."""
     return path.is_symlink() or bool(getattr(os.path, "isjunction", lambda _: False)(path))
 
 
 def is_plain(path: Path) -> bool:
-    """Whether a path is a plain file: not a folder, link, pipe or device."""
+    """Whether a path is an ordinary file: not a folder, link, pipe or device."""
     return status(path) is not None
 
 
 def status(path: Path) -> os.stat_result | None:
-    """Size and times of a plain file. None where there is none."""
+    """Size and times of an ordinary file. None if there is none."""
     try:
         about = path.lstat()
     except (OSError, ValueError):
@@ -186,7 +183,7 @@ def status(path: Path) -> os.stat_result | None:
 
 
 def file_of(results: Path, stage: str, name: str) -> os.stat_result | None:
-    """Size and times of a product's file. None where it is missing, or is or lies behind a link."""
+    """Size and times of a product's file. None if it is missing, a link or below a link."""
     path = results / stage / name
     folders = [results / stage, *(results / stage / above for above in Path(name).parents)]
     return None if any(is_link(folder) for folder in folders) else status(path)

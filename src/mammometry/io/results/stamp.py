@@ -1,7 +1,7 @@
-"""Write the subject's identifier into finished files that have room for text.
+"""Write the subject's identifier into files whose format allows it.
 
-The store stamps whatever a stage wrote, so that no writer has to think of it. Pages and documents name the subject in
-their headings instead.
+The store does this for all files of a stage, so no writer has to. Pages and documents name the subject in their
+headings.
 """
 
 import json
@@ -14,15 +14,15 @@ from pathlib import Path
 
 import numpy as np
 
-_HEAD = 4096  # bytes of a mesh file, in which the line with its subject stands
+_HEAD = 4096  # bytes at the start of a mesh file that contain the subject's line
 _LINE = re.compile(rb"^(?:comment|#) subject ([^\r\n]+)", re.MULTILINE)
 
 
 def stamp_folder(folder: Path, subject: str | None) -> None:
-    """Stamp every file below a folder. Nothing where no subject is named.
+    """Stamp every file below a folder. Does nothing if no subject is named.
 
     Raises:
-        OSError: the disk refuses.
+        OSError: the disk reports an error.
     """
     for path in sorted(folder.rglob("*")) if subject is not None else ():
         assert subject is not None
@@ -33,16 +33,13 @@ def stamp_folder(folder: Path, subject: str | None) -> None:
 
 
 def stamped(name: str, data: bytes, subject: str | None) -> bytes:
-    """Content of a small file with the subject in it.
-
-    Unchanged if no subject is named or the format has no room.
-    """
+    """Content of a small file with the subject added. Unchanged without a subject or a place for it."""
     inside = _INSIDE.get(Path(name).suffix)
     return data if subject is None or inside is None else inside(data, subject)
 
 
 def subject_of_mesh(path: Path) -> str | None:
-    """Subject that a PLY, OBJ or GLB of ours carries. None where it carries none, or cannot be read."""
+    """Subject in a PLY, OBJ or GLB of ours. None if there is none or it cannot be read."""
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD)
@@ -59,7 +56,7 @@ def subject_of_mesh(path: Path) -> str | None:
 
 def _json(data: bytes, subject: str) -> bytes:
     table = json.loads(data)
-    if not isinstance(table, dict):  # a plain list has no room for it
+    if not isinstance(table, dict):  # a plain list has no place for it
         return data
     first = {name: table[name] for name in ("format",) if name in table}
     text = json.dumps({**first, "subject": subject, **table, **{"subject": subject}}, indent=1, ensure_ascii=False)
@@ -67,7 +64,7 @@ def _json(data: bytes, subject: str) -> bytes:
 
 
 def _ply(data: bytes, subject: str) -> bytes:
-    """A comment after the format line."""
+    """Add a comment after the format line."""
     at = data.index(b"\n", data.index(b"\nformat ") + 1) + 1
     return data[:at] + f"comment subject {subject}\n".encode() + data[at:]
 
@@ -77,10 +74,7 @@ def _lines(data: bytes, subject: str) -> bytes:
 
 
 def _glb(data: bytes, subject: str) -> bytes:
-    """``asset.extras.subject`` in the JSON chunk of a GLB.
-
-    That chunk is the first, and padded to four bytes with blanks.
-    """
+    """Set ``asset.extras.subject`` in the JSON chunk, the first of a GLB, padded to four bytes with spaces."""
     (length,) = struct.unpack_from("<I", data, 12)
     table = json.loads(data[20 : 20 + length])
     table["asset"]["extras"] = {**table["asset"].get("extras", {}), "subject": subject}
@@ -91,7 +85,7 @@ def _glb(data: bytes, subject: str) -> bytes:
 
 
 def _png(data: bytes, subject: str) -> bytes:
-    """An iTXt chunk named Subject after the header chunk. Pixels are not touched."""
+    """Add an iTXt chunk named Subject after the header chunk. Pixels are unchanged."""
     chunk = b"iTXt" + b"Subject\0\0\0\0\0" + subject.encode()
     whole = struct.pack(">I", len(chunk) - 4) + chunk + struct.pack(">I", zlib.crc32(chunk))
     at = 8 + 25  # signature, IHDR
@@ -99,14 +93,14 @@ def _png(data: bytes, subject: str) -> bytes:
 
 
 def _jpeg(data: bytes, subject: str) -> bytes:
-    """A comment segment after JFIF's own."""
+    """Add a comment segment after JFIF's."""
     at = 4 + int.from_bytes(data[4:6], "big") if data[2:4] == b"\xff\xe0" else 2
     text = f"subject {subject}".encode()
     return data[:at] + b"\xff\xfe" + (len(text) + 2).to_bytes(2, "big") + text + data[at:]
 
 
 def _tiff(path: Path, subject: str) -> None:
-    """A member of the JSON in the first page's ImageDescription."""
+    """Add a member to the JSON in the first page's ImageDescription."""
     import tifffile
 
     with tifffile.TiffFile(path) as tiff:
@@ -115,7 +109,7 @@ def _tiff(path: Path, subject: str) -> None:
 
 
 def _npz(path: Path, subject: str) -> None:
-    """An array named subject: the identifier's UTF-8."""
+    """Add an array named subject: the identifier in UTF-8."""
     with zipfile.ZipFile(path, "a") as archive, archive.open("subject.npy", "w") as member:
         np.lib.format.write_array(member, np.frombuffer(subject.encode(), dtype=np.uint8), allow_pickle=False)
 
@@ -131,4 +125,4 @@ _INSIDE: Mapping[str, Callable[[bytes, str], bytes]] = {
     ".jpg": _jpeg,
 }
 _IN_PLACE: Mapping[str, Callable[[Path, str], None]] = {".tif": _tiff, ".npz": _npz}
-"""Large files, to which the identifier is added without reading them whole."""
+"""Large files, to which the identifier is added without reading all of them."""

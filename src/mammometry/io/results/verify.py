@@ -1,4 +1,4 @@
-"""Verify that every byte of a results folder is as it was written. Changes nothing."""
+"""Verify that all files of a results folder are as written. Changes nothing."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -25,65 +25,65 @@ from mammometry.io.write import file_digest
 from mammometry.job.products import STAGES
 
 BATCH = "batch.json"
-"""Record of a batch, in the results folder."""
-_NOT_RESULTS = (LOCK, WRITING, READY, ASIDE)  # locks; what an interrupted run left is listed by itself
+"""Record of a batch in the results folder."""
+_NOT_RESULTS = (LOCK, WRITING, READY, ASIDE)  # locks; the rest of an interrupted run is listed separately
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Damage:
-    """One file that is not as it was written."""
+    """A file that is not as written."""
 
     stage: str | None
-    """None: it belongs to no stage, such as a page for others."""
+    """Stage. None: not of a stage, such as a page for others."""
     product: str | None
-    """None: it belongs to no product, such as the stage's record of all its products."""
+    """Product. None: not of a product, such as a stage's record."""
     file: str
-    """Path below the results folder, or below the session of what is not a result."""
+    """Path below the results folder, or below the session if it is not a result."""
     found: str
-    """What was found, in words."""
+    """What was found, as text."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Findings:
-    """Result of a check of all files."""
+    """Result of checking all files."""
 
     products: int
     files: int
-    """Files of products, and of commands that keep a record of what they wrote."""
+    """Number of files of products, and of commands that record what they wrote."""
     outputs: tuple[str, ...]
-    """Those of them that commands wrote: paths below the session, or below the results."""
+    """Those written by commands: paths below the session or the results."""
     bytes: int
-    """Bytes that are as they were written."""
+    """Number of bytes that are as written."""
     damaged: tuple[Damage, ...]
     unrecorded: tuple[str, ...]
-    """Files in the results folder that no record names."""
+    """Files in the results folder that are in no record."""
     leftovers: tuple[str, ...]
-    """What an interrupted run has left, and what was set aside."""
+    """Remains of an interrupted run, and files that were set aside."""
     without_digest: tuple[str, ...]
-    """Records without a digest of their own, as versions up to 1.0.0 wrote them: their times are not checked."""
+    """Records without their own digest, from versions up to 1.0.0: their times are not checked."""
 
 
 def results_in(folder: Path) -> Path:
-    """Results folder of a session or a scan. Another folder that a command wrote to is one itself.
+    """Results folder of a session or a scan. Any other folder that a command wrote to is returned itself.
 
     Raises:
-        SessionError: it holds neither.
+        SessionError: it contains neither.
     """
     if can_be_opened(folder):
         return results_of(folder)
     if (folder / RECORD).is_file() or any((folder / stage).is_dir() for stage in STAGES):
         return folder
-    remedy = "Name the folder that `mammometry run` or another command has written to"
-    expected = "a session, a scan, or the folder of a measured mesh or of what another command wrote"
+    remedy = "Name the folder that `mammometry run` or another command wrote to"
+    expected = "a session, a scan, or the output folder of a command"
     raise SessionError(str(folder), found="no results", expected=expected, remedy=remedy)
 
 
 def verify(results: Path, session: Path | None = None) -> Findings:
-    """Compare all recorded files on the disk with their records.
+    """Compare all recorded files with their records.
 
     Args:
         results: folder of the stages.
-        session: its session or scan, whose other folders are checked as well where a command keeps a record there.
+        session: its session or scan, whose other folders are checked too if a command keeps a record there.
     """
     read = {stage: read_records(results / stage) for stage in STAGES}
     files = [
@@ -128,7 +128,7 @@ def verify(results: Path, session: Path | None = None) -> Findings:
 
 
 class _Others(NamedTuple):
-    """Check files that no stage wrote, by their own records."""
+    """Files that no stage wrote, checked by their own records."""
 
     whole: Mapping[str, int]
     """File → its bytes."""
@@ -155,11 +155,11 @@ def _others(results: Path, session: Path | None) -> _Others:
         for name, about in written.items():
             path = folder / name
             if status(path) is None:
-                continue  # removed, or withdrawn by the command itself
+                continue  # removed, possibly by the command itself
             if file_digest(path) in about.sha256:
                 whole[_named(path, results, root)] = path.stat().st_size
             else:
-                found = f"other bytes than `mammometry {about.command}` wrote"
+                found = f"a file that was changed since `mammometry {about.command}` wrote it"
                 damaged.append(Damage(stage=None, product=None, file=_named(path, results, root), found=found))
     batch = results / BATCH
     if is_plain(batch):
@@ -178,12 +178,12 @@ def _is_below_link(path: Path, root: Path) -> bool:
 
 
 def _named(path: Path, results: Path, root: Path) -> str:
-    """Path below the results, or below the session where it is not in the results."""
+    """Path below the results, or otherwise below the session."""
     return shown(path.relative_to(results if path.is_relative_to(results) else root).as_posix())
 
 
 def _half_in_place(results: Path, names: Iterable[str]) -> Mapping[str, set[str]]:
-    """Files by stage that an interrupted run was moving into place. The next run goes on with them."""
+    """Files by stage that an interrupted run was moving into place. The next run continues with them."""
     moving: dict[str, set[str]] = {stage: set() for stage in STAGES}
     for name in names:
         about = read_ready(results / name) if name.startswith(READY) else None
@@ -203,16 +203,16 @@ def _damage(results: Path, stage: str, name: str, written: FileRecord) -> str | 
     if path is None:
         return "no such file"
     if path.st_size != written.bytes:
-        return f"{path.st_size} bytes where {written.bytes} were written"
+        return f"{path.st_size} bytes instead of {written.bytes}"
     try:
         digest = file_digest(results / stage / name)
     except OSError as error:
         return f"a file that cannot be read ({error.strerror})"
-    return None if digest == written.sha256 else "other bytes than were written"
+    return None if digest == written.sha256 else "a file that was changed since it was written"
 
 
 def _files(folder: Path) -> Iterator[str]:
-    """Files below a folder. Locks and what begins with another run's names are left out at its top."""
+    """Files below a folder, without locks and hidden working folders at its top level."""
     for path in folder.rglob("*") if folder.is_dir() and not is_link(folder) else ():
         below = path.relative_to(folder)
         if (is_link(path) or not path.is_dir()) and not below.parts[0].startswith(_NOT_RESULTS):
@@ -220,5 +220,5 @@ def _files(folder: Path) -> Iterator[str]:
 
 
 def shown(name: str) -> str:
-    """A name from the disk as printable text. Control characters and lone surrogates are replaced."""
+    """A file name as printable text: control characters and lone surrogates are replaced."""
     return "".join(letter if letter.isprintable() else "?" for letter in name)

@@ -143,14 +143,14 @@ def strands(
     cameras: CameraSet, range_images: Mapping[str, RangeImage], *, job: Context
 ) -> Mapping[str, Bool[Array, "h w"]]:
     """Pair → data that show hair, straps or cords before a torso's skin."""
-    from mammometry.base.machine.cores import each_at_once
+    from mammometry.base.machine.cores import map_in_threads
     from mammometry.surface.ranges.strands import strands_in
 
     def found(name: str) -> Bool[Array, "h w"]:
         left, _ = cameras.rig.pair_names[name]
         return strands_in(range_images[name], job.inputs.photographs[left], cameras.rig.cameras[left])
 
-    return dict(zip(range_images, each_at_once(found, list(range_images)), strict=True))
+    return dict(zip(range_images, map_in_threads(found, list(range_images)), strict=True))
 
 
 @product("surface", version=1, name="data", stored=False, large=True)

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mammometry.base.machine.cores import each_at_once
+from mammometry.base.machine.cores import map_in_threads
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Camera, Float32, Float64, Int64, Rig, mesh_kernels
 from mammometry.geometry.nearest import point_tree
@@ -124,7 +124,7 @@ def _silhouettes(foregrounds: Mapping[str, Foreground], rig: Rig) -> list[Silhou
             doubt_px=np.hypot(SILHOUETTE_DOUBT_PX, SILHOUETTE_DOUBT_SLOPE * traced.lost_px),
         )
 
-    return [found for found in each_at_once(silhouette, known) if len(found.outline_uv)]
+    return [found for found in map_in_threads(silhouette, known) if len(found.outline_uv)]
 
 
 def outward_room_mm(

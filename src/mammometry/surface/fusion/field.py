@@ -13,7 +13,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from scipy import ndimage
 
-from mammometry.base.machine.cores import each_at_once, in_bands
+from mammometry.base.machine.cores import in_bands, map_in_threads
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Camera, Float32, Float64, Rig, mesh_kernels
 from mammometry.matching.foreground.contour import follow
@@ -152,14 +152,14 @@ def build_field(
         rows = view_elements(image, left, foregrounds.get(left.name), others_mm)
         elements[starts[number] : starts[number + 1]] = rows.reshape(-1, 3)
 
-    each_at_once(fill, range(len(range_images)))
+    map_in_threads(fill, range(len(range_images)))
     outlined = {
         name: foreground
         for name, foreground in foregrounds.items()
         if not foreground.everything and foreground.mask.any()
     }
     steps = {name: _silhouette_step(rig.cameras[name], range_images) for name in outlined}
-    distances = each_at_once(
+    distances = map_in_threads(
         lambda name: silhouette_distance_px(outlined[name], steps[name], LOST_SLOPE), list(outlined)
     )
     starts_of_lines = np.cumsum([0, *(distance_map.size for distance_map in distances)])

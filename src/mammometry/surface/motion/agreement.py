@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mammometry.base.machine.cores import each_at_once
+from mammometry.base.machine.cores import map_in_threads
 from mammometry.base.value import value
 from mammometry.geometry import Array, Camera, Float64, Int64
 from mammometry.matching.dense.match import DisparityMap
@@ -70,8 +70,8 @@ def differences(range_images: Sequence[RangeImage], other_skin_mm: float = OTHER
         range_images: one for each pair.
         other_skin_mm: distance from which on two views are taken to see different skin.
     """
-    images = each_at_once(lambda image: _thinned(image.keeping(image.trust(TAPER_MM) > _INSIDE)), range_images)
-    normals = each_at_once(RangeImage.normals_camera, images)
+    images = map_in_threads(lambda image: _thinned(image.keeping(image.trust(TAPER_MM) > _INSIDE)), range_images)
+    normals = map_in_threads(RangeImage.normals_camera, images)
     found = []
     for a, image in enumerate(images):
         for b, other in enumerate(images[a + 1 :], start=a + 1):

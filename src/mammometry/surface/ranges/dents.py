@@ -13,7 +13,7 @@ import numpy as np
 from scipy import ndimage
 
 from mammometry.base.errors import SurfaceError
-from mammometry.base.machine.cores import each_at_once
+from mammometry.base.machine.cores import map_in_threads
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, to_step
 from mammometry.geometry.projection import projected
@@ -117,7 +117,7 @@ def remove_dents(
         ValueError: rule ``patch`` without patches.
         SurfaceError: no datum is left in any view; names the pairs.
     """
-    angles = tuple(each_at_once(lambda image: image.incidence_rad(settings.neighbourhood_mm), range_images))
+    angles = tuple(map_in_threads(lambda image: image.incidence_rad(settings.neighbourhood_mm), range_images))
     limit = np.radians(settings.angle_deg)
     if settings.rule == "none":
         kept = [image.valid.copy() for image in range_images]
@@ -130,9 +130,9 @@ def remove_dents(
             kept = [image.valid & (angle <= limit) for image, angle in zip(range_images, angles, strict=True)]
         if settings.drop_seen_through:
             facing = [image.keeping(keep) for image, keep in zip(range_images, kept, strict=True)]
-            through = each_at_once(lambda k: _seen_through(k, facing, angles), range(len(kept)))
+            through = map_in_threads(lambda k: _seen_through(k, facing, angles), range(len(kept)))
             kept = [keep & ~beside for keep, beside in zip(kept, through, strict=True)]
-        kept = each_at_once(_without_islands, kept)
+        kept = map_in_threads(_without_islands, kept)
     if not any(keep.any() for keep in kept):
         counts = ", ".join(f"{image.name} had {int(image.valid.sum())} data" for image in range_images)
         raise SurfaceError(

@@ -16,7 +16,7 @@ from enum import IntEnum
 import numpy as np
 
 from mammometry.base.errors import SurfaceError
-from mammometry.base.machine.cores import each_at_once, in_bands
+from mammometry.base.machine.cores import in_bands, map_in_threads
 from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
 from mammometry.surface.ranges import image_kernels
 from mammometry.surface.ranges.range_image import SIGMAS, RangeImage
@@ -125,7 +125,7 @@ def disagreement_mm(range_images: Sequence[RangeImage]) -> dict[tuple[str, str],
     Only where both face alike (20°). Its expected σ comes with it. Data that neither sees within 60° of its normal are
     left out; so are views with fewer than 500 common data.
     """
-    normals = each_at_once(RangeImage.normals_camera, range_images)
+    normals = map_in_threads(RangeImage.normals_camera, range_images)
     result: dict[tuple[str, str], tuple[float, float]] = {}
     for a, image in enumerate(range_images):
         for b, other in enumerate(range_images[a + 1 :], start=a + 1):

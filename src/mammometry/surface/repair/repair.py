@@ -8,7 +8,7 @@ import numpy as np
 from scipy import ndimage
 
 from mammometry.base.errors import SurfaceError
-from mammometry.base.machine.cores import each_at_once
+from mammometry.base.machine.cores import map_in_threads
 from mammometry.base.progress import Progress, no_progress
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Float32, Float64, Int32, TriangleMesh, UInt8, bounds
@@ -130,7 +130,7 @@ def _drawn_to_data(
     """
     graph = graph_of_mesh(initial)
     spacing = float(np.sqrt(2 * np.median(np.linalg.norm(initial.face_vectors(), axis=1))))  # of the fine cubes
-    views = each_at_once(lambda image: view_data(image, spacing, taper_mm=settings.taper_mm), valid.range_images)
+    views = map_in_threads(lambda image: view_data(image, spacing, taper_mm=settings.taper_mm), valid.range_images)
     displacement = np.zeros_like(initial.vertices)
     moves: list[float] = []
     progress(0.1)

@@ -1,4 +1,4 @@
-"""Finders of targets in photographs: a file a kind."""
+"""Finders of targets in photographs, one file per kind."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ def find(target: Target, photograph: Photograph, search_width_px: int) -> FoundP
     Args:
         target: of a kind that has a finder.
         photograph: of any size.
-        search_width_px: width of the reduced picture to search in.
+        search_width_px: width of the reduced image to search.
 
     Returns:
-        The points; why they cannot be used; or None where no target was found.
+        The points; the reason why they cannot be used; or None if no target was found.
 
     Raises:
-        SessionError: the target's description cannot be used.
+        SessionError: the target's description is invalid.
     """
     raise NotImplementedError(f"no finder is registered for {type(target).__name__}")
 
 
 @singledispatch
 def explain_miss(target: Target, small: UInt8[Array, "h w"]) -> Cause | None:
-    """Report what a reduced grey picture shows instead of the target, if visible."""
+    """Describe what a reduced grey image shows instead of the target, if visible."""
     return None
 
 

@@ -1,4 +1,4 @@
-"""Find ChArUco boards by their markers, measure their corners, or say which board the markers lie on."""
+"""Find ChArUco boards by their markers and measure their corners, or name the board that they fit."""
 
 from __future__ import annotations
 
@@ -18,27 +18,28 @@ from mammometry.calibration.targets.kinds.charuco import CharucoTarget, charuco_
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, UInt8
 
 FITTING_SHARE = 0.9
-"""Share of the markers that lie as their board has them. On a board of the other pattern it is a half."""
+"""Smallest share of markers that are placed as on their board. On a board of the other pattern it is a half."""
 TOLERANCE_SQUARES = 0.35
-"""Distance of a marker's corner from its place, squares. Lenses bend boards by less, other boards by one square."""
+"""Largest distance of a marker's corner from its place, squares. Lens distortion is smaller, other boards differ by
+one."""
 _COLUMNS = range(3, 41)
-"""Numbers of columns that are tried."""
+"""Numbers of columns to test."""
 _LEAST_ROWS = 3
-"""Rows of markers that tell boards apart: two may slide along one another as a board that is seen aslant."""
+"""Rows of markers that distinguish boards: two rows may also fit a shifted, tilted board."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SeenMarkers:
-    """Markers of one picture."""
+    """Markers in one image."""
 
     ids: Int64[Array, " m"]
-    """Their numbers. Repetitions are included."""
+    """Their numbers, possibly repeated."""
     corners: Float64[Array, "m 4 2"]
     """Their corners clockwise from the top left one, px."""
 
     @classmethod
     def of(cls, corners: Sequence[Array], ids: Array | None) -> SeenMarkers:
-        """Return what OpenCV's detector found."""
+        """Convert the output of OpenCV's detector."""
         numbers = np.zeros(0, np.int64) if ids is None else np.ravel(ids).astype(np.int64)
         return cls(ids=numbers, corners=np.array([np.ravel(four) for four in corners], np.float64).reshape(-1, 4, 2))
 
@@ -61,10 +62,10 @@ class MarkerLayout:
         return np.stack([column, 2 * rows + lower], axis=1)
 
     def fitting_share(self, seen: SeenMarkers, marker_squares: float) -> float:
-        """Share of the markers that lie as this board has them.
+        """Share of the markers that are placed as on this board.
 
         Args:
-            seen: markers of the picture, four at least.
+            seen: at least four markers of the image.
             marker_squares: side of a marker, squares.
         """
         corners = 0.5 + marker_squares * np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
@@ -78,9 +79,9 @@ class MarkerLayout:
 def layout_of(
     seen: SeenMarkers, marker_squares: float, likely_columns: Sequence[int]
 ) -> tuple[MarkerLayout, int] | None:
-    """Find the board that the markers lie as on, and its rows down to the last marker.
+    """Find the board whose layout the markers have, and its rows down to the last marker.
 
-    None where they lie as on no board, or are too few to tell.
+    None if no board fits or there are too few markers.
 
     Args:
         seen: markers of the picture.
@@ -97,15 +98,15 @@ def layout_of(
 
 
 DOUBLED_MARKERS = 4
-"""Markers seen twice above which two boards are in view, so that neither can be chosen."""
+"""More markers seen twice mean that two boards are in view, and neither can be chosen."""
 _BLUR_MARGIN_PX = 2.5
-"""Width of a marker's blurred rim, left out with it."""
+"""Width of a marker's blurred edge, excluded with it."""
 _NEARLY_ALL = 0.95
-"""Share of the markers inside the picture that one threshold must find. Chosen by eye."""
+"""Share of the markers inside the image that one threshold must find."""
 _FEWEST_MARKERS = 8
-"""Fewest markers from which it is judged whether all were found. Chosen by eye."""
+"""Fewest markers for testing whether all were found."""
 _RATIO_OFF = 0.05
-"""Share by which markers may differ from their stated size: printers and rulers err by 2 % of a marker at most."""
+"""Largest relative difference of markers from their stated size: printers and rulers err by at most 2 %."""
 
 
 def _one_threshold() -> cv2.aruco.DetectorParameters:
@@ -120,12 +121,10 @@ _ONE_THRESHOLD = _one_threshold()
 
 
 def find_charuco(target: CharucoTarget, photograph: Photograph, search_width_px: int) -> FoundPoints | Cause | None:
-    """Find the chess corners that can be trusted.
-
-    None where no board is seen, the cause where it is another.
+    """Find the reliable chess corners. None if no board is seen, a cause if it is another board.
 
     Raises:
-        SessionError: no dictionary of the target's name.
+        SessionError: unknown dictionary.
     """
     small, scale = reduced(grey_bytes(photograph), search_width_px)
     seen = _search(small, charuco_board(target))
@@ -140,7 +139,7 @@ def find_charuco(target: CharucoTarget, photograph: Photograph, search_width_px:
     board_map, used = found
     off_mm = np.linalg.norm(board_map.board(uv) - board_mm, axis=1)
     if (off_mm < TOLERANCE_SQUARES * target.square_mm).mean() < FITTING_SHARE:
-        return None  # on a board of the other pattern every second row fits
+        return None  # every second row of a board of the other pattern fits
     linear = linear_luma(photograph)
     markers_mm = board_mm[:markers].reshape(-1, 4, 2).mean(axis=1)
     if cause := _about_marker_size(linear, board_map, markers_mm, target):
@@ -161,10 +160,10 @@ def find_charuco(target: CharucoTarget, photograph: Photograph, search_width_px:
 def _search(
     small: UInt8[Array, "h w"], board: cv2.aruco.CharucoBoard
 ) -> tuple[Float64[Array, "n 2"], Float64[Array, "n 2"], int] | None:
-    """Points of the board, mm, reduced pixels, and number of marker corners.
+    """Points of the board, mm, in the reduced image, px, and the number of marker corners, which come first.
 
-    Marker corners come first. One threshold finds nearly all markers of an even picture in half the time; where some
-    that should be in the picture are missing, the others are tried as well.
+    One threshold finds nearly all markers of an evenly lit image in half the time. If markers are missing, the other
+    thresholds are used too.
     """
     corners, ids, markers, marker_ids = _detected(small, board, _ONE_THRESHOLD)
     if not _is_complete(markers, marker_ids, board, small.shape):
@@ -197,7 +196,7 @@ def _detected(
 def _is_complete(
     markers: Sequence[Array], marker_ids: Array | None, board: cv2.aruco.CharucoBoard, shape_hw: tuple[int, ...]
 ) -> bool:
-    """Whether nearly all of the board's markers that lie within the picture were found."""
+    """Whether nearly all of the board's markers inside the image were found."""
     places = {int(number): place for place, number in enumerate(np.ravel(board.getIds()))}
     numbers = [] if marker_ids is None else [int(number) for number in np.ravel(marker_ids)]
     known = [k for k, number in enumerate(numbers) if number in places]
@@ -206,7 +205,7 @@ def _is_complete(
     centres_mm = np.asarray(board.getObjPoints(), np.float64).mean(axis=1)[:, :2]
     seen_px = np.array([np.asarray(markers[k], np.float64).reshape(4, 2).mean(axis=0) for k in known])
     picture_from_board, _ = cv2.findHomography(centres_mm[[places[numbers[k]] for k in known]], seen_px, cv2.LMEDS)
-    if picture_from_board is None:  # OpenCV says so of points in a line, its types do not
+    if picture_from_board is None:  # for points on a line, contrary to OpenCV's types
         return False  # type: ignore[unreachable]
     expected = cv2.perspectiveTransform(centres_mm.reshape(-1, 1, 2), picture_from_board).reshape(-1, 2)
     inside = ((expected > 0) & (expected < np.array(shape_hw[::-1]))).all(axis=1)
@@ -231,7 +230,7 @@ def _bright_before_corners(target: CharucoTarget) -> Bool[Array, " n"]:
 
 
 _MIN_MARKERS = 4
-"""Fewest markers taken for a board: fewer are found in any texture."""
+"""Fewest markers that count as a board: textures contain a few."""
 _DICTIONARIES = (
     "DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_APRILTAG_36h11", "DICT_APRILTAG_25h9",
     "DICT_ARUCO_MIP_36h12", "DICT_ARUCO_ORIGINAL",
@@ -244,7 +243,7 @@ _MOST_MARKERS = 300
 
 
 def explain_missed_charuco(target: CharucoTarget, small: UInt8[Array, "h w"]) -> Cause | None:
-    """Report what a reduced grey picture's markers say, and which description would fit."""
+    """Describe the board of a reduced grey image's markers, and the settings that would fit."""
     seen, shapes = _markers(small, target.dictionary)
     if len(seen.ids) >= _MIN_MARKERS:
         return _doubled(seen) or _about_layout(seen, target, target.dictionary)
@@ -252,14 +251,14 @@ def explain_missed_charuco(target: CharucoTarget, small: UInt8[Array, "h w"]) ->
         return None
     if len(_markers(np.ascontiguousarray(small[:, ::-1]), target.dictionary)[0].ids) >= _MIN_MARKERS:
         return Cause(
-            found="a mirrored board, whose markers are seen only in the picture's mirror image",
+            found="a mirrored board: its markers are found only in the mirrored image",
             remedy="Export the photographs without flipping them, and photograph the board itself, not its reflection. "
             "If nothing was flipped, the board was printed mirrored: print it again",
         )
     if len(seen.ids):
         return Cause(
-            found=f"{len(seen.ids)} markers of {target.dictionary}, too few to place the board",
-            remedy="Have more of the board in the picture, larger, or less aslant",
+            found=f"{len(seen.ids)} markers of {target.dictionary}, too few to locate the board",
+            remedy="Show more of the board, larger or less tilted",
         )
     for name in _DICTIONARIES:
         others, _ = _markers(small, name)
@@ -269,7 +268,7 @@ def explain_missed_charuco(target: CharucoTarget, small: UInt8[Array, "h w"]) ->
 
 
 def _markers(small: UInt8[Array, "h w"], dictionary: str) -> tuple[SeenMarkers, int]:
-    """Markers in the picture, and number of readable squares."""
+    """Markers in the image, and number of readable squares."""
     every = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
     known = cv2.aruco.Dictionary(every.bytesList[:_MOST_MARKERS].copy(), every.markerSize, every.maxCorrectionBits)
     corners, ids, rejected = cv2.aruco.ArucoDetector(known).detectMarkers(small)
@@ -281,13 +280,13 @@ def _doubled(seen: SeenMarkers) -> Cause | None:
     if twice < DOUBLED_MARKERS:
         return None
     return Cause(
-        found=f"{twice} markers twice: two boards in view, or a board and its mirror image",
-        remedy="Have one board in the picture only, and cover what mirrors it",
+        found=f"{twice} duplicate markers: two boards in view, or a board and its reflection",
+        remedy="Show only one board, and cover reflecting surfaces",
     )
 
 
 def _about_layout(seen: SeenMarkers, target: CharucoTarget, dictionary: str) -> Cause:
-    """Say which description the markers fit, if any."""
+    """Name the description that the markers fit, if any."""
     columns, rows = target.squares
     starts_bright = target.legacy_pattern and rows % 2 == 0
     marker_squares = target.marker_mm / target.square_mm
@@ -295,21 +294,21 @@ def _about_layout(seen: SeenMarkers, target: CharucoTarget, dictionary: str) -> 
         own = MarkerLayout(columns=columns, starts_bright=starts_bright)
         if own.fitting_share(seen, marker_squares) >= FITTING_SHARE:
             return Cause(
-                found=f"{len(seen.ids)} markers of the board, but too few corners beside them",
-                remedy="Have more of the board in the picture, flat and sharp",
+                found=f"{len(seen.ids)} markers of the board, but too few corners",
+                remedy="Show more of the board, flat and in focus",
             )
     fitting = layout_of(seen, marker_squares, (columns, rows, columns + 1, columns - 1))
     if fitting is None:
         other = "" if dictionary == target.dictionary else f" of another dictionary ({dictionary.rpartition('_')[0]}…)"
         return Cause(
-            found=f"markers{other} that do not lie as on a board of {columns} × {rows} squares",
-            remedy="Compare [target] (squares, dictionary, legacy_pattern) with the board; have the whole board in the "
-            "picture, flat and sharp",
+            found=f"markers{other} that are not placed as on a board of {columns} × {rows} squares",
+            remedy="Compare [target] (squares, dictionary, legacy_pattern) with the board, and show the whole board "
+            "flat and in focus",
         )
     changes = " and ".join(_changes(*fitting, seen, target, dictionary))
     return Cause(
         found=f"a board with {changes}",
-        remedy=f"Write {changes} in [target] of session.toml, or photograph the board that it describes",
+        remedy=f"Write {changes} in [target] of session.toml, or photograph the described board",
     )
 
 
@@ -318,7 +317,7 @@ def _changes(
 ) -> Iterator[str]:
     """Yield the keys of session.toml that would fit the markers."""
     columns, rows = target.squares
-    # The picture may not show the last rows. They are as stated, or what was stated as columns, or were counted
+    # The image may not show the last rows. Their number is as stated, or was swapped with the columns, or was counted
     # between squares. A bright first square means an even number.
     likely = {columns: (rows,), rows: (columns,), columns + 1: (rows, rows + 1)}.get(layout.columns, ())
     even = 2 if layout.starts_bright else 1

@@ -1,4 +1,4 @@
-"""Find plain chessboards: OpenCV finds the grid in a small picture, a model fit measures the corners."""
+"""Find plain chessboards: OpenCV finds the grid in a reduced image, a model fit measures the corners."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
 
 _LEAST_BEYOND = 3
-"""Squares of each colour, beyond a side of the board, by which it is seen to go on."""
+"""Squares of each colour beyond a side of the board by which a larger board is recognised."""
 _GOES_ON = 0.4
-"""Gap between such squares, in the difference of the board's own. A rim has none. Chosen by eye."""
+"""Smallest contrast of such squares, relative to the board's. A plain border has none."""
 
 
 def find_chessboard(
     target: ChessboardTarget, photograph: Photograph, search_width_px: int
 ) -> FoundPoints | Cause | None:
-    """Find the inner corners of a board wholly in the picture.
+    """Find the inner corners of a board that is completely visible.
 
-    None if it is not, the cause if it is part of a larger one. The first corner is the one at a dark square. If half a
-    turn leaves the pattern unchanged, the first is the one that makes the board's x axis point to the picture's right.
+    None if it is not found, a cause if it is part of a larger one. The first corner is at a dark square. If the pattern
+    is unchanged by a half turn, the first corner is the one for which the board's x axis points right in the image.
     """
     columns, rows = target.squares[0] - 1, target.squares[1] - 1
     small, scale = reduced(grey_bytes(photograph), search_width_px)
     grid = _search(small, columns, rows)
-    if inverse := grid is None:  # measured as it is all the same, so that all photographs begin at a dark square
+    if inverse := grid is None:  # measured without inverting, so that all photographs begin at a dark square
         grid = _search(255 - small, columns, rows)
     if grid is None:
         return None
@@ -68,15 +68,15 @@ def find_chessboard(
 
 
 def explain_missed_chessboard(target: ChessboardTarget, small: UInt8[Array, "h w"]) -> Cause | None:
-    """Report squares without the whole board in a reduced grey picture."""
+    """Report squares in a reduced grey image that does not show the whole board."""
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER
     found, *_ = cv2.findChessboardCornersSBWithMeta(small, (3, 3), flags)
     if not found:
         return None
     columns, rows = target.squares
     return Cause(
-        found=f"squares of a chessboard, but none of {columns} × {rows} squares that is wholly in the picture",
-        remedy="Correct [target] squares if all pictures say so; else have the whole board and its white rim in view",
+        found=f"squares of a chessboard, but not a complete one of {columns} × {rows} squares",
+        remedy="If this is so in all photographs, correct [target] squares. Else show the whole board with its border",
     )
 
 
@@ -89,7 +89,7 @@ def _search(small: UInt8[Array, "h w"], columns: int, rows: int) -> Float64[Arra
 
 
 def _orders(grid: Float64[Array, "r c 2"]) -> list[Float64[Array, "r c 2"]]:
-    """All ways to number the grid so that its axes turn as the board's do, seen from its front."""
+    """All numberings of the grid whose axes have the board's orientation, seen from its front."""
     across, down = grid[:, -1].mean(axis=0) - grid[:, 0].mean(axis=0), grid[-1].mean(axis=0) - grid[0].mean(axis=0)
     if across[0] * down[1] - across[1] * down[0] < 0:
         grid = grid[:, ::-1]
@@ -101,7 +101,7 @@ def _orders(grid: Float64[Array, "r c 2"]) -> list[Float64[Array, "r c 2"]]:
 
 
 def _goes_on(linear: Float32[Array, "h w"], board_map: BoardMap, target: ChessboardTarget) -> bool:
-    """Whether dark and bright squares go on beyond the board, where a rim should be."""
+    """Whether dark and bright squares continue beyond the board, where a border should be."""
     columns, rows = target.squares
     inside = _light_in(linear, board_map, target, *np.meshgrid(np.arange(1, columns - 1), np.arange(1, rows - 1)))
     contrast = float(np.ptp(np.nanpercentile(inside, (20, 80))))
@@ -111,7 +111,7 @@ def _goes_on(linear: Float32[Array, "h w"], board_map: BoardMap, target: Chessbo
         even, odd = beyond[::2], beyond[1::2]
         if min(np.isfinite(even).sum(), np.isfinite(odd).sum()) < _LEAST_BEYOND:
             continue
-        # What stands behind a narrow rim may be dark here and bright there, but hardly by turns.
+        # Objects behind a narrow border may be dark or bright, but hardly alternate.
         (even_low, even_high), (odd_low, odd_high) = (np.nanpercentile(half, (25, 75)) for half in (even, odd))
         if max(even_low - odd_high, odd_low - even_high) > _GOES_ON * contrast:
             return True
@@ -125,7 +125,7 @@ def _light_in(
     column: Int64[Array, "*n"],
     row: Int64[Array, "*n"],
 ) -> Float64[Array, "*n"]:
-    """Linear light in the middles of squares. NaN outside the picture."""
+    """Linear light at the centres of squares. NaN outside the image."""
     uv = np.rint(board_map.image((np.stack([column, row], axis=-1) + 0.5) * target.square_mm)).astype(np.int64)
     height, width = linear.shape
     inside = np.all((uv >= 0) & (uv < (width, height)), axis=-1)
@@ -134,7 +134,7 @@ def _light_in(
 
 
 def _starts_dark(linear: Float32[Array, "h w"], board_map: BoardMap, target: ChessboardTarget) -> bool:
-    """Whether the square before the first corner is dark, by the middles of the squares."""
+    """Whether the square before the first corner is dark, by the centres of the squares."""
     column, row = np.meshgrid(np.arange(1, target.squares[0] - 1), np.arange(1, target.squares[1] - 1))
     light = _light_in(linear, board_map, target, column, row)
     even = (column + row) % 2 == 0

@@ -19,10 +19,10 @@ _MAX_MISFIT = 0.15
 
 
 def find_circles(target: CirclesTarget, photograph: Photograph, search_width_px: int) -> FoundPoints | Cause | None:
-    """Find the circle centres of a board wholly in the picture.
+    """Find the circle centres of a board that is completely visible.
 
-    None if it is not, the cause if the circles have another size.
-    If half a turn leaves the grid unchanged, the board's x axis points to the picture's right.
+    None if it is not found, a cause if the circles have another size. If the grid is unchanged by a half turn, the
+    board's x axis points right in the image.
     """
     small, scale = reduced(grey_bytes(photograph), search_width_px)
     grid = _search(small, target)
@@ -72,7 +72,7 @@ def _search(small: UInt8[Array, "h w"], target: CirclesTarget) -> Float64[Array,
 def _orient(
     grid: Float64[Array, "r c 2"], centres_mm: Float64[Array, "n 2"], target: CirclesTarget, tolerance_px: float
 ) -> BoardMap | None:
-    """Map of the reading order that fits. Of several, the one whose x axis points most to the right."""
+    """Map of the reading order that fits. If several fit, the one whose x axis points most to the right."""
     orders = [grid, grid[::-1], grid[:, ::-1], grid[::-1, ::-1]]
     if target.grid[0] == target.grid[1] and not target.asymmetric:
         orders += [order.transpose(1, 0, 2) for order in orders]

@@ -1,8 +1,9 @@
-"""Find a dotted cylinder in photographs, its columns numbered alike.
+"""Find a dotted cylinder in photographs, with consistent column numbers.
 
-In one photograph columns are counted from the first one seen. Their labels beyond the last row are not read: their
-unrolled strips are correlated over all offsets of whole columns. Photographs are then numbered along the strongest tree
-of pairs that agree. The common start stays arbitrary: it only turns the world about the cylinder's axis.
+In one photograph, columns are counted from the first one seen. The labels beyond the last row are not read: the
+unrolled
+label strips of two photographs are correlated at all offsets of whole columns. Photographs are then numbered along the
+tree of the best pairs. The first column is arbitrary and only rotates the world about the cylinder's axis.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ _MAP_ROUNDS = 4
 _LEAST = 24
 """Fewest dots for a map: eleven parameters and a lens need many more than six. Chosen by eye."""
 _FORM_TOLERANCE = 0.05
-"""Largest distance of a dot from its place, as share of a pitch: printed rows and wrapped sheets reach it."""
+"""Largest distance of a dot from its place, as a share of the pitch: printed rows and wrapped sheets reach it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -71,10 +72,7 @@ class CylinderMap:
 def fit_cylinder_map(
     target: DottedCylinderTarget, unrolled_mm: Float64[Array, "n 2"], uv: Float64[Array, "n 2"]
 ) -> tuple[CylinderMap, Bool[Array, " n"]] | None:
-    """Fit the map robustly.
-
-    Returns it with the mask of the dots it explains, or None where it explains too few.
-    """
+    """Fit the map robustly. Also returns the mask of dots that it explains. None if it explains too few."""
     points = target.on_surface(unrolled_mm[:, 0], unrolled_mm[:, 1])
     used = np.ones(len(uv), bool)
     if len(uv) < _LEAST:
@@ -135,12 +133,11 @@ def _project(projection: Float64[Array, "3 4"], points: Float64[Array, "*n 3"]) 
 
 
 _SEARCH_WIDTHS = 3
-"""Factor on the width of the searched picture compared with boards: dots near the limb are narrow."""
+"""Factor on the width of the searched image, compared with boards: dots near the limb are narrow."""
 _NEIGHBOURHOODS = (0.04, 0.12)
-"""Neighbourhoods in which a dot is darker than the mean, picture widths: larger than a dot, smaller than the cylinder.
-"""
+"""Neighbourhoods whose mean a dot must be darker than, image widths: larger than a dot, smaller than the cylinder."""
 _MIN_FACING = 0.5
-"""Dots seen more aslant than 60° are left out: the target's own form errors show there in full."""
+"""Dots seen at more than 60° are excluded: form errors of the target have their full effect there."""
 _START_FACING = 0.3
 """Least cosine between a dot's normal and the line of sight while the cylinder is located. Chosen by eye."""
 _START_HALF = 0.18
@@ -159,16 +156,16 @@ class CylinderView(FoundPoints):
 
     target: DottedCylinderTarget
     columns: Int64[Array, " n"]
-    """Column of each dot. May run on beyond the target's last one."""
+    """Column of each dot. May exceed the target's last one."""
     labels: Float32[Array, "s w"]
-    """Darkness of the strip beyond the last row, 0…1, unrolled: `_STRIP_SAMPLES` of its columns per column of dots."""
+    """Darkness of the strip beyond the last row, 0…1, unrolled: `_STRIP_SAMPLES` samples per column."""
     label_weight: Float32[Array, " w"]
-    """Visibility of each place of the strip: 0 if it faces away, 1 if it faces the camera."""
+    """Visibility of each sample of the strip: 0 facing away, 1 facing the camera."""
     first_label_column: int
-    """Column, in this view's numbering, with its dots in the middle of the strip's first `_STRIP_SAMPLES`."""
+    """Column whose dots are in the middle of the strip's first `_STRIP_SAMPLES`."""
 
     def starting_at(self, first_column: int) -> FoundPoints:
-        """Dots by their final ids, given the number of column 0. Column 0 is this view's."""
+        """Dots with final ids, given the final number of this view's column 0."""
         around = self.target.dots[1]
         ids = self.ids // around * around + (first_column + self.columns) % around
         order = np.argsort(ids)
@@ -180,8 +177,9 @@ def find_cylinder(
 ) -> CylinderView | Cause | None:
     """Find the dots and measure their centres.
 
-    None where the cylinder is not seen with all its rows, the cause where its dots have another size. The
-    cylinder must stand upright in the picture within about 40°, its labelled end up.
+    None if the cylinder is not seen with all its rows, a cause if its dots have another size. The cylinder must be
+    upright
+    in the image within about 40°, its labelled end up.
     """
     small, scale = reduced(grey_bytes(photograph), _SEARCH_WIDTHS * search_width_px)
     starts = (_locate(small, scale, target, neighbourhood) for neighbourhood in _NEIGHBOURHOODS)
@@ -219,7 +217,7 @@ def find_cylinder(
             half_mm = 0.5 * float(np.sqrt(np.median(dots.mass_mm2[dots.ok])))
         if round_ < ROUNDS - 1:
             cylinder = fitted[0]
-    # A dot far from where its neighbours put it was covered or smeared; a row that was printed aslant is not.
+    # A dot far from its neighbours' prediction was covered or smeared; a row that was printed askew is not far.
     error_px = np.linalg.norm(cylinder.image(places) - dots.uv, axis=1)
     size_px = np.sqrt(np.abs(np.linalg.det(cylinder.jacobian(places)))) * 2 * half_mm
     good = dots.ok & (error_px < 0.2 * size_px)
@@ -246,7 +244,7 @@ def find_cylinder(
 def _locate(
     small: UInt8[Array, "h w"], scale: Float64[Array, 2], target: DottedCylinderTarget, neighbourhood: float
 ) -> tuple[CylinderMap, tuple[int, int]] | None:
-    """Locate the cylinder from blobs alone: its map, and the first and last columns that may be seen."""
+    """Locate the cylinder from blobs: its map, and the first and last columns that may be visible."""
     blobs = find_dots(small, neighbourhood)
     points, places = index_lattice(blobs)
     uv = enlarge(blobs[points], scale)
@@ -293,22 +291,20 @@ def _unroll_labels(
 
 
 _MIN_COMMON_COLUMNS = 2
-"""Fewest columns that both photographs must show: one label alone may resemble another."""
+"""Fewest columns that both photographs must show: a single label may resemble another."""
 _MIN_CORRELATION = 0.5
 """Least correlation of two strips with the same labels. Chosen by eye."""
 _MIN_MARGIN = 0.1
 """The best offset must correlate by this much more than the next."""
 _WIGGLE = 3
-"""Largest shift of the labels from where the dots put them, samples (an eighth of a column)."""
+"""Largest shift of the labels from their predicted position, samples (an eighth of a column)."""
 
 
 def numbered_alike(found: Mapping[str, FoundPoints]) -> Mapping[str, FoundPoints]:
-    """Number the columns of all photographs from a common start.
-
-    Points from a table keep the ids they came with.
+    """Number the columns of all photographs consistently. Points from a table keep their ids.
 
     Raises:
-        CalibrationError: a photograph's labels agree with no other's, or the columns do not fit the target's number.
+        CalibrationError: a photograph's labels match no other's, or there are more columns than on the target.
     """
     views = {name: seen for name, seen in found.items() if isinstance(seen, CylinderView)}
     starts = number_columns(views)
@@ -316,12 +312,10 @@ def numbered_alike(found: Mapping[str, FoundPoints]) -> Mapping[str, FoundPoints
 
 
 def number_columns(views: Mapping[str, CylinderView]) -> Mapping[str, int]:
-    """Column of each view's column 0 in a numbering common to all.
-
-    The first view's is 0 unless another begins before.
+    """Common number of each view's column 0. The first view's is 0, unless another begins before it.
 
     Raises:
-        CalibrationError: a photograph's labels agree with no other's, or the columns do not fit the target's number.
+        CalibrationError: a photograph's labels match no other's, or there are more columns than on the target.
     """
     if not views:
         return {}
@@ -336,15 +330,15 @@ def number_columns(views: Mapping[str, CylinderView]) -> Mapping[str, int]:
                 pairs.append((score, offset, a, b))
     start = {names[0]: 0}
     while len(start) < len(names):
-        # Prim's tree: the surest pair that joins a new photograph to those numbered.
+        # Prim's tree: the best pair of a numbered and a new photograph.
         joining = [pair for pair in pairs if (pair[2] in start) != (pair[3] in start)]
         if not joining:
             lost = ", ".join(name for name in names if name not in start)
             raise CalibrationError(
                 f"columns of the dotted cylinder in {lost}",
-                found=f"labels above the top row that agree with none of {', '.join(start)}",
-                expected="a strip of labels that both photographs show, at least two of them in common",
-                remedy="Photograph the cylinder upright, the labels in the picture, some columns seen by both cameras",
+                found=f"labels above the top row that match none of {', '.join(start)}",
+                expected="at least two labels in common with another photograph",
+                remedy="Photograph the cylinder upright, with its labels and some columns seen by both cameras",
             )
         _, offset, a, b = max(joining)
         if a in start:
@@ -367,19 +361,19 @@ def _within_target(
         raise CalibrationError(
             "columns of the dotted cylinder",
             found=f"{most + 1} columns in all photographs together",
-            expected=f"at most {columns}, as [target] dots says",
-            remedy="Correct the number of columns in session.toml, or look for photographs of another target",
+            expected=f"at most {columns}, as in [target] dots",
+            remedy="Correct the number of columns in session.toml, or remove photographs of another target",
         )
     return shifted
 
 
 def _best_offset(a: CylinderView, b: CylinderView, around: int | None) -> tuple[int, float]:
-    """Offset of column 0 of `b` in columns of `a`, and score. The score is 0 if it is not sure."""
+    """Offset of column 0 of `b` in columns of `a`, and its score. The score is 0 if ambiguous."""
     samples = len(a.labels)
     width_a, width_b = a.labels.shape[1] // samples, b.labels.shape[1] // samples
     scores: dict[int, float] = {}
     for shift in range(-width_b + _MIN_COMMON_COLUMNS, width_a - _MIN_COMMON_COLUMNS + 1):
-        # Strip b laid so that its first column is on strip a's column `shift`.
+        # Strip b is shifted so that its first column is at strip a's column `shift`.
         offset = shift + a.first_label_column - b.first_label_column
         score = _correlate(a, b, shift * samples)
         key = offset % around if around else offset
@@ -394,7 +388,7 @@ def _best_offset(a: CylinderView, b: CylinderView, around: int | None) -> tuple[
 
 
 def _correlate(a: CylinderView, b: CylinderView, shift: int) -> float:
-    """Weighted correlation of the strips where both are seen. The best within ± `_WIGGLE` samples."""
+    """Weighted correlation of the strips where both are visible. The best within ± `_WIGGLE` samples."""
     best = -1.0
     for small in range(-_WIGGLE, _WIGGLE + 1):
         first_a, first_b = max(shift + small, 0), max(-shift - small, 0)

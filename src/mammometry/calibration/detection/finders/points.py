@@ -1,4 +1,4 @@
-"""Find a surveyed target of round dots by its constellation. The dots are measured as discs."""
+"""Find a surveyed target of round dots by their constellation, and measure the dots as discs."""
 
 from __future__ import annotations
 
@@ -22,32 +22,32 @@ from mammometry.calibration.targets.kinds.points import PointsTarget
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64
 
 _SEARCH_WIDTHS = 2
-"""Width of the searched picture compared with boards: dots are smaller than squares."""
+"""Width of the searched image compared with boards: dots are smaller than squares."""
 _NEIGHBOURHOODS = (0.05, 0.12)
-"""What a dot must be darker than, in picture widths."""
+"""Size of the neighbourhood that a dot must be darker than, image widths."""
 _MOST_DOTS = 250
 """More dots than this are texture. Chosen by eye."""
 _START_HALF = 0.15
-"""Starting radius if the diameter is not known, in distances of neighbouring points."""
+"""Initial radius if the diameter is unknown, in distances between neighbouring points."""
 _AROUND = 6
-"""Neighbours that show the surface's inclination at a point. Chosen by eye."""
+"""Neighbours used for the surface's inclination at a point."""
 _FLAT = 0.12
-"""Neighbours in a plane to within this share of their distance show the surface's inclination."""
+"""Neighbours that are in a plane to within this share of their distance give the surface's inclination."""
 
 AMBIGUOUS = Cause(
-    found="dots that fit the list of points in more than one way",
-    remedy="Have more of the target in the picture, add points that break its symmetry, or write id,u,v to a .csv file "
+    found="dots that match the list of points in more than one way",
+    remedy="Show more of the target, add points that break its symmetry, or write id,u,v to a .csv file "
     "of the photograph's name",
 )
 UNREAD = Cause(
-    found="no dots that lie as the list of points says",
-    remedy="Have at least eight dark round dots on a bright surface in view, or write id,u,v to a .csv file of the "
+    found="no dots that match the list of points",
+    remedy="Show at least eight dark round dots on a bright surface, or write id,u,v to a .csv file of the "
     "photograph's name",
 )
 
 
 def find_points(target: PointsTarget, photograph: Photograph, search_width_px: int) -> FoundPoints | Cause:
-    """Find the dots of a surveyed target, or say why not."""
+    """Find the dots of a surveyed target, or explain why not."""
     small, scale = reduced(grey_bytes(photograph), _SEARCH_WIDTHS * search_width_px)
     points = target.points_target
     for neighbourhood in _NEIGHBOURHOODS:
@@ -63,7 +63,7 @@ def find_points(target: PointsTarget, photograph: Photograph, search_width_px: i
 
 
 def _measured(linear: Float32[Array, "h w"], target: PointsTarget, reading: Reading) -> FoundPoints | None:
-    """Measure the dots that were read."""
+    """Measure the dots of a reading."""
     points, camera, ids = target.points_target, reading.camera, np.sort(reading.ids)
     nearest_mm = float(np.asarray(cKDTree(points).query(points, k=2)[0])[:, 1].min())
     half_mm = target.dot_diameter_mm / 2 if target.dot_diameter_mm else _START_HALF * nearest_mm
@@ -80,16 +80,16 @@ def _measured(linear: Float32[Array, "h w"], target: PointsTarget, reading: Read
     error_px = np.linalg.norm(camera.image(points[ids]) - dots.uv, axis=1)
     size_px = 2 * half_mm * camera.focal_px / np.linalg.norm(points[ids] - camera.centre_mm, axis=1)
     good = dots.ok & (error_px < MAX_OFF * size_px)
-    # Where the surface's slope is not known, the largest error that a slope could make is part of the uncertainty.
+    # If the surface's slope is unknown, the largest error that a slope could cause is part of the uncertainty.
     doubt_px = np.where(flat[ids], 0.0, size_px**2 / (8 * camera.focal_px))
     covariance = dots.covariance_px2 + (doubt_px**2)[:, None, None] * np.eye(2)
     return FoundPoints(ids=ids[good], uv=dots.uv[good], covariance_px2=covariance[good]) if good.any() else None
 
 
 def _normals(points: Float64[Array, "n 3"], camera: TargetCamera) -> tuple[Float64[Array, "n 3"], Bool[Array, " n"]]:
-    """Unit normal of the surface at each point, towards the camera.
+    """Unit normal of the surface at each point, towards the camera, and whether its neighbours determine it.
 
-    Also whether its neighbours determine it. Otherwise the dot is assumed to face the camera.
+    Otherwise the dot is assumed to face the camera.
     """
     distance, near = (np.asarray(part) for part in cKDTree(points).query(points, k=min(_AROUND + 1, len(points))))
     around = points[near] - points[near].mean(axis=1, keepdims=True)
@@ -129,7 +129,7 @@ def _measure(
 def _tangent_planes(
     camera: TargetCamera, points: Float64[Array, "n 3"], first: Float64[Array, "n 3"], second: Float64[Array, "n 3"]
 ) -> ToImage:
-    """Map of offsets in each point's tangent plane, mm, to pixels. Row k belongs to point k."""
+    """Map from offsets in each point's tangent plane, mm, to pixels. Row k belongs to point k."""
 
     def to_image(offset_mm: Float64[Array, "n *m 2"]) -> Float64[Array, "n *m 2"]:
         shape = (len(points), *(1,) * (offset_mm.ndim - 2), 3)

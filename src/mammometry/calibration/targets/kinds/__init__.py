@@ -1,1 +1,1 @@
-"""The kinds of target: a file here is a kind."""
+"""Kinds of targets, one file per kind."""

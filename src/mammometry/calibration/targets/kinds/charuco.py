@@ -24,7 +24,7 @@ class CharucoTarget(SquaresBoard):
     """A ChArUco board. Ids are OpenCV's.
 
     Raises:
-        ValueError: fewer than 3 × 3 squares, or a marker that does not fit into its square.
+        ValueError: fewer than 3 × 3 squares, or a marker that is not smaller than its square.
     """
 
     may_be_cropped: ClassVar[bool] = True
@@ -39,14 +39,14 @@ class CharucoTarget(SquaresBoard):
     def __post_init__(self) -> None:
         SquaresBoard.__post_init__(self)
         if not 0 < self.marker_mm < self.square_mm:
-            raise ValueError(f"marker_mm must lie between 0 and square_mm ({self.square_mm}), found {self.marker_mm}")
+            raise ValueError(f"marker_mm must be between 0 and square_mm ({self.square_mm}), found {self.marker_mm}")
 
     @property
     def pattern(self) -> Pattern:
         """Squares and markers.
 
         Raises:
-            SessionError: there is no dictionary of the target's name.
+            SessionError: unknown marker dictionary.
         """
         return Pattern(
             grid="squares",
@@ -68,7 +68,7 @@ def charuco_board(target: CharucoTarget) -> cv2.aruco.CharucoBoard:
     """Return OpenCV's board of a target.
 
     Raises:
-        SessionError: there is no dictionary of that name, or it has too few markers.
+        SessionError: the dictionary is unknown or has too few markers.
     """
     import cv2
 
@@ -80,9 +80,9 @@ def charuco_board(target: CharucoTarget) -> cv2.aruco.CharucoBoard:
             "[target] dictionary",
             found=repr(target.dictionary),
             expected=f"an OpenCV dictionary of at least {markers} markers, such as 'DICT_5X5_250'",
-            remedy="Write the name of the dictionary that the board was made with",
+            remedy="Give the name of the dictionary that the board was made with",
         )
-    # Of the dictionary only what is on the board: the detector compares each square with all that it is given.
+    # Only the board's part of the dictionary: the detector compares each square with every marker in it.
     own = cv2.aruco.Dictionary(
         dictionary.bytesList[:markers].copy(), dictionary.markerSize, dictionary.maxCorrectionBits
     )
@@ -93,12 +93,10 @@ def charuco_board(target: CharucoTarget) -> cv2.aruco.CharucoBoard:
 
 @cache
 def printed_cells(target: CharucoTarget) -> UInt8[Array, "rows columns c c"]:
-    """Cells printed in every square, as `Pattern.cells` has them.
-
-    A marker's black rim of one cell is included.
+    """Cells printed in every square, as in `Pattern.cells`, including a marker's black border of one cell.
 
     Raises:
-        SessionError: there is no dictionary of the target's name.
+        SessionError: unknown marker dictionary.
     """
     board = charuco_board(target)
     dictionary = board.getDictionary()

@@ -19,7 +19,8 @@ class ChessboardTarget(SquaresBoard):
     """A plain chessboard whose first square is dark.
 
     A board with an even sum of columns and rows looks the same after half a turn. Its first corner is then the one
-    nearer to the picture's left.
+    farther
+    left in the image.
 
     Raises:
         ValueError: fewer than 3 × 3 squares, or a size that is not positive.
@@ -28,7 +29,7 @@ class ChessboardTarget(SquaresBoard):
     has_inverse: ClassVar[bool] = False
 
     def mistaken(self) -> Iterator[tuple[str, ChessboardTarget]]:
-        """Yield boards whose squares were counted wrongly, first those counted between the squares."""
+        """Yield boards whose squares were counted wrongly, first those counted by inner corners."""
         for more in ((1, 1), (1, 0), (0, 1), (-1, -1), (-1, 0), (0, -1)):
             columns, rows = self.squares[0] + more[0], self.squares[1] + more[1]
             if min(columns, rows) >= LEAST_SQUARES:
@@ -36,7 +37,7 @@ class ChessboardTarget(SquaresBoard):
 
     @property
     def looks_alike_turned(self) -> bool:
-        """True where columns and rows have an even sum."""
+        """Whether columns and rows have an even sum."""
         return sum(self.squares) % 2 == 0
 
     @property

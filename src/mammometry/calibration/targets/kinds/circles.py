@@ -16,7 +16,7 @@ from mammometry.calibration.targets.target import TARGETS, require_grid, require
 from mammometry.geometry.arrays import Array, Float64, read_only
 
 _LEAST_CIRCLES = 2
-"""In a row, and rows: fewer make no grid."""
+"""Fewest circles in a row, and rows."""
 
 
 @TARGETS.add("circles")
@@ -35,11 +35,12 @@ class CirclesTarget(Board):
     grid: tuple[int, int]
     """Circles in a row, and rows."""
     pitch_mm: float
-    """Symmetric: distance of neighbours, mm. Asymmetric (as OpenCV's): distance of the rows, half of that in a row."""
+    """Symmetric: distance between neighbours, mm. Asymmetric (as in OpenCV): distance between rows, half of that in a
+    row."""
     diameter_mm: float
     """Diameter of a circle, mm."""
     asymmetric: bool = False
-    """True where every second row is shifted by half a step."""
+    """Whether every second row is shifted by half a step."""
 
     def __post_init__(self) -> None:
         Board.__post_init__(self)
@@ -47,7 +48,7 @@ class CirclesTarget(Board):
         require_positive(pitch_mm=self.pitch_mm, diameter_mm=self.diameter_mm)
         if self.diameter_mm >= self.nearest_mm:
             raise ValueError(
-                f"circles of diameter_mm {self.diameter_mm} touch at a distance of {self.nearest_mm:.3f} mm"
+                f"circles with diameter_mm {self.diameter_mm} touch at a distance of {self.nearest_mm:.3f} mm"
             )
 
     @property
@@ -64,7 +65,7 @@ class CirclesTarget(Board):
 
     @property
     def edge_mm(self) -> float:
-        """Length of the pattern along x, mm. From the first column's centres to the last one's."""
+        """Length of the pattern along x, mm, from the first column's centres to the last one's."""
         return float(np.ptp(self.points_target[:, 0]))
 
     @property
@@ -75,14 +76,11 @@ class CirclesTarget(Board):
 
     @property
     def looks_alike_turned(self) -> bool:
-        """Whether half a turn gives the same grid.
-
-        True for square grids, and for staggered ones with an even number of rows.
-        """
+        """Whether half a turn gives the same grid: if square, or staggered with an even number of rows."""
         return not self.asymmetric or self.grid[1] % 2 == 0
 
     def mistaken(self) -> Iterator[tuple[str, CirclesTarget]]:
-        """Yield boards with rows and columns exchanged, or one more or less."""
+        """Yield boards with rows and columns swapped, or one more or less."""
         columns, rows = self.grid
         counts = [(rows, columns), *((columns + a, rows + b) for a, b in product((1, 0, -1), repeat=2) if a or b)]
         for grid in counts:

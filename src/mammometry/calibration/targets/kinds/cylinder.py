@@ -15,21 +15,22 @@ from mammometry.calibration.targets.target import TARGETS, Target, require_grid,
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 
 _LEAST_DOTS = 3
-"""Rows and columns: two columns would not show the curvature."""
+"""Fewest rows and columns: two columns would not show the curvature."""
 _GIRTH_SLACK = 1e-3
-"""Share by which the columns may exceed the girth, since the radius is rounded."""
+"""Share by which the columns may exceed the circumference, since the radius is rounded."""
 _CLOSING_PITCH = 1e-2
-"""The columns close if they fill the girth to this share of a pitch."""
+"""The columns close if they fill the circumference to within this share of a pitch."""
 
 
 @TARGETS.add("dotted-cylinder")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DottedCylinderTarget(Target):
-    """A cylinder covered with dots, surveyed.
+    """A surveyed cylinder covered with dots.
 
     Frame: z along the axis towards the labelled end, which is up; z = 0 at row 0, the row farthest from the labels;
-    column 0 at +x; columns count counterclockwise seen from above, which is to the right in a picture taken upright.
-    Ids are ``row · columns + column``.
+    column
+    0 at +x; columns count counterclockwise seen from above, which is to the right in an upright image. Ids are ``row ·
+    columns + column``.
 
     Raises:
         ValueError: too few dots, a size that is not positive, or columns that overlap around the cylinder.
@@ -43,31 +44,31 @@ class DottedCylinderTarget(Target):
     radius_mm: float
     """Radius of the printed surface, mm."""
     row_pitch_mm: float
-    """Distance of neighbouring rows along the axis, mm."""
+    """Distance between neighbouring rows along the axis, mm."""
     column_pitch_mm: float
-    """Distance of neighbouring columns along the arc, mm."""
+    """Distance between neighbouring columns along the arc, mm."""
     dot_mm: float | None = None
-    """Side of a dot, mm. Measured in the pictures where not given."""
+    """Side of a dot, mm. If not given it is measured in the images."""
     scale_std: float | None = None
-    """Relative standard uncertainty of all lengths, from the survey. None: not known."""
+    """Relative standard uncertainty of all lengths, from the survey. None: unknown."""
 
     def __post_init__(self) -> None:
         require_grid("dots", self.dots, _LEAST_DOTS)
         require_positive(radius_mm=self.radius_mm, row_pitch_mm=self.row_pitch_mm, column_pitch_mm=self.column_pitch_mm)
         if self.dot_mm is not None and not 0 < self.dot_mm < min(self.row_pitch_mm, self.column_pitch_mm):
-            raise ValueError(f"dot_mm must lie between 0 and the smaller pitch, found {self.dot_mm}")
+            raise ValueError(f"dot_mm must be between 0 and the smaller pitch, found {self.dot_mm}")
         around_mm = self.dots[1] * self.column_pitch_mm
         girth_mm = 2 * math.pi * self.radius_mm
         if around_mm > girth_mm * (1 + _GIRTH_SLACK):
             raise ValueError(
-                f"{self.dots[1]} columns of {self.column_pitch_mm} mm need {around_mm:.1f} mm, "
-                f"the girth is {girth_mm:.1f} mm"
+                f"{self.dots[1]} columns of {self.column_pitch_mm} mm need {around_mm:.1f} mm, but "
+                f"the circumference is {girth_mm:.1f} mm"
             )
         require_measured(scale_std=self.scale_std)
 
     @property
     def closes(self) -> bool:
-        """Whether the columns go all round, so that the last is the first one's neighbour."""
+        """Whether the columns go all the way around, so that the last is next to the first."""
         girth_mm = 2 * math.pi * self.radius_mm
         return abs(self.dots[1] * self.column_pitch_mm - girth_mm) < _CLOSING_PITCH * self.column_pitch_mm
 
@@ -79,10 +80,7 @@ class DottedCylinderTarget(Target):
         return read_only(self.on_surface(column * self.column_pitch_mm, row * self.row_pitch_mm))
 
     def on_surface(self, arc_mm: Float64[Array, "*n"], height_mm: Float64[Array, "*n"]) -> Float64[Array, "*n 3"]:
-        """Points of the printed surface, cylinder frame, mm.
-
-        Unrolled coordinates are along the arc and along the axis.
-        """
+        """Points of the printed surface, cylinder frame, mm, from arc length and height, mm."""
         angle_rad = arc_mm / self.radius_mm
         return np.stack(
             [self.radius_mm * np.cos(angle_rad), self.radius_mm * np.sin(angle_rad), np.asarray(height_mm, np.float64)],
@@ -94,11 +92,11 @@ class DottedCylinderTarget(Target):
         rows, columns = self.dots
         return (
             f"dotted cylinder, {rows} rows every {self.row_pitch_mm:g} mm, {columns} columns every "
-            f"{self.column_pitch_mm:g} mm; labels up, round a radius of {self.radius_mm:g} mm over the paper"
+            f"{self.column_pitch_mm:g} mm; labels up, wrapped to a radius of {self.radius_mm:g} mm including the paper"
         )
 
     def sheet(self) -> Sheet:
-        """Return the sheet to wrap round the cylinder.
+        """Return the sheet to wrap around the cylinder.
 
         Raises:
             SettingsError: there are more columns than labels.
@@ -112,24 +110,24 @@ class DottedCylinderTarget(Target):
 
 
 _END_ROWS = (1.0, 1.8)
-"""Reach of the tube beyond its first and last rows of dots, in row pitches, with room for the labels."""
+"""Length of the tube beyond its first and last rows of dots, in row pitches, with space for the labels."""
 _WHOLE_ROWS = (0.8, 1.5)
-"""Part of the tube beyond its first and last rows that must be in the picture, in row pitches: the labels' strip."""
+"""Part of the tube beyond its first and last rows that must be in the image, in row pitches: the label strip."""
 _HULL_POINTS = 48
 """Points on each end's circle. The chords are within 0.3 % of the radius."""
 _LABEL_UP = 0.9
-"""Middle of a label beyond the last row, in row pitches: the middle of the strip that `find_cylinder` unrolls."""
+"""Centre of a label beyond the last row, in row pitches: the middle of the strip that `find_cylinder` unrolls."""
 _LABEL_CELLS = 4
 """Cells along each side of a label: 65 536 different labels."""
 _LABEL_SHARE = 0.7
-"""Side of a label, in pitches. Chosen by eye."""
+"""Side of a label, in pitches."""
 _DOT_SHARE = 0.5
 """Side of a dot whose size is not given, in pitches."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CylinderBody(Body):
-    """A white tube with dots and labels. Its labels are random cells, others than on the printed sheet."""
+    """A white tube with dots and labels. Its labels are random cells, unlike those on the printed sheet."""
 
     attitude: ClassVar[Literal["facing", "upright", "any"]] = "upright"
 
@@ -155,7 +153,7 @@ class CylinderBody(Body):
     def is_whole(
         self, seen: Bool[Array, " n"], in_picture: Callable[[Float64[Array, "m 3"]], Bool[Array, " m"]]
     ) -> bool:
-        """Whether both ends of every visible column are in the picture."""
+        """Whether both ends of every visible column are in the image."""
         rows, columns = self.target.dots
         below, above = _WHOLE_ROWS
         arc = np.tile(np.arange(columns) * self.target.column_pitch_mm, 2)
@@ -164,7 +162,7 @@ class CylinderBody(Body):
         return bool(in_picture(self.target.on_surface(arc, height)[np.tile(shown, 2)]).all())
 
     def meet(self, origins: Float64[Array, "n 3"], directions: Float64[Array, "n 3"]) -> Hits:
-        """Meet the tube's side, else one of the white lids."""
+        """Intersect rays with the tube's side, or else with one of the white lids."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return self._met(origins, directions)
 
@@ -172,7 +170,7 @@ class CylinderBody(Body):
         target = self.target
         o, d = origins[:, :2], directions[:, :2]
         a, b = (d * d).sum(axis=1), (o * d).sum(axis=1)
-        root = np.sqrt(b * b - a * ((o * o).sum(axis=1) - target.radius_mm**2))  # NaN: beside the cylinder
+        root = np.sqrt(b * b - a * ((o * o).sum(axis=1) - target.radius_mm**2))  # NaN: the ray misses the cylinder
         points = origins + ((-b - root) / a)[:, None] * directions
         low, high = self._ends_mm
         side = (points[:, 2] >= low) & (points[:, 2] <= high)
@@ -191,7 +189,7 @@ class CylinderBody(Body):
         return -below * self.target.row_pitch_mm, (self.target.dots[0] - 1 + above) * self.target.row_pitch_mm
 
     def _dark(self, points: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
-        """Whether points of the side are ink: dots and label cells."""
+        """Mask of points of the side that are ink: dots and label cells."""
         target = self.target
         arc = np.arctan2(points[:, 1], points[:, 0]) * target.radius_mm / target.column_pitch_mm
         column = np.round(arc)
@@ -204,7 +202,7 @@ class CylinderBody(Body):
         return np.asarray(dark)
 
     def _label_dark(self, column: Array, across: Array, above: Array) -> Array:
-        """Whether places beyond the last row are ink. Each column has its own random square of cells."""
+        """Mask of points beyond the last row that are ink. Each column has its own random square of cells."""
         columns = self.target.dots[1]
         cells = np.random.default_rng(columns).random((columns, _LABEL_CELLS, _LABEL_CELLS)) < 0.5
         x = np.floor((across / _LABEL_SHARE + 0.5) * _LABEL_CELLS)
@@ -215,18 +213,19 @@ class CylinderBody(Body):
 
 
 _SHEET_DOT_SHARE = 0.45
-"""Default side of a dot, in pitches. Chosen by eye."""
+"""Default side of a dot, in pitches."""
 _SHEET_LABEL_CELLS = 6
 """Cells along each side of a label."""
 _ABOVE_ROWS = 1.5
-"""Height of the sheet above the last row, in row pitches: the labels' strip and a little more."""
+"""Height of the sheet above the last row, in row pitches: the label strip and a little more."""
 
 
 def column_labels(columns: int) -> Bool[Array, "c 6 6"]:
     """Cells of the label beyond each column, ``[column, row, cell]``.
 
-    True is dark. They are seen upright, and are the insides of the markers of OpenCV's 6 × 6 dictionary, which differ
-    from one another in many cells.
+    True is dark. They are upright, and are the inner cells of the markers of OpenCV's 6 × 6 dictionary, which differ
+    from
+    each other in many cells.
 
     Raises:
         SettingsError: more columns than there are labels.
@@ -238,17 +237,18 @@ def column_labels(columns: int) -> Bool[Array, "c 6 6"]:
         raise SettingsError(
             "target",
             found=f"{columns} columns of dots",
-            expected=f"at most {len(dictionary.bytesList)}, one label each",
-            remedy="Print fewer, or label them by hand",
+            expected=f"at most {len(dictionary.bytesList)}, since each needs a label",
+            remedy="Print fewer columns, or label them by hand",
         )
     return np.stack([np.asarray(dictionary.generateImageMarker(k, 8))[1:-1, 1:-1] < 128 for k in range(columns)])
 
 
 def wrap_sheet(target: DottedCylinderTarget) -> Sheet:
-    """Return the sheet wrapped round a cylinder, mm.
+    """Return the sheet to wrap around a cylinder, mm.
 
     Its origin is its upper left corner. The sheet is as wide as all columns. Column 0 is the leftmost, row 0 the
-    lowest, and the labels are above the last.
+    lowest,
+    and the labels are above the last row.
 
     Raises:
         SettingsError: there are more columns than labels.

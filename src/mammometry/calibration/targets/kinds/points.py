@@ -13,13 +13,13 @@ from mammometry.calibration.targets.target import TARGETS, Target, require_measu
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 
 _LEAST_POINTS = 4
-"""Three points have up to four poses in one picture. The fourth decides (Fischler and Bolles 1981)."""
+"""Three points have up to four poses in one image. A fourth makes it unique (Fischler and Bolles 1981)."""
 
 
 @TARGETS.add("points")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PointsTarget(Target):
-    """Surveyed points in the object's own frame, which is the world. Ids are positions in the list.
+    """Surveyed points in the object's own frame, which is the world. Ids are indices in the list.
 
     Raises:
         ValueError: fewer than four points, or a coordinate that is not finite.
@@ -33,7 +33,7 @@ class PointsTarget(Target):
     dot_diameter_mm: float | None = None
     """Diameter of the points' round dots, mm, if they have any."""
     scale_std: float | None = None
-    """Relative standard uncertainty of all lengths, from the survey. None: not known."""
+    """Relative standard uncertainty of all lengths, from the survey. None: unknown."""
 
     def __post_init__(self) -> None:
         if len(self.points_mm) < _LEAST_POINTS:
@@ -51,7 +51,7 @@ class PointsTarget(Target):
 
     @property
     def body(self) -> DottedBox:
-        """A box around the origin. The simulation makes no other object of points."""
+        """A box around the origin, the only object with points in the simulation."""
         return DottedBox(target=self)
 
 
@@ -113,5 +113,5 @@ class DottedBox(Body):
 
     @property
     def _half_mm(self) -> float:
-        """Half the cube's side, mm: the dots lie on its faces."""
+        """Half the cube's side, mm: the dots are on its faces."""
         return float(np.abs(self.target.points_target).max())
