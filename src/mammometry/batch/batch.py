@@ -19,7 +19,7 @@ from mammometry.io.photographs.images import megapixels_of
 from mammometry.settings import Settings
 
 State: TypeAlias = Literal["current", "measured", "failed", "stopped"]
-_READERS = 8  # threads that look at records: disks of a network answer slowly; chosen by eye
+_READERS = 8  # threads that read records: network disks are slow; chosen by eye
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,9 +29,9 @@ class Line:
     entry: Entry
     state: State
     row: Row | None = None
-    """What it came to. None where it failed or was not measured."""
+    """Its result. None if it failed or was not measured."""
     failed: str = ""
-    """Why it has no result, in a sentence."""
+    """Reason for having no result, one sentence."""
     kind: str = ""
     """Class of the error."""
     exit_code: int = 0
@@ -40,7 +40,7 @@ class Line:
 
     @property
     def results(self) -> str | None:
-        """Address of its results. None where there are none."""
+        """Address of its results. None if there are none."""
         if self.row is None:
             return None
         return storage.results_of(self.entry) if self.entry.remote else str(results_of(Path(self.entry.address)))
@@ -48,19 +48,19 @@ class Line:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Looked:
-    """Facts known of the sessions before anything is measured."""
+    """Known facts about the sessions before measuring."""
 
     current: Mapping[str, Row]
-    """Address → row of the sessions that are current."""
+    """Address → row of each current session."""
     known: Mapping[str, Row]
-    """Address → row of all that were ever measured in a batch."""
+    """Address → row of each session that was ever measured in a batch."""
 
 
 def look(entries: Sequence[Entry], settings: Settings, progress: Progress = no_progress) -> Looked:
     """Find current sessions by the sizes and times of their files.
 
     Raises:
-        MammometryError: a setting of an entry has no such name or value; storage does not answer.
+        MammometryError: an entry has an invalid setting; storage does not answer.
     """
     keys: dict[tuple[str, ...], str] = {}
     for entry in entries:
@@ -92,22 +92,22 @@ def measure_batch(
     watch: Callable[[Began | Ended], None] = lambda event: None,
     stop: Callable[[], StopRequest] = lambda: StopRequest.NONE,
 ) -> tuple[Line, ...]:
-    """Measure the sessions that are not current.
+    """Measure the stale sessions.
 
     Args:
         entries: all sessions.
-        settings: of all of them; those of an entry come on top.
+        settings: for all of them; an entry's own take precedence.
         machines: the workers.
-        looked: what is current.
-        cores: that each session takes.
-        watch: called for all that happens.
-        stop: what the user wants now.
+        looked: the known facts.
+        cores: per session.
+        watch: called for each event.
+        stop: returns the user's request.
 
     Returns:
-        A line for every entry, in their order. Sessions that were not begun, or stopped, are ``stopped``.
+        A line for every entry, in their order. Sessions that were not started, or were interrupted, are ``stopped``.
 
     Raises:
-        BatchError: the scheduler is gone, or a worker has another version of mammometry.
+        BatchError: the scheduler has stopped, or a worker has another version of mammometry.
     """
     todo = {entry.address: entry for entry in entries if entry.address not in looked.current}
     text = settings.to_toml()
@@ -135,12 +135,12 @@ def measure_batch(
 
 
 def _size(entry: Entry, looked: Looked) -> float | None:
-    """Megapixels of its photographs. None where they cannot be read from here."""
+    """Megapixels of its photographs. None if they cannot be read from here."""
     if (row := looked.known.get(entry.address)) is not None:
         return row.megapixels or None
     try:
         return None if entry.remote else megapixels_of(Path(entry.address) / "capture") or None
-    except (OSError, MammometryError):  # its own task will say what is wrong with it
+    except (OSError, MammometryError):  # its own task will report the fault
         return None
 
 
@@ -160,9 +160,7 @@ def _line(entry: Entry, event: Ended) -> Line:
     except MammometryError as error:
         return Line(entry=entry, state="failed", failed=str(error), kind="StorageError", exit_code=error.exit_code)
     if record is None or record.digest != event.value["digest"]:
-        refusal = (
-            "Its results are not those that were measured: somebody changed them, or this machine sees other storage."
-        )
+        refusal = "Its results are not those that were measured: they were changed, or this machine sees other storage."
         return Line(entry=entry, state="failed", failed=refusal, kind="StorageError", exit_code=9)
     return Line(entry=entry, state="measured", row=record.row, **about)  # type: ignore[arg-type]
 
@@ -180,12 +178,12 @@ def map_tasks_on(
     megapixels: float | None = None,
     watch: Callable[[Began | Ended], None] = lambda event: None,
 ) -> MapTasks:
-    """Make a loop that runs each turn as a Dask task. Each task has its own process.
+    """Make a loop that runs each turn as a Dask task in its own process.
 
     Args:
         machines: the workers.
-        megapixels: of the photographs in each turn, by which memory is learned.
-        watch: called for all that happens.
+        megapixels: of the photographs in each turn, for estimating memory.
+        watch: called for each event.
     """
     known: list[tuple[float, float]] = []
 
@@ -203,7 +201,7 @@ def map_tasks_on(
                         event.name,
                         found=f"a task that failed ({event.failed.rstrip('.')})",
                         expected="results of all of them",
-                        remedy="Remove what stands in the way and run the same command again: what is done is kept",
+                        remedy="Remove the cause and run the same command again: finished results are kept",
                     )
                 done[event.name] = event.value
                 if megapixels and event.memory_mb:

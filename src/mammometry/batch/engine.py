@@ -22,15 +22,15 @@ from mammometry.batch.record import CORES, MEMORY, software
 from mammometry.batch.supervise import TOPIC, Limits, stop, stop_all, supervise
 
 _KIND = "mammometry"  # first word of all keys: Dask learns by it how long tasks take, and spreads them evenly
-_DEATHS = 2  # of a task, the last one alone on its worker, before it is blamed
-_WAIT_S = 15.0  # for a worker to say what it offers
-_REPORTS_A_SECOND = 20  # on how far sessions are, from all workers together; stages that begin come on top
-_LOOK_S = 0.25  # between two looks at what the user wants
+_DEATHS = 2  # of a task before it fails; the last one alone on its worker
+_WAIT_S = 15.0  # for a worker to report its resources
+_REPORTS_A_SECOND = 20  # of progress from all workers together; starts of stages come in addition
+_LOOK_S = 0.25  # between two checks of the user's request
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """A call for a worker, with what it needs."""
+    """A call for a worker, with its requirements."""
 
     name: str
     """Of its own in the batch."""
@@ -41,7 +41,7 @@ class Task:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Began:
-    """A task is at work, and this far."""
+    """Progress of a running task."""
 
     name: str
     stage: str
@@ -54,13 +54,13 @@ class Ended:
 
     name: str
     value: Any = None
-    """What its function returned."""
+    """Result of its function."""
     failed: str = ""
-    """Why it has no value, in a sentence."""
+    """Reason for having no value, one sentence."""
     kind: str = ""
     """Class of the error. ``Killed`` if its process or worker died twice."""
     code: str = ""
-    """Code of the error (`MammometryError.code`). Empty if it was none of ours."""
+    """Code of the error (`MammometryError.code`). Empty for any other error."""
     exit_code: int = 0
     host: str = ""
     memory_mb: float | None = None
@@ -70,22 +70,22 @@ Event: TypeAlias = Began | Ended
 
 
 class StopRequest(Enum):
-    """The user's request to a batch that is at work."""
+    """The user's request to a running batch."""
 
     NONE = auto()
     FINISH = auto()
-    """Begin nothing new, and finish what runs."""
+    """Start no new tasks, and finish the running ones."""
     STOP = auto()
-    """Stop what runs, too."""
+    """Also stop the running tasks."""
 
 
 @dataclass(slots=True)
 class _Tried:
-    """State of a task: its tries and their outcome."""
+    """State of a task: its attempts and their outcome."""
 
     task: Task
     alone: bool = False
-    """Whether it has a worker for itself."""
+    """Whether it has a worker to itself."""
     deaths: int = 0
     """How often its process or its worker died."""
     began: bool = False
@@ -96,9 +96,9 @@ class Engine:
 
     Args:
         machines: the workers.
-        cores: that each task takes.
+        cores: per task.
         known: (megapixels, peak memory in MB) of earlier tasks of the same kind.
-        stop: what the user wants now.
+        stop: returns the user's request.
     """
 
     def __init__(
@@ -113,7 +113,7 @@ class Engine:
         self._known = list(known)
         self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._at_work: dict[str, tuple[Any, _Tried]] = {}
-        self._names: dict[str, str] = {}  # of tasks, by the keys that Dask knows them by
+        self._names: dict[str, str] = {}  # of tasks, by their keys in Dask
         self._largest_mb = 0.0
         self._limits = Limits(
             batch=uuid4().hex, cores=cores, software=software(), report_s=max(1.0, machines.count() / _REPORTS_A_SECOND)
@@ -122,11 +122,11 @@ class Engine:
     def run(self, tasks: Iterable[Task]) -> Iterator[Event]:
         """Run all tasks to their end.
 
-        Yield what happens, as it happens. Where no task of the kind was ever measured, one goes first with a worker
-        for itself: how much memory the others need is learned from it, not guessed.
+        Yield events as they happen. If no task of this kind was measured before, one goes first with a worker to
+        itself: its memory shows how much the others need.
 
         Raises:
-            BatchError: the scheduler is gone, or a worker runs another version.
+            BatchError: the scheduler has stopped, or a worker runs another version.
         """
         waiting = sorted(
             tasks, key=lambda task: -(task.megapixels or 0.0)
@@ -139,16 +139,16 @@ class Engine:
     def serve(
         self, claim: Callable[[int], Iterable[Task]], unwanted: Callable[[], Collection[str]] = tuple
     ) -> Iterator[Event]:
-        """Do tasks as they come, until the user wants no more.
+        """Run tasks as they come, until the user stops.
 
-        Yield what happens, as it happens. While no task was measured yet, each has a worker for itself.
+        Yield events as they happen. Until a task has been measured, each has a worker to itself.
 
         Args:
-            claim: called often, with how many tasks may be given now; gives those that are to be done.
-            unwanted: names of tasks that are to be stopped, for some seconds each. They end without an event.
+            claim: called often, with the number of tasks that can be started now; returns tasks to run.
+            unwanted: names of tasks to stop, for some seconds each. They end without an event.
 
         Raises:
-            BatchError: the scheduler is gone, or a worker runs another version.
+            BatchError: the scheduler has stopped, or a worker runs another version.
         """
         with self._connected():
             while self._stop_request() is StopRequest.NONE or self._at_work:
@@ -164,10 +164,10 @@ class Engine:
 
     @contextmanager
     def _connected(self) -> Iterator[None]:
-        """Context in which workers' reports are heard, at whose end running tasks are dropped.
+        """Context that receives workers' reports, and drops running tasks at its end.
 
         Raises:
-            BatchError: a request to the scheduler was cut off: it is gone.
+            BatchError: a request was cut off, because the scheduler has stopped.
         """
         import distributed
 
@@ -200,7 +200,7 @@ class Engine:
             yield from self._next()
 
     def _next(self) -> Iterator[Event]:
-        """Next event, if it is soon."""
+        """Next event, if it comes soon."""
         try:
             item = self._events.get(timeout=_LOOK_S)
         except queue.Empty:
@@ -214,10 +214,10 @@ class Engine:
             yield ended
 
     def _resources(self) -> float:
-        """Memory of the worker that offers most, MB.
+        """Memory of the largest worker, MB.
 
         Raises:
-            BatchError: no worker has as many cores as a task takes.
+            BatchError: no worker has enough cores for a task.
         """
         until = time.monotonic() + _WAIT_S
         while not (most := self._machines.largest()).get(MEMORY) and time.monotonic() < until:
@@ -234,7 +234,7 @@ class Engine:
     def _submit(self, tried: _Tried) -> None:
         largest = self._largest_mb
         need = largest if tried.alone else min(largest, record.need_mb(tried.task.megapixels, self._known) or largest)
-        key = f"{_KIND}-{uuid4().hex}"  # also its name there: Dask's messages cannot carry names that are not UTF-8
+        key = f"{_KIND}-{uuid4().hex}"  # also its name there: Dask's messages cannot contain names that are not UTF-8
         self._names[key] = tried.task.name
         future = self._machines.client.submit(
             supervise,
@@ -249,7 +249,7 @@ class Engine:
         future.add_done_callback(self._events.put)
 
     def _ended(self, future: Any) -> Ended | None:
-        """Result of a future, or None where it is tried again or was dropped."""
+        """Result of a future, or None if it is retried or was dropped."""
         name = self._names[future.key]
         if name not in self._at_work or self._at_work[name][0].key != future.key:
             return None
@@ -288,12 +288,12 @@ class Engine:
         )
 
     def _answer_of(self, future: Any) -> dict[str, Any]:
-        """Answer of the worker, ``killed`` where it did not live to give one."""
+        """Answer of the worker; ``killed`` if it died before answering."""
         from distributed import KilledWorker
 
         try:
             answer: dict[str, Any] = future.result()
-        except CancelledError:  # not by us: what we drop is not at work any more
+        except CancelledError:  # not by us: dropped tasks are no longer running
             raise _lost() from None
         except KilledWorker as error:
             return {"killed": f"{getattr(error, 'allowed_failures', 3) + 1} workers died with it"}
@@ -311,7 +311,7 @@ class Engine:
             self._machines.client.run(stop_all, self._limits.batch)
 
     def _stop(self, names: Collection[str]) -> None:
-        """Stop tasks, wherever they are. One whose process is just starting is met when it is named again."""
+        """Stop tasks on all workers. One whose process is just starting is stopped at the next call."""
         if names:
             self._drop(lambda tried: tried.task.name in names)
             keys = tuple(key for key, name in self._names.items() if name in names)
@@ -323,7 +323,7 @@ class Engine:
             self._machines.client.cancel(dropped, force=True)
 
     def _require_scheduler(self) -> None:
-        """Refuse to wait for a scheduler that is gone."""
+        """Refuse to wait for a scheduler that has stopped."""
         client = self._machines.client
         if client.status not in ("running", "connecting"):
             raise _lost()

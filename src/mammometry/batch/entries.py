@@ -19,21 +19,21 @@ from mammometry.io.meshes.measured import can_be_opened, is_measured
 _SESSION, _SET = "session", "set"
 _REFERENCE = re.compile(r"reference(?:_(\w+?))?_cc")
 _NAMES = ("model", "left", "right")
-"""What a volume can be called."""
+"""Names of volumes."""
 
 
 def find_entries(wanted: Sequence[str], results: str | None = None) -> tuple[Entry, ...]:
     """Find the sessions of a command line, each once, in order.
 
     Args:
-        wanted: folders of a session or of sessions, patterns as ``archive/2026-*``, addresses, and tables
-            (.csv) with a column ``session`` and, if wanted, ``set`` and ``reference_cc``, ``reference_left_cc``,
+        wanted: folders of a session or of sessions, patterns such as ``archive/2026-*``, addresses, and tables (.csv)
+            with a column ``session`` and optionally ``set`` and ``reference_cc``, ``reference_left_cc``,
             ``reference_right_cc``.
-        results: folder or address below which each session's results are put; None: in the sessions.
+        results: folder or address for each session's results; None: in the sessions.
 
     Raises:
-        SessionError: there is no session where one is asked for, or the same one twice with other settings.
-        TableError: a table is not as said.
+        SessionError: a session is missing, or given twice with different settings.
+        TableError: a table is invalid.
     """
     entries: dict[str, Entry] = {}
     for text in wanted:
@@ -43,7 +43,10 @@ def find_entries(wanted: Sequence[str], results: str | None = None) -> tuple[Ent
                 remedy = "Remove one of the two lines, or copy the session"
                 expected = "each session once"
                 raise SessionError(
-                    entry.address, found="the same session twice, with other settings", expected=expected, remedy=remedy
+                    entry.address,
+                    found="the same session twice, with different settings",
+                    expected=expected,
+                    remedy=remedy,
                 )
     if results is None:
         return tuple(entries.values())
@@ -58,7 +61,7 @@ def find_entries(wanted: Sequence[str], results: str | None = None) -> tuple[Ent
     for entry in entries.values():
         if (other := named.setdefault(entry.name, entry.address)) != entry.address:
             remedy = "Rename one of them, or measure them in two batches"
-            expected = "sessions whose folders have different names, since --results holds one folder each"
+            expected = "sessions whose folders have different names, because --results has one folder for each"
             raise SessionError(
                 entry.address, found=f"another session of the same name, {other}", expected=expected, remedy=remedy
             )
@@ -100,7 +103,7 @@ def _sessions_in(folder: Path) -> list[Path]:
 def _of_table(path: Path) -> Iterator[Entry]:
     """Sessions of a table. Their paths are below the table's folder."""
     table = read_table(
-        path, str(path), "a first line with a column session, then one session a line", refusal=TableError
+        path, str(path), "a first line with a column session, then one session per line", refusal=TableError
     )
     addresses = table.texts(_SESSION)
     assignments = table.texts(_SET) if _SET in table.columns else ("",) * len(addresses)

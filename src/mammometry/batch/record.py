@@ -1,4 +1,4 @@
-"""One session of a batch: what its task takes of a worker, and its record beside its results."""
+"""One session of a batch: the resources of its task, and the record with its results."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from mammometry.job.stages.report import VERSIONS
 from mammometry.settings import Settings
 
 MEMORY = "mammometry_mb"
-"""Resource of a worker: memory that its tasks may take together, MB."""
+"""Resource of a worker: memory for all its tasks, MB."""
 CORES = "mammometry_cores"
-"""Resource of a worker: cores that its tasks may take together."""
+"""Resource of a worker: cores for all its tasks."""
 _ADDRESS = re.compile(r"[a-z][a-z0-9+]*://")
 
 
@@ -36,17 +36,17 @@ class Entry:
     """One session of a batch."""
 
     address: str
-    """Folder, absolute. Or address of a folder on other storage, as ``s3://bucket/patients/17``."""
+    """Absolute path of the folder, or its address on other storage, such as ``s3://bucket/patients/17``."""
     assignments: tuple[str, ...] = ()
-    """Settings of this session alone, ``NAME=VALUE``."""
+    """Settings of this session only, ``NAME=VALUE``."""
     reference_cc: Mapping[str, float] = field(default_factory=dict)
     """``model``, ``left`` or ``right`` → volume by another method, cc."""
     results: str | None = None
-    """Address of the folder that holds its results. None: in the session."""
+    """Address of the folder with its results. None: in the session."""
 
     @property
     def remote(self) -> bool:
-        """Whether photographs are fetched and results sent back. Workers cannot see such a folder."""
+        """Whether photographs are fetched and results sent back, because workers cannot access the folder."""
         return is_address(self.address) or self.results is not None
 
     @property
@@ -56,22 +56,22 @@ class Entry:
 
 
 def is_address(text: str) -> bool:
-    """Whether this is storage by fsspec, not a folder."""
+    """Whether this is an fsspec address, not a folder."""
     return _ADDRESS.match(text) is not None
 
 
 _MARGIN = 1.15
-"""Sessions of one size differ in memory: casts of the reference rig by ± 10 %."""
+"""Memory varies between sessions of one size: for casts of the reference rig by ± 10 %."""
 
 
 def need_mb(megapixels: float | None, known: Sequence[tuple[float, float]]) -> float | None:
     """Memory to keep free for a session, MB.
 
-    None where no session is known. Memory grows with the pixels at most in proportion, so a session needs no more than
-    the next larger one, or the largest one times its own size over that one's.
+    None if no session is known. Memory grows at most in proportion to the pixels. So a session needs no more than the
+    next larger one, or than the largest one scaled by the ratio of sizes.
 
     Args:
-        megapixels: of its photographs of the subject; None where that is not known: it may be as large as any.
+        megapixels: of its photographs of the subject; None if unknown, which counts as the largest.
         known: (megapixels, peak memory in MB) of others.
     """
     if not known:
@@ -87,16 +87,16 @@ def need_mb(megapixels: float | None, known: Sequence[tuple[float, float]]) -> f
 
 
 RECORD = BATCH
-_MOST_BYTES = 1 << 24  # 16 MiB: a larger file is no record of ours and is not read
+_MOST_BYTES = 1 << 24  # 16 MiB: larger files are not our records and are not read
 _UNREADABLE = (OSError, ValueError, ValidationError, RecursionError)
 _STRICT = ConfigDict(extra="forbid", frozen=True)
 
 Stat: TypeAlias = tuple[int, int | float | str]
-"""Size of a file, bytes, and its version: modification and change time, ns, or a storage's own tag."""
+"""Size of a file, bytes, and its version: modification and change time, ns, or the storage's tag."""
 
 
 class Measured(BaseModel):
-    """A measured volume, as the record keeps it."""
+    """A measured volume in the record."""
 
     model_config = _STRICT
 
@@ -112,27 +112,27 @@ class Row(BaseModel):
     model_config = _STRICT
 
     session: str
-    """Its folder's name, or the name that its manifest gives."""
+    """Name of its folder, or the name in its manifest."""
     subject: str | None
     """Identifier of the subject."""
     date: str | None
     measured: tuple[Measured, ...]
     no_breast: Mapping[str, str] = {}
-    """Side → what it rests on that nothing was measured there."""
+    """Side → reason for having no volume."""
     notices: tuple[Notice, ...] = ()
     """Warnings of its report."""
     made_at: str | None
     """When the newest result was made, ISO 8601, UTC."""
     seconds: Annotated[float, Field(ge=0)]
-    """Wall time of making all that is there, s."""
+    """Wall time of all its products, s."""
     peak_memory_mb: float | None
-    """Most memory that the process held which made most of it, MB."""
+    """Peak memory of the process that made most of it, MB."""
     megapixels: float
     """Of all photographs of the subject."""
     page: str
     """The report's page, below the results."""
     thumbnail: str | None = None
-    """A small picture of what was measured, WebP in base64."""
+    """A small picture of the subject, WebP in base64."""
 
 
 class Record(BaseModel):
@@ -144,17 +144,17 @@ class Record(BaseModel):
     key: str
     """Digest of settings and software."""
     files: Mapping[str, Stat]
-    """Path in the session → what it was like."""
+    """Path in the session → its size and version."""
     row: Row
 
     @property
     def digest(self) -> str:
-        """Digest of the whole record, by which the parent process identifies it."""
+        """Digest of the whole record, which identifies it to the parent process."""
         return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
 
 
 def software() -> dict[str, str]:
-    """Versions that must be equal on every machine of a batch. With other versions, results would differ."""
+    """Versions that must be equal on every machine of a batch, because results depend on them."""
     numbers = json.dumps({**versions(), **VERSIONS}, sort_keys=True).encode()
     return {"mammometry": mammometry.__version__, "results": hashlib.sha256(numbers).hexdigest()[:12]}
 
@@ -168,8 +168,8 @@ def key_of(settings: Settings) -> str:
 def stats_of(session: Path) -> dict[str, Stat]:
     """Size and times of every file in a session. The record itself and hidden files are left out.
 
-    The time at which the system changed a file (ctime) is one of them: programs that copy keep a file's own time, and
-    cannot set this one. A copied session so counts as changed, and what it is made of is compared by content.
+    ctime is included: copying programs keep a file's modification time, but cannot set ctime. A copied session
+    therefore counts as changed, and its files are compared by content.
     """
     own = as_utf_8((results_of(session) / RECORD).relative_to(session).as_posix())
     outside = sources_of(session) if is_measured(session) else {}
@@ -193,7 +193,7 @@ def _stat(about: os.stat_result) -> Stat:
 
 
 def write_record(session: Path, record: Record) -> None:
-    """Put the record beside the session's results, whole or not at all.
+    """Write the record next to the session's results, atomically.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -207,7 +207,7 @@ def content_of(record: Record) -> bytes:
 
 
 def read_record(data: bytes) -> Record | None:
-    """A record out of a file's content. None where it is none of this version."""
+    """Read a record from a file's content. None if it is not of this version."""
     try:
         return Record.model_validate(unsealed(data)[0])
     except _UNREADABLE:

@@ -43,13 +43,13 @@ def measure_entry(progress: StageProgress, entry: Entry, settings: str) -> dict[
     Args:
         progress: called with stage and fraction.
         entry: the session.
-        settings: all settings of the batch, TOML; those of the entry come on top.
+        settings: all settings of the batch, TOML; the entry's own take precedence.
 
     Returns:
         The record's digest, and the size of the photographs in megapixels.
 
     Raises:
-        MammometryError: whatever stands in the way, in one sentence.
+        MammometryError: the session cannot be measured.
     """
     chosen = Settings.from_toml(settings).overridden(entry.assignments)
     if not entry.remote:
@@ -69,7 +69,7 @@ def measure_entry(progress: StageProgress, entry: Entry, settings: str) -> dict[
 
 @contextmanager
 def _scratch() -> Iterator[Path]:
-    """A folder of this task alone. What a killed one has left is removed by the next on the same machine."""
+    """A folder for this task only. The next task on the same machine removes the leftovers of a killed one."""
     base = Path(tempfile.gettempdir())
     for left in base.glob(f"{_SCRATCH}*"):
         pid = left.name.removeprefix(_SCRATCH).partition("-")[0]
@@ -82,7 +82,7 @@ def _scratch() -> Iterator[Path]:
 def _measured(session: Path, settings: Settings, progress: StageProgress) -> Record:
     """Measure a session and write its record.
 
-    Of what people brought it notes what it was like before: what they change meanwhile is looked at the next time.
+    The record has the state of the user's files before the run, so that changes during the run are noticed next time.
     """
     before = stats_of(session)
     job = open_session(session, settings, watch=lambda key: watched(key, progress))
@@ -99,7 +99,7 @@ def _measured(session: Path, settings: Settings, progress: StageProgress) -> Rec
 def _earlier(session: Path) -> Row | None:
     """Result of an earlier record, for a run that made nothing.
 
-    Such a run needs little memory, so its own peak says nothing.
+    The peak memory of such a run is too low to be useful.
     """
     try:
         record = read_record((results_of(session) / RECORD).read_bytes())
@@ -143,7 +143,7 @@ def _row_of(job: Job, peak_mb: float | None) -> Row:
 
 
 def _thumbnail(results: Path) -> str | None:
-    """A small picture of what was measured, WebP in base64. None where there is none."""
+    """A small picture of the subject, WebP in base64. None if there is none."""
     for name in _PICTURES:
         if not (results / name).is_file():
             continue
@@ -158,6 +158,6 @@ def _thumbnail(results: Path) -> str | None:
 
 @contextmanager
 def watched(key: Key, progress: StageProgress) -> Iterator[Progress]:
-    """Report a product that is being made as a part of its stage."""
+    """Report progress of a product as progress of its stage."""
     progress(key.stage, 0.0)
     yield lambda fraction: progress(key.stage, fraction)

@@ -1,7 +1,7 @@
 """Sessions on remote storage: any fsspec address, such as ``s3://``.
 
 Such storage cannot replace many files at once. So results go into a new folder, ``results-<digest>``, and then one
-small file, ``results.json``, is replaced to name it. Readers see the former results or the new ones, whole.
+small file, ``results.json``, is replaced to name it. Readers see either the old or the new results, complete.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _RESULTS = "results"
 
 
 def sessions_at(address: str) -> list[str]:
-    """Addresses of the session there, or of those right below.
+    """Addresses of the session there, or of those one level down.
 
     Raises:
         SessionError: there are none.
@@ -52,7 +52,7 @@ def fetch(entry: Entry, folder: Path) -> dict[str, Stat]:
     """Fetch a session and its former results into a new folder.
 
     Returns:
-        What its files were like before they were fetched, as `stats`.
+        Size and version of its files before they were fetched, as `stats`.
 
     Raises:
         StorageError: the storage does not answer.
@@ -70,7 +70,7 @@ def fetch(entry: Entry, folder: Path) -> dict[str, Stat]:
     if (former := _pointed(entry)) is not None:
         with _answers(entry.address):
             system, root = _opened(_base(entry))
-            for path in system.find(f"{root}/{former}"):  # a pattern to fsspec's other ways, where it has brackets
+            for path in system.find(f"{root}/{former}"):  # other functions of fsspec treat brackets as a pattern
                 target = folder / _RESULTS / path[len(root) + len(former) + 1 :].lstrip("/")
                 target.parent.mkdir(parents=True, exist_ok=True)
                 system.get_file(path, str(target))
@@ -78,7 +78,7 @@ def fetch(entry: Entry, folder: Path) -> dict[str, Stat]:
 
 
 def put(entry: Entry, results: Path, digest: str) -> None:
-    """Put results back, whole or not at all. Former ones are removed afterwards.
+    """Send results back, atomically. Former ones are removed afterwards.
 
     Raises:
         StorageError: the storage does not answer or refuses.
@@ -94,12 +94,12 @@ def put(entry: Entry, results: Path, digest: str) -> None:
             system.put_file(str(path), f"{root}/{name}/{path.relative_to(results).as_posix()}")
         _replace(system, f"{root}/{POINTER}", json.dumps({"format": 1, "results": name}).encode())
         if former is not None and former != name:
-            with suppress(OSError):  # nobody reads it any more
+            with suppress(OSError):  # no longer read
                 _remove(system, f"{root}/{former}")
 
 
 def _remove(system: AbstractFileSystem, folder: str) -> None:
-    """Remove a folder, whose name is no pattern, with all that is in it."""
+    """Remove a folder with its contents. Its name is not treated as a pattern."""
     files = system.find(folder)
     folders = {folder}
     for path in files:
@@ -107,7 +107,7 @@ def _remove(system: AbstractFileSystem, folder: str) -> None:
         below = path[len(folder) :].split("/")[:-1]
         folders |= {folder + "/".join(below[: count + 1]) for count in range(1, len(below))}
     for path in sorted(folders, key=len, reverse=True):
-        with suppress(OSError):  # storage of objects has no folders
+        with suppress(OSError):  # object storage has no folders
             system.rmdir(path)
 
 
@@ -124,7 +124,7 @@ def look_up(entry: Entry, key: str) -> tuple[Row | None, bool]:
 
 
 def record_of(entry: Entry) -> Record | None:
-    """The record of the results that are there. None where there are none.
+    """The record of the present results. None if there are none.
 
     Raises:
         StorageError: the storage does not answer.
@@ -141,7 +141,7 @@ def record_of(entry: Entry) -> Record | None:
 
 
 def results_of(entry: Entry) -> str | None:
-    """Address of the results that are there."""
+    """Address of the present results."""
     former = _pointed(entry)
     return None if former is None else f"{_base(entry).rstrip('/')}/{former}"
 
@@ -159,7 +159,7 @@ def read(address: str) -> bytes:
 
 
 def stats(entry: Entry) -> dict[str, Stat]:
-    """Name → size and storage tag of every file brought by people.
+    """Name → size and storage tag of every file of the user.
 
     The tag is the change time if the storage has none.
 
@@ -177,14 +177,14 @@ def stats(entry: Entry) -> dict[str, Stat]:
         if first in (_RESULTS, POINTER) or first.startswith((f"{_RESULTS}-", ".")) or "/." in name:
             continue
         changed = about.get("ETag") or about.get("mtime") or about.get("LastModified") or ""
-        if (created := about.get("created")) and "ETag" not in about:  # a disk: when the system changed the file
+        if (created := about.get("created")) and "ETag" not in about:  # on a disk: when the system changed the file
             changed = f"{changed} {created}"
         remote[name] = (int(about["size"]), changed if isinstance(changed, int | float) else str(changed))
     return dict(sorted(remote.items()))
 
 
 def _base(entry: Entry) -> str:
-    """Address of the folder in which the results lie."""
+    """Address of the folder with the results."""
     return entry.address if entry.results is None else entry.results
 
 
@@ -203,7 +203,7 @@ def _opened(address: str) -> tuple[AbstractFileSystem, str]:
 
 
 def _pointed(entry: Entry) -> str | None:
-    """Name of the folder of the results that are there."""
+    """Name of the folder with the present results."""
     with _answers(entry.address):
         system, root = _opened(_base(entry))
         system.invalidate_cache()
@@ -215,7 +215,7 @@ def _pointed(entry: Entry) -> str | None:
 
 
 def _replace(system: AbstractFileSystem, path: str, data: bytes) -> None:
-    """Replace a file at once: storage of objects does, a disk renames."""
+    """Replace a file atomically: object storage does so, a disk renames."""
     if "s3" in system.protocol or "memory" in system.protocol or "gs" in system.protocol:
         system.pipe_file(path, data)
         return
@@ -225,7 +225,7 @@ def _replace(system: AbstractFileSystem, path: str, data: bytes) -> None:
 
 @contextmanager
 def _answers(address: str) -> Iterator[None]:
-    """Turn any error of a storage package into one sentence."""
+    """Turn any error of a storage package into a sentence."""
     try:
         yield
     except (StorageError, SessionError):
@@ -235,5 +235,5 @@ def _answers(address: str) -> Iterator[None]:
         remedy = "Check the address, the credentials and the network, and run the same command again"
         expected = "to read the session and to write its results"
         raise StorageError(
-            address, found=f"storage that does not answer as it should ({reason})", expected=expected, remedy=remedy
+            address, found=f"storage that does not answer properly ({reason})", expected=expected, remedy=remedy
         ) from None

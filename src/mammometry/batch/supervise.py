@@ -17,13 +17,13 @@ from mammometry.base.value import value
 from mammometry.batch.record import MEMORY, software
 
 TOPIC = "mammometry"
-"""Of the events by which workers say how far their tasks are."""
-_LOOK_S = 0.5  # between two looks at the memory of a process: it grows by some 100 MB a second
-_LAST_LINES = 3  # of what a process that died has said
+"""Topic of the workers' progress events."""
+_LOOK_S = 0.5  # between two checks of a process's memory: it grows by about 100 MB a second
+_LAST_LINES = 3  # of the output of a process that died
 _MIB = 1 << 20  # bytes in a MiB
 
 running: dict[tuple[str, str], subprocess.Popen[bytes]] = {}
-"""Processes of this worker by batch and task, for stopping them."""
+"""Processes of this worker by batch and task, to stop them."""
 
 
 @value
@@ -31,25 +31,25 @@ class Limits:
     """Limits of a task's process."""
 
     batch: str
-    """Whose task it is."""
+    """Batch of the task."""
     cores: int
     software: Mapping[str, str]
-    """What the batch's own machine runs."""
+    """Software of the batch's own machine."""
     report_s: float = 1.0
-    """Between two reports on the same stage, s. The scheduler hears those of all workers."""
+    """Between two reports on the same stage, s. The scheduler receives those of all workers."""
 
 
 def supervise(name: str, call: Call, limits: Limits) -> dict[str, Any]:
-    """Do a task in a process of its own.
+    """Run a task in its own process.
 
     Args:
         name: of the task, for its events.
-        call: what to do; its function is called with a `StageProgress` first.
-        limits: of its process, whose memory is limited to what the worker offers.
+        call: the task; its function is called with a `StageProgress` first.
+        limits: of its process; the memory limit is the worker's offer.
 
     Returns:
-        What the process answered (`ChildProcess.answer`); ``killed`` with the reason where it did not; ``other`` with
-        what this worker runs where that is not what the batch runs. Always ``worker`` and ``memory_mb``.
+        The answer of the process (`ChildProcess.answer`); ``killed`` with the reason if it died; ``other`` with this
+        worker's software if that differs from the batch's. Always ``worker`` and ``memory_mb``.
     """
     from distributed import get_worker
 
@@ -91,13 +91,13 @@ def stop(batch: str, tasks: Collection[str]) -> int:
 
 
 def _last_words(process: subprocess.Popen[bytes], errors: Any) -> str:
-    """Why a process ended without an answer."""
+    """Reason why a process ended without an answer."""
     code = process.wait()
     size = errors.seek(0, os.SEEK_END)
     errors.seek(max(0, size - 4096))
     lines = errors.read().decode("utf-8", errors="replace").strip().splitlines()[-_LAST_LINES:]
     ended = f"it was ended by signal {-code}" if code < 0 else f"it ended with code {code}"
-    return " ".join([ended, *([f"after saying: {' / '.join(lines)}"] if lines else [])])
+    return " ".join([ended, *([f"its last output: {' / '.join(lines)}"] if lines else [])])
 
 
 class _Peak:
@@ -124,7 +124,7 @@ class _Peak:
                 family = [whole, *whole.children(recursive=True)]
                 self.mb = max(self.mb, round(sum(process.memory_info().rss for process in family) / _MIB, 1))
             if self._limit_mb and self.mb > self._limit_mb:
-                self.why = f"it took {self.mb:.0f} MB of memory, more than the {self._limit_mb:.0f} MB that it may"
+                self.why = f"it used {self.mb:.0f} MB of memory, more than its limit of {self._limit_mb:.0f} MB"
                 self._process.kill()
                 return
             if self._ended.wait(_LOOK_S):

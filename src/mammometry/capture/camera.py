@@ -20,40 +20,40 @@ from mammometry.base.photograph import Photograph
 from mammometry.base.registry import Registry
 
 Clock: TypeAlias = Literal["ptp", "host", "exif", "none"]
-"""Whose time a picture carries: one clock shared by all cameras, this computer's when the picture came, each camera's
-own as EXIF has it, or nobody's."""
+"""Clock of a picture's time: one shared by all cameras, this computer's at arrival, each camera's own in EXIF, or none.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraSettings:
-    """Exposure settings of all cameras. None leaves what the camera has."""
+    """Exposure settings of all cameras. None keeps the camera's setting."""
 
     exposure_ms: float | None = None
-    """Length of the exposure; all cameras alike, so that the flash lies in all. None: as the cameras are set."""
+    """Exposure time, the same for all cameras, so that all contain the flash. None: as the cameras are set."""
     gain_db: float | None = None
-    """Gain of the sensor; as low as the light allows, since it raises noise too. None: as the cameras are set."""
+    """Gain of the sensor; as low as the light allows, because it also raises noise. None: as the cameras are set."""
     trigger: Literal["wire", "software"] = "wire"
-    """``wire``: a pulse from outside exposes all at once. ``software``: a command each, for tests and set-up."""
+    """``wire``: an external pulse exposes all at once. ``software``: one command per camera, for tests and set-up."""
 
     def __post_init__(self) -> None:
         if self.exposure_ms is not None and not 0.01 <= self.exposure_ms <= 10_000:
-            raise ValueError(f"exposure_ms must lie between 0.01 and 10000, found {self.exposure_ms:g}")
+            raise ValueError(f"exposure_ms must be between 0.01 and 10000, found {self.exposure_ms:g}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Frame:
-    """One picture of one camera, as it was delivered."""
+    """One picture as delivered by a camera."""
 
     camera: str
     content: bytes | Photograph
-    """A whole JPEG, PNG or TIFF as the camera wrote it, or bare pixels."""
+    """A complete JPEG, PNG or TIFF from the camera, or pixels."""
     taken_s: float | None = None
-    """When it was exposed, seconds on its clock."""
+    """Time of exposure on its clock, seconds."""
     clock: Clock = "none"
     number: int | None = None
-    """The camera's own count of its pictures."""
+    """The camera's picture counter."""
     serial: str = ""
-    """Serial number of the body that took it, where it says."""
+    """Serial number of the camera, if known."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +61,7 @@ class Health:
     """State of one camera."""
 
     fault: str = ""
-    """What is wrong, in a sentence. Empty where all is well."""
+    """The fault, one sentence. Empty if none."""
     model: str = ""
     serial: str = ""
     size_wh: tuple[int, int] | None = None
@@ -81,12 +81,12 @@ class Health:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Devices:
-    """The cameras that a back-end is to open."""
+    """The cameras for a back-end to open."""
 
     cameras: tuple[str, ...]
     """Names in the rig."""
     ids: Mapping[str, str]
-    """Camera → serial number, address or port by which the back-end knows it. May lack cameras."""
+    """Camera → its serial number, address or port in the back-end. Cameras may be missing."""
     options: Mapping[str, Any]
     """The back-end's own options, from the rig's file."""
 
@@ -94,8 +94,8 @@ class Devices:
 class Backend(Protocol):
     """All cameras of a rig, opened.
 
-    A back-end is made from `Devices`; that opens the cameras. One camera's failure is a `CaptureError` of `fetch` or a
-    fault of `health`, so that the others go on. `fetch` and `live` are called for several cameras at once.
+    A back-end is made from `Devices`; this opens the cameras. The failure of one camera is a `CaptureError` of `fetch`
+    or a fault in `health`, so that the others continue. `fetch` and `live` are called for several cameras in parallel.
     """
 
     def settings(self, wanted: CameraSettings) -> None:
@@ -106,27 +106,27 @@ class Backend(Protocol):
         """
 
     def arm(self) -> None:
-        """Make all cameras wait for the pulse. What they took before is dropped."""
+        """Make all cameras wait for the pulse. Earlier pictures are dropped."""
 
     def fire(self) -> float:
-        """Expose. With a wire, somebody's button does.
+        """Expose, unless a wire triggers.
 
         Returns:
-            When, by ``time.time()``.
+            Time of the exposure (``time.time()``).
         """
 
     def fetch(self, camera: str, timeout_s: float) -> Frame:
-        """The picture of the last fire.
+        """The picture of the last firing.
 
         Raises:
-            CaptureError: it did not come, or is spoilt.
+            CaptureError: it is missing or damaged.
         """
 
     def live(self, camera: str) -> Photograph:
-        """A picture for the screen, small if the camera can.
+        """A live picture, small if the camera supports it.
 
         Raises:
-            CaptureError: the camera gives none.
+            CaptureError: there is none.
         """
 
     def health(self, camera: str) -> Health:
@@ -142,18 +142,18 @@ def failed(camera: str, found: str, remedy: str, *, expected: str = "one picture
 
 
 class Holds:
-    """The cameras that a rig holds. Until `release`, or the end of the process."""
+    """Locks on the cameras of a rig, until `release` or the end of the process."""
 
     def __init__(self, rig: str, backend: str, ids: Mapping[str, str]) -> None:
         """Lock all cameras, or none.
 
         Args:
-            rig: its name, for whoever wants the same camera.
+            rig: its name, for messages of another rig.
             backend: kind of cameras.
             ids: camera → serial number, address or port.
 
         Raises:
-            CaptureError: another rig holds one of them.
+            CaptureError: another rig uses one of them.
         """
         self._locks: list[FileLock] = []
         folder = Path(tempfile.gettempdir()) / f"mammometry-cameras-{getpass.getuser()}"
@@ -167,7 +167,7 @@ class Holds:
                 self.release()
                 holder = about.read_text(encoding="utf-8") if about.is_file() else "another program"
                 raise CaptureError(
-                    camera, found=f"a camera ({device}) that {holder} holds: two rigs on one bus",
+                    camera, found=f"a camera ({device}) that {holder} uses: two rigs on one bus",
                     expected="a camera of this rig alone",
                     remedy="Close the other rig's page or command, or correct the serial numbers in the rigs' files",
                 ) from None  # fmt: skip
@@ -188,7 +188,7 @@ BACKENDS: Registry[Opener] = Registry("back-end", package="mammometry.capture.ba
 def library(name: str) -> ModuleType:
     """Import a maker's library.
 
-    Those that SWIG made warn when they are imported, and end the whole program where warnings are errors.
+    Those made by SWIG warn on import, and would end the whole program if warnings are errors.
 
     Raises:
         ImportError: it is not installed.

@@ -23,27 +23,27 @@ Level: TypeAlias = Literal["ok", "unknown", "warn", "refuse"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One check of one photograph, or of all of them together."""
+    """One check of one photograph, or of all together."""
 
     check: str
-    """What was looked at: format, camera, size, sharpness, exposure, whole, times, twice, digest."""
+    """What was checked: format, camera, size, sharpness, exposure, whole, times, twice, digest."""
     level: Level
-    """``unknown``: it cannot be told; ``warn``: somebody should look; ``refuse``: it cannot be used."""
+    """``unknown``: no information; ``warn``: look at it; ``refuse``: it cannot be used."""
     sentence: str
-    """For the one who photographs: what, and what to do."""
+    """For the photographer: the finding and the remedy."""
 
     def as_table(self) -> dict[str, object]:
-        """As JSON: level, and ``ok``, which is none where it is unknown."""
+        """As JSON: level, and ``ok``, which is None if unknown."""
         ok = None if self.level == "unknown" else self.level == "ok"
         return {"check": self.check, "ok": ok, "level": self.level, "sentence": self.sentence}
 
 
 def refuses(findings: Iterable[Finding]) -> bool:
-    """Whether one of them says that the photograph cannot be used."""
+    """Whether any finding is a refusal."""
     return any(finding.level == "refuse" for finding in findings)
 
 
-_LOOKED_AT = 1 << 16  # bytes at either end: an archive's directory lies within 65,557 of the end (ZIP, APPNOTE 4.3.16)
+_LOOKED_AT = 1 << 16  # bytes at either end: an archive's directory is within 65,557 of the end (ZIP, APPNOTE 4.3.16)
 _BEGIN = (b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"II*\x00", b"MM\x00*")  # JPEG, PNG, TIFF in either byte order
 _JPEG, _JPEG_END, _PNG_END = _BEGIN[0], b"\xff\xd9", b"IEND\xaeB`\x82"
 _OTHERS = {
@@ -61,19 +61,19 @@ _OTHERS = {
     b"\x7felf": "a program",
     b"this program cannot be run in dos mode": "a program",
 }
-"""How other files begin, in small letters, wherever that counts."""
-_ANYWHERE = (b"%pdf-", b"<?php", b"<script", b"<html", b"<!doctype", b"<svg")  # what readers seek past the first byte
-_HEAD_BYTES = 1024  # in which readers of PDF and browsers look for those
+"""First bytes of other formats, in lower case, if they are recognised at any offset."""
+_ANYWHERE = (b"%pdf-", b"<?php", b"<script", b"<html", b"<!doctype", b"<svg")  # found by readers after the first byte
+_HEAD_BYTES = 1024  # in which PDF readers and browsers look for them
 
 
 NO_PHOTOGRAPH = "no photograph"
-"""Answer of `not_only_a_photograph` for a file that does not begin as one."""
+"""Answer of `not_only_a_photograph` for a file that does not start as one."""
 
 
 def not_only_a_photograph(path: Path) -> str | None:
-    """A second kind of file that a photograph is at once, in two words, else None.
+    """Second format of a file that is a photograph and something else, in two words.
 
-    `NO_PHOTOGRAPH` where it is none. None for an ordinary photograph.
+    `NO_PHOTOGRAPH` if it is no photograph. None for an ordinary photograph.
 
     Raises:
         OSError: it cannot be read.
@@ -94,32 +94,33 @@ def not_only_a_photograph(path: Path) -> str | None:
 
 
 def _behind(head: bytes, tail: bytes) -> bytes:
-    """Bytes that follow the end of the picture.
+    """Bytes after the end of the picture.
 
-    A camera may put a second, smaller picture or its own notes there.
+    Cameras may store a second, smaller picture or notes there.
     """
     end = _JPEG_END if head.startswith(_JPEG) else _PNG_END if head.startswith(_BEGIN[1]) else b""
-    if not end:  # a TIFF's parts lie in any order: only what closes an archive is telling
+    if not end:  # the parts of a TIFF are in any order: only the end of an archive counts
         return tail[tail.rfind(b"PK\x05\x06") :] if b"PK\x05\x06" in tail else b""
     place = tail.rfind(end)
     closing = tail.rfind(b"PK\x05\x06")
     return tail[min(position for position in (place, closing) if position >= 0) :] if max(place, closing) >= 0 else tail
 
 
-_LOOKED_AT_PX = 676.0  # diagonal at which the subject is sought: half of the reference size, as matching does
+_LOOKED_AT_PX = 676.0  # diagonal at which the subject is found: half of the reference size, as in matching
 QUICK_PX = 250.0
-"""Diagonal at which it is sought beside a rig, where eight pictures wait for a verdict."""
-_COARSE_STEP = 12  # pixels to a block, from which on there are many
-_CROP_PX = 800  # side of the part of the subject whose sharpness is looked at; for speed
-_QUICK_CROP_PX = 480  # the same beside a rig: a third of the time
+"""Diagonal at which it is found during a capture, when eight pictures need a quick verdict."""
+_COARSE_STEP = 12  # pixels per block, from which there are many
+_CROP_PX = 800  # side of the part of the subject used for sharpness; for speed
+_QUICK_CROP_PX = 480  # the same during a capture: a third of the time
 _BLURRED = 0.67
-"""Blur (Crete 2007: 0 none, 1 all) from which somebody should look. Photographs of torsos by our renderer have .31 to
-.36, and .46 to .53, .67 to .73 and .81 to .85 when blurred by a Gaussian σ of 1, 2 and 3 px."""
-_DARK, _PALE = 0.25, 0.95  # median of the subject's encoded value; skin of any colour, well lit, lies between
-_CLIPPED, _CLIPPED_SHARE = 0.995, 0.02  # encoded value that counts as lost, and share of the subject that may be
+"""Blur (Crete 2007, 0 to 1) above which there is a warning. Rendered photographs of torsos have 0.31 to 0.36, and 0.46
+to 0.53, 0.67 to 0.73 and 0.81 to 0.85 if blurred by a Gaussian σ of 1, 2 and 3 px.
+"""
+_DARK, _PALE = 0.25, 0.95  # median of the subject's encoded value; well-lit skin of any colour is between
+_CLIPPED, _CLIPPED_SHARE = 0.995, 0.02  # encoded value that counts as saturated, and the allowed share of the subject
 _SMALL, _LARGE = 0.08, 0.92  # share of the picture that the subject covers
 _AT_BORDER = 0.02  # of a border's length: a cast must not touch it
-_OFF_CENTRE = 0.3  # of the picture's width, from the middle to the subject's
+_OFF_CENTRE = 0.3  # of the picture's width, between its centre and the subject's
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,17 +128,17 @@ class Seen:
     """Figures of one photograph, shares of 1."""
 
     cover: float
-    """Of the picture, by the subject; 0 where none was found."""
+    """Covered share of the picture; 0 if no subject was found."""
     borders: tuple[float, float, float, float]
-    """Of the upper, lower, left and right border, by the subject."""
+    """Covered share of the upper, lower, left and right border."""
     centre: float
     """Column of the subject's centre; 0.5 is the middle."""
     median: float
     """Encoded value of the subject."""
     clipped: float
-    """Of the subject, without any drawing because it is too bright."""
+    """Overexposed share of the subject, without detail."""
     blur: float
-    """By Crete 2007: 0 none, 1 all."""
+    """Crete 2007: 0 sharp, 1 blurred."""
 
 
 def look(photograph: Photograph, *, looked_at_px: float = _LOOKED_AT_PX) -> Seen:
@@ -145,13 +146,13 @@ def look(photograph: Photograph, *, looked_at_px: float = _LOOKED_AT_PX) -> Seen
 
     Args:
         photograph: 8 or 16 bit.
-        looked_at_px: diagonal of the reduced picture in which the subject is sought.
+        looked_at_px: diagonal of the reduced picture in which the subject is found.
     """
     pixels = np.atleast_3d(photograph.pixels)
     diagonal = float(np.hypot(*photograph.size_wh))
     step = max(1, round(diagonal / looked_at_px))
     largest = np.iinfo(pixels.dtype).max
-    # Of a block whose noise does not count, every fourth pixel of each row and column will do.
+    # If noise does not matter, every fourth pixel of each row and column is enough.
     thin = 4 if step >= _COARSE_STEP else 1
     levels = np.linspace(0, 1, largest + 1, dtype=np.float32)
     encoded = block_means(np.ascontiguousarray(pixels[::thin, ::thin]), levels, step // thin)
@@ -181,15 +182,15 @@ def _blur(pixels: Array, where: Bool[Array, "h w"], step: int, side_px: int) -> 
     channels = cut.shape[2]  # added one by one: NumPy's mean over three values is slow
     crop: Float32[Array, "h w"] = sum(cut[..., k].astype(np.float32) for k in range(channels)) / (channels * largest)
     blur = float(blur_effect(crop))  # type: ignore[no-untyped-call]
-    return blur if np.isfinite(blur) else 1.0  # nothing but one value
+    return blur if np.isfinite(blur) else 1.0  # a single value
 
 
 def judge(seen: Seen, subject_kind: str) -> list[Finding]:
-    """Say what the figures mean.
+    """Turn the figures into findings.
 
     Args:
         seen: figures of the photograph.
-        subject_kind: ``torso``, which goes on beyond the picture, or ``model``, which must lie within it.
+        subject_kind: ``torso``, which continues outside the picture, or ``model``, which must be inside.
     """
     return [_sharpness(seen), _exposure(seen), _whole(seen, subject_kind)]
 
@@ -207,11 +208,11 @@ def _sharpness(seen: Seen) -> Finding:
 def _exposure(seen: Seen) -> Finding:
     problem = None
     if seen.clipped > _CLIPPED_SHARE:
-        problem = f"{seen.clipped:.0%} of the skin is too bright to show anything. Use less light or a smaller opening."
+        problem = f"{seen.clipped:.0%} of the skin is overexposed. Use less light or a smaller aperture."
     elif seen.cover and seen.median < _DARK:
         problem = "The subject is dark. Check the flashes, or use more light."
     elif seen.median > _PALE:
-        problem = "The subject is too bright. Use less light or a smaller opening."
+        problem = "The subject is too bright. Use less light or a smaller aperture."
     return Finding("exposure", "warn" if problem else "ok", problem or "Well exposed.")
 
 
@@ -219,9 +220,9 @@ def _whole(seen: Seen, subject_kind: str) -> Finding:
     names = ("above", "below", "on the left", "on the right")
     problem = None
     if not seen.cover:
-        problem = "No subject stands out from the background. Check that the patient was in the picture."
+        problem = "No subject was found against the background. Check that the patient was in the picture."
     elif seen.cover < _SMALL:
-        problem = f"The subject covers only {seen.cover:.0%} of the picture. Check where it stands."
+        problem = f"The subject covers only {seen.cover:.0%} of the picture. Check its position."
     elif subject_kind == "model" and (
         cut := [name for name, share in zip(names, seen.borders, strict=True) if share > _AT_BORDER]
     ):
@@ -235,14 +236,15 @@ def _whole(seen: Seen, subject_kind: str) -> Finding:
 
 
 _TOGETHER_S = 20.0
-"""Cameras are released together; their clocks are set by hand, and read to a second or two where no calibration tells
-how they differ. Two exposures of one visit lie further apart. Chosen by eye."""
-_TOGETHER_KNOWN_S = 2.5  # where the calibration tells how the clocks differ: EXIF counts whole seconds, clocks drift
+"""Clocks of cameras are set by hand, to a second or two, if no calibration shows how they differ. Two exposures of one
+visit are further apart. Chosen by eye.
+"""
+_TOGETHER_KNOWN_S = 2.5  # if the calibration shows how the clocks differ: EXIF has whole seconds, clocks drift
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KnownCamera:
-    """One camera of a rig, as its calibration's photographs show it."""
+    """One camera of a rig, from its calibration photographs."""
 
     stored_wh: tuple[int, int] | None = None
     """Width and height of its files, px."""
@@ -250,7 +252,7 @@ class KnownCamera:
     """EXIF orientation of its files."""
     serial: str = ""
     clock_s: float | None = None
-    """How far its clock is ahead of the rig's median clock, s."""
+    """Lead of its clock over the rig's median clock, s."""
 
     def as_table(self) -> dict[str, Any]:
         """The known facts of a camera as JSON."""
@@ -270,13 +272,13 @@ class KnownCamera:
 
 
 def clocks(taken: Mapping[tuple[str, str], float]) -> dict[str, float]:
-    """Lead of each camera's clock over the others', by exposures that were made together.
+    """Lead of each camera's clock over the others', from simultaneous exposures.
 
     Args:
-        taken: (pose, camera) → moment by the camera's own clock, s.
+        taken: (pose, camera) → time on the camera's own clock, s.
 
     Returns:
-        Camera → median over the poses of its difference to the pose's median, s.
+        Camera → median over the poses of its difference from the pose's median, s.
     """
     poses: dict[str, dict[str, float]] = {}
     for (pose, camera), moment in taken.items():
@@ -290,7 +292,7 @@ def clocks(taken: Mapping[tuple[str, str], float]) -> dict[str, float]:
 
 
 def camera_of_name(name: str, cameras: Sequence[str]) -> str | None:
-    """The one camera that a file's name names as a whole word. None if none or several do."""
+    """The camera whose name is a whole word in a file's name. None if none or several."""
     stem = re.sub(r"\.[A-Za-z]+$", "", name).lower()
     named = [camera for camera in cameras if re.search(rf"(?<![a-z0-9]){re.escape(camera.lower())}(?![a-z0-9])", stem)]
     longest = [camera for camera in named if not any(camera != other and camera in other for other in named)]
@@ -304,52 +306,52 @@ def camera_of_serial(serial: str, known: Mapping[str, KnownCamera]) -> str | Non
 
 
 def right_camera(camera: str, exposure: Exposure, named: str | None, known: Mapping[str, KnownCamera]) -> Finding:
-    """Check that the photograph lies under the right camera.
+    """Check that the photograph is filed under the right camera.
 
     Args:
-        camera: in whose place it was put.
-        exposure: what its file says.
-        named: the camera that the file's name names, if it does.
-        known: camera → what the calibration knows.
+        camera: the camera it is filed under.
+        exposure: metadata of its file.
+        named: the camera in the file's name, if any.
+        known: camera → facts from the calibration.
     """
     wanted = known.get(camera, KnownCamera()).serial
     if exposure.serial and wanted:
         if exposure.serial == wanted:
             return Finding("camera", "ok", f"Taken by {camera}, by its serial number.")
         other = camera_of_serial(exposure.serial, known)
-        by = f"by {other}" if other else "by a camera that was not there at the calibration"
-        remedy = "Put it in that camera's place" if other else f"Take the photograph of {camera}, or calibrate again"
+        by = f"by {other}" if other else "by a camera that is not in the calibration"
+        remedy = "File it under that camera" if other else f"Use the photograph of {camera}, or calibrate again"
         return Finding("camera", "refuse", f"This photograph was taken {by}. {remedy}.")
     if named is not None and named != camera:
         return Finding(
             "camera",
             "refuse",
-            f"The file is called {named}, and this is the place of {camera}. Put it in the place of {named}.",
+            f"The file is named {named}, but is filed under {camera}. File it under {named}.",
         )
     if named == camera:
-        return Finding("camera", "ok", f"The file is called {camera}.")
+        return Finding("camera", "ok", f"The file is named {camera}.")
     return Finding("camera", "unknown", "The file does not say which camera took it.")
 
 
 def right_size(camera: str, stored_wh: tuple[int, int], orientation: int, known: Mapping[str, KnownCamera]) -> Finding:
-    """Check that a photograph is as large as the calibration's, and turned alike."""
+    """Check that a photograph has the size and orientation of the calibration's."""
     about = known.get(camera, KnownCamera())
     if about.stored_wh is None:
-        return Finding("size", "unknown", "No calibration says how large it should be.")
+        return Finding("size", "unknown", "Its expected size is unknown without a calibration.")
     if stored_wh != about.stored_wh:
         (width, height), (right_width, right_height) = stored_wh, about.stored_wh
         return Finding(
             "size",
             "refuse",
             f"The photograph has {width} × {height} pixels. {camera} was calibrated with {right_width} × "
-            f"{right_height}. Send the file as the camera wrote it, not cut, turned or made smaller.",
+            f"{right_height}. Send the original file, not cropped, rotated or resized.",
         )
     if orientation != about.orientation:
         return Finding(
             "size",
             "refuse",
-            f"The photograph is turned otherwise than at the calibration of {camera}. Switch off the "
-            "camera's automatic rotation, and send the file as the camera wrote it.",
+            f"The photograph is rotated differently from the calibration of {camera}. Turn off the camera's "
+            "automatic rotation, and send the original file.",
         )
     return Finding("size", "ok", f"{stored_wh[0]} × {stored_wh[1]} pixels, as at the calibration.")
 
@@ -358,11 +360,11 @@ def together(taken: Mapping[str, float], clock_s: Mapping[str, float]) -> Findin
     """Check that all photographs are of one exposure.
 
     Args:
-        taken: camera → moment by its own clock, s.
-        clock_s: camera → how far its clock is ahead, where that is known.
+        taken: camera → time on its own clock, s.
+        clock_s: camera → lead of its clock, if known.
     """
     if len(taken) < 2:
-        return Finding("times", "unknown", "The files do not say when they were taken.")
+        return Finding("times", "unknown", "The files have no time.")
     known = set(taken) <= set(clock_s)
     limit = _TOGETHER_KNOWN_S if known else _TOGETHER_S
     moments = {camera: moment - (clock_s[camera] if known else 0.0) for camera, moment in taken.items()}
@@ -372,17 +374,17 @@ def together(taken: Mapping[str, float], clock_s: Mapping[str, float]) -> Findin
         return Finding("times", "ok", "All photographs were taken together.")
     worst = max(apart, key=lambda camera: abs(apart[camera]))
     how = "before" if apart[worst] < 0 else "after"
-    others = f" {len(apart) - 1} more are apart, too." if len(apart) > 1 else ""
+    others = f" So were {len(apart) - 1} more." if len(apart) > 1 else ""
     return Finding(
         "times",
         "warn",
-        f"{worst} was taken {_duration(abs(apart[worst]))} {how} the others.{others} Send the photograph of "
-        "the same exposure, or set the camera's clock.",
+        f"{worst} was taken {_duration(abs(apart[worst]))} {how} the others.{others} Use the photograph of the "
+        "same exposure, or set the camera's clock.",
     )
 
 
 def twice(digests: Mapping[str, str]) -> list[Finding]:
-    """Refuse one file in two cameras' places.
+    """Refuse one file for two cameras.
 
     Args:
         digests: camera → SHA-256 of its file.
@@ -392,7 +394,7 @@ def twice(digests: Mapping[str, str]) -> list[Finding]:
     for camera, digest in digests.items():
         other = first.setdefault(digest, camera)
         if other != camera:
-            sentence = f"{other} and {camera} are the same photograph. Send each camera's own."
+            sentence = f"{other} and {camera} are the same photograph. Use each camera's own."
             findings.append(Finding("twice", "refuse", sentence))
     return findings
 

@@ -1,7 +1,7 @@
-"""Suggestions where to hold the board next, while a rig is calibrated.
+"""Suggestions where to hold the board next during a calibration.
 
-Of many places the one is suggested after which the cameras' errors are expected to matter least: the information that a
-view would add to the cameras' covariance follows from its derivatives alone, before anybody takes the picture.
+The suggested place is the one that reduces the expected errors most: the information that a view adds to the cameras'
+covariance follows from its derivatives, before the picture is taken.
 """
 
 from __future__ import annotations
@@ -18,14 +18,15 @@ from mammometry.geometry import Array, Float64, Rig, Transform
 from mammometry.simulate.rigs.targets import sees_target, visible_points
 
 GOOD_MM = 0.05
-"""Expected error of measured points at which a calibration is good enough, mm: a tenth of what the paper's plate
-allows, as `findings.RESIDUAL_GOOD_MM`."""
+"""Expected error of points at which a calibration is good enough, mm: a tenth of the paper's limit on a plate, as
+`findings.RESIDUAL_GOOD_MM`.
+"""
 POSES = 12
 """Poses after which a rig is usually good enough."""
 _CANDIDATES = 80  # places that are compared; twice as many change the result by a few per cent
 _REACH = 0.6  # of half the working volume's side: how far from its middle the board is held
-_TILT_STD = 0.35  # of each coordinate of the direction that the board faces, of a unit vector: some 20°
-_FEWEST_CAMERAS = 2  # that must see the board; one alone ties nothing together
+_TILT_STD = 0.35  # of each coordinate of the board's unit normal: about 20°
+_FEWEST_CAMERAS = 2  # that must see the board; one camera links nothing
 
 
 @value(eq=False)
@@ -42,7 +43,7 @@ class Suggestion:
     outlines: Mapping[str, Float64[Array, "4 2"]]
     """The same as shares of the picture's width and height, for a live picture of any size. Read-only."""
     sentence: str
-    """For whoever holds the board."""
+    """Instruction for the person with the board."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,13 +52,13 @@ class Progress:
 
     poses: int
     error_mm: float
-    """Expected error of points by the worst pair."""
+    """Expected error of the worst pair's points."""
     good_enough: bool
     sentence: str
 
 
 def opening(pair_names: tuple[str, ...], taken: int) -> str:
-    """Place of the board while there is no calibration yet, turned towards each pair."""
+    """Place of the board before the first calibration, turned towards each pair."""
     if not taken:
         return "Hold the board in the middle, so that as many cameras as possible see it."
     pair = pair_names[(taken - 1) % len(pair_names)]
@@ -75,16 +76,16 @@ def progress(calibration: Calibration) -> Progress:
         error_mm=float(errors[worst]),
         good_enough=good,
         sentence=f"{word}: pair {worst} is expected to measure points to {errors[worst]:.3f} mm, "
-        f"{GOOD_MM:g} mm are wanted; {poses} poses so far.",
+        f"the goal is {GOOD_MM:g} mm; {poses} poses so far.",
     )
 
 
 def suggest(calibration: Calibration) -> Suggestion | None:
-    """Next place to hold the board, by the poses so far. None where no two cameras see one."""
+    """Next place to hold the board, from the poses so far. None if no two cameras see one."""
     shifts = shape_shifts(calibration)
     own = np.ix_(shifts.columns, shifts.columns)
     information = np.linalg.pinv(calibration.covariance.independent[own], hermitian=True)
-    # The error is a trace: each pair's points need be summed once, and not for each place.
+    # The error is a trace: each pair's points are summed once, not for each place.
     moments = {
         pair: np.einsum("nkp,nkq->pq", free, free) / len(free)
         for pair, free in shifts.by_parameter.items()
@@ -94,7 +95,7 @@ def suggest(calibration: Calibration) -> Suggestion | None:
     def worst_mm(covariance: Float64[Array, "p p"]) -> float:
         return float(np.sqrt(max(np.trace(moment @ covariance) for moment in moments.values())))
 
-    # Errors that a photograph's points share make the truth larger than independent ones say, now and then alike.
+    # Errors shared by a photograph's points make the true error larger, before and after alike.
     shared = worst_mm(calibration.covariance.matrix[own]) / worst_mm(calibration.covariance.independent[own])
     weight = 1.0 / _variance_px2(calibration)
     best: tuple[float, Transform] | None = None
@@ -122,7 +123,7 @@ def suggest(calibration: Calibration) -> Suggestion | None:
 def _information_of(
     calibration: Calibration, placed: Transform, names: tuple[str, ...], weight: float
 ) -> Float64[Array, "p p"] | None:
-    """Information on the cameras in a view of the board, its place eliminated (Schur's complement)."""
+    """Information about the cameras in a view of the board, with its pose eliminated (Schur complement)."""
     target = calibration.observations.target
     size = len(names)
     own, cross, pose = np.zeros((size, size)), np.zeros((size, 6)), np.zeros((6, 6))
@@ -145,7 +146,7 @@ def _information_of(
 
 
 def _places(calibration: Calibration, rng: np.random.Generator) -> list[Transform]:
-    """Places about the rig's middle, the print towards some of the pairs, however turned."""
+    """Places around the rig's centre, facing some of the pairs, in any rotation."""
     rig, target = calibration.rig, calibration.observations.target
     volume = working_volume(calibration)
     grid, middle = volume.grid_world, volume.middle_world
@@ -160,7 +161,7 @@ def _places(calibration: Calibration, rng: np.random.Generator) -> list[Transfor
         turn = rng.uniform(0.0, 2 * np.pi)
         x = np.cos(turn) * a + np.sin(turn) * np.cross(z, a)
         rotation = np.stack([x, np.cross(z, x), z], axis=1)
-        at = middle + rng.uniform() * rng.uniform(-reach, reach, 3)  # near the middle more often: more is seen there
+        at = middle + rng.uniform() * rng.uniform(-reach, reach, 3)  # more often near the centre, where more is visible
         places.append(Transform(rotation=rotation, translation_mm=at - rotation @ target.body.middle_mm))
     return places
 

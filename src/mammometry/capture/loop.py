@@ -1,4 +1,4 @@
-"""From one button to a session that can be measured."""
+"""Capture with one button, into a session that can be measured."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from mammometry.calibration.targets.target import Target
     from mammometry.settings import Settings
 
-_SEARCH_PX = 480  # width in which the board is sought to tell cameras apart: hundredths of a pixel do not matter
+_SEARCH_PX = 480  # width in which the board is found to identify cameras: hundredths of a pixel do not matter
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +50,7 @@ class CaptureResult:
     """Result of one firing."""
 
     shot: Path
-    """Folder of its pictures: those of all cameras that delivered."""
+    """Folder of its pictures, from all cameras that delivered."""
     verdict: Verdict
     accepted: bool
     """Whether it is the session's capture now."""
@@ -63,7 +63,7 @@ class PoseResult:
     """Result of one pose of the calibration board."""
 
     pose: str
-    """Its folder in ``calibration``; empty where none was taken just now."""
+    """Its folder in ``calibration``; empty if none was taken now."""
     count: int
     """Poses so far."""
     progress: Progress | None
@@ -72,13 +72,13 @@ class PoseResult:
     sentence: str
     """Where to hold the board next."""
     why: str = ""
-    """Why there is no calibration yet."""
+    """Reason for having no calibration yet."""
 
 
 class OpenRig:
-    """A rig's open cameras, with all that its pictures are compared with.
+    """A rig's open cameras, with the data for checking its pictures.
 
-    Opening reads the calibration once, so that a verdict takes two seconds and not twenty.
+    Opening reads the calibration once, so that a verdict takes two seconds instead of twenty.
     """
 
     def __init__(
@@ -95,16 +95,16 @@ class OpenRig:
 
         Args:
             rig_file: rig.toml.
-            backend: another than the file's.
+            backend: to replace the file's.
             calibration: session of the rig's calibration.
-            own_calibration: without one, take that which the file names, if it does.
-            needs_calibration: whether it must be there. False where it is only now being made.
-            settings: with which it is calibrated; None: the recommended ones.
+            own_calibration: without one, use the one named in the file, if any.
+            needs_calibration: whether it must exist. False while it is being made.
+            settings: for the calibration; None: the defaults.
 
         Raises:
-            SessionError: the rig's file is not as documented, or the calibration that it names is not there.
-            SettingsError: there is no such back-end, or it is not installed.
-            CaptureError: cameras do not answer, or another rig holds them.
+            SessionError: the rig's file is invalid, or its calibration is missing.
+            SettingsError: the back-end is unknown or not installed.
+            CaptureError: cameras do not answer, or another rig uses them.
             CalibrationError: the calibration that the file names failed.
         """
         self.file: RigFile = read_rig_file(rig_file)
@@ -147,19 +147,19 @@ class OpenRig:
         return self.file.camera_names
 
     def faults(self) -> dict[str, str]:
-        """Camera → what is wrong with it before anything is fired."""
+        """Camera → its fault before firing."""
         states = {name: self.backend.health(name) for name in self.cameras}
         return {name: state.fault for name, state in states.items() if state.fault}
 
     def fire_into(self, session: Path, *, subject_id: str | None = None) -> CaptureResult:
-        """Fire, write and judge. The pictures become the session's capture if nothing speaks against that.
+        """Fire, write and check. If the pictures can be measured, they become the session's capture.
 
         Args:
             session: made if there is none.
             subject_id: pseudonym of the patient.
 
         Raises:
-            SessionError: the session has photographs that came from elsewhere.
+            SessionError: the session has photographs from another source.
             StorageError: no camera's picture could be written.
             CaptureError: no camera gave a picture.
         """
@@ -188,20 +188,22 @@ class OpenRig:
         return CaptureResult(shot=folder, verdict=verdict, accepted=verdict.may_be_measured, written_s=written_s)
 
     def fire_pose(self, session: Path) -> PoseResult:
-        """Fire at the calibration board. Calibrate with all poses so far, and say where to hold it next.
+        """Photograph the calibration board. Calibrate with all poses so far, and suggest its next place.
 
         Args:
             session: of the calibration; made if there is none.
 
         Raises:
-            CaptureError: a camera gave no picture: all must, or the poses of the rig would not hang together. No camera
-                saw the board, or two cables are exchanged. The pictures are then not kept.
+            CaptureError: a camera gave no picture, no camera saw the board, or two cables are exchanged. The pictures
+                are then not kept.
             SessionError: the rig's file has no target.
             StorageError: the disk is full or refuses.
         """
         if self.file.target is None:
-            remedy = "Describe the calibration board, as docs/how-to/capture.md shows"
-            raise SessionError("the rig's file", found="no [target]", expected="the board to be held", remedy=remedy)
+            remedy = "Describe the calibration board: see docs/how-to/capture.md"
+            raise SessionError(
+                "the rig's file", found="no [target]", expected="the board for the calibration", remedy=remedy
+            )
         prepare(session, self.file, None)
         shot = Shot(session, suffix=self.file.capture.format)
         try:
@@ -217,9 +219,9 @@ class OpenRig:
         return self.guidance(session, pose=add_pose(session, shot.finish({"format": 1, "pose": True})))
 
     def _seen_on(self, taken: Firing, target: Target) -> dict[str, Detection]:
-        """Camera → the board in its picture. Refuse pictures of which none shows it.
+        """Camera → the board in its picture. Refuses pictures if none shows it.
 
-        The dots of a `PointsTarget` look alike and may be measured elsewhere: its pictures may show none to us.
+        The dots of a `PointsTarget` look alike and may be measured by another program, so it need not be found.
         """
 
         def seen(width_px: int) -> dict[str, Detection]:
@@ -235,7 +237,7 @@ class OpenRig:
         if not found and not isinstance(target, PointsTarget):
             raise CaptureError(
                 "the pose", found="no picture with the board: no camera saw it", expected="the board of [target]",
-                remedy="Hold it where the cameras look, in the light, and fire again; these pictures are not kept",
+                remedy="Hold it in the cameras' view, in the light, and fire again; these pictures are not kept",
             )  # fmt: skip
         return found
 
@@ -245,8 +247,8 @@ class OpenRig:
         swapped = None if known is None else check_board_names(known, found)
         if swapped is not None:
             raise CaptureError(
-                " and ".join(swapped), found="exchanged: by the board, each shows the other's view",
-                expected="each camera's own picture", remedy="Swap their cables, and take the pose again",
+                " and ".join(swapped), found="exchanged: each shows the other's view of the board",
+                expected="each camera's own picture", remedy="Exchange their cables, and take the pose again",
             )  # fmt: skip
 
     def _calibrated_so_far(self, session: Path) -> Rig | None:
@@ -261,7 +263,7 @@ class OpenRig:
 
         Args:
             session: of the calibration; need not exist.
-            pose: the one that was just taken, if any.
+            pose: the latest one, if any.
         """
         pairs = tuple(pair.name for pair in self.file.rig.pairs)
         if not (session / "calibration").is_dir():
@@ -273,7 +275,7 @@ class OpenRig:
             return PoseResult(
                 pose=pose, count=count, progress=None, suggestion=None, sentence=opening(pairs, count), why=str(error)
             )
-        assert calibration is not None  # the rig's file has a target, and no ready-made cameras
+        assert calibration is not None  # the rig's file has a target, and no given cameras
         next_one = suggest(calibration)
         so_far = progress(calibration)
         return PoseResult(
@@ -291,7 +293,7 @@ class OpenRig:
 
         Args:
             session: of the rig's calibration.
-            firings: of which the median counts.
+            firings: number; their median is used.
 
         Raises:
             CaptureError: a camera gave no picture, or one without the lamps.
@@ -304,7 +306,7 @@ class OpenRig:
             raise SessionError(
                 "the rig's file",
                 found="no flat [target]" if exposure_ms is not None else "no exposure_ms in [capture]",
-                expected="the board to which the lamps are clamped, and how long pictures are exposed",
+                expected="the board with the lamps, and the exposure time",
                 remedy="Add it",
             )
         seen = []
@@ -343,7 +345,7 @@ class OpenRig:
 
 
 def prepare(session: Path, file: RigFile, calibration: Path | None, *, subject_id: str | None = None) -> None:
-    """Make the session's folder, with the rig's calibration. A manifest that is there stays as it is.
+    """Make the session's folder, with the rig's calibration. An existing manifest is not changed.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -381,10 +383,10 @@ def record_of(taken: Firing, verdict: Verdict, backend: str) -> dict[str, object
 
 
 def _rig_of(calibration: Path, rig_file: Path, settings: Settings | None) -> Rig:
-    """Cameras by the calibration that a rig's file names.
+    """Cameras of the calibration that a rig's file names.
 
     Raises:
-        SessionError: it is not there. The sentence says how it is made.
+        SessionError: it is missing. The message says how to make it.
         CalibrationError: it failed.
     """
     if not calibration.exists():
@@ -399,7 +401,7 @@ def _rig_of(calibration: Path, rig_file: Path, settings: Settings | None) -> Rig
 
 
 def _known(calibration: Path) -> Rig | None:
-    """Cameras by an earlier calibration. None where there is none yet."""
+    """Cameras of an earlier calibration. None if there is none yet."""
     try:
         made = _calibration_of(calibration)
     except MammometryError:
@@ -408,10 +410,7 @@ def _known(calibration: Path) -> Rig | None:
 
 
 def _calibration_of(session: Path) -> Calibration | None:
-    """The calibration with all poses so far.
-
-    Nobody looks at previews between two poses, and they would take as long as the rest.
-    """
+    """The calibration with all poses so far, without previews, which would take as long again."""
     job = open_session(session)
     job.ensure("calibrate", drawn=False)
     return job.plan.value(calibrate.calibration)

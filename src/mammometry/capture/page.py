@@ -38,11 +38,11 @@ WIDTH_PX = 480
 REGIONS = (4, 6)
 """Rows and columns into which a picture is divided for sharpness and coverage."""
 _BINS = 32  # of the histogram
-_FULL = 250  # of 255: brighter counts as saturated, since white balance and encoding round
-_UNIT_PX = 676.0  # diagonal to which `segment` counts its pixels, as `checks.pixels`
-_COARSER = 3  # pixels of the small picture to one in which the subject is sought
-_CALM = 30.0  # squared grey levels: a flat region's noise, some 4 of them, is no sharpness
-_SEARCH_PX = 480  # width in which a target is sought: where it is counts, not hundredths of a pixel
+_FULL = 250  # of 255: brighter counts as saturated, because white balance and encoding round
+_UNIT_PX = 676.0  # diagonal for the pixel sizes of `segment`, as in `checks.pixels`
+_COARSER = 3  # pixels of the small picture per pixel of the one for finding the subject
+_CALM = 30.0  # squared grey levels: above the noise of a flat region, about 4
+_SEARCH_PX = 480  # width in which a target is found: only its place matters
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,18 +53,19 @@ class Aids:
     jpeg: bytes
     """Small, for the page."""
     sharpness: Float64[Array, "4 6"]
-    """By region, 0 to 1: share of a region's contrast that is in details of two pixels. Only comparable within one
-    camera: turn the focus until it is largest."""
+    """By region, 0 to 1: share of the contrast in details of two pixels. Compare only within one camera: turn the focus
+    until it is largest.
+    """
     histogram: Int64[Array, " bins"]
     """Pixels by brightness, dark to bright, of the small picture."""
     saturated: float
-    """Share of pixels without any drawing because they are too bright."""
+    """Share of overexposed pixels."""
     whole: str
-    """Whether the subject is whole in the picture, in a sentence."""
+    """Whether the subject is completely in the picture, one sentence."""
     is_whole: bool
-    """The same; False while the target is looked for."""
+    """The same as a flag; False when looking for the target."""
     target: int | None
-    """Points of the target seen. None: not looked for."""
+    """Number of visible target points. None: not looked for."""
     covered: Bool[Array, "4 6"]
     """Regions in which the target has been seen, now or before."""
 
@@ -85,7 +86,7 @@ class Aids:
 class LiveView:
     """Live pictures of a rig's cameras with their aids.
 
-    Keeps where each camera has seen the target, which says where it is still wanted.
+    Records where each camera has seen the target, and so where it is still needed.
     """
 
     def __init__(
@@ -97,11 +98,11 @@ class LiveView:
         self._pool = ThreadPoolExecutor(max(1, len(cameras)))
 
     def look(self, *, calibrating: bool = False, subject_kind: str | None = None) -> dict[str, Aids | str]:
-        """One live picture of every camera. A camera that gives none has a sentence instead.
+        """One live picture of every camera, or a sentence if it gives none.
 
         Args:
-            calibrating: whether to look for the target, and not for the subject.
-            subject_kind: where it is another than the rig's usual one.
+            calibrating: whether to look for the target instead of the subject.
+            subject_kind: if it differs from the rig's usual one.
         """
 
         def one(camera: str) -> Aids | str:
@@ -121,7 +122,7 @@ class LiveView:
         return {name: int((~covered).sum()) for name, covered in self._covered.items()}
 
     def close(self) -> None:
-        """End the threads of the live view."""
+        """Stop the threads of the live view."""
         self._pool.shutdown()
 
 
@@ -133,10 +134,10 @@ def aids(
     target: Target | None = None,
     covered: Bool[Array, "4 6"] | None = None,
 ) -> Aids:
-    """Reduce a live picture and say what it shows.
+    """Reduce a live picture and analyse it.
 
     Args:
-        photograph: at any size; of a large one only some pixels count, evenly spread, which keeps noise and details.
+        photograph: any size; of a large one only evenly spaced pixels are used, which keeps noise and details.
         camera: its name.
         subject_kind: ``torso``, ``model`` or ``surface``.
         target: what to look for; None for the subject.
@@ -167,10 +168,7 @@ def aids(
 
 
 def _sharpness(grey: UInt8[Array, "h w"], step: int) -> Float64[Array, "4 6"]:
-    """Energy of differences of neighbours over that of pixels four apart, by region.
-
-    Rows are thinned for speed.
-    """
+    """Energy of differences of neighbours over that of pixels four apart, by region, on a subset of rows."""
     rows, columns = REGIONS
     thin = grey[step // 2 :: 2 * step].astype(np.float32)
     near = np.square(thin[:, 1:-4] - thin[:, :-5])
@@ -206,7 +204,7 @@ def _whole(small: UInt8[Array, "h w *c"], subject_kind: str) -> Finding:
 def _target_in(
     photograph: Photograph, camera: str, target: Target, before: Bool[Array, "4 6"]
 ) -> tuple[int, Bool[Array, "4 6"]]:
-    """Number of the target's points that are seen, and the regions in which it has been seen."""
+    """Number of visible target points, and the regions in which the target has been seen."""
     points = detect_in(photograph, target, camera=camera, pose="", search_width_px=_SEARCH_PX)
     if points is None:
         return 0, before
@@ -220,9 +218,9 @@ def _target_in(
 
 
 class Stand:
-    """Open cameras behind a page: one request at a time.
+    """Open cameras for a page, one request at a time.
 
-    A firing waits for a live picture, and the other way round.
+    A firing waits for a live picture, and vice versa.
     """
 
     def __init__(self, rigged: OpenRig) -> None:
@@ -233,11 +231,11 @@ class Stand:
         self._one = threading.Lock()
 
     def state(self, title: str, session: Path, *, posing: bool = False) -> dict[str, Any]:
-        """The rig before anything is fired.
+        """State of the rig before the first firing.
 
         Args:
             title: of the page.
-            session: where firings go.
+            session: for firings.
             posing: whether the calibration board is photographed, pose by pose.
         """
         with self._one:
@@ -264,7 +262,7 @@ class Stand:
         return {"cameras": {name: _shown(aids) for name, aids in seen.items()}, "wanted": dict(self._live.wanted())}
 
     def fire(self, session: Path, *, subject_id: str | None = None) -> CaptureResult:
-        """One firing, written and judged: `Rigged.fire_into`."""
+        """One firing, written and checked: `Rigged.fire_into`."""
         with self._one:
             return self.rigged.fire_into(session, subject_id=subject_id)
 
@@ -272,13 +270,13 @@ class Stand:
         """One pose of the calibration board, for the page."""
         with self._one:
             posed = self.rigged.fire_pose(session)
-        lines = [f"Pose {posed.pose} is taken, {posed.count} in all."]
+        lines = [f"Pose {posed.pose} is stored, {posed.count} in all."]
         lines.append(f"Not calibrated yet: {posed.why}" if posed.progress is None else posed.progress.sentence)
         good = posed.progress is not None and posed.progress.good_enough
         return {"accepted": True, "said": lines, "good_enough": good, **_guidance(posed)}
 
     def close(self) -> None:
-        """End the live pictures and let the cameras go."""
+        """Stop the live pictures and release the cameras."""
         self._live.close()
         self.rigged.close()
 
@@ -287,8 +285,8 @@ def firing_table(fired: CaptureResult, then: str) -> dict[str, Any]:
     """A firing's result as JSON for the page.
 
     Args:
-        fired: what came of it.
-        then: what to do with pictures that may be measured.
+        fired: the result.
+        then: the next step if the pictures may be measured.
     """
     return {
         "accepted": fired.accepted,
@@ -325,7 +323,7 @@ def _shown(aids: Aids | str) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Goal:
-    """Session into which the page fires."""
+    """Session for the page's firings."""
 
     session: Path
     """Made if there is none."""
@@ -344,10 +342,10 @@ def serve(rigged: OpenRig, goal: Goal, *, ready: Callable[[str, str], None]) -> 
     """Serve the page until interrupted.
 
     Args:
-        rigged: open cameras, which are let go at the end.
-        goal: where firings go.
-        ready: called as soon as the page answers, with the address to type, which works once, and the address of a
-            local file that opens the page.
+        rigged: open cameras, which are released at the end.
+        goal: session for firings.
+        ready: called as soon as the page answers, with an address that works once, and the address of a local file that
+            opens the page.
     """
     door, stand = Door("capture --page"), Stand(rigged)
     try:

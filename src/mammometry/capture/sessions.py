@@ -1,4 +1,4 @@
-"""rig.toml, which says how a rig's cameras are driven, and session folders of the clinic."""
+"""rig.toml, the description of a rig's cameras, and session folders of the clinic."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ def manifest_text(
         subject_kind: ``torso`` or ``model``.
         subject_id: the patient's pseudonym; None for a rig's own session.
         date: when the photographs were taken.
-        posture: of a patient; None: the manifest does not say.
+        posture: of a patient; None: not in the manifest.
 
     Raises:
-        SessionError: the definition is none of a rig.
+        SessionError: the definition is invalid.
     """
     lines = ["format = 1", 'units = "mm"', *([] if date is None else [f"date = {date.isoformat()}"])]
     for name in ("rig", "target", "intrinsics"):
@@ -61,7 +61,7 @@ def manifest_text(
 
 
 def definition_of(manifest: Manifest) -> dict[str, Any]:
-    """A session.toml's rig, as a rig's definition."""
+    """A rig's definition from a session.toml."""
     table = manifest.model_dump(mode="json", include={"rig", "target", "intrinsics"}, exclude_none=True)
     return {name: table[name] for name in ("rig", "target", "intrinsics") if name in table}
 
@@ -73,7 +73,7 @@ def cameras_of(definition: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def make_session(folder: Path, manifest: str) -> None:
-    """Make a session's folder, or bring its manifest up to date.
+    """Make a session's folder, or update its manifest.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -86,7 +86,7 @@ def make_session(folder: Path, manifest: str) -> None:
 
 
 def share_calibration(calibration: Path, session: Path) -> None:
-    """Put a rig's calibration photographs into a visit's folder. They replace what was there.
+    """Put a rig's calibration photographs into a visit's folder, replacing earlier ones.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -121,11 +121,11 @@ def _is_same(copy: Path, path: Path) -> bool:
 
 
 def take_over(job: Job, source: Job) -> int:
-    """Take over what another session computed from the same calibration photographs.
+    """Copy results that another session computed from the same calibration photographs.
 
     Return how many results.
 
-    Only what would come out the same is taken: equal keys mean equal inputs, settings and software.
+    Only results with equal keys are copied: equal inputs, settings and software.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -168,7 +168,7 @@ _STRICT = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
 class CaptureEntry(BaseModel):
-    """Entry on how the cameras are driven."""
+    """The cameras and their back-end."""
 
     model_config = _STRICT
 
@@ -180,20 +180,21 @@ class CaptureEntry(BaseModel):
     exposure_ms: Annotated[float, Field(strict=False, gt=0)] | None = None
     gain_db: Annotated[float, Field(strict=False)] | None = None
     timeout_s: Annotated[float, Field(strict=False, gt=0, le=600)] = 10.0
-    """How long a picture may take from the pulse to this computer."""
+    """Time limit for a picture from the pulse to this computer."""
     format: Literal["jpg", "png", "tif"] = "jpg"
-    """File of pictures that come as bare pixels. Cameras' own files are kept as they come."""
+    """File format of pictures that arrive as pixels. Files from cameras are kept unchanged."""
     skew_limit_ms: Annotated[float, Field(strict=False, gt=0)] = 1.0
-    """Largest measured difference of the cameras' exposures for a patient. Skin moves by breath at some 20 mm/s, which
-    makes 0.02 mm in 1 ms."""
+    """Largest measured difference between the cameras' exposures for a patient. Breathing moves the skin at about 20
+    mm/s: 0.02 mm in 1 ms.
+    """
     cameras: dict[str, str] = {}
     """Camera → its serial number, address or port."""
     options: dict[str, Any] = {}
-    """Of the back-end."""
+    """Options of the back-end."""
 
 
 class RigFile(Manifest):
-    """The whole of rig.toml."""
+    """Content of rig.toml."""
 
     capture: CaptureEntry
 
@@ -210,7 +211,7 @@ class RigFile(Manifest):
 
     @property
     def devices(self) -> Devices:
-        """Devices that the back-end opens."""
+        """Devices for the back-end to open."""
         return Devices(cameras=self.camera_names, ids=self.capture.cameras, options=self.capture.options)
 
 
@@ -218,7 +219,7 @@ def read_rig_file(path: Path) -> RigFile:
     """Read a rig.toml.
 
     Raises:
-        SessionError: it is missing, no TOML, or has an unknown or unfit key; the message names it.
+        SessionError: it is missing, no TOML, or has an unknown key or invalid value; the message names it.
     """
     expected = "a rig's description with a table [capture]"
     table = toml_table(read_text(path, str(path), expected, most_mib=1), str(path), expected)
@@ -229,10 +230,10 @@ def read_rig_file(path: Path) -> RigFile:
         where = ".".join(map(str, first["loc"])) or "rig.toml"
         unknown, value = first["type"] == "extra_forbidden", first.get("input")
         found = "nothing" if first["type"] == "missing" else "an unknown key" if unknown else (
-            shown(value) if isinstance(value, str | int | float | bool) else "an unfit value"
+            shown(value) if isinstance(value, str | int | float | bool) else "an invalid value"
         )  # fmt: skip
         wanted = "only known keys" if unknown else first["msg"].removeprefix("Value error, ")
-        remedy = "Correct it; docs/how-to/capture.md has a whole one"
+        remedy = "Correct it; docs/how-to/capture.md has a complete one"
         raise SessionError(f"{path}: {where}", found=found, expected=wanted, remedy=remedy) from None
     strangers = [name for name in file.capture.cameras if name not in file.camera_names]
     if strangers:
@@ -245,7 +246,7 @@ def read_rig_file(path: Path) -> RigFile:
     ]
     if twice:
         raise SessionError(
-            f"{path}: capture.cameras", found=f"{twice[0]!r} for two cameras", expected="a device each",
+            f"{path}: capture.cameras", found=f"{twice[0]!r} for two cameras", expected="a different device for each",
             remedy="Correct the serial numbers",
         )  # fmt: skip
     return file

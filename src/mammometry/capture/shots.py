@@ -1,4 +1,4 @@
-"""Fire all cameras once, and write their pictures whole or not at all."""
+"""Fire all cameras once, and write their pictures atomically."""
 
 import io
 import json
@@ -28,15 +28,15 @@ from mammometry.io.write import disk_errors, file_digest, sync_folder, sync_tree
 _SHOTS, _CAPTURE, _RECORD = "shots", "capture", "shot.json"
 _TAKING, _NEW, _OLD, _POSE = ".taking", ".capture-new", ".capture-old", ".pose-new"
 _NUMBER = re.compile(r"\d{3,}")
-_QUALITY = 95  # of JPEGs made here: errors of 1 grey level, below the sensor's noise; as `simulate` writes them
+_QUALITY = 95  # of JPEGs made here: errors of 1 grey level, below the sensor's noise; as in `simulate`
 _BEGIN = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png", b"II*\x00": ".tif", b"MM\x00*": ".tif"}
 
 
 class Shot:
-    """One firing that is being written."""
+    """One firing while it is written."""
 
     def __init__(self, session: Path, *, suffix: str = "jpg") -> None:
-        """Begin a firing's folder.
+        """Create a firing's folder.
 
         Raises:
             StorageError: the disk is full or refuses.
@@ -51,7 +51,7 @@ class Shot:
         """Write one camera's picture and wait until it is on the disk.
 
         Raises:
-            StorageError: the disk is full or refuses. Nothing of the picture stays.
+            StorageError: the disk is full or refuses. Nothing of the picture remains.
         """
         data, suffix = _encoded(frame.content, self._suffix)
         path = self.folder / f"{frame.camera}{suffix}"
@@ -78,12 +78,12 @@ class Shot:
         return done
 
     def drop(self) -> None:
-        """Remove what was written: nothing of it came."""
+        """Remove the folder: no picture came."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
 def last_record(session: Path) -> dict[str, Any] | None:
-    """Content of the last firing's shot.json. None where there is none."""
+    """Content of the last firing's shot.json. None if there is none."""
     number = _last(session)
     path = session / _SHOTS / f"{number:03d}" / _RECORD
     try:
@@ -94,10 +94,10 @@ def last_record(session: Path) -> dict[str, Any] | None:
 
 
 def require_replaceable(session: Path) -> None:
-    """Refuse a session whose photographs came from elsewhere.
+    """Refuse a session with photographs from another source.
 
     Raises:
-        SessionError: a file in ``capture`` is no firing's.
+        SessionError: a file in ``capture`` is not from a firing.
     """
     _recover(session)
     taken = {file_digest(path) for path in _pictures(session / _SHOTS, "*/*")}
@@ -106,8 +106,8 @@ def require_replaceable(session: Path) -> None:
             raise SessionError(
                 f"{_CAPTURE}/{path.name}",
                 found="a photograph that was not taken by this command",
-                expected="an empty capture, or one that this command filled",
-                remedy="Name a new session folder: nothing that is there is replaced",
+                expected="an empty capture, or one from this command",
+                remedy="Name a new session folder: existing photographs are not replaced",
             )
 
 
@@ -118,7 +118,7 @@ def add_pose(session: Path, shot: Path) -> str:
         The pose's name.
 
     Raises:
-        StorageError: the disk is full or refuses; the poses are then as they were.
+        StorageError: the disk is full or refuses; the poses are then unchanged.
     """
     folder = session / "calibration"
     with disk_errors(folder):
@@ -137,7 +137,7 @@ def accept(session: Path, shot: Path) -> None:
     """Make a firing the session's capture.
 
     Raises:
-        StorageError: the disk is full or refuses; ``capture`` is then as it was.
+        StorageError: the disk is full or refuses; ``capture`` is then unchanged.
     """
     with disk_errors(session):
         _recover(session)
@@ -162,7 +162,7 @@ def _link(shot: Path, folder: Path) -> None:
 
 
 def _recover(session: Path) -> None:
-    """End what a power cut interrupted."""
+    """Finish a replacement that a power cut interrupted."""
     old, new, capture = session / _OLD, session / _NEW, session / _CAPTURE
     if old.is_dir() and not capture.exists():
         (new if new.is_dir() else old).rename(capture)
@@ -182,7 +182,7 @@ def _last(session: Path) -> int:
 
 
 def _encoded(content: bytes | Photograph, suffix: str) -> tuple[bytes, str]:
-    """A picture's file and its ending. A camera's own file is kept as it is."""
+    """A picture's file and its suffix. A camera's own file is kept unchanged."""
     if isinstance(content, bytes):
         return content, next((end for begin, end in _BEGIN.items() if content.startswith(begin)), ".bin")
     file = io.BytesIO()
@@ -198,7 +198,7 @@ def _encoded(content: bytes | Photograph, suffix: str) -> tuple[bytes, str]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Delivered:
-    """One camera's picture, on the disk, and what it shows."""
+    """One camera's picture on the disk, and its figures."""
 
     path: Path
     size_wh: tuple[int, int]
@@ -209,36 +209,36 @@ class Delivered:
     serial: str
     seen: Seen
     features: Keypoints | None
-    """None where no calibration is there to compare them with."""
+    """None without a calibration to compare with."""
     seconds: float
-    """From the pulse until it was on the disk."""
+    """From the pulse until it is on the disk."""
 
 
 @value(eq=False)
 class Firing:
-    """A firing: the pictures of all cameras, and what failed."""
+    """A firing: the pictures of all cameras, and failures."""
 
     fired_s: float
     """By ``time.time()``."""
     frames: Mapping[str, Delivered]
-    """Camera → what it gave. Read-only."""
+    """Camera → its picture. Read-only."""
     faults: Mapping[str, MammometryError]
-    """Camera → why it gave nothing. Read-only."""
+    """Camera → its failure. Read-only."""
     seconds: float
-    """From the pulse until all were on the disk and looked at."""
+    """From the pulse until all are on the disk and analysed."""
 
 
 def take(backend: Backend, cameras: tuple[str, ...], shot: Shot, *, timeout_s: float, features: bool = True) -> Firing:
     """Arm, fire and fetch all cameras.
 
-    One camera's failure, or the disk's, is its own fault: the others' pictures are written.
+    If one camera or its file fails, the pictures of the others are still written.
 
     Args:
         backend: open.
         cameras: of the rig.
-        shot: where the pictures are written.
+        shot: folder for the pictures.
         timeout_s: for one picture from the pulse to this computer.
-        features: whether to find what pairs are compared by.
+        features: whether to find the features for comparing pairs.
     """
     backend.arm()
     fired_s = backend.fire()
@@ -253,7 +253,7 @@ def take(backend: Backend, cameras: tuple[str, ...], shot: Shot, *, timeout_s: f
         except MammometryError as error:
             return error
 
-    # Waiting for a slow camera holds a thread, and must hold nobody else up.
+    # Waiting for a slow camera blocks a thread, and must not delay the others.
     with ThreadPoolExecutor(max(1, len(cameras))) as pool:
         got = dict(zip(cameras, pool.map(one, cameras), strict=True))
     return Firing(
@@ -272,7 +272,7 @@ def _looked_at(frame: Frame, path: Path, seconds: float, features: bool) -> Deli
         except MammometryError as error:
             path.unlink(missing_ok=True)
             raise CaptureError(
-                frame.camera, found=error.found, expected="a whole photograph", remedy="Fire again; change the cable"
+                frame.camera, found=error.found, expected="a complete photograph", remedy="Fire again; change the cable"
             ) from None
     return Delivered(
         path=path,

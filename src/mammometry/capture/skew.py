@@ -1,4 +1,4 @@
-"""Differences of the cameras' exposures, read from counting lamps in their pictures."""
+"""Time differences of the cameras' exposures, from counting lamps in their pictures."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ class Skew:
     """Time of each camera's exposure."""
 
     offset_ms: Mapping[str, float]
-    """Camera → begin of its exposure after the median camera's. Read-only."""
+    """Camera → start of its exposure relative to the median camera's. Read-only."""
     std_ms: float
     """Standard uncertainty of one offset, the largest of all."""
     measured: str
-    """When, UTC, ISO 8601."""
+    """Time of the measurement, UTC, ISO 8601."""
     exposure_ms: float
-    """Length of the exposures by which it was measured."""
+    """Exposure time of the measurement."""
 
     @property
     def spread_ms(self) -> float:
@@ -72,10 +72,10 @@ def write_skew(folder: Path, skew: Skew) -> Path:
 
 
 def read_skew(folder: Path) -> Skew | None:
-    """Read a session's skew.json. None where there is none.
+    """Read a session's skew.json. None if there is none.
 
     Raises:
-        SessionError: it is not as `write_skew` writes it.
+        SessionError: it is not from `write_skew`.
     """
     path = folder / SKEW
     if not path.is_file():
@@ -96,13 +96,13 @@ def read_skew(folder: Path) -> Skew | None:
         raise SessionError(str(path), found="no record of a measured skew", expected=expected, remedy=remedy) from None
 
 
-_STEPS_MS = (0.1, 0.01)  # between moments that are tried: in the whole count, then about the best
-_WITHIN = 0.9  # of the pitch, side of the square whose light counts as a lamp's: between neighbours
-_CLIPPED = 0.98  # of full scale: a brighter reference lamp may be cut off, and shares are then wrong
-_LEAST_CONTRAST = 0.02  # of full scale, between a reference lamp and what is around it
-_LEAST_STD = 0.01  # of a share: lamps differ in brightness by viewing angle even where the picture has no noise
-_MISFIT = 0.15  # RMS of the shares' residuals, beyond which the lamps are no counter
-_LONGEST_SHARE = 0.25  # of the period, that cameras may be apart: beyond, who was first is not known
+_STEPS_MS = (0.1, 0.01)  # between tried moments: over the whole count, then around the best
+_WITHIN = 0.9  # of the pitch: side of the square whose light counts as the lamp's
+_CLIPPED = 0.98  # of full scale: a brighter reference lamp may be saturated, and shares are then wrong
+_LEAST_CONTRAST = 0.02  # of full scale, between a reference lamp and its surroundings
+_LEAST_STD = 0.01  # of a share: lamps differ in brightness by viewing angle, even without noise
+_MISFIT = 0.15  # RMS of the shares' residuals above which the lamps show no count
+_LONGEST_SHARE = 0.25  # of the period: largest difference between cameras; beyond it, the order is unknown
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,18 +110,18 @@ class Moment:
     """Time at which one picture's exposure began."""
 
     begin_ms: float
-    """After the counter's 0, but for whole periods."""
+    """After the counter's 0, modulo the period."""
     std_ms: float
 
 
 def read_moment(photograph: Photograph, board: Board, exposure_ms: float, *, camera: str = "it") -> Moment:
-    """Read when a picture was exposed.
+    """Read the time of a picture's exposure.
 
     Args:
         photograph: of the board with its strip of lamps.
-        board: to which the strip is clamped.
-        exposure_ms: how long the picture was exposed.
-        camera: whose picture it is, for messages.
+        board: with the strip.
+        exposure_ms: exposure time.
+        camera: its name, for messages.
 
     Raises:
         CaptureError: board or lamps are not in the picture, or too bright.
@@ -144,17 +144,17 @@ def read_moment(photograph: Photograph, board: Board, exposure_ms: float, *, cam
     across = np.linspace(0.0, 1.0, len(totals))[1:-1]
     full = (1 - across) * totals[0] + across * totals[
         -1
-    ]  # brightness by distance and angle goes evenly along the strip
+    ]  # brightness varies linearly along the strip, by distance and angle
     return moment_of(totals[1:-1] / full, exposure_ms, camera=camera)
 
 
 def moment_of(shares: Float64[Array, " bits"], exposure_ms: float, *, camera: str = "it") -> Moment:
-    """The moment whose shares of light fit best, by least squares.
+    """The time whose shares of light fit best, by least squares.
 
     Args:
         shares: of the exposure for which each counting lamp was lit, the highest bit first.
-        exposure_ms: how long the picture was exposed.
-        camera: whose picture it is, for messages.
+        exposure_ms: exposure time.
+        camera: its name, for messages.
 
     Raises:
         CaptureError: no moment fits.
@@ -178,21 +178,21 @@ def moment_of(shares: Float64[Array, " bits"], exposure_ms: float, *, camera: st
 
 @lru_cache(maxsize=4)
 def _table(exposure_ms: float) -> tuple[Float64[Array, " n"], Float64[Array, "n bits"]]:
-    """Moments of the whole count, and what the lamps show then."""
+    """Times over the whole count, and the lamps' state at each."""
     moments = np.arange(0.0, LAMPS.period_ms, _STEPS_MS[0])
     return moments, LAMPS.lit_share(moments, exposure_ms)
 
 
 def skew_of(firings: Sequence[Mapping[str, Moment]], exposure_ms: float, *, when: str | None = None) -> Skew:
-    """Differences of the cameras, from one firing or several.
+    """Differences of the cameras, from one or several firings.
 
     Args:
-        firings: camera → moment, of each firing.
+        firings: camera → time, for each firing.
         exposure_ms: of all pictures.
         when: UTC, ISO 8601; now, if not given.
 
     Raises:
-        CaptureError: fewer than two cameras, or cameras farther apart than a quarter of the counter's period.
+        CaptureError: fewer than two cameras, or more than a quarter of the counter's period between them.
     """
     cameras = list(dict.fromkeys(name for moments in firings for name in moments))
     if len(cameras) < 2:
@@ -226,7 +226,7 @@ def _lamp(
     half_mm: float,
     who: str,
 ) -> tuple[float, float]:
-    """Light of one lamp over what is around it: sum, px, and peak, both of full scale."""
+    """Light of one lamp over its surroundings: sum, px, and peak, both of full scale."""
     corners = place + half_mm * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     uv = _mapped(image_from_board, corners)
     (left, top), (right, bottom) = np.floor(uv.min(axis=0)).astype(int), np.ceil(uv.max(axis=0)).astype(int) + 1
@@ -238,7 +238,7 @@ def _lamp(
 
 
 def _homography(xy: Float64[Array, "n 2"], uv: Float64[Array, "n 2"]) -> Float64[Array, "3 3"]:
-    """Map of a plane into a picture (Hartley and Zisserman 2004, algorithm 4.2)."""
+    """Homography of a plane into a picture (Hartley and Zisserman 2004, algorithm 4.2)."""
     (norm_xy, a), (norm_uv, b) = _normalised(xy), _normalised(uv)
     ones, none = np.ones(len(a)), np.zeros((len(a), 3))
     p = np.column_stack([a, ones])

@@ -1,7 +1,7 @@
 """Verdict on a firing, before the patient dresses.
 
-All cameras delivered, each its own picture of this moment, all together, sharp, well exposed, of an unmoved subject
-that is whole in every view. Each sentence says what to do.
+It checks that all cameras delivered their own picture of this firing, exposed together, sharp and well exposed, and
+that the subject did not move and is completely in view. Each sentence says what to do.
 """
 
 import statistics
@@ -19,26 +19,26 @@ from mammometry.capture.shots import Firing
 from mammometry.capture.skew import Skew
 from mammometry.geometry.camera import Rig
 
-_OLD_S = 2.0  # before the pulse: clocks that are shared differ by far less
+_OLD_S = 2.0  # before the pulse: shared clocks differ by far less
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """All that was found, the gravest first."""
+    """All findings, worst first."""
 
     findings: tuple[tuple[str, Finding], ...]
-    """Camera, or empty for all together; what was found."""
+    """Camera, or empty for all together; the finding."""
     seconds: float
-    """From the pulse to this."""
+    """From the pulse to the verdict."""
 
     @property
     def may_be_measured(self) -> bool:
-        """Whether nothing refuses."""
+        """Whether no finding is a refusal."""
         return not refuses(finding for _, finding in self.findings)
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Sentences for the technician, the gravest first. What was good is said once a kind."""
+        """Sentences for the technician, worst first. Each passed check is mentioned once."""
         bad = [(who, finding) for who, finding in self.findings if finding.level in ("refuse", "warn")]
         lines = [f"{who}: {finding.sentence}" if who else finding.sentence for who, finding in bad]
         for check in dict.fromkeys(finding.check for _, finding in self.findings):
@@ -63,34 +63,34 @@ _WELL = {
     "sharpness": "All pictures are sharp.",
     "exposure": "All pictures are well exposed.",
     "whole": "The subject is in all pictures.",
-    "serial": "All cameras are the ones of the rig's file.",
+    "serial": "All cameras are those of the rig's file.",
     "fresh": "All pictures are of this firing.",
 }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Expected:
-    """Reference that a firing is compared with."""
+    """Reference for checking a firing."""
 
     cameras: tuple[str, ...]
     subject_kind: str
     rig: Rig | None = None
-    """As calibrated. None: nothing is known yet."""
+    """From the calibration. None: not calibrated yet."""
     serials: Mapping[str, str] | None = None
     """Camera → serial number in the rig's file."""
     before: Mapping[str, Any] | None = None
     """The last firing's record."""
     skew: Skew | None = None
-    """As it was measured for this rig."""
+    """Measured skew of this rig."""
     skew_limit_ms: float = 1.0
 
 
 def judge(taken: Firing, expected: Expected) -> Verdict:
-    """Say whether a firing may be measured, and what is wrong.
+    """Decide whether a firing may be measured.
 
     Args:
         taken: the firing.
-        expected: the rig, and what is known of it.
+        expected: the rig's known facts.
     """
     begun = time.monotonic()
     findings = [
@@ -153,9 +153,7 @@ def _fresh(taken: Firing, expected: Expected) -> Iterator[tuple[str, Finding]]:
         if earlier.get("sha256") == frame.sha256:
             yield (
                 name,
-                _refuse(
-                    "fresh", "This is the picture of the last firing once more. Restart the camera, and fire again."
-                ),
+                _refuse("fresh", "This is the picture of the previous firing. Restart the camera, and fire again."),
             )
         elif frame.taken_s is not None and frame.clock in ("host", "ptp") and frame.taken_s < taken.fired_s - _OLD_S:
             ago = taken.fired_s - frame.taken_s
@@ -171,7 +169,7 @@ def _together(taken: Firing, expected: Expected) -> Finding:
     clocks = {frame.clock for frame in taken.frames.values()}
     if len(times) < 2 or clocks - {"ptp", "exif"}:
         return Finding(
-            "times", "unknown", "The cameras do not say when they exposed. Measure their skew."
+            "times", "unknown", "The cameras do not report their exposure time. Measure their skew."
         )  # fmt: skip
     if clocks != {"ptp"}:
         return checks.together(times, {})
@@ -205,7 +203,7 @@ def _skew(expected: Expected) -> Finding:
         level = "refuse" if expected.subject_kind == "torso" else "warn"
         return Finding(
             "skew", level,  # type: ignore[arg-type]
-            f"{sentence}, most at {skew.worst}. For a patient {expected.skew_limit_ms:g} ms are allowed. "
+            f"{sentence}, largest at {skew.worst}. The limit for a patient is {expected.skew_limit_ms:g} ms. "
             "Check the trigger wires.",
         )  # fmt: skip
     return Finding("skew", "ok", f"{sentence}.")
@@ -213,7 +211,7 @@ def _skew(expected: Expected) -> Finding:
 
 def _names_and_stillness(taken: Firing, expected: Expected) -> Iterator[tuple[str, Finding]]:
     if expected.rig is None:
-        yield "", Finding("names", "unknown", "Names are not compared: the rig is not calibrated.")
+        yield "", Finding("names", "unknown", "Camera names are not checked: the rig is not calibrated.")
         return
     sizes_fit = {
         name: frame.features
@@ -229,31 +227,31 @@ def _names_and_stillness(taken: Firing, expected: Expected) -> Iterator[tuple[st
 
 def _named(names: Names, rig: Rig) -> Iterator[Finding]:
     for wrong in wrong_photographs(names, rig.pair_names):
-        remedy = "Swap their cables" if set(wrong.cameras) <= set(names.exchanged) else "Check cables and cameras"
+        remedy = "Exchange their cables" if set(wrong.cameras) <= set(names.exchanged) else "Check cables and cameras"
         yield _refuse("names", f"{wrong.listed}: {wrong.found}. {remedy}.")
     if names.unknown:
         yield Finding(
             "names", "unknown",
-            f"Too little texture to compare the names of pair {', '.join(names.unknown)}.",
+            f"Too little texture to check the camera names of pair {', '.join(names.unknown)}.",
         )  # fmt: skip
     if names.pairs and names.right and not names.unknown:
-        yield Finding("names", "ok", "All names are right, by the calibration.")
+        yield Finding("names", "ok", "All camera names agree with the calibration.")
 
 
 def _stillness(names: Names) -> Finding:
     known = {name: pair for name, pair in names.pairs.items() if pair.tells and np.isfinite(pair.offset_mm)}
     if not known:
-        return Finding("moved", "unknown", "Too little texture to tell whether anybody moved.")
+        return Finding("moved", "unknown", "Too little texture to check whether the patient moved.")
     worst = max(known, key=lambda name: abs(known[name].offset_mm))
     if known[worst].moved:
         return _refuse(
             "moved",
-            f"In pair {worst} all is {abs(known[worst].offset_mm):.1f} mm off. The patient moved between its two "
-            "exposures, or a camera was touched. Take the picture again; if it stays, check the rig.",
+            f"Pair {worst} is {abs(known[worst].offset_mm):.1f} mm off. The patient moved between its two "
+            "exposures, or a camera was touched. Fire again; if this repeats, check the rig.",
         )
     return Finding(
         "moved", "ok",
-        "Nobody moved: views agree to "
+        "The patient did not move: views agree to "
         f"{max(abs(agreement.offset_mm) for agreement in known.values()):.2f} mm.",
     )  # fmt: skip
 

@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 SOME_FAILED = 11
-"""Exit code: the batch or study went through, and at least one session of it failed."""
+"""Exit code: the batch or study finished, and at least one session failed."""
 INTERRUPTED = 130
-"""Exit code: stopped by Ctrl-C, 128 + SIGINT as shells say it."""
+"""Exit code: stopped by Ctrl-C, 128 + SIGINT by the convention of shells."""
 _OUT = Path("batch")
-_SHOWN = 12  # sessions at work that the live table shows
+_SHOWN = 12  # running sessions that the live table shows
 
 
 @command(
@@ -73,10 +73,10 @@ def batch(
         typer.Option(metavar="GB", help="Memory of this machine to use.", min=0.1, show_default="nearly all"),
     ] = None,
 ) -> Answer:
-    """Measure many sessions, some at a time.
+    """Measure many sessions in parallel.
 
-    Current sessions are skipped. A failed session does not stop the others. Ctrl-C finishes what runs, twice stops it.
-    The same command continues from there. With --json every event is a line of its own.
+    Current sessions are skipped. A failed session does not stop the others. Ctrl-C finishes the running sessions, twice
+    stops them. The same command continues from there. With --json every event is one line.
     """  # fmt: skip
     from mammometry.base.errors import SettingsError
     from mammometry.batch.batch import look, measure_batch
@@ -135,12 +135,12 @@ def batch(
     }
     shown: list[RenderableType] = [f"{line.entry.name}: {line.failed}" for line in lines if line.failed]
     if counts["stopped"]:
-        shown.append("Interrupted: finished sessions are kept. The same command goes on with the others.")
+        shown.append("Interrupted: finished sessions are kept. The same command continues with the others.")
     return Answer(table, [*shown, counted(texts), f"Page and tables: {out / 'batch.html'}"], code)
 
 
 def _said(line: Line) -> BatchLine:
-    """A line as the page shows it."""
+    """One session's row of the page."""
     from mammometry.report.documents.batch_page import BatchLine, BatchVolume
 
     row = line.row
@@ -187,20 +187,20 @@ class _Wishes:
         self._pressed = 0
 
     def now(self) -> StopRequest:
-        """What the user wants."""
+        """What the user has asked for."""
         from mammometry.batch.engine import StopRequest
 
         return (StopRequest.NONE, StopRequest.FINISH, StopRequest.STOP)[min(self._pressed, 2)]
 
     @contextmanager
     def heard(self) -> Iterator[None]:
-        """Hear Ctrl-C, and a polite kill, which is heard as two."""
+        """Handle Ctrl-C, and SIGTERM, which counts as two."""
         before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
         def pressed(number: int, frame: FrameType | None) -> None:
             self._pressed += 1 if number == signal.SIGINT else 2
             if self._pressed == 1:
-                print("Finishing what runs. Ctrl-C again stops it.", file=sys.stderr, flush=True)  # noqa: T201
+                print("Finishing the running sessions. Ctrl-C again stops them.", file=sys.stderr, flush=True)  # noqa: T201
 
         for number in before:
             signal.signal(number, pressed)
@@ -224,7 +224,7 @@ class _Show:
         self._refresh: Callable[[], None] = lambda: None
 
     def begin(self, dashboard: str | None) -> None:
-        """Show what is to be done."""
+        """Show how many sessions are to be measured."""
         self._begun, self._dashboard = time.monotonic(), dashboard
         current = self._count - self._todo
         self._tell({"event": "begin", "sessions": self._count, "current": current, "dashboard": dashboard})
@@ -234,7 +234,7 @@ class _Show:
 
     @contextmanager
     def live(self) -> Iterator[None]:
-        """Show the live table, where there is a terminal."""
+        """Show the live table on a terminal."""
         if self._quiet or not sys.stderr.isatty():
             yield
             return
@@ -245,7 +245,7 @@ class _Show:
             yield
 
     def happened(self, event: Began | Ended) -> None:
-        """Show what has happened."""
+        """Show an event."""
         from mammometry.batch.engine import Began
 
         name = event.name
@@ -283,7 +283,7 @@ class _Show:
 
 
 def _duration(seconds: float) -> str:
-    """A duration in two units at the most."""
+    """A duration in at most two units."""
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s" if minutes else f"{rest} s"

@@ -30,12 +30,12 @@ RoleNames = Annotated[
 
 @app.callback()
 def installed() -> None:
-    """Refuse where the clinic's libraries are not installed."""
+    """Refuse if the clinic's libraries are not installed."""
     require("clinic", *_LIBRARIES)
 
 
 def opened(folder: Path, **changes: object) -> ClinicConfig:
-    """Read a clinic's settings and make this process the clinic's."""
+    """Read a clinic's settings and use them in this process."""
     from mammometry.clinic.config import read_config
     from mammometry.clinic.site import configure
 
@@ -48,16 +48,19 @@ def opened(folder: Path, **changes: object) -> ClinicConfig:
 def init(
     options: JsonOptions,
     folder: Folder,
-    name: Annotated[str, typer.Option(help="As pages say it.")] = "Clinic",
+    name: Annotated[str, typer.Option(help="Name on the clinic's pages.")] = "Clinic",
     database: Annotated[str, typer.Option(help="sqlite, or postgresql://user:password@host/name.")] = "sqlite",
     time_zone: Annotated[
-        str | None, typer.Option(metavar="ZONE", help="Such as Europe/Berlin; asked for.", show_default=False)
+        str | None,
+        typer.Option(
+            metavar="ZONE", help="Time zone, such as Europe/Berlin. Without it, you are asked.", show_default=False
+        ),
     ] = None,
-    administrator: Annotated[str | None, typer.Option(metavar="NAME", help="Enter this first administrator.")] = None,
+    administrator: Annotated[str | None, typer.Option(metavar="NAME", help="Create this first administrator.")] = None,
 ) -> Answer:
     """Make the folder and the database of a new clinic.
 
-    The time zone is asked for at a terminal, and is that of this machine elsewhere.
+    A terminal asks for the time zone; otherwise that of this machine is used.
     """
     from mammometry.clinic.config import machine_time_zone, new_clinic
     from mammometry.clinic.web.server import migrate
@@ -87,7 +90,9 @@ def serve(
     tls_certificate: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Certificate, PEM.", show_default=False)
     ] = None,
-    tls_key: Annotated[Path | None, typer.Option(metavar="FILE", help="Its key, PEM.", show_default=False)] = None,
+    tls_key: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Private key of the certificate, PEM.", show_default=False)
+    ] = None,
     jobs: Annotated[bool, typer.Option("--jobs/--no-jobs", help="Measure on this machine, too.")] = True,
 ) -> Answer:
     """Serve the clinic until Ctrl-C."""
@@ -111,9 +116,9 @@ def serve(
 
 @command(app, "mammometry clinic work my-clinic")
 def work(options: JsonOptions, folder: Folder) -> Answer:
-    """Measure what is queued, until Ctrl-C.
+    """Measure queued visits until Ctrl-C.
 
-    For a second machine, or beside `serve --no-jobs`. It must see the clinic's folder under the same path.
+    For a second machine, or together with `serve --no-jobs`. It must see the clinic's folder under the same path.
     """
     config = opened(folder)
     from mammometry.clinic.web.server import require_current
@@ -128,12 +133,12 @@ def work(options: JsonOptions, folder: Folder) -> Answer:
 def demo(
     options: OutputOptions,
     folder: Annotated[Path, typer.Argument(metavar="[DIR]", help="Folder for the demo.")] = Path("demo-clinic"),
-    serve: Annotated[bool, typer.Option("--serve/--no-serve", help="Open it when it is made.")] = True,
+    serve: Annotated[bool, typer.Option("--serve/--no-serve", help="Serve the clinic when it is ready.")] = True,
     address: Annotated[str, typer.Option(metavar="HOST:PORT", help="Listen here.")] = "127.0.0.1:8000",
 ) -> Answer:
-    """Make a clinic of three virtual patients, and open it.
+    """Make a clinic of three virtual patients, and serve it.
 
-    Each was there at two dates. A demo that is there already is opened as it is.
+    Each patient has two visits. An existing demo is served as it is.
     """
     from mammometry.clinic.demo import finish_beside, make_demo
     from mammometry.clinic.web.server import beside, require_free
@@ -144,7 +149,7 @@ def demo(
     table: dict[str, object] = {"clinic": str(folder)}
     lines: list[str] = []
     if (folder / "clinic.toml").is_file():
-        lines.append(f"{folder} is there already; its passwords were shown when it was made.")
+        lines.append(f"{folder} already exists; its passwords were shown when it was made.")
         config = opened(folder, address=address)
     else:
         with Bars(options.silent) as bars, ExitStack() as shown:
@@ -179,9 +184,9 @@ def demo(
 
 @command(app)
 def upgrade(options: JsonOptions, folder: Folder) -> Answer:
-    """Bring the database to this version.
+    """Upgrade the database to this version.
 
-    Stop the server and make a backup with the former version first. Killed on its way, the same command goes on.
+    First stop the server and make a backup with the former version. If it is killed, run the same command again.
     """
     from mammometry.clinic.web.server import migrate
 
@@ -190,7 +195,7 @@ def upgrade(options: JsonOptions, folder: Folder) -> Answer:
     return Answer({"applied": done}, [*lines])
 
 
-Target = Annotated[Path | None, typer.Option("--to", metavar="FILE", help="The file to make.", show_default=False)]
+Target = Annotated[Path | None, typer.Option("--to", metavar="FILE", help="Backup file to write.", show_default=False)]
 Who = Annotated[str, typer.Argument(metavar="PATIENT", help="Pseudonym or record number.", show_default=False)]
 
 
@@ -198,7 +203,7 @@ Who = Annotated[str, typer.Argument(metavar="PATIENT", help="Pseudonym or record
 def backup(options: JsonOptions, folder: Folder, to: Target = None) -> Answer:
     """Write database, settings, keys and photographs into one file.
 
-    The clinic may be in use. Without --to the file goes to the clinic's backups, of which the newest are kept.
+    The clinic may be in use. Without --to the file is stored with the clinic's backups, of which the newest are kept.
     """
     config = opened(folder)
     from mammometry.clinic.maintenance.backups import make_backup, make_kept_backup
@@ -206,14 +211,14 @@ def backup(options: JsonOptions, folder: Folder, to: Target = None) -> Answer:
 
     require_current(config)
     made = make_kept_backup(config) if to is None else make_backup(config, to)
-    return Answer({"backup": str(made)}, [f"{made}: {made.stat().st_size / 1e6:.1f} MB. It holds names and keys."])
+    return Answer({"backup": str(made)}, [f"{made}: {made.stat().st_size / 1e6:.1f} MB. It contains names and keys."])
 
 
 @command(app, "mammometry clinic test-restore my-clinic", name="test-restore")
 def check_restore(options: JsonOptions, folder: Folder) -> Answer:
-    """Restore the newest backup into a temporary folder, and compare what came back.
+    """Restore the newest backup into a temporary folder and check it.
 
-    It needs as much free space as the backup has. The clinic may be in use.
+    It needs as much free space as the backup's size. The clinic may be in use.
     """
     from mammometry.clinic.config import read_config
     from mammometry.clinic.maintenance import restore
@@ -229,10 +234,11 @@ def restore(
     archive: Annotated[Path, typer.Argument(metavar="FILE", help="A backup.", show_default=False)],
     folder: Folder,
     database: Annotated[
-        str | None, typer.Option(help="Another database than the backup's, such as postgresql://…", show_default=False)
+        str | None,
+        typer.Option(help="Use a different database from the backup's, such as postgresql://…", show_default=False),
     ] = None,
 ) -> Answer:
-    """Make a clinic out of a backup. In a new folder, with an empty database."""
+    """Restore a clinic from a backup, into a new folder and an empty database."""
     from mammometry.clinic.maintenance.restore import fill, unpack
 
     config, manifest = unpack(archive, folder, database)
@@ -244,14 +250,14 @@ def restore(
 
 @command(app, "mammometry clinic export my-clinic P-ACD347 --to P-ACD347.zip")
 def export(options: JsonOptions, folder: Folder, patient: Who, to: Target = None) -> Answer:
-    """Write all that is kept of one patient into a ZIP."""
+    """Write all data of one patient into a ZIP file."""
     config = opened(folder)
     from mammometry.clinic.maintenance.patient import export_patient, find_patient
 
     found_patient = find_patient(patient)
     target = to or Path(f"{found_patient.pseudonym}.zip")
     number = export_patient(config, found_patient, target)
-    return Answer({"export": str(target), "files": number}, [f"{target}: {number} files. It holds the name."])
+    return Answer({"export": str(target), "files": number}, [f"{target}: {number} files. It contains the name."])
 
 
 @command(app, "mammometry clinic erase my-clinic P-ACD347 --yes")
@@ -259,12 +265,12 @@ def erase(
     options: JsonOptions,
     folder: Folder,
     patient: Who,
-    binned: Annotated[bool, typer.Option("--bin", help="Only the patient's visits that lie in the bin.")] = False,
+    binned: Annotated[bool, typer.Option("--bin", help="Only the patient's visits in the bin.")] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Erase without asking.")] = False,
 ) -> Answer:
     """Erase one patient: photographs, results and all rows.
 
-    The audit keeps the pseudonym. Backups made before still hold the patient.
+    The audit keeps the pseudonym. Earlier backups still contain the patient.
     """
     config = opened(folder)
     from mammometry.clinic.maintenance.backups import remove_leftovers
@@ -311,10 +317,10 @@ def people_add(
     folder: Folder,
     username: Annotated[str, typer.Argument(metavar="NAME", help="To log in with.", show_default=False)],
     role: RoleNames,
-    name: Annotated[str, typer.Option(help="Full name, as pages say it.")] = "",
-    email: Annotated[str, typer.Option(help="Address by which the hospital's own login knows them.")] = "",
+    name: Annotated[str, typer.Option(help="Full name, as shown on pages.")] = "",
+    email: Annotated[str, typer.Option(help="E-mail address of the person's hospital login.")] = "",
 ) -> Answer:
-    """Enter somebody, and print the link that sets a password."""
+    """Add a person, and print the link for setting a password."""
     return _invite(opened(folder), username, role, name, email)
 
 
@@ -343,7 +349,7 @@ def people_invite(
     folder: Folder,
     username: Annotated[str, typer.Argument(metavar="NAME", help="Who forgot the password.", show_default=False)],
 ) -> Answer:
-    """Print a new link that sets a password."""
+    """Print a new link for setting a password."""
     config = opened(folder)
     from mammometry.clinic.accounts import find_person
 
@@ -356,7 +362,7 @@ def _invite(config: ClinicConfig, username: str, roles: list[str], name: str, em
 
     unknown = sorted(set(roles) - {role.value for role in Role})
     if unknown:
-        raise typer.BadParameter(f"no such role: {', '.join(unknown)}; there are {', '.join(Role.values)}")
+        raise typer.BadParameter(f"unknown role: {', '.join(unknown)}; roles are {', '.join(Role.values)}")
     chosen = [Role(role) for role in dict.fromkeys(roles)]
     return _invitation(config, add_person(username, chosen, full_name=name, email=email))
 

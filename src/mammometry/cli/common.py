@@ -50,12 +50,12 @@ SettingsFile = Annotated[
 
 
 SUBJECT_ID = ("--id", "--subject")
-"""Names of the option that gives the subject's pseudonym, of every command that takes one."""
+"""Names of the option for the subject's pseudonym."""
 
 
 @value
 class JsonOptions:
-    """Options of every command."""
+    """Options that every command has."""
 
     json: Json = False
     verbose: Verbose = 0
@@ -77,7 +77,7 @@ class OutputOptions:
 
 @value
 class Options:
-    """Options of a command that needs the settings."""
+    """Options of commands that use the settings."""
 
     assignments: Assignments = None
     file: SettingsFile = None
@@ -92,12 +92,12 @@ class Options:
 
     @property
     def words(self) -> tuple[str | Path, ...]:
-        """The settings in force, as they are typed: for commands that are to be pasted."""
+        """The settings in use as command-line options, for suggested commands."""
         chosen = (word for assignment in self.assignments or () for word in ("--set", assignment))
         return (*(() if self.file is None else ("--settings", self.file)), *chosen)
 
     def settings(self, *more: str) -> Settings:
-        """Recommended settings, changed by the file, then by the assignments, then by some more."""
+        """The default settings, changed by the file, then by the assignments, then by further ones."""
         from mammometry.settings import Settings
 
         settings = Settings() if self.file is None else Settings.load(self.file)
@@ -166,7 +166,7 @@ def examples(*lines: str) -> str:
 
 
 def nothing_made(made_at: str | None) -> str:
-    """Say that all results are current, and when they were made."""
+    """State that all results are current, and when they were made."""
     when = "" if made_at is None else datetime.fromisoformat(made_at).strftime(", made %Y-%m-%d %H:%M UTC")
     return f"All results are current{when}. Nothing had to be computed."
 
@@ -188,20 +188,20 @@ def start_logging(verbose: int) -> None:
         logging.getLogger("mammometry").setLevel(logging.NOTSET)  # an earlier command of this process may have set it
 
 
-_TENTH = 10.0  # percent of a stage for which a line is written without a terminal
-_SPARSE_S = 5.0  # between two such lines, so that a fast stage does not fill a log
-_SILENT_S = 28.0  # without a line, seconds: with the tick, one comes within half a minute
+_TENTH = 10.0  # percent of a stage between two lines without a terminal
+_SPARSE_S = 5.0  # seconds between two such lines at least, so that a fast stage does not fill a log
+_SILENT_S = 28.0  # seconds without a line at most: with the tick, within half a minute
 
 
 class Bars:
     """Progress on standard error: a bar for each stage.
 
-    Without a terminal, lines: when a stage begins, when another tenth of it is done, and at least each half minute.
+    Without a terminal, a line at the start of a stage, after each tenth of it, and at least every half minute.
     """
 
     def __init__(self, quiet: bool) -> None:
         self._quiet = quiet
-        self._lock = Lock()  # products may be made side by side
+        self._lock = Lock()  # products may be made in parallel
         self._bars: Any = None
         self._tasks: dict[str, Any] = {}
         self._totals: dict[str, int] = {}
@@ -238,13 +238,13 @@ class Bars:
             self._bars.stop()
 
     def expect(self, stage: str, products: int, seconds: Mapping[str, float] = MappingProxyType({})) -> None:
-        """Say how many products of a stage are to be made, and how long they took before, by name."""
+        """Set how many products of a stage are to be made, and how long they took last time, by name."""
         self._totals[stage] = products
         self._expected_s |= {(stage, what.replace("/", " ")): value for what, value in seconds.items()}
 
     @contextmanager
     def task(self, stage: str, what: str) -> Iterator[Progress]:
-        """Show one piece of work. Gives its progress callback."""
+        """Show one task. Returns its progress callback."""
 
         def on_progress(fraction: float) -> None:
             with self._lock:
@@ -285,11 +285,11 @@ class Bars:
                     self._line(self._stage)
 
     def watch(self, key: Key) -> AbstractContextManager[Progress]:
-        """Watch a product being made."""
+        """Progress callback for one product."""
         return self.task(key.stage, key.product.replace("/", " "))
 
     def watch_as(self, number: int) -> Callable[[Key], AbstractContextManager[Progress]]:
-        """Watch the products of one of several sessions. Each session has its own bars."""
+        """Progress callback for the products of one of several sessions, each with its own bars."""
         return lambda key: self.task(f"{key.stage} {number}", key.product.replace("/", " "))
 
     def _show(self, stage: str, what: str) -> None:
@@ -303,7 +303,7 @@ class Bars:
 
 
 def silently(quiet: bool) -> AbstractContextManager[object]:
-    """Keep output of other libraries off standard output, which carries the answer."""
+    """Keep output of other libraries off standard output, which has the answer."""
     from contextlib import redirect_stdout
 
     return redirect_stdout(sys.stderr) if quiet else nullcontext()

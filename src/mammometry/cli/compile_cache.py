@@ -1,8 +1,8 @@
 """Compile the kernels on a second core during an installation's first run.
 
-Numba compiles a kernel when it is first called, and keeps it on disk. ``kernels.txt`` says with which types each kernel
-of the job is called. A second process compiles them in the order of the stages while the first stage is at work. The
-job finds them on disk, and compiles itself what it does not find.
+Numba compiles a kernel when it is first called, and keeps it on disk. ``kernels.txt`` lists the argument types of each
+kernel. A second process compiles them in the order of the stages while the first stage runs. The job reads them from
+disk, and compiles any that are missing.
 """
 
 import importlib
@@ -42,7 +42,7 @@ def compiled_ahead(*, wanted: bool = True) -> Iterator[None]:
     """Compile missing kernels in a second process while the block runs.
 
     Args:
-        wanted: whether anything is to be computed. To look which kernels are missing takes half a second.
+        wanted: whether anything is to be computed. Checking for missing kernels takes half a second.
     """
     if not wanted or available_cores() < 2 or _is_on_disk():
         yield
@@ -63,9 +63,9 @@ def _is_on_disk() -> bool:
 
 
 def main() -> None:
-    """Compile all kernels.
+    """Compile all kernels that are not on disk.
 
-    What is on disk is only read, and nothing is done while another process is at it.
+    Returns at once if another process is compiling.
     """
     from filelock import FileLock, Timeout
 
@@ -80,9 +80,9 @@ def main() -> None:
 
 
 def compile_kernels(kernels: Iterable[tuple[str, str]]) -> None:
-    """Compile kernels, given by name and argument types, where they are not on disk."""
+    """Compile kernels, given by name and argument types, that are not on disk."""
     for name, types in kernels:
-        # Types, not text: numba would file the kernel under the text.
+        # Types, not text: numba would store the kernel under the text.
         kernel_named(name).compile(argument_types(types))
 
 

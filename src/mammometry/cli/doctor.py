@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 UNWELL = 13
-"""Exit code: something that measuring or the clinic needs is not there."""
+"""Exit code: something that measuring or the clinic needs is missing."""
 JOBS = {
     "": "measure and report",
     "usdz": "measure scans in USDZ",
@@ -36,7 +36,7 @@ JOBS = {
     "clinic": "run a clinic",
     "sim": "render by Mitsuba",
 }
-"""Extra → what it is for."""
+"""Extra → its purpose."""
 CAMERAS = {"pylon": "basler", "aravis": "genicam", "gphoto2": "tethered"}
 """Kind of cameras → its extra."""
 _LEAST_MEMORY_GB = 4.0  # the largest process of a full-size torso takes 1.6 (docs/speed.md)
@@ -49,13 +49,13 @@ State: TypeAlias = Literal["ok", "absent", "wrong"]
 
 @value
 class Check:
-    """One thing that was looked at."""
+    """The result of one check."""
 
     name: str
     state: State
-    """``absent``: it is not there, and only who wants it misses it."""
+    """``absent``: an optional part is not installed."""
     words: str
-    """What was found, and what to do."""
+    """The finding and the remedy."""
 
 
 def program() -> str:
@@ -69,10 +69,10 @@ def program() -> str:
 def doctor(
     options: OutputOptions,
     clinic: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Look at this clinic as well.", show_default=False)
+        Path | None, typer.Option(metavar="DIR", help="Also check this clinic.", show_default=False)
     ] = None,
 ) -> Answer:
-    """Say what is installed here, and what is missing for which job.
+    """List what is installed here, what is missing, and for which task.
 
     The exit code is 13 if something that measuring or the clinic needs is wrong.
     """
@@ -101,7 +101,7 @@ def _libraries() -> Iterator[Check]:
 
 
 def missing_for(extra: str) -> list[str]:
-    """Distributions that an extra brings and that are not installed. An empty name: those that all need."""
+    """Missing distributions of an extra, or with an empty name of the basic installation."""
     absent: list[str] = []
     for line in metadata.requires("mammometry") or ():
         needed, _, condition = line.partition(";")
@@ -145,7 +145,7 @@ def _cameras() -> Iterator[Check]:
             found = import_module(f"mammometry.capture.backends.{kind}").attached()
         except MammometryError as error:
             yield Check(name=name, state="absent", words=f"{error.found} (extra {extra}): {error.remedy}")
-        except Exception as error:  # whatever a maker's library stumbles over
+        except Exception as error:  # a maker's library may fail in any way
             yield Check(name=name, state="wrong", words=f"its library fails: {type(error).__name__}")
         else:
             words = ", ".join(found) or "no camera is connected"
@@ -197,13 +197,11 @@ def _audit(config: ClinicConfig) -> Check:
         end = audit_chain.verify(chain_of_newest(config))
     except MammometryError as error:
         return Check(name="clinic's audit", state="wrong", words=str(error))
-    return Check(
-        name="clinic's audit", state="ok", words=f"{end.place} entries as they were written, {end.digest[:16]}"
-    )
+    return Check(name="clinic's audit", state="ok", words=f"{end.place} entries unchanged, {end.digest[:16]}")
 
 
 def _commit() -> str | None:
-    """Commit that this is made from. None: nobody wrote it down."""
+    """Commit of this installation. None if unknown."""
     package = Path(mammometry.__file__).parent
     made = package / "commit.txt"
     if made.is_file():

@@ -22,7 +22,7 @@ app = typer.Typer(name="export", help="Write results for other systems: DICOM, F
 
 
 class Part(StrEnum):
-    """What a study of DICOM objects can leave out."""
+    """Parts of a DICOM study that can be left out."""
 
     report = "report"
     models = "models"
@@ -92,24 +92,26 @@ def dicom(
     ] = None,
     own_title: Annotated[str, typer.Option(help="Our AE title.")] = "MAMMOMETRY",
     commitment: Annotated[
-        bool, typer.Option("--commitment", help="Await the archive's promise to keep the objects, if it offers one.")
+        bool, typer.Option("--commitment", help="Wait for the archive's storage commitment, if it supports it.")
     ] = False,
     listen: Annotated[
-        int | None, typer.Option(help="Port to which the archive sends that promise.", show_default=False)
+        int | None, typer.Option(help="Port for the archive's storage commitment.", show_default=False)
     ] = None,
     tls: Annotated[bool, typer.Option("--tls", help="Encrypt the connection.")] = False,
     tls_ca: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Who signs the archive's certificate.", show_default=False)
+        Path | None, typer.Option(metavar="FILE", help="Certificate authority of the archive, PEM.", show_default=False)
     ] = None,
     tls_certificate: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Our certificate (PEM).", show_default=False)
     ] = None,
-    tls_key: Annotated[Path | None, typer.Option(metavar="FILE", help="Its key (PEM).", show_default=False)] = None,
+    tls_key: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Private key of our certificate (PEM).", show_default=False)
+    ] = None,
 ) -> Answer:
     """Write or send a session as DICOM objects.
 
-    One study: report (PDF), measurements (structured report), models (STL, OBJ), photographs. What an archive has
-    already is not sent again.
+    One study: report (PDF), measurements (structured report), models (STL, OBJ), photographs. Objects that the archive
+        already has are not sent again.
     """
     from mammometry.base.extras import require
     from mammometry.hospital.codes import require_text
@@ -165,14 +167,16 @@ def dicom(
                 sent[stow] = stow_to(made, stow, tls=chosen, authorization=login, progress=progress)
     for where, what in sent.items():
         table[where] = {"sent": what.sent, "there_before": what.stored}
-        before = f", {what.stored} were there before" if what.stored else ""
+        before = f", {what.stored} were already there" if what.stored else ""
         lines.append(f"{where}: {what.sent} objects sent{before}")
     if commitment and peer is not None:
         from mammometry.hospital.dicom.store import committed
 
         kept = committed(made, peer, own_title=own_title, tls=chosen, listen=listen)
         table["committed"] = kept
-        lines.append("The archive keeps all of them." if kept else "The archive gave no promise to keep them.")
+        lines.append(
+            "The archive committed to store all of them." if kept else "The archive sent no storage commitment."
+        )
     return Answer(table, lines)
 
 
@@ -190,7 +194,7 @@ def fhir(
 ) -> Answer:
     """Write a session's measurements as a FHIR bundle.
 
-    A report and an observation a number, with the interval as components. Sent twice, the bundle changes nothing.
+    A report, and one observation per number with its interval as components. Sending the bundle twice changes nothing.
     """
     from mammometry.base.extras import require
     from mammometry.io.outputs import require_apart, require_free, write_outputs
@@ -216,7 +220,7 @@ def redcap(
 ) -> Answer:
     """Write a study for REDCap: data dictionary and records.
 
-    One row a visit. Importing the same again changes nothing.
+    One row per visit. Importing it again changes nothing.
     """
     from mammometry.hospital import tables
 
@@ -232,7 +236,7 @@ def table(
 ) -> Answer:
     """Write measurements as a table with a codebook.
 
-    CSV, and Parquet where pyarrow is installed. One row a number.
+    CSV, and Parquet if pyarrow is installed. One row per number.
     """
     from mammometry.hospital import tables
 
@@ -288,11 +292,11 @@ def _who(
 
 
 def _from_worklist(peer: Any, patient: Patient, order: Order, own_title: str, tls: Tls | None) -> tuple[Patient, Order]:
-    """Patient and order of the one entry that the flags name."""
+    """Patient and order from the one entry that matches the options."""
     from mammometry.hospital.dicom.worklist import entries, only_entry
 
     if not (order.accession or patient.id):
-        raise typer.BadParameter("--worklist needs --accession or --patient-id, to know which entry is meant")
+        raise typer.BadParameter("--worklist needs --accession or --patient-id to select an entry")
     answer = entries(peer, accession=order.accession, patient_id=patient.id, own_title=own_title, tls=tls)
     entry = only_entry(answer, peer, " and ".join(filter(None, (order.accession, patient.id))))
     return entry.patient, entry.order

@@ -19,12 +19,12 @@ from mammometry.cli.common import Answer, silently, start_logging
 
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 INTERRUPTED = 130
-"""Exit code: stopped by Ctrl-C, 128 + SIGINT as shells say it."""
+"""Exit code: stopped by Ctrl-C, 128 + SIGINT by the convention of shells."""
 UNEXPECTED = 70
-"""Exit code: a defect of ours, EX_SOFTWARE of sysexits.h."""
+"""Exit code: a defect in mammometry, EX_SOFTWARE of sysexits.h."""
 USAGE = 2
-"""Exit code: the command was called wrongly, as click and shells say it."""
-# The base of all usage errors; where typer keeps it differs between its versions.
+"""Exit code: wrong usage, as in click and shells."""
+# The base of all usage errors; its module differs between versions of typer.
 _ClickException: type[Exception] = typer.BadParameter.__mro__[2]
 
 app = typer.Typer(
@@ -33,7 +33,7 @@ app = typer.Typer(
     epilog="Start with `mammometry demo`, then `mammometry new SESSION`. Exit codes: 0 success, 2 usage, "
     "3 session, settings or table, 4 photograph, 5 calibration, 6 matching, 7 surface, 8 measurement, 9 storage, "
     "10 a camera moved (check), 11 a session of a batch or a model of a study failed, "
-    "12 a camera failed or the pictures are refused (capture), 13 the machine or the clinic is unwell (doctor), "
+    "12 a camera failed or the pictures are refused (capture), 13 a check failed (doctor), "
     "130 interrupted.",
     no_args_is_help=True,
     add_completion=False,
@@ -92,7 +92,7 @@ def hush_libraries() -> None:
 
     libtiff, for example, prints about damaged photographs.
     """
-    with suppress(OSError, AttributeError):  # it is closed, or there is none
+    with suppress(OSError, AttributeError):  # closed or missing
         ours = open(os.dup(2), "w", buffering=1, encoding=sys.stderr.encoding, errors=sys.stderr.errors)  # noqa: SIM115
         with open(os.devnull, "w") as nowhere:
             os.dup2(nowhere.fileno(), 2)
@@ -119,7 +119,7 @@ def run(arguments: Sequence[str]) -> int:
         return answer if isinstance(answer, int) else 0
     except MammometryError as error:
         about = {name: getattr(error, name) for name in ("code", "subject", "found", "expected", "remedy")}
-        shown = "" if error.page is None else f" What was seen: {error.page}"
+        shown = "" if error.page is None else f" Picture: {error.page}"
         about |= {"page": str(error.page)} if shown else {}
         return _fail(f"{error}{shown}", error.exit_code, as_json, kind=error.kind, **about)
     except (KeyboardInterrupt, typer.Abort):
@@ -128,14 +128,14 @@ def run(arguments: Sequence[str]) -> int:
     except _ClickException as error:
         return _fail(_usage(error), USAGE, as_json, kind="UsageError")
     except BrokenPipeError:
-        sys.stderr.close()  # the reader of our output has gone
+        sys.stderr.close()  # the reader of our output has closed it
         return 1
     except MemoryError:
         sentence = "Out of memory. Close other programs, or use smaller photographs."
         return _fail(sentence, 1, as_json, kind="MemoryError")
     except Exception as error:
         if isinstance(error, OSError) and error.errno in _DISK_FULL:
-            sentence = f"No room on the disk ({error.strerror}). Make room and run the same command again."
+            sentence = f"No space on the disk ({error.strerror}). Free some space and run the same command again."
             return _fail(sentence, StorageError.exit_code, as_json, kind="StorageError")
         if verbose:
             import traceback
@@ -155,11 +155,11 @@ def _verbosity(argument: str) -> int:
 
 def _say(answer: Answer, as_json: bool, quiet: bool) -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
-        # A folder's name need not be UTF-8. Its other bytes are written as JSON writes them, so that it is read back.
+        # A folder's name need not be UTF-8. Other bytes are escaped as in JSON, so that it can be read back.
         sys.stdout.reconfigure(errors="backslashreplace")
     if as_json:
         print(json.dumps(answer.table, ensure_ascii=False), flush=True)  # noqa: T201  # the answer itself
-    elif not quiet or answer.exit_code:  # what went wrong is said even so, where errors are said
+    elif not quiet or answer.exit_code:  # the error is still reported
         from rich.console import Console
 
         console = Console(stderr=quiet, soft_wrap=True, highlight=False, markup=False, emoji=False)

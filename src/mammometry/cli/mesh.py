@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 MESHES = (".ply", ".obj", ".stl", ".glb", ".usdz")
-"""Names of meshes end so."""
+"""Suffixes of mesh files."""
 
 
 def _mesh_option(*names: str, help: str, show_default: bool | str = False) -> Any:
@@ -32,7 +32,7 @@ _ALSO = (
 
 @value
 class MeshOptions:
-    """Options of `measure` that are for meshes only."""
+    """Options of `measure` for meshes only."""
 
     units: Annotated[
         str | None,
@@ -56,9 +56,9 @@ class MeshOptions:
     automatic: Annotated[
         bool, _mesh_option("--automatic", help="Find the boundaries of a torso along its creases.")
     ] = False
-    head: Annotated[
-        str | None, _mesh_option(help="The file's axis towards the head: y, -z and so on.", show_default="y")
-    ] = None
+    head: Annotated[str | None, _mesh_option(help="The file's axis towards the head: y, -z etc.", show_default="y")] = (
+        None
+    )
     ahead: Annotated[
         str | None, _mesh_option(help="The axis straight ahead.", show_default="where an open mesh faces")
     ] = None
@@ -71,7 +71,7 @@ class MeshOptions:
     also: Annotated[list[Path] | None, _mesh_option("--also", help=_ALSO)] = None
 
     def given(self) -> str | None:
-        """Name of the first option that was given. None if none was."""
+        """Name of the first option that was given, or None."""
         names = (name for name in self.__dataclass_fields__ if getattr(self, name) not in (None, False))
         option = next(names, None)
         return SUBJECT_ID[0] if option == "subject" else None if option is None else f"--{option.replace('_', '-')}"
@@ -80,17 +80,17 @@ class MeshOptions:
 def measure_mesh(
     mesh: Path, given: MeshOptions, back: Path | None, options: Options, assignments: Sequence[str]
 ) -> tuple[Results, list[str]]:
-    """Measure another scanner's mesh. Gives its results and remarks on them.
+    """Measure another scanner's mesh. Returns its results and notes.
 
     Args:
         mesh: the file.
-        given: what was said about it.
+        given: options that describe it.
         back: file with the chest wall.
         options: of the command.
-        assignments: of settings, beside the options'.
+        assignments: of settings, in addition to the options'.
 
     Raises:
-        typer.BadParameter: an option is not what it says.
+        typer.BadParameter: an option is invalid.
         MammometryError: the mesh cannot be measured.
     """
     from mammometry.api.job import folder_for, scan_files
@@ -139,7 +139,7 @@ def measure_mesh(
     )
     folder = given.out or folder_for(mesh)
     if given.out is not None and given.out.is_symlink():
-        folder = given.out.resolve()  # a link that the user names is meant; one that came with the files is refused
+        folder = given.out.resolve()  # a link that the user names is followed; one that came with the files is refused
     require_apart(folder, [options.file])
     with Bars(options.silent) as bars:
         with bars.task("read", "mesh"):
@@ -178,7 +178,7 @@ def named_subject(text: str | None) -> str | None:
         raise typer.BadParameter(f"--id: expected {error}") from None
 
 
-app = typer.Typer(name="import", help="Take over what other devices made: a scanner's mesh with its texture.")
+app = typer.Typer(name="import", help="Import data of other devices: a scanner's mesh with its texture.")
 _COMMAND = "import mesh"
 
 
@@ -191,7 +191,10 @@ _COMMAND = "import mesh"
 def mesh(
     options: OutputOptions,
     file: Annotated[
-        Path, typer.Argument(metavar="MESH", help="OBJ with MTL and pictures beside it, or PLY, STL, GLB, USDZ.")
+        Path,
+        typer.Argument(
+            metavar="MESH", help="OBJ with its MTL and pictures in the same folder, or PLY, STL, GLB, USDZ."
+        ),
     ],
     scanner: Annotated[str, typer.Option(help="Name of the device, such as 'Vectra M5'.", show_default=False)],
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for the scan.", show_default=False)],
@@ -202,7 +205,7 @@ def mesh(
         ),
     ] = None,
     head: Annotated[
-        str, typer.Option(help="The file's axis towards the head: y, -z and so on.", show_default="y, or z")
+        str, typer.Option(help="The file's axis towards the head: y, -z etc.", show_default="y, or z")
     ] = "",
     ahead: Annotated[str, typer.Option(help="The axis straight ahead.", show_default="where an open mesh faces")] = "",
     subject: Annotated[
@@ -215,15 +218,15 @@ def mesh(
         bool, typer.Option("--sides-checked", help="Left and right of the mesh were compared with the patient.")
     ] = False,
     without_texture: Annotated[
-        bool, typer.Option("--without-texture", help="Take the shape alone, without material file and pictures.")
+        bool, typer.Option("--without-texture", help="Import only the shape, without material file and pictures.")
     ] = False,
     also: Annotated[list[Path] | None, typer.Option("--also", help=_ALSO, show_default=False)] = None,
 ) -> Answer:
-    """Take over another scanner's mesh with its texture.
+    """Import another scanner's mesh with its texture.
 
     Writes scan.ply (mm, with colours), scan.toml with the scanner's name and unit, and the OBJ with its material and
-    pictures. Their own names are not kept: they may hold a patient's name. Scans merged with --also become one
-    scan.ply, whose vertices have the property source: 1 the first scan, 2 the second, 3 both.
+    pictures. The original file names are not kept, because they may contain a patient's name. Scans merged with --also
+    become one scan.ply, whose vertices have the property source: 1 the first scan, 2 the second, 3 both.
     """
     from mammometry.io.meshes.scans import FILES, MESH, Scan, import_scan, read_scan
     from mammometry.io.outputs import require_apart, require_free, write_outputs

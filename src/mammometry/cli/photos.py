@@ -25,7 +25,7 @@ def photos(
     folder: Annotated[
         Path,
         typer.Argument(
-            metavar="FOLDER", help="Photographs by one telephone, and board.toml if the board is another than ours.",
+            metavar="FOLDER", help="Photographs by one telephone, and board.toml with the measured board.",
             show_default=False,
         ),
     ],
@@ -42,9 +42,9 @@ def photos(
 ) -> Answer:  # fmt: skip
     """Measure a patient who wears a printed board, from photographs by one telephone.
 
-    The photographs are taken on a walk around the patient. The board shows where each of them was taken. A session is
-    made of the photographs, cropped to the body and without EXIF data, and measured as `run` does. Photographs and
-    results that are current are kept.
+    The photographs are taken on a walk around the patient. The board gives the position of each. They are stored in a
+    session, cropped to the body and without EXIF data, and measured as with `run`. Photographs and results that are
+    current are kept.
     """
     from mammometry.api.photos import prepare_walk, walk_files
     from mammometry.measure.settings import POSTURES

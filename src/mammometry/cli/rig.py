@@ -34,7 +34,7 @@ def check(
     session: SessionFolder,
     image_set: Annotated[
         Path | None,
-        typer.Option(help="Folder of a later exposure of the target, with <camera>.jpg in it.", show_default=False),
+        typer.Option(help="Folder with a later exposure of the target, <camera>.jpg.", show_default=False),
     ] = None,
     history: Annotated[bool, typer.Option("--history", help="Only show earlier checks.")] = False,
 ) -> Answer:
@@ -59,7 +59,7 @@ def check(
     drawn = session / drift.FOLDER / drift.DRAWN
     if image_set is None:
         return _history(session, known, drawn, loaded.calibration.check.refuse_mm)
-    # Another check may have ended meanwhile: ours is the last of its photographs.
+    # Another check may have ended in the meantime: use the last one with these photographs.
     entry = next(entry for entry in reversed(known.entries) if entry.image_set == str(image_set))
     table = drift.entry_table(entry) | {
         "unseen": list(result.unseen),
@@ -131,7 +131,7 @@ def import_cameras(
         ),
     ],
 ) -> Answer:
-    """Import cameras that were calibrated elsewhere.
+    """Import cameras calibrated with another program.
 
     Writes SESSION/cameras.json. The session is then not calibrated.
     """
@@ -173,7 +173,7 @@ def import_cameras(
 
 
 class CameraFormatName(StrEnum):
-    """Programs that cameras can be written for."""
+    """Programs for which cameras can be written."""
 
     opencv = "opencv"
     colmap = "colmap"
@@ -191,7 +191,9 @@ def export_cameras(
     options: Options,
     session: SessionFolder,
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder for the files.", show_default=False)],
-    form: Annotated[CameraFormatName, typer.Option("--format", help="Program to write for.")] = CameraFormatName.opencv,
+    form: Annotated[
+        CameraFormatName, typer.Option("--format", help="Format of this program.")
+    ] = CameraFormatName.opencv,
 ) -> Answer:
     """Write the cameras for OpenCV, COLMAP or Kalibr. Calibrates first if needed."""
     from mammometry.cli.stages import opened
@@ -219,7 +221,7 @@ BackendName = Annotated[
     typer.Option("--backend", help="Kind of cameras, instead of the file's: virtual, folder, aravis, pylon, gphoto2."),
 ]
 REFUSED = 12
-"""Exit code of a firing that must not be measured."""
+"""Exit code: the captured pictures must not be measured."""
 
 
 @command(
@@ -239,18 +241,18 @@ def capture(
         str | None, typer.Option(*SUBJECT_ID, help="Pseudonym of the patient, never a name.", show_default=False)
     ] = None,
     pose: Annotated[
-        bool, typer.Option("--pose", help="Fire at the calibration board, and say where to hold it next.")
+        bool, typer.Option("--pose", help="Photograph the calibration board, and suggest where to hold it next.")
     ] = False,
     page: Annotated[
         bool, typer.Option("--page", help="Aim, focus and fire on a page in the browser. Ctrl-C ends it.")
     ] = False,
     browser: Annotated[bool, typer.Option(help="With --page: open it in the browser.")] = True,
 ) -> Answer:
-    """Fire all cameras, and judge the pictures at once.
+    """Fire all cameras, and check the pictures at once.
 
-    The pictures become SESSION/capture if nothing speaks against it. All firings are kept in SESSION/shots. A --pose
-    needs no calibration: it is one. The exit code is 12 if a camera failed, the pictures are refused, or no camera saw
-    the board.
+    If they can be measured, they become SESSION/capture. All firings are kept in SESSION/shots. With --pose no
+    calibration is needed: these are its photographs. The exit code is 12 if a camera failed, the pictures are refused,
+    or no camera saw the board.
     """
     from mammometry.capture.loop import OpenRig
 
@@ -273,7 +275,7 @@ def capture(
     if fired.accepted:
         lines = ["The pictures may be measured.", *lines, f"Next: {command_line('mammometry', 'run', session)}"]
     else:
-        lines = ["Do not measure these pictures.", *lines, f"What came is kept in {fired.shot}."]
+        lines = ["Do not measure these pictures.", *lines, f"The pictures are kept in {fired.shot}."]
     return Answer(table, lines, exit_code=0 if fired.accepted else REFUSED)
 
 
@@ -286,7 +288,7 @@ def _pose(session: Path, rig: Path, backend: str | None, silent: bool) -> Answer
         OpenRig(rig, backend=backend, needs_calibration=False) as rigged,
     ):
         posed = rigged.fire_pose(session)
-    lines: list[Any] = [f"Pose {posed.pose} is taken, {posed.count} in all."]
+    lines: list[Any] = [f"Pose {posed.pose} is stored, {posed.count} in all."]
     table: dict[str, Any] = {"session": str(session), "pose": posed.pose, "poses": posed.count, "next": posed.sentence}
     if posed.progress is None:
         lines.append(f"Not calibrated yet: {posed.why}")
@@ -311,7 +313,7 @@ def _on_a_page(
     from mammometry.capture.page import Goal, serve
 
     def ready(address: str, local_page: str) -> None:
-        # Standard output belongs to the answer, which comes after the page was closed.
+        # Standard output is for the answer, after the page was closed.
         print(f"{address} (works once; Ctrl-C stops)", file=sys.stderr, flush=True)  # noqa: T201
         if browser:
             webbrowser.open(local_page)
@@ -319,7 +321,7 @@ def _on_a_page(
     with (
         OpenRig(rig, backend=backend, needs_calibration=not posing) as rigged,
         suppress(KeyboardInterrupt),
-    ):  # the way to stop it
+    ):  # stops the page
         serve(rigged, Goal(session=session, subject_id=subject_id, posing=posing), ready=ready)
     made = session / ("calibration" if posing else "capture")
     taken = made.is_dir() and any(made.iterdir())
@@ -337,11 +339,11 @@ def skew(
     session: SessionFolder,
     rig: RigToml,
     backend: BackendName = None,
-    firings: Annotated[int, typer.Option(min=1, max=100, help="Firings of which the median counts.")] = 5,
+    firings: Annotated[int, typer.Option(min=1, max=100, help="Number of firings; their median is used.")] = 5,
 ) -> Answer:
-    """Measure how far apart the cameras expose, with the counting lamps.
+    """Measure the time between the cameras' exposures, with the counting lamps.
 
-    Writes SESSION/skew.json. Captures with this calibration then know it. The exit code is 12 above the rig's limit.
+    Writes SESSION/skew.json, which captures with this calibration use. The exit code is 12 above the rig's limit.
     """
     from mammometry.capture.loop import OpenRig
 

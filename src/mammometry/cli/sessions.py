@@ -18,14 +18,14 @@ app = typer.Typer()
 
 
 class RigName(StrEnum):
-    """Rigs that a new manifest can describe."""
+    """Rigs for a new manifest."""
 
     reference = "reference"
     single = "single"
 
 
 class TargetKind(StrEnum):
-    """Targets that a new manifest can describe."""
+    """Targets for a new manifest."""
 
     charuco = "charuco"
     chessboard = "chessboard"
@@ -35,7 +35,7 @@ class TargetKind(StrEnum):
 
 
 class SubjectKind(StrEnum):
-    """Subjects that a new manifest can describe."""
+    """Subjects for a new manifest."""
 
     model = "model"
     torso = "torso"
@@ -91,16 +91,14 @@ def new(
 )
 def settings(
     options: Options,
-    paper: Annotated[
-        bool, typer.Option("--paper", help="Only those that make the method the paper's, as printed.")
-    ] = False,
+    paper: Annotated[bool, typer.Option("--paper", help="Only the settings of the paper's method.")] = False,
 ) -> Answer:
     """List all settings with their values, as TOML for --settings."""
     from mammometry.settings import Settings, as_table, paper_method
 
     if paper:
         if options.file or options.assignments:
-            raise typer.BadParameter("--paper: prints the paper's settings alone; leave out --settings and --set")
+            raise typer.BadParameter("--paper prints only the paper's settings; leave out --settings and --set")
         text = paper_method()
         return Answer({"settings": as_table(Settings.from_toml(text))}, [text])
     loaded = options.settings()
@@ -126,7 +124,7 @@ def edit(
     from mammometry.io.drawn import BOUNDARIES, LANDMARK_FILE
 
     def ready(address: str, local_page: str) -> None:
-        # Standard output belongs to the answer, which comes after the page was closed.
+        # Standard output is for the answer, after the page was closed.
         print(f"{address} (works once; Ctrl-C stops)", file=sys.stderr, flush=True)  # noqa: T201
         if browser:
             webbrowser.open(local_page)

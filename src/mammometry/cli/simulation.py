@@ -222,7 +222,7 @@ def simulate(
         ),
     ] = "",
     clinic: Annotated[
-        int | None, typer.Option(help="Draw a torso and all disturbances by this seed.", min=0, show_default=False)
+        int | None, typer.Option(help="Choose a torso and all disturbances by this seed.", min=0, show_default=False)
     ] = None,
     difficulty: Annotated[
         int, typer.Option(help="With --clinic: 0 draws only the patient, 3 the most disturbances.", min=0, max=3)
@@ -244,7 +244,7 @@ def simulate(
     with refusing(SettingsError, expected=expected, remedy=remedy):
         if clinic is not None:
             if (subject, seed) != (_RECIPE.subject, _RECIPE.seed):
-                raise typer.BadParameter("--clinic draws subject and seed. Give either it, or --subject and --seed")
+                raise typer.BadParameter("--clinic chooses subject and seed. Give either it, or --subject and --seed")
             subject, seed, disturb = "torso", clinic, f"{draw(clinic, difficulty)},{disturb}"
         situation = parse_situation(disturb)
         check(situation)
@@ -312,7 +312,7 @@ def target(
             raise typer.BadParameter("--telephone draws one board for all patients: leave out --session")
         table, page = dict(TELEPHONE_BOARD), "A4"
     if session is not None:
-        # Drawn as designed: what was measured belongs to an earlier print.
+        # Drawn in its nominal size: the measured size is that of an earlier print.
         measured = ("edge_mm", "edge_std_mm", "flatness_mm")
         opened_session = Session.open(session)
         require_apart(out, opened_session.brought)
@@ -328,7 +328,7 @@ def target(
 
 
 _LEAST_POSES = ((0.2, 6), (0.15, 8), (0.12, 10))
-"""Scale of the reference rig from which on so many poses calibrate it; with fewer, too few views have enough corners.
+"""Scale of the reference rig, and the poses needed from there on; with fewer, too few views have enough corners.
 Measured with plaster_3: 6 poses at 0.2 (seeds 1, 2) and 8 at 0.15 (seeds 1, 2, 3, 5, 6) calibrate. At 0.12 6 and 8 do
 not, 10 do for some seeds only, and 12 did for the one that was tried."""
 

@@ -24,7 +24,7 @@ _SET = "mammometry {} SESSION --set {}"
 
 
 def opened(session: Path, options: Options, bars: Bars, *assignments: str) -> Job:
-    """Open the session's job with some more assignments, and set the total of the bars."""
+    """Open the session's job with further assignments, and set the total of the bars."""
     from mammometry.api.job import open_session
 
     job = open_session(session, options.settings(*assignments), watch=bars.watch)
@@ -50,7 +50,7 @@ def _stage(stage: Stage, session: Path, options: Options) -> tuple[Job, dict[str
 
 
 def _summary(job: Job, stage: Stage, begun: float) -> dict[str, Any]:
-    """Results and seconds of a stage since `begun`, by `time.monotonic`."""
+    """Results and seconds of a stage since `begun` (`time.monotonic`)."""
     from mammometry.base.machine.system import peak_memory_mb
 
     return {
@@ -325,7 +325,7 @@ def graph(
         Path | None, typer.Option(help="SVG file to write.", show_default="products.svg in results/")
     ] = None,
 ) -> Answer:
-    """Draw what each result is made from, whether it is current, and how long it took.
+    """Draw all results with their inputs, whether they are current, and how long they took.
 
     Nothing is computed. All result files are read, which takes a second or two per gigabyte.
     """

@@ -27,10 +27,10 @@ app = typer.Typer()
 
 @command(app, "mammometry info SESSION", "mammometry info SESSION --json")
 def info(options: Options, session: SessionOrScan) -> Answer:
-    """Show what a session holds, which results are current, and what to do next.
+    """Show a session's contents, which results are current, and what to do next.
 
-    A stale result was made from other photographs or settings than the present ones. -v lists every result.
-    All result files are read, which takes a second or two per gigabyte.
+    A result is stale if photographs or settings have changed since. -v lists every result. All result files are read,
+    which takes a second or two per gigabyte.
     """
     from mammometry.api.job import open_session
     from mammometry.api.mesh import MeshJob
@@ -95,7 +95,7 @@ def _scan_info(folder: Path, scan: MeshJob, stages: dict[str, Any], options: Opt
 
 
 def _stage_about(store: Store, plan: Plan, keys: Sequence[Key]) -> dict[str, Any]:
-    """State of a stage and of its products, and what was changed since they were made."""
+    """State of a stage and of its products, and the changes since they were made."""
     from mammometry.api.changes import changes
 
     products: dict[str, dict[str, Any]] = {}
@@ -161,19 +161,19 @@ _MADE = {
     "measure": "the measurement",
     "report": "the report was written",
 }
-_MOST_CHANGES = 4  # that a line names; --json has all
+_MOST_CHANGES = 4  # named on a line; --json has all
 _STATES = {
     "current": "yes",
     "absent": "not yet",
     "partial": "in part",
     "stale": "to be done again",
-    "damaged": "to be done again: a file of it is damaged",
+    "damaged": "to be done again: one of its files is damaged",
     "not needed": "not needed",
 }
 
 
 def _stages_table(stages: dict[str, Any]) -> Any:
-    """Table with a line for every stage."""
+    """Table with a row for every stage."""
     from rich.table import Table
 
     shown = Table.grid(padding=(0, 3))
@@ -198,7 +198,7 @@ def _changed_lines(stages: dict[str, Any]) -> list[str]:
 
 
 def _products_table(stages: dict[str, Any]) -> Any:
-    """Table with a line for every product."""
+    """Table with a row for every product."""
     from rich.table import Table
 
     shown = Table("stage", "product", "state", "made", "seconds", box=None, pad_edge=False)
@@ -222,9 +222,9 @@ def _next(table: dict[str, Any], session: Path, page: Path, options: Options) ->
 
 
 def _after_table(table: dict[str, Any]) -> list[str]:
-    """List what was changed, and whether a run is in progress."""
+    """List changes, and whether a run is in progress."""
     lines = _changed_lines(table["stages"])
-    lines += [f"A run is at work ({table['at_work']}). Wait for it to end"] if table["at_work"] else []
+    lines += [f"A run is in progress ({table['at_work']}). Wait for it to end"] if table["at_work"] else []
     return ["", *lines] if lines else []
 
 
@@ -263,9 +263,9 @@ def verify(
 ) -> Answer:
     """Check every byte of the results, and that the photographs are unchanged.
 
-    All files are read. Names what is damaged or changed, and says which results a rerun renews. Files that cannot be
+    All files are read. Lists damaged and changed files, and the results that a rerun renews. Files that cannot be
     checked are listed.
-    The exit code is 9 if a result is damaged, or a photograph or a drawing is not the one that was measured.
+    The exit code is 9 if a result is damaged, or a photograph or a drawing has changed since the measurement.
     """
     from mammometry.api.sources import sources
     from mammometry.base.errors import MammometryError, SessionError, StorageError
@@ -299,21 +299,21 @@ def verify(
     lines: list[Any] = [f"{damage.file}: {damage.found}" for damage in findings.damaged]
     lines += [f"A rerun renews {', '.join(renewed)}"] if renewed else []
     lines += [f"A rerun does not renew {', '.join(left)}: {remark}"] if left else []
-    lines += [f"{name}: not what the results were made from" for name in changed]
-    lines += [f"{name}: not there, not compared" for name in table["absent"]]
+    lines += [f"{name}: changed since the results were made" for name in changed]
+    lines += [f"{name}: missing, not compared" for name in table["absent"]]
     lines += [f"Photographs and drawings cannot be compared. {refused}"] if refused else []
     lines += [f"{results.name}/{name}: left by an interrupted run or set aside" for name in findings.leftovers]
     lines += [f"{name}: not written by mammometry, not checked" for name in findings.unrecorded]
     lines += [f"{name}: not checked, no result was made from it" for name in table["not_compared"]]
-    lines += [f"{name}: by an earlier version, its times are not checked" for name in findings.without_digest]
+    lines += [f"{name}: from an earlier version, its times are not checked" for name in findings.without_digest]
     sums = f"{findings.products} products, {findings.files} files, {findings.bytes / _MB:.0f} MB"
     other = bool(changed or refused)
-    lines.append(f"{sums}: {'DAMAGED' if findings.damaged else 'CHANGED' if other else 'all as they were written'}")
+    lines.append(f"{sums}: {'DAMAGED' if findings.damaged else 'CHANGED' if other else 'all unchanged'}")
     return Answer(table, lines, exit_code=StorageError.exit_code if findings.damaged or other else 0)
 
 
 def _renewed(findings: Findings, now: Sources | None, refused: str) -> tuple[list[str], list[str], str]:
-    """Damaged products that a rerun makes again, those it cannot, and why."""
+    """Damaged products that a rerun renews, those that it cannot, and why."""
     damaged = {f"{damage.stage}/{damage.product}": None for damage in findings.damaged if damage.product is not None}
     stages = [damage.stage for damage in findings.damaged if damage.product is None and damage.stage is not None]
     if refused:

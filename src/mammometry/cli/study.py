@@ -82,7 +82,7 @@ def _lines(comparison: Comparison) -> list[Any]:
     lines: list[Any] = lines_of(comparison.notices)
     lines += [breast["verdict"] for breast in comparison.table["breasts"].values()]
     fit = comparison.change.fit
-    lines.append(f"80 % of the trunk fits within {fit.within_mm:.1f} mm. The lean differs by {fit.turned_deg:.0f}°.")
+    lines.append(f"80 % of the trunk fits within {fit.within_mm:.1f} mm. The posture differs by {fit.turned_deg:.0f}°.")
     return [*lines, f"Page: {comparison.page}"]
 
 
@@ -115,7 +115,7 @@ def evaluate(
 
 
 def table_lines(table: Table) -> list[Any]:
-    """A table for the terminal, under its title. Columns of words are left to the page."""
+    """A table with a title for the terminal. Columns of text are only on the page."""
     from rich.table import Table as RichTable
 
     shown = RichTable(box=None, pad_edge=False)
@@ -221,10 +221,10 @@ def observers(
         str | None, typer.Option(metavar="AXIS", help="The meshes' axis straight ahead.", show_default=False)
     ] = None,
 ) -> Answer:
-    """Compare boundaries that several persons drew, or one person several times.
+    """Compare boundaries drawn by several people, or several times by one.
 
-    Gives the scatter of the volume, its intraclass correlation and minimal detectable change, and the distance between
-    curves by region.
+    Gives the standard deviation of the volume, its intraclass correlation and minimal detectable change, and the
+    distance between curves by region.
     """
     from mammometry.api.observers import measure_drawings, read_drawn_by
     from mammometry.base.identity import shown_name

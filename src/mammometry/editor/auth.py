@@ -1,6 +1,6 @@
 """Access to the page. A key that works once is exchanged for a cookie. Other requests are refused.
 
-The key is not in any address with which a program is started, because other users of the computer can read those.
+The key is never in the arguments of a program, because other users of the computer can read those.
 """
 
 import os
@@ -16,7 +16,7 @@ from urllib.parse import parse_qs, urlsplit
 from django.http import HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
 
 HOST = "127.0.0.1"
-LARGEST_BYTES = 1 << 20  # a drawing has some 20 kB
+LARGEST_BYTES = 1 << 20  # a drawing has about 20 kB
 _NAMES = (HOST, "localhost")
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -30,7 +30,7 @@ _Response = TypeVar("_Response", bound=HttpResponseBase)
 
 
 class Door:
-    """Keeps the keys and the cookie of one server."""
+    """Keys and cookie of one server."""
 
     def __init__(self, command: str = "edit") -> None:
         self._command = f"mammometry {command}"
@@ -46,7 +46,7 @@ class Door:
     def refusal(self, request: HttpRequest) -> HttpResponse | None:
         """Return the refusal of a request, or None if it is allowed.
 
-        A request that changes something needs the cookie and must come from our own page, as the browser reports.
+        A request that changes data needs the cookie and must come from our own page, according to the browser.
         """
         host = request.headers.get("host", "")
         if host.rsplit(":", 1)[0] not in _NAMES:
@@ -63,7 +63,7 @@ class Door:
         return None
 
     def _is_inside(self, request: HttpRequest) -> bool:
-        """Whether the request brings the cookie."""
+        """Whether the request has the cookie."""
         given = request.COOKIES.get(_cookie_name(request), "")
         return secrets.compare_digest(given.encode(), self._cookie.encode())
 
@@ -87,11 +87,11 @@ class Door:
         """Exchange a key for the cookie."""
         key = parse_qs(request.body.decode("ascii", "replace")).get("key", [""])[0]
         held = next((own for own in self._keys if secrets.compare_digest(own.encode(), key.encode())), None)
-        if held is None and not self._is_inside(request):  # who is inside may open the link again
+        if held is None and not self._is_inside(request):  # a logged-in user may open the link again
             sentence = f"This link is unknown or was used before. Stop “{self._command}” and start it again."
             return _refused(request, 403, sentence)
         self._keys.discard(held or "")
-        # No redirection: a browser would follow one from another page without the cookie. This page leads there.
+        # No redirection: a browser would follow one from another page without the cookie. This page reloads instead.
         answer = HttpResponse(_document('<meta http-equiv="refresh" content="0;url=/">', "Opening …"))
         answer.set_cookie(_cookie_name(request), self._cookie, httponly=True, samesite="Strict", path="/")
         return answer
@@ -119,14 +119,14 @@ def entrance() -> HttpResponse:
 
 @contextmanager
 def local_page(address: str, key: str) -> Iterator[Path]:
-    """Write a private file that sends a key. Only its owner can read it. The browser is started with it.
+    """Write a private file that sends a key. Only its owner can read it. The browser opens it.
 
     Args:
         address: of the server: ``http://127.0.0.1:PORT``.
         key: works once.
     """
     assert urlsplit(address).hostname in _NAMES
-    handle, name = tempfile.mkstemp(prefix="mammometry-edit-", suffix=".html")  # readable by its owner alone
+    handle, name = tempfile.mkstemp(prefix="mammometry-edit-", suffix=".html")  # readable only by its owner
     path = Path(name)
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as file:

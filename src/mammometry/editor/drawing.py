@@ -1,7 +1,7 @@
-"""Drawn curves, laid onto the surface and measured at once.
+"""Drawn curves, projected onto the surface and measured at once.
 
-The surface is thinned, so that a volume follows within a moment. The final number comes from ``mammometry measure``,
-which measures the saved curve on the full mesh.
+The surface is simplified, so that a volume takes less than a second. The final number comes from ``mammometry
+measure``, which measures the saved curve on the full mesh.
 
 An existing curve is edited by a few of its own points, its handles. If a handle is moved, the curve is drawn again up
 to the next handle on either side. All other points stay exactly as they are.
@@ -29,7 +29,7 @@ from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.report.models import thinned
 from mammometry.surface.repair.repair import RepairedSurface
 
-TRIANGLES = 120_000  # of the thinned surface: a volume then follows within a second
+TRIANGLES = 120_000  # of the simplified surface: a volume then takes less than a second
 _STEP_MM = 2.0  # between points of a drawn curve; chosen by eye
 _HANDLE_MM = 18.0  # between handles; chosen by eye
 _FEWEST_HANDLES = 8  # of a small curve; chosen by eye
@@ -44,13 +44,13 @@ class LiveVolume:
     curve_world: Float64[Array, "n 3"]
     """The closed curve on the surface, mm, world frame."""
     volume_cc: float | None
-    """None where the curve encloses no solid; `problem` says why."""
+    """None if the curve encloses no solid; `problem` has the reason."""
     interval_cc: tuple[float, float] | None
     problem: str | None
     crossings_world: Float64[Array, "k 3"] = field(default_factory=lambda: np.empty((0, 3)))
     """Where the curve crosses itself, mm, world frame. It then encloses no volume."""
     preliminary: bool = True
-    """False: the number of the full measurement, not of the thinned surface."""
+    """False: the number of the full measurement, not of the simplified surface."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -58,7 +58,7 @@ class Handle:
     """A point of a boundary that can be dragged."""
 
     point_world: Float64[Array, 3]
-    """Where it is, mm, world frame."""
+    """Position, mm, world frame."""
     at: int | None = None
     """Index in the original curve if the handle was not moved, else None."""
 
@@ -68,7 +68,7 @@ class DrawingBoard:
     """The surface that is drawn on."""
 
     surface: RepairedSurface
-    """Thinned; world frame, mm."""
+    """Simplified; world frame, mm."""
     frame: Float64[Array, "3 3"]
     settings: MeasureSettings
 
@@ -78,7 +78,7 @@ class DrawingBoard:
         automatic: Mapping[str, Boundary] | None = None,
         wanted: Collection[str] | None = None,
     ) -> dict[str, LiveVolume]:
-        """Measure what closed curves enclose.
+        """Measure the volumes inside closed curves.
 
         Args:
             curves_world: breast → its boundary, mm, world frame.
@@ -119,7 +119,7 @@ class DrawingBoard:
         """Refuse a curve that the measurement would refuse: open, crossing itself or off the surface.
 
         Raises:
-            MeasureError: says which, and by how much.
+            MeasureError: with the fault and its size.
         """
         check_curve(name, curve_world, self.surface.mesh)
 
@@ -133,11 +133,11 @@ class DrawingBoard:
     def edited(self, curve_world: Float64[Array, "n 3"], handles: Sequence[Handle]) -> Float64[Array, "m 3"]:
         """Curve after some of its handles were moved, added or removed.
 
-        Points between two neighbouring handles (`handle_indices`) that nobody touched stay exactly as they are; every
-        other piece is laid smoothly through its handles and joins them in their direction.
+        Points between two neighbouring handles (`handle_indices`) that did not change stay exactly as they are; every
+        other piece is a smooth curve through its handles that continues in their direction.
 
         Args:
-            curve_world: the curve it began from, mm, world frame.
+            curve_world: the original curve, mm, world frame.
             handles: in order around it, at least three.
         """
         held = handle_indices(curve_world)
@@ -153,7 +153,7 @@ class DrawingBoard:
         if not any(kept):
             return self.laid(np.array(places))
         pieces = []
-        # Begin behind a new piece, so that the curve closes over one of its short steps.
+        # Start after a new piece, so that the curve closes with one of its short steps.
         k = begin = next(i for i in range(count) if kept[i] and not kept[i - 1])
         while k < begin + count:
             at, to = handles[k % count].at, handles[(k + 1) % count].at
@@ -196,7 +196,7 @@ class DrawingBoard:
 def drawing_board(
     surface: RepairedSurface, frame: Float64[Array, "3 3"], settings: MeasureSettings, *, triangles: int = TRIANGLES
 ) -> DrawingBoard:
-    """Thin a repaired surface for drawing on it."""
+    """Simplify a repaired surface for drawing on it."""
     mesh, origin = thinned(surface.mesh, triangles)
     small = RepairedSurface(
         mesh=mesh,
@@ -226,7 +226,7 @@ def handle_indices(curve_world: Float64[Array, "n 3"]) -> Int64[Array, " k"]:
 
 
 def _along(points: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
-    """Distance along a chain of points, mm. It always grows, even if a point occurs twice."""
+    """Distance along a chain of points, mm. It always increases, even if a point occurs twice."""
     return np.concatenate([[0.0], np.cumsum(np.maximum(np.linalg.norm(np.diff(points, axis=0), axis=1), 1e-6))])
 
 

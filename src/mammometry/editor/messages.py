@@ -23,7 +23,7 @@ Author = Annotated[str, Field(max_length=80), AfterValidator(_is_name)]
 
 
 class Message(BaseModel):
-    """Holds what is named in it and nothing else."""
+    """Contains only the named fields."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -36,7 +36,7 @@ class SentHandle(Message):
 
 
 class Sketch(Message):
-    """A boundary on the page. The curve it began from, and the places of its handles."""
+    """A boundary on the page: its original curve, and the positions of its handles."""
 
     of: Annotated[str, Field(max_length=64)] | None = None
     handles: Annotated[list[SentHandle], Field(min_length=3, max_length=5000)]
@@ -63,7 +63,7 @@ class PlaceChange(Message):
 
 
 class Save(Message):
-    """All items that somebody changed."""
+    """All changed items."""
 
     author: Author
     boundaries: dict[Breast, SketchChange] = {}
@@ -71,15 +71,15 @@ class Save(Message):
 
 
 class Finish(Message):
-    """Confirmation that somebody looked at all boundaries and found them right."""
+    """Confirmation that all boundaries were checked and are right."""
 
     author: Author
     curves: dict[Breast, Annotated[str, Field(max_length=64)]]
-    """Breast → digest of the curve that was looked at."""
+    """Breast → digest of the curve that was checked."""
 
 
 def sentence(errors: list[dict[str, Any]]) -> str:
-    """Say what is wrong with a message, without repeating its content."""
+    """State the fault of a message, without repeating its content."""
     first = errors[0]
     where = ".".join(str(part) for part in first.get("loc", ()) if part != "body")
     return f"{where or 'The request'}: {first.get('msg', 'not as expected')}."

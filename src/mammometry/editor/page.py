@@ -24,20 +24,20 @@ if TYPE_CHECKING:
 
     from mammometry.api.job import Job
 
-_TRIANGLES = 150_000  # of the surface on the page: fine enough to see the nipple, light enough to load; chosen by eye
+_TRIANGLES = 150_000  # of the surface on the page: fine enough to see the nipple, small enough to load; chosen by eye
 _LOG = logging.getLogger(__name__)
 _Message = TypeVar("_Message", bound=Message)
 
 
 class EditorPage:
-    """One session or scan that is drawn on. Its methods may be called from several threads."""
+    """Drawing page of one session or scan. Its methods may be called from several threads."""
 
     def __init__(self, job: Job, *, author: str | None = None) -> None:
         """Prepare the surface and the scene of the page.
 
         Args:
             job: an open session or scan; its surface is made if it is not current.
-            author: name of the person who draws. Without it the page asks.
+            author: name of the person who draws; without it the page asks.
 
         Raises:
             MammometryError: the surface cannot be made, or the subject has nothing to draw on.
@@ -51,7 +51,7 @@ class EditorPage:
         """Everything the page needs when it is opened.
 
         Args:
-            author: name of the person who looks at this page and cannot choose another; None lets the page ask.
+            author: name of the logged-in person, which the page cannot change; None lets the page ask.
         """
         known = {"author": author or self.author or "", "signed": author is not None}
         return {"scene": self._scene, **known, **self.desk.state()}
@@ -69,10 +69,10 @@ class EditorPage:
 
         Args:
             body: JSON.
-            author: who sent it, where that is known; it then counts instead of the name in the message.
+            author: who sent it, if known; it then replaces the name in the message.
 
         Returns:
-            What was asked for, and the files that were changed.
+            The answer, and the files that were changed.
         """
         sent = _signed(read(Save, body), author)
         return sent, self.desk.save(sent)
@@ -83,7 +83,7 @@ class EditorPage:
 
 
 def _scene(job: Job) -> dict[str, Any]:
-    """The surface with its photographs as the report shows it, if that is current; else as it is made here."""
+    """The surface with its photographs from the report if that is current; otherwise made here."""
     record = job.store.record(job.content_key)
     mesh = job.mesh.key
     if record is not None and record.inputs.get(f"{mesh.stage}/{mesh.product}", mesh.digest) == mesh.digest:
@@ -101,7 +101,7 @@ def read(kind: type[_Message], body: bytes) -> _Message:
     """Read a message.
 
     Raises:
-        ValidationError: it is not one.
+        ValidationError: it is invalid.
     """
     return kind.model_validate_json(body)
 

@@ -1,6 +1,6 @@
-"""The local page. Serves the surface, measures what is drawn, saves changes into the session.
+"""The local page. Serves the surface, measures drawn curves, saves changes into the session.
 
-It listens only on 127.0.0.1, and answers only those who entered with a key (`door`).
+It listens only on 127.0.0.1, and needs a key (`door`).
 """
 
 import io
@@ -21,15 +21,15 @@ from mammometry.editor.auth import HOST, Door, entrance, local_page, sealed
 from mammometry.editor.page import EditorPage, refusal, resource
 
 Application = Callable[[Any, Any, Any], Awaitable[None]]
-"""What an ASGI server calls: scope, receive, send."""
+"""An ASGI application: scope, receive, send."""
 
 
 def editor_app(opened: Callable[[], Job], door: Door, *, author: str | None = None) -> Application:
     """Make the server of the page for one session or scan.
 
     Args:
-        opened: opens it, at first and again to measure what was drawn. Its surface is made if it is not current.
-        door: decides who may enter.
+        opened: opens it, first for the page and again for each measurement. Its surface is made if it is not current.
+        door: decides about access.
         author: name of the person who draws. Without it the page asks.
 
     Raises:
@@ -43,7 +43,7 @@ def guarded_app(routes: tuple[URLPattern, ...], door: Door) -> Application:
 
     Args:
         routes: of the page, with `door.enter` among them (`entrance_route`).
-        door: decides who may enter.
+        door: decides about access.
     """
     handler = _handler()
 
@@ -53,7 +53,7 @@ def guarded_app(routes: tuple[URLPattern, ...], door: Door) -> Application:
     handler.request_class = Request
 
     async def application(scope: Any, receive: Any, send: Any) -> None:
-        refused = door.refusal(ASGIRequest(scope, io.BytesIO()))  # by its headers, before anything of it is read
+        refused = door.refusal(ASGIRequest(scope, io.BytesIO()))  # by its headers, before the body is read
         if refused is None:
             await handler(scope, receive, send)
         else:
@@ -67,8 +67,8 @@ def serve(opened: Callable[[], Job], *, ready: Callable[[str, str], None], autho
 
     Args:
         opened: as for `editor_app`.
-        ready: called as soon as the page answers, with the address to type, which works once, and the address of a
-            local file that opens the page without showing a key to other users of this computer.
+        ready: called as soon as the page answers, with an address that works once, and the address of a local file that
+            opens the page without revealing the key to other users of this computer.
         author: as for `editor_app`.
 
     Raises:
@@ -82,7 +82,7 @@ def listen(app: Application, door: Door, *, ready: Callable[[str, str], None]) -
     """Serve a local page until interrupted.
 
     Args:
-        app: as `guarded_app` makes it.
+        app: from `guarded_app`.
         door: of the same page.
         ready: as for `serve`.
     """
@@ -90,7 +90,7 @@ def listen(app: Application, door: Door, *, ready: Callable[[str, str], None]) -
 
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listener:
         listener.bind((HOST, 0))
-        listener.listen()  # from here on a browser that comes early waits
+        listener.listen()  # from here on an early browser waits
         address = f"http://{HOST}:{listener.getsockname()[1]}"
         server = uvicorn.Server(
             uvicorn.Config(app, log_config=None, log_level="warning", access_log=False, lifespan="off")
@@ -101,7 +101,7 @@ def listen(app: Application, door: Door, *, ready: Callable[[str, str], None]) -
 
 
 def _handler() -> ASGIHandler:
-    """Django with nothing before our views: no database, no sessions, no login."""
+    """Django with only our views: no database, no sessions, no login."""
     if not settings.configured:
         settings.configure(ROOT_URLCONF=(), MIDDLEWARE=[], USE_I18N=False, DATABASES={}, LOGGING_CONFIG=None)
     return get_asgi_application()
@@ -115,7 +115,7 @@ class _LocalPage:
         self.page = EditorPage(opened(), author=author)
 
     def measure(self) -> None:
-        """Measure with what is drawn now, and write the report."""
+        """Measure with the current drawing, and write the report."""
         job = self._opened()
         job.run()
         self.page = EditorPage(job, author=self._author)
@@ -152,7 +152,7 @@ def entrance_route(door: Door) -> URLPattern:
 
 
 def page_view(**by_method: Callable[[HttpRequest], HttpResponse | dict[str, Any]]) -> Callable[..., HttpResponseBase]:
-    """Answer the methods that are named. Errors become sentences."""
+    """Answer only the given methods. Errors become sentences."""
 
     def view(request: HttpRequest) -> HttpResponseBase:
         answer = by_method.get(request.method or "")

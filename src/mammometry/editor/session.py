@@ -1,4 +1,4 @@
-"""Drawing on a session or scan: what can be drawn on, and what somebody changed or confirmed."""
+"""Drawing on a session or scan: its surface, and changed or confirmed items."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 DRAWN, EDITED = "drawn by hand", "edited by hand"
 _AUTOMATIC: Entry = {"method": "the automatic boundary"}
-_FARTHEST_MM = 10_000.0  # from the surface: a wrong unit is reported, and nothing overflows
+_FARTHEST_MM = 10_000.0  # from the surface: detects a wrong unit and prevents overflows
 _LASTING = ("method", "author", "drawn")
 
 
@@ -71,7 +71,7 @@ class Desk:
         self.folder = job.folder
         self.subject = subject
         frame = rig_frame(job.rig, job.inputs.mounting)
-        pool = ThreadPoolExecutor(1)  # the page opens meanwhile
+        pool = ThreadPoolExecutor(1)  # the page opens in the meantime
         self._board = pool.submit(drawing_board, surface, frame, job.settings.measure)
         pool.shutdown(wait=False)
         self.low, self.high = surface.mesh.vertices.min(axis=0), surface.mesh.vertices.max(axis=0)
@@ -83,15 +83,15 @@ class Desk:
 
     @property
     def board(self) -> DrawingBoard:
-        """The thinned surface. Waits until it is ready."""
+        """The simplified surface. Waits until it is ready."""
         return self._board.result()
 
     def measured(self) -> dict[str, VolumeMeasurement]:
-        """Breast → what was measured last with the drawing as it was opened. Empty if that is not current."""
+        """Breast → last measurement with the drawing at opening. Empty if not current."""
         return {measured.name: measured for measured in self.job.plan.current(measure.measurements) or ()}
 
     def _proposed(self) -> dict[str, Any]:
-        """Landmark → where the measurement proposes it. Empty if that is not current."""
+        """Landmark → position proposed by the measurement. Empty if not current."""
         return {
             mark.name: mark.points_world.tolist()
             for mark in self.job.plan.current(measure.landmarks) or ()
@@ -99,10 +99,10 @@ class Desk:
         }
 
     def state(self) -> dict[str, Any]:
-        """State of the page as JSON. Exact curves, how each was made, and digests for saving.
+        """State of the page as JSON. Exact curves, their origin, and digests for saving.
 
         Raises:
-            SessionError: a drawn file is not as documented.
+            SessionError: a drawn file is invalid.
         """
         with self._lock:
             entries = drawn_entries(self.folder, self.kind, self.subject)
@@ -130,7 +130,7 @@ class Desk:
         }
 
     def live(self, sent: Measure) -> dict[str, Any]:
-        """Measure what is on the page. A curve that was measured already has exactly the measured number."""
+        """Measure the curves on the page. A curve that was already measured keeps its exact number."""
         with self._lock:
             curves = {str(name): self._curve(name, sketch) for name, sketch in sent.boundaries.items()}
             known = {
@@ -143,12 +143,12 @@ class Desk:
         return {name: _as_json(volume) for name, volume in (known | live).items()}
 
     def save(self, sent: Save) -> tuple[Path, ...]:
-        """Save what somebody changed. Nothing else in the session changes.
+        """Save changes. Nothing else in the session changes.
 
         Raises:
-            LateError: somebody else changed the same item meanwhile.
-            MeasureError: the measurement would refuse the curve, which crosses itself for example.
-            SessionError: what was sent, or what the files contain, is not valid.
+            LateError: somebody else has changed the same item.
+            MeasureError: the measurement would refuse the curve, for example because it crosses itself.
+            SessionError: the message or a file is invalid.
             StorageError: the session cannot be written to.
         """
         moment = datetime.now(UTC)
@@ -171,22 +171,22 @@ class Desk:
             return change_drawn(self.folder, self.kind, changes, subject=self.subject)
 
     def finish(self, sent: Finish) -> None:
-        """Record that somebody looked at all boundaries and found them right.
+        """Record that all boundaries were checked and are right.
 
         Raises:
-            LateError: a boundary was changed meanwhile.
+            LateError: somebody else has changed a boundary.
             MeasureError: a curve crosses itself.
-            SessionError: a boundary is not the one on the page, or was not looked at.
+            SessionError: a boundary is not the one on the page, or was not checked.
             StorageError: the session cannot be written to.
         """
         with self._lock:
             entries = drawn_entries(self.folder, self.kind, self.subject)
             curves = self._shown(read_boundaries(self.folder, self.kind, self.subject))
             if {name: curve_digest(curve) for name, curve in curves.items()} != sent.curves:
-                remedy = "Load the page again and look at them"
+                remedy = "Reload the page and check them"
                 expected = "the curves in the session"
                 raise SessionError(
-                    "the boundaries", found="others than those on the page", expected=expected, remedy=remedy
+                    "the boundaries", found="different curves from those on the page", expected=expected, remedy=remedy
                 )
             moment = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
             changes: dict[Item, Change] = {}
@@ -200,7 +200,7 @@ class Desk:
             change_drawn(self.folder, self.kind, changes, subject=self.subject)
             try:
                 self.job.render_report()
-            except StorageError as error:  # another run is at work: the next one renders the report
+            except StorageError as error:  # another run is in progress: the next one renders the report
                 _LOG.warning("the report does not show the confirmation yet: %s", error)
 
     # --- curves ---
@@ -218,7 +218,7 @@ class Desk:
         return states
 
     def _shown(self, drawn: DrawnBoundaries) -> dict[str, Float64[Array, "n 3"]]:
-        """Breast → its boundary. The given one, else the automatic one, if there is any."""
+        """Breast → its boundary: the given one, otherwise the automatic one, if any."""
         curves = dict(drawn.curves)
         if not drawn.curves or drawn.automatic:
             names = drawn.automatic if drawn.curves else BREASTS[self.kind]
@@ -226,7 +226,7 @@ class Desk:
         return curves
 
     def _found(self) -> dict[str, Boundary]:
-        """Automatic boundaries. Empty if they cannot be found. The page then says why."""
+        """Automatic boundaries. Empty if they cannot be found; the page then states the reason."""
         if self._automatic is None:
             plan, given = self.job.plan, self.job.inputs.boundaries
             try:
@@ -237,7 +237,7 @@ class Desk:
                     boundary.name: boundary for boundary in boundaries if boundary.name not in given
                 }
                 self._remark = ""
-            except StorageError as error:  # another run may be at work, but not for long
+            except StorageError as error:  # another run may be in progress, but not for long
                 self._remark = f"No automatic boundary: {error}"
                 return {}
             except MammometryError as error:
@@ -277,13 +277,13 @@ class Desk:
         places = self._near(name, [handle.point for handle in sketch.handles])
         if sketch.of is None:
             return self.board.laid(places)
-        if sketch.of not in self._curves:  # the page was loaded from another process, or before a measurement
+        if sketch.of not in self._curves:  # the page was loaded from another process or before a measurement
             self._boundaries(drawn_entries(self.folder, self.kind, self.subject))
         origin = self._curves.get(sketch.of)
         if origin is None or any(handle.at is not None and handle.at >= len(origin) for handle in sketch.handles):
             raise SessionError(
                 f"boundary {name}",
-                found="a change of a curve that this server does not know",
+                found="a change of a curve that is unknown to this server",
                 expected="a change of a curve that the page has loaded",
                 remedy="Load the page again",
             )

@@ -17,7 +17,7 @@ from mammometry.simulate.subjects.registry import SUBJECTS
         (["--disturb", "removed=both"], "left, right"),
         (["--disturb", "rail,rail=3"], "each once"),
         (["--clinic", "4", "--disturb", "skin=skin"], "each once"),  # every patient drawn has a skin already
-        (["--clinic", "4", "--subject", "torso_2"], "--clinic draws subject and seed"),
+        (["--clinic", "4", "--subject", "torso_2"], "--clinic chooses subject and seed"),
         (["--disturb", "removed=left"], "only torsos"),
     ],
 )

@@ -366,7 +366,7 @@ def test_confirming_leaves_an_automatic_boundary_automatic(client: Client, tmp_p
     assert not told["confirmed"]["holds"]
     other = client.post("/finish", {**sent, "curves": {"model": "that of other settings"}})
     assert other.status == 422
-    assert "others than those on the page" in other.json()["error"]
+    assert "different curves from those on the page" in other.json()["error"]
 
 
 def test_confirming_keeps_the_points_and_method_of_a_given_curve(client: Client, tmp_path: Path) -> None:

@@ -1,1 +1,1 @@
-"""Back-ends that fire cameras: a file a kind, entered in `capture.camera`."""
+"""Back-ends that fire cameras: one file per kind, registered in `capture.camera`."""

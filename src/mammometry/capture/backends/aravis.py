@@ -2,8 +2,8 @@
 
 Extra ``genicam``, or Debian's ``gir1.2-aravis-0.8`` and ``python3-gi``.
 
-``ids`` are what ``arv-tool-0.8`` lists: an identifier, or an IP address. Option ``line``: the input that takes the
-pulse (``Line1``). ``ptp = true`` switches the cameras' common clock on.
+``ids`` are from ``arv-tool-0.8``: an identifier, or an IP address. Option ``line``: the input for the pulse
+(``Line1``). ``ptp = true`` turns on the cameras' common clock.
 """
 
 import sys
@@ -17,15 +17,15 @@ from mammometry.base.photograph import Photograph
 from mammometry.capture.camera import BACKENDS, CameraSettings, Devices, Frame, Health, failed, library, missing
 from mammometry.io.photographs.images import demosaiced
 
-_DEBIAN = Path("/usr/lib/python3/dist-packages")  # where python3-gi is; a virtual environment does not look there
-_BUFFERS = 4  # pictures that may wait
+_DEBIAN = Path("/usr/lib/python3/dist-packages")  # where python3-gi is; not on the path of a virtual environment
+_BUFFERS = 4  # pictures in the queue
 _LIVE_US = 1_000_000  # µs, for a live picture; slower is of no use for aiming
 _MONO8, _RGB8 = 0x01080001, 0x02180014  # pixel formats, GigE Vision 2.0 appendix; GenICam PFNC 2.4
 _BAYER8 = {0x01080008: "GR", 0x01080009: "RG", 0x0108000A: "GB", 0x0108000B: "BG"}
 
 
 def _library() -> Any:
-    """Aravis by its introspection."""
+    """The Aravis library, by introspection."""
     try:
         import gi
     except ImportError:
@@ -70,7 +70,7 @@ class AravisRig:
         self._streams: dict[str, Any] = {}
         self._absent: dict[str, str] = {}
         self._settings = CameraSettings()
-        for interface in devices.options.get("interfaces", ()):  # such as Fake, which is off otherwise
+        for interface in devices.options.get("interfaces", ()):  # such as Fake, which is off by default
             self._aravis.enable_interface(str(interface))
         self._aravis.update_device_list()
         for name in devices.cameras:
@@ -91,14 +91,14 @@ class AravisRig:
                 raise failed(name, f"a setting refused ({_words(error)})", "Correct the rig's file") from None
 
     def arm(self) -> None:
-        """Drop what is left of an earlier pulse."""
+        """Drop pictures of an earlier pulse."""
         for name, camera in self._cameras.items():
             self._stop(name)
             camera.set_trigger("Software" if self._settings.trigger == "software" else self._line)
             self._start(name)
 
     def fire(self) -> float:
-        """Send the command, if no wire does."""
+        """Send the command, unless a wire triggers."""
         fired_s = time.time()
         if self._settings.trigger == "software":
             for camera in self._cameras.values():
@@ -106,7 +106,7 @@ class AravisRig:
         return fired_s
 
     def fetch(self, camera: str, timeout_s: float) -> Frame:
-        """The picture that came by the pulse."""
+        """The picture of the pulse."""
         self._require(camera)
         buffer = self._streams[camera].timeout_pop_buffer(round(1e6 * timeout_s))
         if buffer is None:
@@ -171,7 +171,7 @@ class AravisRig:
         self._cameras[name] = camera
 
     def _start(self, name: str) -> None:
-        """Waiting for pictures, with a fresh stream: what an old one held is gone."""
+        """Start waiting for pictures with a new stream, so that old ones are dropped."""
         camera = self._cameras[name]
         stream = camera.create_stream(None, None)
         for _ in range(_BUFFERS):
@@ -184,7 +184,7 @@ class AravisRig:
             try:
                 self._cameras[name].stop_acquisition()
             except self._error:
-                return  # it was unplugged: `fetch` and `health` say so
+                return  # it was unplugged: `fetch` and `health` report it
 
     def _require(self, camera: str) -> None:
         if camera not in self._cameras:
@@ -194,7 +194,7 @@ class AravisRig:
         status = buffer.get_status()
         if status != self._aravis.BufferStatus.SUCCESS:
             word = str(getattr(status, "value_nick", status))
-            raise failed(camera, f"a spoilt picture ({word})", "Fire again; if it stays, change the network cable")
+            raise failed(camera, f"a damaged picture ({word})", "Fire again; if it stays, change the network cable")
         width, height, form = buffer.get_image_width(), buffer.get_image_height(), buffer.get_image_pixel_format()
         data = np.frombuffer(buffer.get_data(), dtype=np.uint8)
         if form == _RGB8:

@@ -1,7 +1,7 @@
 """A folder that other software fills.
 
-Tethering programs write each camera's photographs into a folder. It is watched, and only a complete set is taken: one
-new file of every camera, by its name or its serial number, all of one exposure by their EXIF times.
+Tethering programs write each camera's photographs into a folder. Only a complete set is taken: one new file of every
+camera, by name or serial number, with EXIF times of one exposure.
 """
 
 import threading
@@ -18,9 +18,9 @@ from mammometry.io.photographs.images import EXTENSIONS, UNREAD_ENDINGS, read_he
 from mammometry.io.photographs.tags import read_exposure
 
 _TOGETHER_S = 20.0
-"""Clocks that nobody set to one another differ by seconds: `capture.checks` has the same limit."""
+"""Clocks that are not synchronised differ by seconds: `capture.checks` has the same limit."""
 _LOOK_S = 0.05  # between two looks at the folder
-_STILL_S = 0.2  # a file that did not grow for so long is whole
+_STILL_S = 0.2  # a file that has not grown for this long is complete
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,7 +41,7 @@ class WatchedFolder:
             raise SettingsError(
                 "[capture.options] path",
                 found=str(devices.options.get("path") or "nothing"),
-                expected="the folder into which the other software writes",
+                expected="the folder where the other software writes",
                 remedy="Make the folder, and let the tethering program write there",
             )
         self._together_s = float(devices.options.get("together_s", _TOGETHER_S))
@@ -54,16 +54,16 @@ class WatchedFolder:
         self._lock = threading.Lock()
 
     def settings(self, wanted: CameraSettings) -> None:
-        """Nothing: the other software has the settings."""
+        """Do nothing: the other software has the settings."""
 
     def arm(self) -> None:
-        """Take all that is in the folder now for old."""
+        """Treat all files now in the folder as old."""
         with self._lock:
             self._known = {path: _stamp(path) for path in self._files()}
             self._taken = None
 
     def fire(self) -> float:
-        """Nothing: somebody presses the other software's button."""
+        """Do nothing: the user presses the other software's button."""
         return time.time()
 
     def fetch(self, camera: str, timeout_s: float) -> Frame:
@@ -84,7 +84,7 @@ class WatchedFolder:
                 raise failed(
                     camera, f"{found}, but {unread}", "Set camera or program to write JPEG, with the raw or alone"
                 )
-            remedy = f"Look whether the tethering program received it; its name must contain {camera}"
+            remedy = f"Check that the tethering program received it; its name must contain {camera}"
             raise failed(camera, found, remedy)
         clock: Clock = "none" if file.taken_s is None else "exif"
         return Frame(
@@ -100,11 +100,11 @@ class WatchedFolder:
 
     def health(self, camera: str) -> Health:
         """Whether the folder is there."""
-        fault = "" if self._folder.is_dir() else f"The folder {self._folder.name} is gone."
+        fault = "" if self._folder.is_dir() else f"The folder {self._folder.name} no longer exists."
         return Health(fault=fault, model="a watched folder", serial=self._ids.get(camera, ""))
 
     def close(self) -> None:
-        """Release nothing: a folder holds no cameras."""
+        """Do nothing: a folder needs no release."""
 
     def _files(self) -> list[Path]:
         try:
@@ -115,12 +115,12 @@ class WatchedFolder:
             return []
 
     def _unread(self, camera: str) -> str:
-        """Name of a camera's picture of a format that is not read, such as NEF. Empty where there is none."""
+        """Name of a camera's picture in an unsupported format, such as NEF. Empty if none."""
         names = [path.name for path in visible(self._folder) if path.suffix.lower() in UNREAD_ENDINGS]
         return next((name for name in names if camera_of_name(name, self._cameras) == camera), "")
 
     def _all(self) -> list[_File]:
-        """Whole files whose camera is known."""
+        """Complete files of known cameras."""
         files = []
         for path in self._files():
             try:
@@ -132,7 +132,7 @@ class WatchedFolder:
                     self._read[key] = self._about(path)
                 files.append(self._read[key])
             except OSError:
-                continue  # it was removed meanwhile
+                continue  # it was removed in the meantime
         return [name for name in files if name is not None]
 
     def _about(self, path: Path) -> _File | None:
@@ -156,14 +156,14 @@ class WatchedFolder:
         return True
 
     def _complete(self) -> dict[str, _File] | None:
-        """The earliest set of all cameras, which stays chosen until the next `arm`."""
+        """The earliest set of all cameras, which is kept until the next `arm`."""
         if self._taken is None:
             best = self._best()
             self._taken = best if len(best) == len(self._cameras) else None
         return self._taken
 
     def _best(self) -> dict[str, _File]:
-        """The most complete set of one exposure; of several the earliest."""
+        """The most complete set of one exposure; the earliest of several."""
         files = self._all()
         best: dict[str, _File] = {}
         for anchor in sorted(files, key=_when):

@@ -1,7 +1,7 @@
-"""Tethered cameras by gphoto2 (extra ``tethered``). USB sets them up and fetches, a wire fires.
+"""Tethered cameras by gphoto2 (extra ``tethered``). They are set up and read by USB, and fired by wire.
 
-``ids`` are ports as ``gphoto2 --auto-detect`` lists them (``usb:001,004``). Each camera has a process of its own: its
-library blocks while a file comes, and a camera that hangs must not hold the others.
+``ids`` are ports from ``gphoto2 --auto-detect`` (``usb:001,004``). Each camera has its own process: the library blocks
+during a transfer, and a camera that hangs must not stop the others.
 """
 
 import io
@@ -18,12 +18,12 @@ from mammometry.base.photograph import Photograph
 from mammometry.capture.camera import BACKENDS, CameraSettings, Devices, Frame, Health, failed, library, missing
 from mammometry.io.photographs.images import FORMATS
 
-_OPEN_S = 20.0  # a camera that sleeps takes some seconds to answer
+_OPEN_S = 20.0  # a sleeping camera takes some seconds to answer
 _ANSWER_S = 5.0  # for settings and health
-_GRACE_S = 2.0  # beyond the camera's own time limit, until its process counts as hung
+_GRACE_S = 2.0  # after the camera's own time limit, until its process counts as hung
 _POLL_MS = 100  # of the library's wait for an event
-_EXPOSURES = ("shutterspeed", "shutterspeed2")  # what makers call it
-_SPOOL = "capturetarget"  # where pictures go: memory in the camera, so that no full card is in the way
+_EXPOSURES = ("shutterspeed", "shutterspeed2")  # names used by makers
+_SPOOL = "capturetarget"  # storage of pictures: the camera's memory, so that a full card does not matter
 
 
 def _library() -> Any:
@@ -54,20 +54,20 @@ class TetheredRig:
         self._software = False
 
     def settings(self, wanted: CameraSettings) -> None:
-        """Shutter time, and where pictures go. The gain stays as it is: ISO steps are the camera's own."""
+        """Set shutter time and storage. The gain is not changed: ISO steps differ between cameras."""
         self._software = wanted.trigger == "software"
         for worker in self._workers.values():
             if not worker.fault:
                 worker.ask("settings", wanted.exposure_ms, within_s=_ANSWER_S)
 
     def arm(self) -> None:
-        """Drop what is still to come of earlier pictures."""
+        """Drop pictures of earlier firings."""
         for worker in self._workers.values():
             if not worker.fault:
                 worker.ask("arm", within_s=_ANSWER_S)
 
     def fire(self) -> float:
-        """Send the command, if no wire does. By USB that takes 0.3 to 8 s: for tests alone."""
+        """Send the command, unless a wire triggers. By USB it takes 0.3 to 8 s: only for tests."""
         fired_s = time.time()
         if self._software:
             for worker in self._workers.values():
@@ -76,7 +76,7 @@ class TetheredRig:
         return fired_s
 
     def fetch(self, camera: str, timeout_s: float) -> Frame:
-        """The file that the camera made."""
+        """The file from the camera."""
         worker = self._workers[camera]
         if self._software:
             worker.receive(timeout_s + _GRACE_S)
@@ -93,7 +93,7 @@ class TetheredRig:
             raise failed(camera, "a damaged live picture", "Switch live view on in the camera's menu") from None
 
     def health(self, camera: str) -> Health:
-        """Model, serial number, room on the card."""
+        """Model, serial number, free space on the card."""
         worker = self._workers[camera]
         if worker.fault:
             return Health(fault=f"{worker.fault[:1].upper()}{worker.fault[1:]}.")
@@ -110,7 +110,7 @@ class TetheredRig:
 
 
 class _Worker:
-    """A camera's process, seen from here."""
+    """A camera's process, from the caller's side."""
 
     def __init__(self, camera: str, port: str) -> None:
         self.camera, self.serial = camera, ""
@@ -124,7 +124,7 @@ class _Worker:
             theirs.close()
 
     def wait_open(self) -> None:
-        """Until the camera answers, or its fault is known."""
+        """Wait until the camera answers, or its fault is known."""
         if self.fault:
             return
         try:
@@ -136,7 +136,7 @@ class _Worker:
         """Send a request to the camera's process, and receive its answer.
 
         Raises:
-            CaptureError: it failed, hung or went.
+            CaptureError: it failed, hung or ended.
         """
         self.send(what, *arguments)
         return self.receive(within_s)
@@ -164,7 +164,7 @@ class _Worker:
         return value
 
     def close(self) -> None:
-        """End the process, if need be by force."""
+        """End the process, by force if needed."""
         if self._closed:
             return
         self._closed = True
@@ -184,7 +184,7 @@ class _Worker:
 
 
 def _serve(pipe: Connection, port: str) -> None:
-    """The camera's process: answers until the pipe is closed."""
+    """Main loop of the camera's process: answer until the pipe is closed."""
     gphoto2: Any = library("gphoto2")
     camera: Any = None
     try:
@@ -231,7 +231,7 @@ def _opened(gphoto2: Any, port: str) -> Any:
 
 
 def _set(gphoto2: Any, camera: Any, exposure_ms: float | None) -> None:
-    """The nearest shutter time that the camera has, and pictures into its memory."""
+    """Set the nearest available shutter time, and storage in the camera's memory."""
     for name in _EXPOSURES if exposure_ms is not None else ():
         try:
             widget = camera.get_single_config(name)
@@ -254,7 +254,7 @@ def _set(gphoto2: Any, camera: Any, exposure_ms: float | None) -> None:
             widget.set_value(memory[0])
             camera.set_single_config(_SPOOL, widget)
     except gphoto2.GPhoto2Error:
-        return  # it has a card alone
+        return  # it only has a card
 
 
 def _seconds(choice: str) -> float | None:
@@ -268,7 +268,7 @@ def _seconds(choice: str) -> float | None:
 
 
 def _drain(gphoto2: Any, camera: Any) -> None:
-    for _ in range(100):  # events that wait; a camera that never ends reporting is not drained for ever
+    for _ in range(100):  # events in the queue; a limit for cameras that never stop reporting
         kind, _data = camera.wait_for_event(1)
         if kind == gphoto2.GP_EVENT_TIMEOUT:
             return

@@ -1,7 +1,7 @@
 """Basler cameras by pypylon (extra ``basler``).
 
-``ids`` are serial numbers. Option ``line``: the input that takes the pulse (``Line1``). A camera whose clock follows
-PTP stamps its pictures with a time that all share.
+``ids`` are serial numbers. Option ``line``: the input for the pulse (``Line1``). Cameras that follow PTP stamp their
+pictures with a common time.
 """
 
 import time
@@ -13,9 +13,9 @@ from mammometry.base.errors import SettingsError
 from mammometry.base.photograph import Photograph
 from mammometry.capture.camera import BACKENDS, CameraSettings, Devices, Frame, Health, failed, library, missing
 
-_READY_MS = 1000  # for a camera to wait for its pulse; it takes some ms
+_READY_MS = 1000  # until a camera waits for its pulse; it takes some ms
 _LIVE_MS = 1000  # for a live picture; slower is of no use for aiming
-_QUEUE = 4  # pictures that may wait; one is wanted, more are dropped by `arm`
+_QUEUE = 4  # pictures in the queue; one is needed, `arm` drops others
 _INSTALL = "python -m pip install 'mammometry[basler]'"
 
 
@@ -64,7 +64,7 @@ class PylonRig:
                 camera = pylon.InstantCamera(factory.CreateDevice(attached[serial]))
                 camera.MaxNumBuffer.Value = _QUEUE
                 camera.Open()
-            except pylon.GenericException as error:  # another program, or another rig's computer, holds it
+            except pylon.GenericException as error:  # used by another program or another rig's computer
                 self._absent[name] = f"a camera that does not open ({_first(error)})"
                 continue
             self._cameras[name] = camera
@@ -84,7 +84,7 @@ class PylonRig:
                 raise failed(name, f"a setting refused ({_first(error)})", "Correct the rig's file") from None
 
     def arm(self) -> None:
-        """Drop what is left of an earlier pulse."""
+        """Drop pictures of an earlier pulse."""
         for camera in self._cameras.values():
             camera.StopGrabbing()
             camera.TriggerMode.Value = "On"
@@ -92,7 +92,7 @@ class PylonRig:
             camera.WaitForFrameTriggerReady(_READY_MS, self._pylon.TimeoutHandling_Return)
 
     def fire(self) -> float:
-        """Send the command, if no wire does."""
+        """Send the command, unless a wire triggers."""
         fired_s = time.time()
         if self._settings.trigger == "software":
             for camera in self._cameras.values():
@@ -100,7 +100,7 @@ class PylonRig:
         return fired_s
 
     def fetch(self, camera: str, timeout_s: float) -> Frame:
-        """The picture that came by the pulse."""
+        """The picture of the pulse."""
         device = self._require(camera)
         try:
             result = device.RetrieveResult(round(1e3 * timeout_s), self._pylon.TimeoutHandling_Return)
@@ -164,7 +164,7 @@ class PylonRig:
     def _photograph(self, camera: str, result: Any) -> Photograph:
         if not result.IsValid() or not result.GrabSucceeded():
             why = str(result.ErrorDescription).rstrip(".") if result.IsValid() else "nothing"
-            raise failed(camera, f"a spoilt picture ({why})", "Fire again; if it stays, change the network cable")
+            raise failed(camera, f"a damaged picture ({why})", "Fire again; if it stays, change the network cable")
         if self._pylon.IsMono(result.PixelType):
             return Photograph(name=camera, pixels=np.array(result.Array))
         converter = self._pylon.ImageFormatConverter()

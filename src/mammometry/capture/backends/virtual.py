@@ -1,7 +1,7 @@
 """The simulator as cameras.
 
-A virtual rig is rendered once, when it is opened. Its pictures are then delivered as a real rig's, with times, and with
-any fault that a test or a demonstration asks for.
+A virtual rig is rendered once, when it is opened. Its pictures are then delivered as by a real rig, with times, and
+with the faults that a test or demonstration needs.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import Studio
 
 FAULTS = ("unplugged", "slow", "wrong-size", "card-full", "lost", "late", "old", "swapped", "moved", "blurred")
-"""What can be wrong with a camera; ``swapped=OTHER`` exchanges two cables, ``late=0.003`` is 3 ms."""
+"""Possible faults of a camera; ``swapped=OTHER`` exchanges two cables, ``late=0.003`` is 3 ms."""
 _RECIPE = ("rig", "subject", "scale", "seed", "poses")
-_SLOW_S = 1e6  # a camera that never ends its transfer: longer than anybody waits
-_LATE_MS = 8.0  # usual delay of a camera that is late
+_SLOW_S = 1e6  # a transfer that never ends: longer than any time limit
+_LATE_MS = 8.0  # default delay of a late camera
 _BLUR_PX = 4  # half the width of the box that blurs
 _DIM = 0.4  # of full scale, white paper while the lamps are photographed
-_NOISY_ROWS = 64  # each of so many rows gets other noise
-_MOVED_PX = 12  # rows by which a patient who moved between two exposures is displaced
+_NOISY_ROWS = 64  # rows with new noise
+_MOVED_PX = 12  # rows by which a moved patient is displaced
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,8 +67,8 @@ class VirtualRig:
     """Cameras of a rendered session.
 
     Options:
-        session: a folder with photographs to be taken again. Without it, one is rendered of ``rig``, ``subject``,
-            ``scale``, ``seed`` and ``poses``.
+        session: a folder with photographs to deliver. Without it, one is rendered from ``rig``, ``subject``, ``scale``,
+            ``seed`` and ``poses``.
         scene: ``capture`` (the subject), a pose of the target, or ``lamps`` (the board with its counting lamps).
         faults: camera → fault.
         skew_ms: camera → delay of its exposure.
@@ -95,11 +95,11 @@ class VirtualRig:
         self._noise = secrets.randbits(32)
 
     def settings(self, wanted: CameraSettings) -> None:
-        """Keep them: a rendered picture has its own exposure."""
+        """Store them only: a rendered picture has its own exposure."""
         self._settings = wanted
 
     def show(self, scene: str) -> None:
-        """Put something else before the cameras.
+        """Show the cameras another scene.
 
         ``capture``, a pose of the target, or ``lamps``.
 
@@ -130,7 +130,7 @@ class VirtualRig:
         return self._fired_s
 
     def fetch(self, camera: str, timeout_s: float) -> Frame:
-        """The rendered picture, or what its fault makes of it."""
+        """The rendered picture, changed by the camera's fault."""
         fault = self._faults.get(camera, _Fault(kind=""))
         if fault.kind == "unplugged":
             raise failed(camera, "no camera at the end of the cable", "Plug it in and switch it on")
@@ -160,7 +160,7 @@ class VirtualRig:
         return Frame(camera=camera, content=photograph, taken_s=taken_s, clock="ptp", number=number, serial=serial)
 
     def live(self, camera: str) -> Photograph:
-        """The rendered picture at full size, as a fast camera gives it."""
+        """The rendered picture at full size, as from a fast camera."""
         if self._faults.get(camera, _Fault(kind="")).kind == "unplugged":
             raise failed(camera, "no camera at the end of the cable", "Plug it in and switch it on")
         return self._picture(camera)
@@ -173,7 +173,7 @@ class VirtualRig:
         return Health(fault=fault, model="virtual camera", serial=self._ids.get(camera, ""), size_wh=size_wh)
 
     def close(self) -> None:
-        """Remove what was rendered for this rig alone."""
+        """Remove the pictures rendered for this rig."""
         if self._made is not None:
             shutil.rmtree(self._made, ignore_errors=True)
 
@@ -231,7 +231,7 @@ def _moved_px(photograph: Photograph) -> int:
 
 
 def _noisy(photograph: Photograph, seed: tuple[int, int]) -> Photograph:
-    """Another exposure of the same: no two have the same noise. In some rows, which is quick and enough to differ."""
+    """Another exposure of the same scene, with new noise in some rows, which is quick and enough to differ."""
     pixels = photograph.pixels.copy()
     rows = pixels[::_NOISY_ROWS]
     rows ^= np.random.default_rng(seed).integers(0, 2, rows.shape, dtype=pixels.dtype)  # the lowest bit
