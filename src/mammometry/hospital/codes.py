@@ -1,4 +1,4 @@
-"""Codes, identifiers and texts as DICOM and FHIR want them."""
+"""Codes, identifiers and texts for DICOM and FHIR."""
 
 import hashlib
 import re
@@ -60,7 +60,7 @@ UNITS = MappingProxyType(
 KINDS = MappingProxyType({"cm3": VOLUME, "cm2": AREA, "mm": LENGTH})
 """Unit → what SNOMED CT calls a quantity of that unit."""
 PHOTOGRAMMETRY = Coded(value="stereophotogrammetry", scheme=OWN_SCHEME, meaning="Stereophotogrammetry of the breasts")
-"""The procedure. No code of SNOMED CT names it."""
+"""The procedure, which has no code in SNOMED CT."""
 WALL = Coded(value="wall", scheme=OWN_SCHEME, meaning="Wall behind the breast")
 LOWER = Coded(value="lower-95", scheme=OWN_SCHEME, meaning="Lower limit of the 95 % interval")
 UPPER = Coded(value="upper-95", scheme=OWN_SCHEME, meaning="Upper limit of the 95 % interval")
@@ -69,7 +69,7 @@ NO_VOLUME = Coded(value="no-volume", scheme=OWN_SCHEME, meaning="Why there is no
 
 
 def own(code: str, meaning: str) -> Coded:
-    """Return a concept of our own code system. DICOM allows 64 characters of meaning."""
+    """Return a concept of our own code system. DICOM allows 64 characters for the meaning."""
     return Coded(value=code, scheme=OWN_SCHEME, meaning=meaning[:64])
 
 
@@ -86,17 +86,17 @@ METHODS = MappingProxyType(
         "difference": "Left volume less right volume; shared errors cancel",
     }
 )
-"""Code of a method in our system → what it is."""
-_BASE_WIDTH = "From the breast's medial to its lateral end, which are marked"
+"""Code of a method in our system → its meaning."""
+_BASE_WIDTH = "From the breast's medial to its lateral landmark"
 DEFINITIONS = MappingProxyType(
     {
-        "base_width_straight": f"{_BASE_WIDTH}: straight, as callipers measure it",
+        "base_width_straight": f"{_BASE_WIDTH}: straight, as measured by callipers",
         "base_width_along_skin": f"{_BASE_WIDTH}: along the skin",
         "boundary_width": "Extent of the whole boundary from side to side, straight. Not the base width",
         "boundary_height": "Extent of the whole boundary from its lowest to its highest point, straight",
     }
 )
-"""Code of a quantity that could be taken for another → how it is defined."""
+"""Code of a quantity that could be confused with another → its definition."""
 NO_VOLUMES = MappingProxyType(
     {
         "none": "No breast on this side",
@@ -104,34 +104,34 @@ NO_VOLUMES = MappingProxyType(
         "refused": "The volume was refused",
     }
 )
-"""Code of a reason in our system → what it is."""
+"""Code of a reason in our system → its meaning."""
 OPERATIONS: Mapping[str, Coded | None] = MappingProxyType(
     {
         "mastectomy": Coded(value="5884001", scheme="SCT", meaning="Mastectomy"),
-        "conserving": None,  # a lumpectomy is one way among several
+        "conserving": None,  # a lumpectomy is one of several kinds
         "expander": None,
         "filling": None,
         "implant": Coded(value="302343007", scheme="SCT", meaning="Insertion of prosthesis for breast"),
         "flap": Coded(value="33496007", scheme="SCT", meaning="Reconstruction of breast"),
         "graft": None,
-        "reduction": None,  # or a lift, which is no reduction
+        "reduction": None,  # or a lift, which is not a reduction
         "augmentation": Coded(value="22890008", scheme="SCT", meaning="Augmentation mammoplasty"),
         "other": None,
     }
 )
-"""Kind of operation → its concept. None: PS3.16 has none that says as much and no more."""
+"""Kind of operation → its concept. None: PS3.16 has no equivalent one."""
 
 
-_NAMESPACE = uuid.UUID("6d616d6d-6f6d-5574-8279-646963006f6d")  # drawn once; never change it
+_NAMESPACE = uuid.UUID("6d616d6d-6f6d-5574-8279-646963006f6d")  # random; never change it
 
 
 def identifier(*parts: str) -> str:
-    """Return a UUID of these words."""
+    """Return a UUID derived from a text."""
     return str(_uuid(parts))
 
 
 def uid(*parts: str) -> str:
-    """Return a DICOM UID of these words. It lies below 2.25, the root for UUIDs (PS3.5, B.2)."""
+    """Return a DICOM UID derived from a text, under 2.25, the root for UUIDs (PS3.5, B.2)."""
     return f"2.25.{_uuid(parts).int}"
 
 
@@ -143,7 +143,7 @@ Representation: TypeAlias = Literal["AE", "LO", "PN", "SH", "UI", "UT"]
 """Application's title, long string, person's name, short string, unique identifier, unlimited text."""
 _LONGEST: Mapping[Representation, int] = {"AE": 16, "LO": 64, "PN": 64, "SH": 16, "UI": 64}
 """Characters; of a name, in each of its groups."""
-_MOST_GROUPS, _MOST_PARTS = 3, 5  # of a name: groups are separated by =, their parts by ^
+_MOST_GROUPS, _MOST_PARTS = 3, 5  # separators of a name: = between groups, ^ between their parts
 _UID = re.compile(r"(0|[1-9][0-9]*)(\.(0|[1-9][0-9]*))*", re.ASCII)
 _LINES = "\t\n\f\r"  # control characters of a text of several lines
 _ALLOWED: Mapping[Representation, str] = {
@@ -158,10 +158,10 @@ _ALLOWED: Mapping[Representation, str] = {
 
 
 def text_fault(text: str, representation: Representation) -> tuple[str, str] | None:
-    """Say what is wrong with a text, and what is allowed. None where it is allowed.
+    """Return the fault of a text, and what is allowed. None if it is allowed.
 
     Args:
-        text: of one field. Empty text is allowed, but for an application's title.
+        text: of one field. Empty text is allowed, except for an application's title.
         representation: of that field.
     """
     fault = _fault(text, representation)
@@ -176,7 +176,7 @@ def require_text(
     remedy: str = "Correct it",
     refusal: type[MammometryError] = SettingsError,
 ) -> str:
-    """Return a text that DICOM allows in this field.
+    """Return the text if DICOM allows it in this field.
 
     Raises:
         MammometryError: `refusal`; DICOM does not allow it.
@@ -193,11 +193,11 @@ def _fault(text: str, representation: Representation) -> str | None:
     if (fault := name_fault(text)) is not None:
         return fault
     if "\\" in text:
-        return f"a backslash at place {text.index(chr(92)) + 1}"
+        return f"a backslash at position {text.index(chr(92)) + 1}"
     if representation == "AE" and not (text.strip() and text.isascii()):
-        return "letters beyond ASCII" if text.strip() else "no title"
+        return "non-ASCII letters" if text.strip() else "no title"
     if representation == "UI" and text and not _UID.fullmatch(text):
-        return "no unique identifier"
+        return "not a unique identifier"
     groups = text.split("=") if representation == "PN" else [text]
     if len(groups) > _MOST_GROUPS:
         return f"{len(groups)} groups"
@@ -211,7 +211,7 @@ def _fault_of_lines(text: str) -> str | None:
     for place, letter in enumerate(text, 1):
         category = unicodedata.category(letter)
         if category == "Cs" or letter == UNREADABLE:
-            return f"a byte at place {place} that is no letter in UTF-8"
+            return f"a byte at position {place} that is not valid UTF-8"
         if category in ("Cc", "Zl", "Zp") and letter not in _LINES:
-            return f"a control character at place {place}"
+            return f"a control character at position {place}"
     return None

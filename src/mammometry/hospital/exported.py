@@ -21,26 +21,26 @@ from mammometry.report.content import Clinical
 Side: TypeAlias = Literal["left", "right", "model", ""]
 """The patient's left or right breast, a model, or neither."""
 Unit: TypeAlias = Literal["cm3", "cm2", "mm"]
-"""As UCUM writes it."""
+"""Symbol in UCUM."""
 Sex: TypeAlias = Literal["", "F", "M", "O"]
-"""As DICOM writes it. Empty: not given."""
+"""In DICOM's notation. Empty: not given."""
 
 
 def plain_name(name: str) -> str:
-    """A name without what separates parts of a name in DICOM."""
+    """A name without DICOM's separators of parts."""
     return " ".join(name.replace("^", " ").replace("=", " ").replace("\\", " ").split())
 
 
 def person_name(name: str) -> str:
-    """A person's name as DICOM writes it.
+    """A person's name in DICOM's notation.
 
-    All of it is the family name, since nobody says which part is which.
+    All of it is the family name, because its parts are unknown.
     """
     return f"{plain_name(name)}^"
 
 
 def as_patient_id(subject: str) -> str:
-    """The id of a patient whom only the session's subject or folder names.
+    """The id of a patient from the session's subject or folder.
 
     Raises:
         SettingsError: DICOM does not allow it as an id.
@@ -51,12 +51,12 @@ def as_patient_id(subject: str) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Patient:
-    """Patient as other systems know them."""
+    """Patient in other systems."""
 
     id: str = ""
     """Number of the patient's record, or a pseudonym."""
     name: str = ""
-    """``Family^Given``, as DICOM writes it. Empty: not given."""
+    """``Family^Given``, in DICOM's notation. Empty: not given."""
     born: datetime.date | None = None
     sex: Sex = ""
 
@@ -72,11 +72,11 @@ class Patient:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Order:
-    """The order, as a worklist has it."""
+    """The order from a worklist."""
 
     accession: str = ""
     study_uid: str = ""
-    """Study Instance UID given by the orderer. Empty: one is derived from the content."""
+    """Study Instance UID of the order. Empty: derived from the content."""
     referring: str = ""
     """Referring physician, ``Family^Given``."""
     procedure_id: str = ""
@@ -110,23 +110,23 @@ class Quantity:
     interval_95: tuple[float, float] | None = None
     """95 % interval, in `unit`. None: not known."""
     sigma: float | None = None
-    """Standard uncertainty, in `unit`. None where there is an interval or nothing is known."""
+    """Standard uncertainty, in `unit`. None if there is an interval or nothing is known."""
     method: str
-    """How it was measured: a key of `codes.METHODS`."""
+    """Method: a key of `codes.METHODS`."""
     boundary: str = ""
-    """How the boundary was found, one sentence. Empty for what has none."""
+    """Origin of the boundary, one sentence. Empty if there is none."""
     boundary_remarks: tuple[BoundaryRemark, ...] = ()
     """Facts about the boundary."""
     wall: str = ""
-    """Name of the wall behind the breast. Empty for what has none."""
+    """Name of the wall behind the breast. Empty if there is none."""
     wall_definition: str = ""
-    """What surface that is, one sentence."""
+    """Definition of that surface, one sentence."""
     note: str = ""
-    """What the interval covers, one sentence."""
+    """Errors included in the interval, one sentence."""
 
     @property
     def boundary_words(self) -> str:
-        """How the boundary was found, and whether it is confirmed. Empty for what has none."""
+        """Origin of the boundary, and whether it is confirmed. Empty if there is none."""
         return boundary_words(self.boundary, self.boundary_remarks) if self.boundary else ""
 
     @property
@@ -135,7 +135,7 @@ class Quantity:
         return f"{self.code}_{self.side}" if self.side else self.code
 
     def rounded(self) -> Quantity:
-        """The same with no more digits than its uncertainty justifies. A standard uncertainty keeps two."""
+        """The same, rounded to the digits that its uncertainty justifies. A standard uncertainty keeps two."""
         half = half_width(self.interval_95) if self.sigma is None else COVERAGE_95 * self.sigma
         low, high = self.interval_95 or (0.0, 0.0)
         ends = None if self.interval_95 is None else (rounded(low, half), rounded(high, half))
@@ -155,12 +155,12 @@ class Operation:
     """``left``, ``right`` or ``both``."""
     day: datetime.date
     sentence: str
-    """All that is known of it, one sentence."""
+    """Known facts, one sentence."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Absent:
-    """A side without a volume, and why."""
+    """A side without a volume, with the reason."""
 
     side: Side
     why: str
@@ -181,7 +181,7 @@ class Model:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CoveredModel:
-    """One mesh as an OBJ, covered with photographs."""
+    """One mesh as an OBJ, textured with photographs."""
 
     name: str
     """As of `Model`."""
@@ -193,7 +193,7 @@ class CoveredModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CoveredModels:
-    """Meshes covered with one picture of photographs."""
+    """Meshes with one texture from photographs."""
 
     models: tuple[CoveredModel, ...]
     """The whole surface is the first."""
@@ -207,16 +207,16 @@ class Exported:
     """Everything of one session that leaves mammometry."""
 
     subject: str
-    """Pseudonym of the session's subject, else the folder's name. Empty if de-identified."""
+    """Pseudonym of the session's subject, otherwise the folder's name. Empty if de-identified."""
     kind: Literal["model", "torso", "surface"]
     taken: datetime.date | None
     """Day of the photographs. None: not given, or de-identified."""
     made: datetime.datetime | None
-    """When the newest result was made, UTC. None if de-identified."""
+    """Time of the newest result, UTC. None if de-identified."""
     software: str
     """Version of mammometry."""
     source: str
-    """SHA-256 of what was photographed: equal for results of the same photographs."""
+    """SHA-256 of the photographs: equal for results of the same photographs."""
     quantities: tuple[Quantity, ...] = ()
     absent: tuple[Absent, ...] = ()
     notices: tuple[Notice, ...] = ()
@@ -226,23 +226,23 @@ class Exported:
     covered: CoveredModels | None = None
     """None if its photographic colours are left out."""
     photographs: Mapping[str, Photograph] = field(default_factory=dict)
-    """Camera → photograph, read at look-up. Empty if de-identified."""
+    """Camera → photograph, read on access. Empty if de-identified."""
     apart: Mapping[str, str] = field(default_factory=dict)
-    """Side → why its volumes are not comparable with most of the study that it is exported with."""
+    """Side → reason why its volumes are not comparable with most of the exported study."""
     photograph_files: Mapping[str, Path] = field(default_factory=dict)
     """Camera → its file."""
     deidentified: bool = False
     clinical: Clinical = field(default_factory=Clinical)
-    """Confirmation and conclusions, with names. Nothing in it if de-identified."""
+    """Confirmation and conclusions, with names. Empty if de-identified."""
     operations: tuple[Operation, ...] = ()
     """The newest first. Empty if de-identified."""
     is_final: bool = False
-    """Whether these very numbers were confirmed and concluded of."""
+    """Whether exactly these numbers were confirmed and concluded."""
     organization: str = ""
-    """Where the people in `clinical` work. Empty: nobody said."""
+    """Organization of the people in `clinical`. Empty: unknown."""
 
     def __post_init__(self) -> None:
-        """Require texts that DICOM allows. What a person confirmed is no longer called "to be confirmed".
+        """Require texts that DICOM allows. Confirmed results are no longer called "to be confirmed".
 
         Raises:
             SettingsError: names the field, and does not quote it.
@@ -251,9 +251,11 @@ class Exported:
         if self.clinical.confirmed is not None:
             seen = tuple(replace(quantity, boundary_remarks=("confirmed",)) for quantity in self.quantities)
             object.__setattr__(self, "quantities", seen)
-            require_text(person_name(self.clinical.confirmed.by), "PN", "the name of who confirmed the boundaries")
+            require_text(
+                person_name(self.clinical.confirmed.by), "PN", "the name of the person who confirmed the boundaries"
+            )
         for conclusion in self.clinical.conclusions:
-            require_text(person_name(conclusion.by), "PN", "the name of who concluded")
+            require_text(person_name(conclusion.by), "PN", "the name of the person who concluded")
             require_text(conclusion.text, "UT", "the conclusion")
         for operation in self.operations:
             require_text(operation.sentence, "UT", "an operation before the visit")

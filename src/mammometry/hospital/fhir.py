@@ -1,8 +1,8 @@
 """Measurements as a FHIR bundle, R4 or R5.
 
-A DiagnosticReport, an Observation a number, a Procedure an operation, and a Provenance for who confirmed and for who
-concluded. The report is final once both are there. The bundle is a transaction of PUTs under ids
-derived from content: sent twice, it changes nothing.
+A DiagnosticReport, an Observation per number, a Procedure per operation, and a Provenance for the confirmation and the
+conclusion. The report is final once both exist. The bundle is a transaction of PUTs with ids derived from content:
+sending it twice changes nothing.
 """
 
 import importlib
@@ -18,7 +18,7 @@ from mammometry.report.words.notices import concerns, words_of
 
 Release = Literal["R4", "R5"]
 _PACKAGES = {"R4": "fhir.resources.R4B", "R5": "fhir.resources"}
-"""R4B has the resources used here as R4 has them."""
+"""R4B has the same resources as R4, as far as they are used here."""
 _SYSTEMS = {
     "SCT": codes.SCT_SYSTEM,
     "UCUM": codes.UCUM_SYSTEM,
@@ -35,8 +35,8 @@ def bundle(exported: Exported, patient: Patient = Patient(), *, release: Release
     """One session as JSON, validated by fhir.resources.
 
     Args:
-        exported: what leaves mammometry. If it is de-identified, the patient is left out.
-        patient: as other systems call the patient. Without an id, the session's subject is taken.
+        exported: the content. If it is de-identified, the patient is left out.
+        patient: as in other systems. Without an id, the session's subject is used.
         release: of FHIR.
     """
     if exported.deidentified:
@@ -76,7 +76,7 @@ def bundle(exported: Exported, patient: Patient = Patient(), *, release: Release
         "entry": [_entry(resource) for resource in (who, *operations, *observations, report, *signatures)],
     }
     package = importlib.import_module(f"{_PACKAGES[release]}.bundle")
-    package.Bundle.model_validate(made)  # raises on our own defects only
+    package.Bundle.model_validate(made)  # raises only on our own defects
     return (json.dumps(made, ensure_ascii=False, indent=1) + "\n").encode()
 
 
@@ -115,7 +115,7 @@ def _observation(
 
 
 def _provenance(role: str, signed: Signed, target: str, seed: tuple[str, str]) -> dict[str, Any]:
-    """Who verified or authored the report, and when."""
+    """Verifier or author of the report, and the time."""
     return {
         "resourceType": "Provenance",
         "id": identifier("provenance", *seed, role),
@@ -148,7 +148,7 @@ def _operation(
 
 
 def _nothing(side: Absent, exported: Exported, about: dict[str, Any], seed: tuple[str, str]) -> dict[str, Any]:
-    """A side without a volume: the value is absent, and says why."""
+    """A side without a volume: the value is absent, with the reason."""
     made = _begun(f"volume_{side.side}", exported, about, seed)
     made["code"] = _concept(codes.own("volume", "Volume"))
     made |= _site(side.side)

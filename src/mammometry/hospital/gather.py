@@ -1,4 +1,4 @@
-"""Gather what is exported from a finished session."""
+"""Gather the exported content of a finished session."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from mammometry.surface.texture.texture_atlas import Atlas
 
 Part: TypeAlias = Literal["pdf", "models", "photographs"]
-"""What may be gathered beside the numbers."""
+"""Parts that may be gathered in addition to the numbers."""
 PARTS: tuple[Part, ...] = ("pdf", "models", "photographs")
 _TITLES = {"left": "Left breast, closed", "right": "Right breast, closed", "model": "Model, closed"}
 _WHOLE = "Whole surface"
@@ -47,19 +47,19 @@ def gather(
     deidentify: bool = False,
     parts: Sequence[Part] = PARTS,
 ) -> Exported:
-    """Gather what is exported. What is not current is made first.
+    """Gather the exported content. Stale results are made first.
 
     A scan has no photographs, and no report without names: its pictures show the skin.
 
     Args:
         job: an open session or scan.
         taken: day of a session or scan that gives none.
-        clinical: what a clinic knows of the visit. None: confirmations in the session's own boundaries.json count.
+        clinical: a clinic's data on the visit. None: confirmations in the session's own boundaries.json count.
         deidentify: leave out names, dates, photographs and photographic colours.
-        parts: what to gather beside the numbers.
+        parts: in addition to the numbers.
 
     Raises:
-        MammometryError: whatever stands in the way, in one sentence.
+        MammometryError: the content cannot be made.
     """
     import mammometry
 
@@ -97,7 +97,7 @@ def gather(
 
 
 def confirmed(attributions: Mapping[str, Attribution], measured: Sequence[VolumeMeasurement]) -> Signed | None:
-    """The newest confirmation, if every measured boundary has one that holds."""
+    """The newest confirmation, if every measured boundary has a valid one."""
     signed = {
         measurement.name: attributions.get(measurement.name, Attribution()).confirmation for measurement in measured
     }
@@ -120,7 +120,7 @@ def _document(job: Job) -> bytes:
 
 
 def _shapes(measured: Sequence[VolumeMeasurement], kind: str) -> str:
-    """Digest of the measured solids alone."""
+    """Digest of only the measured solids."""
     solids = [stl(measurement.closed) for measurement in measured]
     return hashlib.sha256(b"de-identified" + b"".join(solids) + kind.encode()).hexdigest()
 
@@ -134,7 +134,7 @@ def stl(mesh: TriangleMesh) -> bytes:
 
 
 def covered(atlas: Atlas, measured: Sequence[VolumeMeasurement]) -> CoveredModels:
-    """Cover the surface and the closed breasts with photographs."""
+    """Texture the surface and the closed breasts with photographs."""
     from mammometry.geometry.mesh import TriangleMesh
     from mammometry.io.meshes.own import material, obj_text
     from mammometry.surface.texture.texture_atlas import jpeg_of, transferred
@@ -174,7 +174,7 @@ def _report(job: Job, clinical: Clinical | None, deidentify: bool) -> bytes:
 
 
 def quantities(measured: Sequence[VolumeMeasurement], plan: Plan) -> tuple[Quantity, ...]:
-    """All measured numbers, under the names that every export uses."""
+    """All measured numbers, with the names used in every export."""
     sizes = plan.value(measure.dimensions)
     beside = () if sizes is None else quantities_of(sizes)
     return (*_volumes(measured, sizes), *_difference(measured), *(Quantity(**quantity) for quantity in beside))

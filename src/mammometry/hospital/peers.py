@@ -1,4 +1,4 @@
-"""Addresses of other systems, as people write them."""
+"""Addresses of other systems, as entered by people."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from mammometry.base.errors import SettingsError
 from mammometry.hospital.codes import text_fault
 
 AUTHORIZATION = "MAMMOMETRY_STOW_AUTHORIZATION"
-"""Variable of the environment with the header Authorization, for commands. An address would show it to everybody. A
-clinic has a secret for each archive (`clinic.config`)."""
+"""Environment variable with the Authorization header, for commands; an address would be visible to others. A clinic has
+a secret for each archive (`clinic.config`).
+"""
 _PEER = re.compile(r"^(?P<title>[^@]{1,16})@(?P<host>\[[0-9a-fA-F:.]+\]|[A-Za-z0-9_.-]+):(?P<port>[0-9]{1,5})$")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Peer:
-    """A DICOM application: its title and where it listens."""
+    """A DICOM application: its title and address."""
 
     title: str
     host: str
@@ -31,7 +32,7 @@ class Peer:
         """Read ``AE@host:port``.
 
         Raises:
-            SettingsError: it is written otherwise.
+            SettingsError: it has another form.
         """
         match = _PEER.match(text)
         if match is None or text_fault(match["title"], "AE") is not None or not 0 < int(match["port"]) < 65536:
@@ -51,23 +52,23 @@ class Tls:
     """Encryption of a connection."""
 
     authorities: Path | None = None
-    """Certificates that the other side's is signed by (PEM). None: those that the system trusts."""
+    """Certificate authorities of the other side (PEM). None: those that the system trusts."""
     certificate: Path | None = None
-    """Our own, where the other side asks for one (PEM)."""
+    """Our own certificate, if the other side requires one (PEM)."""
     key: Path | None = None
     """Its private key (PEM). None: in the certificate's file."""
 
     def context(self) -> ssl.SSLContext:
-        """Return what Python's connections take.
+        """Return the SSL context.
 
         Raises:
-            SettingsError: a file is missing or no certificate.
+            SettingsError: a file is missing or not a certificate.
         """
         try:
             made = ssl.create_default_context(cafile=None if self.authorities is None else str(self.authorities))
             if self.certificate is not None:
                 made.load_cert_chain(self.certificate, self.key)
-        except OSError as error:  # SSLError is one
+        except OSError as error:  # includes SSLError
             files = ", ".join(str(path) for path in (self.authorities, self.certificate, self.key) if path is not None)
             remedy = "Check the files of --tls-ca, --tls-certificate and --tls-key"
             expected = "certificates and a key as PEM"
@@ -78,10 +79,10 @@ class Tls:
 
 
 def web_address(url: str) -> str:
-    """Return the address without a slash at its end.
+    """Return the address without a trailing slash.
 
     Raises:
-        SettingsError: no HTTP address, or one with a password in it.
+        SettingsError: not an HTTP address, or one with a password.
     """
     parts = urlsplit(url)
     if parts.scheme not in ("http", "https") or not parts.hostname or parts.query or parts.fragment:
@@ -96,15 +97,15 @@ def web_address(url: str) -> str:
 
 
 def require_encrypted(url: str) -> str:
-    """Return an address over which a login may be sent: https, or this machine itself.
+    """Return an address to which a login may be sent: https, or this machine itself.
 
     Raises:
-        SettingsError: it is another one.
+        SettingsError: any other address.
     """
     parts = urlsplit(web_address(url))
     if parts.scheme != "https" and not is_loopback(parts.hostname or ""):
         remedy = "Ask the archive's administrator for its https address"
-        expected = "https, since the archive's login is sent with each request"
+        expected = "https, because the archive's login is sent with each request"
         raise SettingsError(url, found="an address without encryption", expected=expected, remedy=remedy)
     return url
 

@@ -15,24 +15,24 @@ FILES = (TABLE, PARQUET, CODEBOOK)
 Cell = str | float | None
 _COLUMNS = {
     "visit": ("text", "", "Stable number of the visit: equal for results of the same photographs"),
-    "subject": ("text", "", "Pseudonym of the subject, else the name of the session's folder"),
+    "subject": ("text", "", "Pseudonym of the subject, or the name of the session's folder"),
     "taken": ("date", "", "Day of the photographs, ISO 8601. Empty: not given"),
     "kind": ("text", "", "torso: a patient; model: a cast; surface: an open surface"),
     "side": ("text", "", "The patient's left or right breast, model, or empty for both sides"),
-    "code": ("text", "", "What was measured; see the rows below"),
-    "title": ("text", "", "The same in words"),
-    "value": ("number", "as unit says", "The measured value. Empty where there is none; see why"),
+    "code": ("text", "", "Measured quantity; see the rows below"),
+    "title": ("text", "", "The same as text"),
+    "value": ("number", "as unit says", "The measured value. Empty if there is none; see why"),
     "unit": ("text", "", "cm3, cm2 or mm (UCUM)"),
     "low_95": ("number", "as unit says", "Lower limit of the 95 % interval. Empty: not known"),
     "high_95": ("number", "as unit says", "Upper limit of the 95 % interval. Empty: not known"),
     "standard_uncertainty": ("number", "as unit says", "Standard uncertainty. Empty: not known, or see the interval"),
-    "method": ("text", "", "How it was measured; see the rows below"),
-    "wall": ("text", "", "Wall behind the breast. Empty for what has none"),
+    "method": ("text", "", "Method; see the rows below"),
+    "wall": ("text", "", "Wall behind the breast. Empty if there is none"),
     "why": ("text", "", "Why there is no volume: none, unclear or refused"),
-    "confirmed": ("text", "", "yes: a person looked at the measured boundaries and found them right; no: nobody yet"),
+    "confirmed": ("text", "", "yes: a person checked the measured boundaries and found them right; no: not yet"),
     "confirmed_on": ("date", "", "Day of that, ISO 8601. Empty: not confirmed, or de-identified"),
     "software": ("text", "", "Version of mammometry"),
-    "posture": ("text", "", "How the patient held herself. Empty: not entered"),
+    "posture": ("text", "", "The patient's posture. Empty: not entered"),
     "apart": ("text", "", "Why the breast's volumes are not comparable with most of the study. Empty: they are"),
 }
 """Column → type, unit, meaning."""
@@ -41,7 +41,7 @@ _DECIMALS = 4  # of written figures: finer than any uncertainty here
 
 
 def tables(sessions: Sequence[Exported]) -> dict[str, bytes]:
-    """Name of a file → its content. The same sessions give the same bytes, in whatever order."""
+    """Name of a file → its content. The same sessions give the same bytes, in any order."""
     rows = sorted(
         (row for session in sessions for row in _rows(session)), key=lambda row: [str(cell or "") for cell in row]
     )
@@ -69,12 +69,12 @@ def visit_number(exported: Exported) -> str:
 
 
 def rounded(value: float | None) -> float | None:
-    """A number as tables give it."""
+    """A number in a table's notation."""
     return None if value is None else round(value, _DECIMALS)
 
 
 def confirmation(exported: Exported) -> tuple[str, str]:
-    """State and time of the boundaries' confirmation. Tables do not say by whom."""
+    """State and time of the boundaries' confirmation, without the person."""
     confirmed = exported.clinical.confirmed
     return ("no", "") if confirmed is None else ("yes", confirmed.at.date().isoformat())
 
@@ -150,7 +150,7 @@ _APART = {
 
 
 def redcap_tables(sessions: Sequence[Exported]) -> dict[str, bytes]:
-    """Name of a file → its content. The same sessions give the same bytes, in whatever order.
+    """Name of a file → its content. The same sessions give the same bytes, in any order.
 
     Raises:
         TableError: two sessions of the same photographs.
@@ -159,7 +159,7 @@ def redcap_tables(sessions: Sequence[Exported]) -> dict[str, bytes]:
 
 
 def dictionary() -> str:
-    """All fields of a record, as REDCap reads them."""
+    """All fields of a record for REDCap."""
     rows = []
     for name, (label, kind) in _VISIT.items():
         rows.append(_field(name, label, kind))
@@ -171,7 +171,7 @@ def dictionary() -> str:
 
 
 def records(sessions: Sequence[Exported]) -> str:
-    """Records for REDCap, one row a visit.
+    """Records for REDCap, one row per visit.
 
     Raises:
         TableError: two sessions of the same photographs.

@@ -105,7 +105,7 @@ def test_a_technician_aims_and_fires_in_the_browser(place, monkeypatch):
             shown.get_by_text("The subject is whole in every view.").wait_for()
             shown.get_by_role("button", name="Fire").click()
             shown.wait_for_selector(".cap-verdict.good")
-            assert "All names are right" in shown.inner_text(".cap-verdict")
+            assert "All camera names agree" in shown.inner_text(".cap-verdict")
             browser.close()
     finally:
         servers[0].should_exit = True

@@ -76,7 +76,7 @@ def test_a_technician_aims_fires_and_measures(
     fired = asked(client, visit, "fire", {})
     assert time.process_time() - begun < 10  # eight small pictures; the wall clock is others' too
     assert fired["accepted"], fired["said"]
-    assert any("All names are right" in sentence for sentence in fired["said"])
+    assert any("All camera names agree" in sentence for sentence in fired["said"])
     visit.refresh_from_db()
     assert visit.state == Visit.State.READY
     rows = Upload.objects.filter(visit=visit)

@@ -44,7 +44,7 @@ def test_a_visit_is_photographed_by_one_button(tmp_path: Path) -> None:
             page.screenshot(path=f"{os.environ['MAMMOMETRY_TEST_PICTURES']}/capture-live.png")
         page.get_by_role("button", name="Fire").click()
         expect(page.get_by_text("The pictures may be measured.")).to_be_visible(timeout=WAIT_MS)
-        expect(page.get_by_text("All names are right, by the calibration.")).to_be_visible()
+        expect(page.get_by_text("All camera names agree with the calibration.")).to_be_visible()
         require_accessible(page)
         require_fitting(page)
         if "MAMMOMETRY_TEST_PICTURES" in os.environ:

@@ -331,7 +331,7 @@ def test_a_failed_one_is_tried_again_by_a_button(
 def test_the_test_button_asks_the_archive(client_of: Callable[..., Client], archive: Destination) -> None:
     client = client_of(Role.ADMINISTRATOR)
     address = reverse("destination-test", args=[archive.pk])
-    assert "nobody who answers" in client.post(address, follow=True).content.decode()
+    assert "no answer" in client.post(address, follow=True).content.decode()
     with running(archive):
         assert "PACS answers." in client.post(address, follow=True).content.decode()
 

@@ -97,10 +97,10 @@ def test_a_worklist_that_is_down_says_so(
     client_of: Callable[..., Client], asked: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def down(source: Destination, **_: object) -> None:
-        raise ArchiveError("RIS", found="nobody who answers", expected="a DICOM application", remedy="Start it")
+        raise ArchiveError("RIS", found="no answer", expected="a DICOM application", remedy="Start it")
 
     monkeypatch.setattr(hospital, "_asked", down)
-    assert "nobody who answers" in client_of(Role.CLINICIAN).get(reverse("worklist")).content.decode()
+    assert "no answer" in client_of(Role.CLINICIAN).get(reverse("worklist")).content.decode()
 
 
 def test_the_same_patient_under_another_number_is_shown_first(

@@ -99,7 +99,7 @@ def test_the_serial_number_decides_and_the_name_only_without_one():
     swapped = camera_of("front_left", "B2", named="front_left")
     assert swapped.level == "refuse"
     assert "taken by front_right" in swapped.sentence
-    assert "was not there at the calibration" in camera_of("front_left", "C3").sentence
+    assert "is not in the calibration" in camera_of("front_left", "C3").sentence
     assert camera_of("front_left", named="front_left").level == "ok"
     assert camera_of("front_left", named="front_right").level == "refuse"
     assert camera_of("front_left").level == "unknown"

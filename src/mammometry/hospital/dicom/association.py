@@ -13,7 +13,7 @@ from mammometry.hospital.peers import Peer, Tls
 OWN_TITLE = "MAMMOMETRY"
 _CONNECT_S = 10.0  # for the connection and its negotiation
 _ANSWER_S = 60.0  # for one answer; an archive may write to slow disks
-_PENDING = (0xFF00, 0xFF01)  # status of an answer that more follow (PS3.4, C.4.1.1.4)
+_PENDING = (0xFF00, 0xFF01)  # status of an answer with more to follow (PS3.4, C.4.1.1.4)
 
 
 @contextmanager
@@ -25,17 +25,17 @@ def associated(
     tls: Tls | None = None,
     handlers: Sequence[Any] = (),
 ) -> Iterator[Any]:
-    """Give an association, and release it at the end.
+    """Open an association, and release it at the end.
 
     Args:
-        peer: with whom.
+        peer: the other application.
         contexts: SOP classes, each with its transfer syntaxes (None for the usual ones).
-        own_title: AE title by which the other side knows us.
-        tls: how it is encrypted. None: not.
+        own_title: our AE title.
+        tls: encryption. None: none.
         handlers: of pynetdicom's events.
 
     Raises:
-        ArchiveError: nobody answers, or we are refused.
+        ArchiveError: no answer, or we are refused.
     """
     ae = AE(ae_title=own_title)
     ae.acse_timeout = ae.connection_timeout = _CONNECT_S
@@ -45,7 +45,7 @@ def associated(
             ae.add_requested_context(sop_class)
         else:
             ae.add_requested_context(sop_class, list(syntaxes))
-    with ExitStack() as opened:  # pynetdicom leaves a socket open whose other side has gone
+    with ExitStack() as opened:  # pynetdicom leaves a socket open if the other side has closed it
         closes = (evt.EVT_CONN_OPEN, lambda event: opened.callback(event.assoc.dul.socket.socket.close))
         association = ae.associate(
             peer.host,
@@ -64,7 +64,7 @@ def associated(
 
 
 def accepts(association: Any, sop_class: str) -> bool:
-    """Whether the other side takes part in a service."""
+    """Whether the other side accepted a service."""
     return any(context.abstract_syntax == sop_class for context in association.accepted_contexts)
 
 
@@ -86,19 +86,19 @@ def found_by(association: Any, query: Dataset, model: str, peer: Peer) -> list[D
                 str(peer),
                 found=f"a refused search (status {code:04X}{comment(status)})",
                 expected="an answer",
-                remedy="Ask its administrator what it allows us",
+                remedy="Ask its administrator for our permissions",
             )
     return answers
 
 
 def lost(peer: Peer, when: str) -> ArchiveError:
     """The error for a connection that ended too soon."""
-    remedy = "Run the same command again: what has arrived is not sent again"
+    remedy = "Run the same command again: stored objects are not sent again"
     return ArchiveError(str(peer), found=f"a connection that ended {when}", expected="an answer", remedy=remedy)
 
 
 def echo(peer: Peer, *, own_title: str = OWN_TITLE, tls: Tls | None = None) -> None:
-    """Ask whether a DICOM application answers (C-ECHO).
+    """Check that a DICOM application answers (C-ECHO).
 
     Raises:
         ArchiveError: it does not.
@@ -112,7 +112,7 @@ def echo(peer: Peer, *, own_title: str = OWN_TITLE, tls: Tls | None = None) -> N
 
 
 def comment(status: Dataset) -> str:
-    """The other side's comment beside a status, for a sentence."""
+    """The other side's comment on a status, for a message."""
     error_comment = status.get("ErrorComment", "")
     return f": {error_comment}" if error_comment else ""
 
@@ -132,6 +132,6 @@ def _refused(peer: Peer, association: Any, own_title: str, *, encrypted: bool) -
             expected="storage, or the search that was asked for",
             remedy="Ask its administrator which services it allows us",
         )
-    remedy = "Check host and port, whether it runs, and whether it wants TLS. Then run the same command again"
+    remedy = "Check host and port, whether it is running, and whether it needs TLS. Then run the same command again"
     expected = "a DICOM application" + (", with TLS" if encrypted else "")
-    return ArchiveError(str(peer), found="nobody who answers", expected=expected, remedy=remedy)
+    return ArchiveError(str(peer), found="no answer", expected=expected, remedy=remedy)

@@ -1,4 +1,4 @@
-"""Attributes that all objects of a study share: patient, study, series, equipment."""
+"""Attributes of all objects of a study: patient, study, series, equipment."""
 
 import datetime
 import hashlib
@@ -14,14 +14,14 @@ from mammometry.hospital.codes import Coded, uid
 from mammometry.hospital.exported import Exported, Order, Patient
 
 _IMPLEMENTATION = uid("mammometry", "implementation")
-_NO_DAY = "19000101"  # where DICOM requires a date and none may be told
+_NO_DAY = "19000101"  # if DICOM requires a date and none may be given
 _NO_TIME = "000000"
 _BASIC_PROFILE = Coded(value="113100", scheme="DCM", meaning="Basic Application Confidentiality Profile")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Study:
-    """One study: whose, what was ordered, and what is exported."""
+    """One study: patient, order, and exported content."""
 
     exported: Exported
     patient: Patient
@@ -29,7 +29,7 @@ class Study:
 
     @property
     def uid(self) -> str:
-        """Study Instance UID: the order's, else of patient and photographs."""
+        """Study Instance UID: the order's, otherwise derived from patient and photographs."""
         return self.order.study_uid or uid("study", self.exported.source, self.patient.id, self.order.accession)
 
     @property
@@ -49,7 +49,7 @@ class Study:
 
     @property
     def made(self) -> tuple[str, str]:
-        """Day and time at which the results were made, UTC."""
+        """Day and time of the results, UTC."""
         made = self.exported.made
         if made is None:
             return _NO_DAY, _NO_TIME
@@ -58,13 +58,13 @@ class Study:
 
 
 def begun(study: Study, *, sop_class: str, modality: str, kind: str, number: int, title: str, instance: int) -> Dataset:
-    """Begin an object: patient, study, series and equipment.
+    """Create an object with patient, study, series and equipment.
 
     Args:
-        study: to which it belongs.
+        study: its study.
         sop_class: its SOP Class UID.
         modality: of its series.
-        kind: of its series; one series a kind.
+        kind: of its series; one series per kind.
         number: of its series.
         title: of its series.
         instance: number of the object in its series.
@@ -82,7 +82,7 @@ def begun(study: Study, *, sop_class: str, modality: str, kind: str, number: int
 
 
 def describe(made: Dataset, study: Study) -> None:
-    """Set patient, study and equipment, whoever made the rest."""
+    """Set patient, study and equipment of any object."""
     patient, order, day = study.patient, study.order, study.day
     written_day, written_time = study.made
     made.PatientID = patient.id
@@ -117,7 +117,7 @@ def coded(concept: Coded) -> Dataset:
 
 
 def finished(made: Dataset, transfer_syntax: UID = ExplicitVRLittleEndian) -> Dataset:
-    """Give an object its UID and its file's header. The UID is a hash of the whole content."""
+    """Set an object's UID and its file header. The UID is a hash of the whole content."""
     made.SOPInstanceUID = "2.25.0"
     _head(made, transfer_syntax)
     made.SOPInstanceUID = uid("object", hashlib.sha256(encoded(made)).hexdigest())

@@ -1,6 +1,6 @@
 """All objects of a session's study: photographs, and report and models as encapsulated documents.
 
-Photographs are VL Photographic Image objects. A baseline JPEG is taken over as it is, without its tags. Others are
+Photographs are VL Photographic Image objects. A baseline JPEG is kept unchanged, without its tags. Others are
 written as plain 8-bit RGB.
 """
 
@@ -31,7 +31,7 @@ from mammometry.io.photographs.tags import Jpeg, without_tags
 
 
 def photographs(study: Study, *, series: int) -> list[Dataset]:
-    """Every photograph of the capture, one object a camera."""
+    """Every photograph of the capture, one object per camera."""
     made = []
     for number, camera in enumerate(study.exported.photographs, 1):
         path = study.exported.photograph_files.get(camera)
@@ -47,18 +47,18 @@ def photographs(study: Study, *, series: int) -> list[Dataset]:
 
 
 def texture(study: Study, *, series: int) -> Dataset | None:
-    """The picture that covers the surface. None if it is left out."""
+    """The texture of the surface. None if it is left out."""
     if study.exported.covered is None:
         return None
     jpeg = without_tags(study.exported.covered.jpeg)
-    assert jpeg is not None  # we wrote it ourselves
-    made = image(study, jpeg, series=("texture", series, "Picture that covers the surface"), instance=1)
+    assert jpeg is not None  # written by us
+    made = image(study, jpeg, series=("texture", series, "Texture of the surface"), instance=1)
     made.ImageType = ["DERIVED", "SECONDARY"]
     return finished(made, made.file_meta.TransferSyntaxUID)
 
 
 def image(study: Study, source: Jpeg | Photograph, *, series: tuple[str, int, str], instance: int) -> Dataset:
-    """Begin a VL Photographic Image."""
+    """Create a VL Photographic Image."""
     kind, number, title = series
     made = begun(
         study,
@@ -88,9 +88,9 @@ def image(study: Study, source: Jpeg | Photograph, *, series: tuple[str, int, st
 
 
 def _lateral(made: Dataset, study: Study) -> None:
-    """Say that a picture of a trunk shows both breasts.
+    """State that a picture of a trunk shows both breasts.
 
-    The breast is a paired structure, so that Image Laterality or, at least empty, Laterality is required (PS3.3, Table
+    The breast is a paired structure, so Image Laterality or, at least empty, Laterality is required (PS3.3, Table
     C.7-5a, type 2C). A cast's side is not known.
     """
     if study.exported.kind == "torso":
@@ -100,7 +100,7 @@ def _lateral(made: Dataset, study: Study) -> None:
 
 
 def baseline(path: Path) -> Jpeg | None:
-    """A file that is an upright baseline JPEG. None for any other."""
+    """Content of an upright baseline JPEG. None for any other file."""
     from PIL import Image
 
     from mammometry.io.photographs.images import exif_of
@@ -119,7 +119,9 @@ def _put_jpeg(made: Dataset, jpeg: Jpeg) -> None:
     made.SamplesPerPixel = jpeg.components
     if jpeg.components == 3:
         made.PlanarConfiguration = 0
-        made.PhotometricInterpretation = "YBR_FULL_422"  # the only one of JPEG in PS3.3, C.8.12.1.1.1, however sampled
+        made.PhotometricInterpretation = (
+            "YBR_FULL_422"  # the only one for JPEG in PS3.3, C.8.12.1.1.1, for any subsampling
+        )
     else:
         made.PhotometricInterpretation = "MONOCHROME2"
     made.LossyImageCompression = "01"
@@ -202,7 +204,7 @@ def models(study: Study, *, series: int) -> list[Dataset]:
 
 
 def covered(study: Study, texture: Dataset, *, series: int) -> list[Dataset]:
-    """Covered models as Encapsulated OBJ, and their MTL. The MTL names the texture."""
+    """Textured models as Encapsulated OBJ, and their MTL. The MTL names the texture."""
     files = study.exported.covered
     if files is None:
         return []
@@ -240,7 +242,7 @@ def _document(
         made.ConversionType = "WSD"  # by a workstation
     made.AcquisitionDateTime = study.day
     made.BurnedInAnnotation = "YES" if kind is _PDF and not study.exported.deidentified else "NO"
-    # A naked trunk may be recognised without a face, and so may its shape.
+    # A bare trunk, or its shape, may be recognised without a face.
     made.RecognizableVisualFeatures = "YES"
     made.DocumentTitle = title
     made.ConceptNameCodeSequence = Sequence([coded(kind.concept)])
@@ -267,7 +269,7 @@ def _manufacturing(made: Dataset, study: Study, title: str) -> None:
 
 
 def _named(target: Dataset, name: str) -> Dataset:
-    """A reference from a document to another object, by the name that the document uses."""
+    """A reference from a document to another object, by its name in the document."""
     item = Dataset()
     item.ReferencedSOPClassUID = target.SOPClassUID
     item.ReferencedSOPInstanceUID = target.SOPInstanceUID
@@ -276,14 +278,14 @@ def _named(target: Dataset, name: str) -> Dataset:
 
 
 def objects(exported: Exported, patient: Patient = Patient(), order: Order = Order()) -> list[Dataset]:
-    """Make the objects of a session, one series a kind.
+    """Make the objects of a session, one series per kind.
 
     The same session, patient and order give the same bytes.
 
     Args:
-        exported: what leaves mammometry. If it is de-identified, patient and order are left out.
-        patient: as other systems call the patient. Without an id, the session's subject is taken.
-        order: what was ordered.
+        exported: the content. If it is de-identified, patient and order are left out.
+        patient: as in other systems. Without an id, the session's subject is used.
+        order: the order.
     """
     if exported.deidentified:
         patient, order = Patient(id=f"anonymous-{exported.source[:12]}", name="Anonymous^"), Order()
@@ -304,13 +306,13 @@ def objects(exported: Exported, patient: Patient = Patient(), order: Order = Ord
 
 
 def possible_names(photographs: int) -> list[str]:
-    """Names of all files that a session may have."""
+    """Names of all possible files of a session."""
     counts = (("01-DOC", 1), ("02-SR", 1), ("03-M3D", 4), ("04-M3D", 4), ("05-XC", 1), ("06-XC", photographs))
     return [f"{kind}-{number:03d}.dcm" for kind, count in counts for number in range(1, count + 1)]
 
 
 def files(made: list[Dataset]) -> dict[str, bytes]:
-    """Name of a file → its content. Names say series and instance."""
+    """Name of a file → its content. Names contain series and instance."""
     return {
         f"{dataset.SeriesNumber:02d}-{dataset.Modality}-{dataset.InstanceNumber:03d}.dcm": encoded(dataset)
         for dataset in made

@@ -1,4 +1,4 @@
-"""Send a study by C-STORE, nothing twice, and await the archive's promise to keep it."""
+"""Send a study by C-STORE, nothing twice, and wait for the storage commitment."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from mammometry.hospital.dicom.association import OWN_TITLE, accepts, associated
 from mammometry.hospital.peers import Peer, Tls
 
 _FULL = range(0xA700, 0xA800)  # PS3.4, B.2.3: out of resources
-_WARNINGS = range(0xB000, 0xC000)  # stored, with a remark
+_WARNINGS = range(0xB000, 0xC000)  # stored, with a warning
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,9 +29,9 @@ class Sent:
     sent: int
     """Objects that were sent now."""
     stored: int
-    """Objects that the archive had before."""
+    """Objects that the archive already had."""
     committed: bool | None = None
-    """Whether the archive promised to keep all of them. None: it was not asked, or offers no such promise."""
+    """Whether the archive committed to store all of them. None: not asked, or not supported."""
 
 
 def send(
@@ -47,9 +47,9 @@ def send(
     Args:
         made: finished objects.
         peer: the archive.
-        own_title: AE title by which it knows us.
-        tls: how the connection is encrypted. None: not.
-        progress: gets the fraction sent.
+        own_title: our AE title.
+        tls: encryption. None: none.
+        progress: called with the fraction sent.
 
     Raises:
         ArchiveError: it does not answer, refuses, is full, or the connection is lost. The same call sends the rest.
@@ -58,7 +58,7 @@ def send(
     syntaxes: dict[str, set[str]] = defaultdict(set)
     for dataset in made:
         syntaxes[dataset.SOPClassUID].add(dataset.file_meta.TransferSyntaxUID)
-    # A context each, so that the archive cannot choose one transfer syntax of several.
+    # One context each, so that the archive cannot choose among several transfer syntaxes.
     contexts = [*wanted, *((sop_class, [syntax]) for sop_class, all_ in syntaxes.items() for syntax in sorted(all_))]
     with associated(peer, contexts, own_title=own_title, tls=tls) as association:
         _require_all(association, made, peer)
@@ -71,7 +71,7 @@ def send(
 
 
 def _require_all(association: Any, made: Sequence[Dataset], peer: Peer) -> None:
-    """Refuse before the first object is sent: no half studies."""
+    """Refuse before the first object is sent, so that no study is incomplete."""
     taken = {(context.abstract_syntax, context.transfer_syntax[0]) for context in association.accepted_contexts}
     refused = sorted(
         {
@@ -82,14 +82,14 @@ def _require_all(association: Any, made: Sequence[Dataset], peer: Peer) -> None:
     )
     if refused:
         remedy = "Ask its administrator to allow them, or leave them out by --without"
-        expected = "one that takes all kinds of object"
+        expected = "one that accepts all kinds of object"
         raise ArchiveError(
-            str(peer), found=f"an archive that does not take {', '.join(refused)}", expected=expected, remedy=remedy
+            str(peer), found=f"an archive that does not accept {', '.join(refused)}", expected=expected, remedy=remedy
         )
 
 
 def _there(association: Any, made: Sequence[Dataset], peer: Peer) -> set[str]:
-    """Objects that the archive has, none where it does not answer searches."""
+    """Objects that the archive has; none if it does not answer searches."""
     if not accepts(association, StudyRootQueryRetrieveInformationModelFind):
         return set()
     stored: set[str] = set()
@@ -117,17 +117,17 @@ def _store(association: Any, made: Dataset, peer: Peer, when: str) -> None:
     full = code in _FULL
     raise ArchiveError(
         str(peer),
-        found=f"{'an archive without room' if full else 'a refused object'} {when} "
+        found=f"{'a full archive' if full else 'a refused object'} {when} "
         f"(status {code:04X}{comment(status)}, {made.SOPClassUID.name})",
         expected="an archive that stores it",
-        remedy=f"{'Have room made there' if full else 'Ask its administrator why'}. Then run the same command again: "
-        "what has arrived is not sent again",
+        remedy=f"{'Have space freed there' if full else 'Ask its administrator why'}. Then run the same command again: "
+        "stored objects are not sent again",
     )
 
 
 _WELL_KNOWN = "1.2.840.10008.1.20.1.1"  # Storage Commitment Push Model SOP Instance
 _REQUEST = 1  # action type of PS3.4, J.3.2
-_ANSWER_S = 60.0  # an archive may look at its disks first
+_ANSWER_S = 60.0  # an archive may check its disks first
 
 
 def committed(
@@ -139,21 +139,21 @@ def committed(
     listen: int | None = None,
     answer_s: float = _ANSWER_S,
 ) -> bool | None:
-    """Ask an archive to keep objects, and await its answer.
+    """Request storage commitment, and wait for the answer.
 
     Args:
-        made: what was sent.
+        made: the sent objects.
         peer: the archive.
-        own_title: AE title by which it knows us.
-        tls: how the connection is encrypted. None: not.
-        listen: port to which it sends its answer. None: it answers on our own connection, or not at all.
+        own_title: our AE title.
+        tls: encryption. None: none.
+        listen: port for its answer. None: it answers on our own connection, or not at all.
         answer_s: how long to wait, s.
 
     Returns:
-        Whether it keeps all of them. None where it offers no such promise, or did not answer in time.
+        Whether it keeps all of them. None if it does not support this, or did not answer in time.
 
     Raises:
-        ArchiveError: it refused the question, or does not keep all objects.
+        ArchiveError: it refused the request, or does not keep all objects.
     """
     replied, failed = Event(), list[str]()
     transaction = uid("commitment", *sorted(dataset.SOPInstanceUID for dataset in made))
@@ -181,7 +181,7 @@ def committed(
         if status.get("Status") != 0:
             code = f"status {status.get('Status', 0):04X}{comment(status)}"
             remedy = "Ask its administrator to allow us storage commitment, or leave --commitment out"
-            expected = "the promise to keep what was sent"
+            expected = "a storage commitment"
             raise ArchiveError(
                 str(peer), found=f"a refused request for storage commitment ({code})", expected=expected, remedy=remedy
             )
@@ -191,8 +191,8 @@ def committed(
         raise ArchiveError(
             str(peer),
             found=f"an archive that does not keep {len(failed)} of {len(made)} objects",
-            expected="the promise to keep all of them",
-            remedy="Run the same command again, and ask its administrator if it stays so",
+            expected="a storage commitment for all of them",
+            remedy="Run the same command again, and ask its administrator if this repeats",
         )
     return True
 
@@ -210,7 +210,7 @@ def _question(made: Sequence[Dataset], transaction: str) -> Dataset:
 
 
 def _listening(port: int, own_title: str, tls: Tls | None, handlers: list[Any]) -> Any:
-    """A server for the archive's answer, which comes on a connection of its own."""
+    """A server for the archive's answer, which comes on a separate connection."""
     import ssl
 
     ae = AE(ae_title=own_title)
@@ -226,7 +226,7 @@ def _listening(port: int, own_title: str, tls: Tls | None, handlers: list[Any]) 
     except OSError as error:
         raise ArchiveError(
             f"port {port}",
-            found=f"a port that cannot be listened on ({error.strerror})",
+            found=f"a port that cannot be opened ({error.strerror})",
             expected="a free port for the archive's answer",
             remedy="Choose another one by --listen",
         ) from None

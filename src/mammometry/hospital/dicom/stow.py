@@ -17,7 +17,7 @@ from mammometry.hospital.dicom.frame import encoded
 from mammometry.hospital.dicom.store import Sent
 from mammometry.hospital.peers import AUTHORIZATION, Tls, require_encrypted, web_address
 
-_ANSWER_S = 120.0  # wait for an answer, s; chosen for archives that index before they answer
+_ANSWER_S = 120.0  # wait for an answer, s; long enough for archives that index before they answer
 _MOST_ANSWER = 16 << 20  # bytes of an answer
 _LOGIN = f"Give its login: {AUTHORIZATION} for the command line, [stow_secrets] in a clinic's clinic.toml"
 _FULL = (507, 413)  # HTTP: insufficient storage, content too large
@@ -31,17 +31,17 @@ def stow(
     authorization: str | None = None,
     progress: Progress = no_progress,
 ) -> Sent:
-    """Send objects of one study, each in a request of its own.
+    """Send objects of one study, one request each.
 
     Args:
         made: finished objects.
         url: of the archive's DICOMweb service, such as ``https://pacs/dicom-web``.
         tls: certificates. None: those that the system trusts.
-        authorization: the header of that name, such as ``Bearer …``. None: no login.
-        progress: gets the fraction sent.
+        authorization: the HTTP header, such as ``Bearer …``. None: no login.
+        progress: called with the fraction sent.
 
     Raises:
-        SettingsError: no such address, or a login would go over it unencrypted.
+        SettingsError: an invalid address, or one that would send a login unencrypted.
         ArchiveError: it does not answer, refuses, is full, or the connection is lost. The same call sends the rest.
     """
     service = _service(url, tls, authorization)
@@ -54,10 +54,10 @@ def stow(
 
 
 def answers(url: str, *, tls: Tls | None = None, authorization: str | None = None) -> None:
-    """Ask whether a DICOMweb service answers, by a search that finds nothing.
+    """Check that a DICOMweb service answers, by a search that finds nothing.
 
     Raises:
-        SettingsError: no such address, or a login would go over it unencrypted.
+        SettingsError: an invalid address, or one that would send a login unencrypted.
         ArchiveError: it does not answer, or refuses.
     """
     _there(_service(url, tls, authorization), "2.25.0")
@@ -65,7 +65,7 @@ def answers(url: str, *, tls: Tls | None = None, authorization: str | None = Non
 
 @dataclass(frozen=True, slots=True)
 class _Service:
-    """A DICOMweb service and how it is spoken to."""
+    """A DICOMweb service and its connection."""
 
     base: str
     context: ssl.SSLContext | None
@@ -80,7 +80,7 @@ def _service(url: str, tls: Tls | None, authorization: str | None) -> _Service:
 
 
 def _there(service: _Service, study: str) -> set[str]:
-    """Which objects of the study the archive has, by QIDO-RS."""
+    """Objects of the study that the archive has, by QIDO-RS."""
     base = service.base
     query = f"studies/{study}/instances?includefield=00080018"
     try:
@@ -97,9 +97,9 @@ def _there(service: _Service, study: str) -> set[str]:
         listed = json.loads(answer)
         return {str(instance["00080018"]["Value"][0]) for instance in listed}
     except (ValueError, KeyError, TypeError, IndexError):
-        remedy = "Check the address: it ends before /studies"
+        remedy = "Check the address, without /studies"
         expected = "a DICOMweb service"
-        raise ArchiveError(base, found="an answer that is no DICOM JSON", expected=expected, remedy=remedy) from None
+        raise ArchiveError(base, found="an answer that is not DICOM JSON", expected=expected, remedy=remedy) from None
 
 
 def _store(service: _Service, made: Dataset, when: str) -> None:
@@ -121,8 +121,10 @@ def _store(service: _Service, made: Dataset, when: str) -> None:
             base,
             found=f"a refused object {when} ({failed or 'not stored, without a reason'}, {made.SOPClassUID.name})",
             expected="an archive that stores it",
-            remedy="Ask its administrator why, and whether it is full. Then run the same command again: what has "
-            "arrived is not sent again",
+            remedy=(
+                "Ask its administrator why, and whether it is full. Then run the same command again: stored objects "
+                "are not sent again"
+            ),
         )
 
 
@@ -133,13 +135,13 @@ def _failed(answer: bytes) -> str:
 
 
 def _listed(answer: bytes, made: Dataset) -> bool:
-    """Whether the answer's Referenced SOP Sequence (0008,1199) names the object: it is stored."""
+    """Whether the answer's Referenced SOP Sequence (0008,1199) has the object, so that it is stored."""
     stored = [item.get("00081155", {}).get("Value") for item in _items(answer, "00081199")]
     return [str(made.SOPInstanceUID)] in stored
 
 
 def _items(answer: bytes, sequence: str) -> list[dict[str, Any]]:
-    """Items of a sequence of an answer. Empty for an answer that is no DICOM JSON."""
+    """Items of a sequence of an answer. Empty for an answer that is not DICOM JSON."""
     try:
         items = json.loads(answer)[sequence].get("Value") or []
         return [instance for instance in items if isinstance(instance, dict)]
@@ -160,7 +162,7 @@ def _answer(service: _Service, place: str, headers: dict[str, str], body: bytes 
 
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):
-    """Patients' data go where the user said, and nowhere else."""
+    """Refuse redirections: patients' data are sent only to the given address."""
 
     def redirect_request(self, *_: Any, **__: Any) -> None:
         return None
@@ -170,13 +172,13 @@ def _refused(base: str, error: urllib.error.HTTPError, when: str) -> ArchiveErro
     full = error.code in _FULL
     login = error.code in (401, 403)
     remedy = (
-        "Have room made there" if full else _LOGIN if login else "Ask its administrator why"
+        "Have space freed there" if full else _LOGIN if login else "Ask its administrator why"
     )  # fmt: skip
     return ArchiveError(
         base,
-        found=f"{'an archive without room' if full else 'a refusal'} {when} (HTTP {error.code})",
+        found=f"{'a full archive' if full else 'a refusal'} {when} (HTTP {error.code})",
         expected="an archive that stores objects",
-        remedy=f"{remedy}. Then run the same command again: what has arrived is not sent again",
+        remedy=f"{remedy}. Then run the same command again: stored objects are not sent again",
     )
 
 
@@ -184,8 +186,10 @@ def _silent(base: str, error: OSError, when: str) -> ArchiveError:
     why = getattr(error, "reason", error)
     return ArchiveError(
         base,
-        found=f"nobody who answers, {when} ({why})",
+        found=f"no answer, {when} ({why})",
         expected="a DICOMweb service",
-        remedy="Check the address and whether it runs. Then run the same command again: what has arrived is not sent "
-        "again",
+        remedy=(
+            "Check the address and whether it is running. Then run the same command again: stored objects are not "
+            "sent again"
+        ),
     )

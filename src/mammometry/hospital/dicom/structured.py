@@ -25,11 +25,11 @@ _TITLES: dict[Side, str] = {"left": "Left breast", "right": "Right breast", "mod
 
 
 def report(study: Study, evidence: Sequence[Dataset], *, series: int) -> list[Dataset]:
-    """The measurements as one Comprehensive 3D SR. Empty where there are none.
+    """The measurements as one Comprehensive 3D SR. Empty if there are none.
 
     Args:
-        study: what is exported.
-        evidence: the objects of the same study from which it was measured, one or more.
+        study: the exported study.
+        evidence: the measured objects of the same study, one or more.
         series: number of its series.
     """
     from highdicom.sr import (
@@ -80,7 +80,7 @@ def report(study: Study, evidence: Sequence[Dataset], *, series: int) -> list[Da
             series_description="Measurements",
         )
     describe(made, study)
-    # highdicom dates it by the clock.
+    # highdicom uses the current time.
     for equipment in made.get("ContributingEquipmentSequence", ()):
         del equipment.ContributionDateTime
     if confirmed is not None:
@@ -90,7 +90,7 @@ def report(study: Study, evidence: Sequence[Dataset], *, series: int) -> list[Da
 
 
 def _conclusions(conclusions: Sequence[Signed]) -> Iterator[Any]:
-    """What was concluded, by whom and when. Empty where nobody did."""
+    """The conclusion, its author and time. Empty if there is none."""
     from highdicom.sr import (
         ContainerContentItem,
         ContentSequence,
@@ -132,7 +132,7 @@ def _moment(signed: Signed) -> str:
 
 
 def _groups(study: Study) -> Iterator[Any]:
-    """One group of measurements a side (TID 1501)."""
+    """One group of measurements per side (TID 1501)."""
     from highdicom.sr import (
         AlgorithmIdentification,
         FindingSite,
@@ -164,7 +164,7 @@ def _groups(study: Study) -> Iterator[Any]:
 
 
 def _measurements(quantity: Quantity) -> Iterator[Any]:
-    """One number with its uncertainty, then the limits of its interval, which have no place of their own in TID 300."""
+    """One number with its uncertainty, then the limits of its interval, for which TID 300 has no field."""
     yield _measurement(quantity, codes.own(quantity.code, quantity.title), quantity.value, with_uncertainty=True)
     if quantity.interval_95 is not None:
         for limit, value in zip((codes.LOWER, codes.UPPER), quantity.interval_95, strict=True):
@@ -184,7 +184,7 @@ def _measurement(quantity: Quantity, name: Coded, value: float, *, with_uncertai
     elif with_uncertainty and quantity.sigma is not None:
         sigma = _rounded(quantity.sigma)
         properties = MeasurementProperties(upper_measurement_uncertainty=sigma, lower_measurement_uncertainty=sigma)
-    for item in properties or ():  # highdicom says that they have no unit
+    for item in properties or ():  # highdicom gives them no unit
         item.MeasuredValueSequence[0].MeasurementUnitsCodeSequence[0] = coded(codes.UNITS[quantity.unit])
     made = Measurement(
         name=_concept(name),
@@ -200,7 +200,7 @@ def _measurement(quantity: Quantity, name: Coded, value: float, *, with_uncertai
 
 
 def _modifiers(quantity: Quantity) -> Iterator[Any]:
-    """What kind of quantity it is, and the wall, as concept modifiers."""
+    """The kind of quantity, and the wall, as concept modifiers."""
     from highdicom.sr import CodeContentItem, RelationshipTypeValues
 
     modifies = RelationshipTypeValues.HAS_CONCEPT_MOD
@@ -214,7 +214,7 @@ def _modifiers(quantity: Quantity) -> Iterator[Any]:
 
 
 def _notes(quantity: Quantity) -> Iterator[Any]:
-    """How the boundary was found, and what the uncertainties are, in words."""
+    """Origin of the boundary, and explanation of the uncertainties, as text."""
     if quantity.boundary:
         yield _text("boundary", "How the boundary was found", quantity.boundary_words)
     if quantity.sigma is not None:

@@ -1,4 +1,4 @@
-"""Modality worklist: who is to be photographed, and what was ordered (C-FIND)."""
+"""Modality worklist: planned patients and their orders (C-FIND)."""
 
 import datetime
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from mammometry.hospital.dicom.association import OWN_TITLE, associated, found_b
 from mammometry.hospital.exported import Order, Patient, Sex
 from mammometry.hospital.peers import Peer, Tls
 
-_DESCRIPTION = 64  # letters of a procedure's words that DICOM allows; the rest is cut off
+_DESCRIPTION = 64  # letters that DICOM allows in a procedure's description; the rest is cut off
 _SEXES: dict[str, Sex] = {"F": "F", "M": "M", "O": "O"}
 
 
@@ -27,16 +27,16 @@ class Entry:
     patient: Patient
     order: Order
     planned: datetime.date | None
-    """Day for which it is planned."""
+    """Planned day."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Worklist:
-    """Entries of a worklist, and why some of them cannot be used."""
+    """Entries of a worklist, and unusable ones with the reason."""
 
     entries: tuple[Entry, ...]
     refused: tuple[ArchiveError, ...] = ()
-    """One a line with text that DICOM does not allow, such as an id with a backslash."""
+    """One per entry with text that DICOM does not allow, such as an id with a backslash."""
 
 
 def entries(
@@ -49,16 +49,16 @@ def entries(
     own_title: str = OWN_TITLE,
     tls: Tls | None = None,
 ) -> Worklist:
-    """Ask a worklist. Empty arguments match everything.
+    """Query a worklist. Empty arguments match everything.
 
     Args:
-        peer: who keeps the worklist.
+        peer: the worklist's server.
         accession: Accession Number.
         patient_id: number of the patient's record.
-        day: for which it is planned.
+        day: planned day.
         modality: such as XC.
-        own_title: AE title by which it knows us.
-        tls: how the connection is encrypted. None: not.
+        own_title: our AE title.
+        tls: encryption. None: none.
 
     Raises:
         ArchiveError: it does not answer or refuses.
@@ -80,17 +80,17 @@ def entries(
 
 
 def read_answers(answers: Sequence[Dataset], peer: Peer) -> Worklist:
-    """Read answers of a worklist, and set aside those that cannot be used."""
+    """Read answers of a worklist, and separate those that cannot be used."""
     usable: list[Entry] = []
     refused: list[ArchiveError] = []
     for answer in answers:
         try:
-            with disable_value_validation():  # ours says which entry it is
+            with disable_value_validation():  # our subject names the entry
                 usable.append(entry(answer))
         except SettingsError as error:
             number = _text(answer, "AccessionNumber")
             place = f"{peer}, entry {'without an accession number' if text_fault(number, 'SH') else number}"
-            remedy = "Have the entry corrected where it was made"
+            remedy = "Have the entry corrected in the system that made it"
             found = f"{error.subject} with {error.found}"
             refused.append(ArchiveError(place, found=found, expected=error.expected, remedy=remedy))
     return Worklist(entries=tuple(usable), refused=tuple(refused))
@@ -109,13 +109,13 @@ def only_entry(worklist: Worklist, peer: Peer, query: str) -> Entry:
             str(peer),
             found=f"{len(worklist.entries)} entries of the worklist for {query}",
             expected="exactly one",
-            remedy="Name it by --accession, and --patient-id where that is not enough",
+            remedy="Select it by --accession, and --patient-id if needed",
         )
     return worklist.entries[0]
 
 
 def entry(answer: Dataset) -> Entry:
-    """Read one answer. What is missing or no date stays empty.
+    """Read one answer. Missing values and invalid dates are empty.
 
     Raises:
         SettingsError: text that DICOM does not allow.
