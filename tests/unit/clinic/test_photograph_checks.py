@@ -125,7 +125,7 @@ def test_a_name_names_one_camera_as_a_whole_word(name, camera):
 def test_size_and_turn_are_those_of_the_calibration():
     assert checks.right_size("front_left", (4504, 3000), 1, KNOWN).level == "ok"
     assert "4504 × 3000" in checks.right_size("front_left", (2252, 1500), 1, KNOWN).sentence
-    assert "turned" in checks.right_size("front_left", (4504, 3000), 6, KNOWN).sentence
+    assert "rotated" in checks.right_size("front_left", (4504, 3000), 6, KNOWN).sentence
     assert checks.right_size("front_left", (1, 1), 1, {}).level == "unknown"
 
 

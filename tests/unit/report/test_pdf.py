@@ -117,7 +117,7 @@ def test_it_says_what_it_must(names: tuple[str, ...]) -> None:
     rest = " ".join(pages[1:])
     assert words_of(content_of.warnings[0]) not in pages[0]
     assert words_of(content_of.warnings[0]) in rest
-    assert all(f"{breast.title}: what was measured" in rest for breast in content_of.breasts)
+    assert all(f"{breast.title}: measured values" in rest for breast in content_of.breasts)
     assert "For the technician" in rest
     assert "σ (median), px" in rest
     assert reader.metadata is not None
@@ -164,7 +164,7 @@ def test_a_page_full_of_words_is_still_one_page() -> None:
     )
     pages = pages_of(rendered_with(page_content("left", "right"), many))
     assert "Signed: Dr. B" in pages[0]
-    assert "what was measured" in pages[1]
+    assert "measured values" in pages[1]
 
 
 @pytest.mark.slow

@@ -51,7 +51,7 @@ def test_the_photographs_are_faded_under_unmeasured_faces_alone() -> None:
 def test_the_area_that_is_closed_and_what_of_it_is_bridged_are_said() -> None:
     ball = synthetic.ball(4)
     said = surface_report((), synthetic.repaired(ball))
-    (fact,) = [each.value for each in said.facts if each.label == "Closed without having been measured"]
+    (fact,) = [each.value for each in said.facts if each.label == "Closed without measurement"]
     # By Archimedes, a sphere's zone has 2πRh: half of it is behind; a quarter of that is repaired, a quarter bridged.
     half_cm2 = 2 * np.pi * synthetic.RADIUS_MM**2 / 100
     closed, bridged = (float(word) for word in fact.split() if word.isdigit())

@@ -1,4 +1,4 @@
-"""Tethered cameras by gphoto2 (extra ``tethered``). They are set up and read by USB, and fired by wire.
+"""Tethered cameras by gphoto2 (extra ``tethered``), set up by USB and fired by wire.
 
 ``ids`` are ports from ``gphoto2 --auto-detect`` (``usb:001,004``). Each camera has its own process: the library blocks
 during a transfer, and a camera that hangs must not stop the others.

@@ -1,1 +1,1 @@
-"""Pages and paper: a report, a comparison, a study, a batch."""
+"""Web pages and PDF documents: a report, a comparison, a study, a batch."""

@@ -1,6 +1,6 @@
 """Many sessions on one self-contained page, and as tables.
 
-The page has a sortable line with pictures for each session.
+The page has a sortable row with pictures for each session.
 """
 
 import io
@@ -35,12 +35,12 @@ class BatchVolume:
     interval_cc: tuple[float, float] | None
     """95 %."""
     reference_cc: float | None = None
-    """By another method."""
+    """Volume by another method."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BatchLine:
-    """A session's line on the page."""
+    """A session's row on the page."""
 
     session: str
     address: str
@@ -50,7 +50,7 @@ class BatchLine:
     date: str = ""
     volumes: tuple[BatchVolume, ...] = ()
     no_breast: Mapping[str, str] = field(default_factory=dict)
-    """Side → why nothing was measured there."""
+    """Side → reason for having no measurement."""
     notices: tuple[Notice, ...] = ()
     failed: str = ""
     seconds: float | None = None
@@ -72,12 +72,12 @@ class BatchLine:
 def batch_files(title: str, lines: Sequence[BatchLine]) -> dict[str, bytes]:
     """The page and the tables: file name → content.
 
-    The Parquet table is left out where pyarrow is not installed. Where there are references of three subjects or more,
-    the page holds their agreement study.
+    The Parquet table is left out if pyarrow is not installed. With references of three or more subjects, the page has
+    their agreement study.
 
     Args:
         title: of the page.
-        lines: one a session.
+        lines: one per session.
     """
     columns = _columns(lines)
     files = {
@@ -109,7 +109,7 @@ def _page(title: str, lines: Sequence[BatchLine]) -> str:
 
 
 def counted(lines: Sequence[BatchLine]) -> str:
-    """Number of sessions, and their outcomes, in words."""
+    """Number of sessions, and their outcomes, as text."""
     words = {
         "measured": "measured now",
         "current": "current already",
@@ -149,7 +149,7 @@ def _shown(line: BatchLine) -> dict[str, object]:
 
 
 def _paired(lines: Sequence[BatchLine]) -> PairedMeasurements | None:
-    """Volumes that have a reference. None where they are of too few subjects for a study."""
+    """Volumes with a reference. None if they are of too few subjects for a study."""
     pairs = [
         (line.subject or line.session, volume)
         for line in lines
@@ -171,7 +171,7 @@ def _paired(lines: Sequence[BatchLine]) -> PairedMeasurements | None:
 
 
 def _columns(lines: Sequence[BatchLine]) -> dict[str, list[str | float | None]]:
-    """A row a volume. A session without any has one row."""
+    """One row per volume. A session without any has one row."""
     columns: dict[str, list[str | float | None]] = {}
     for line in lines:
         for volume in line.volumes or (None,):

@@ -33,45 +33,45 @@ _FORMAT = 1  # version of compare.json
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ChangeReport:
-    """All words, pictures and values of a comparison."""
+    """All text, pictures and values of a comparison."""
 
     title: str
     subtitle: str
-    """The dates, in words."""
+    """The dates as text."""
     subject: str | None = None
-    """Identifier of the subject where both dates name it, else None."""
+    """Identifier of the subject if both dates have it, otherwise None."""
     keys: tuple[str, str]
-    """For each date, digest of all that its report shows, to tell later whether the page is current."""
+    """For each date, digest of its report's content, to check later whether the page is current."""
     change: Change
     dates: tuple[Dated, Dated]
     """The earlier one first, in the earlier one's world frame."""
     frame: Float64[Array, "3 3"]
     """Rows: right, up and towards the viewer of the front view. World frame of the earlier date."""
     notices: tuple[Notice, ...]
-    """Warnings, the gravest first, and how the comparison was made."""
+    """Warnings, worst first, and remarks on the comparison."""
     contains: str
-    """What the page reveals of the patient."""
+    """Personal data on the page."""
     settings: tuple[Fact, ...]
-    """Those that differ from the recommended ones."""
+    """Settings that differ from the defaults."""
     before: datetime.date | None = None
-    """The earlier date, where the page may name it."""
+    """The earlier date, if the page may name it."""
     at_one_date: Mapping[str, str] = field(default_factory=dict)
-    """Breast → ``earlier`` or ``later``: the date at which alone it has a volume."""
+    """Breast → ``earlier`` or ``later``: the only date with a volume."""
 
     @property
     def warnings(self) -> list[str]:
-        """The warnings in words."""
+        """The warnings as text."""
         return words_at("warning", self.notices)
 
     @property
     def remarks(self) -> list[str]:
-        """How the comparison was made, in words."""
+        """Remarks on the comparison, as text."""
         return words_at("note", self.notices)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BreastCard:
-    """One breast's change, in words."""
+    """One breast's change, as text."""
 
     title: str
     change: str
@@ -175,7 +175,7 @@ def as_table(report: ChangeReport) -> dict[str, Any]:
 
 
 def verdict_of(breast: BreastChange, before: datetime.date | None) -> str:
-    """A breast's change and verdict, in the sentence that the clinic's pages say too."""
+    """A breast's change and verdict, one sentence, also used by the clinic's pages."""
     volume = breast.volume
     return change_sentence(
         breast.name, volume.difference_cc, volume.difference_interval_cc, volume.beyond_error, before
@@ -187,7 +187,7 @@ def breast_card(breast: BreastChange, before: datetime.date | None) -> BreastCar
 
     Args:
         breast: at both dates.
-        before: the earlier date; None where it is not to be named.
+        before: the earlier date; None if it must not be named.
     """
     volume = breast.volume
     title = NAMES[breast.name]
@@ -219,7 +219,7 @@ def trunk_facts(change: Change) -> tuple[Fact, ...]:
         "across poses": "different. The interval of the change includes this",
     }
     return (
-        Fact("Fit beside the breasts", f"80 % of the trunk within {fit.within_mm:.1f} mm"),
+        Fact("Fit around the breasts", f"80 % of the trunk within {fit.within_mm:.1f} mm"),
         Fact("Scatter (robust SD)", f"{fit.scatter_mm:.2f} mm"),
         Fact("Uncertainty of the fit", f"{fit.weakest_mm:.2f} mm (standard uncertainty)"),
         Fact("Lean", f"differs by {fit.turned_deg:.0f}° from the upright of the photographs"),
@@ -246,7 +246,7 @@ def length_tables(lengths: Sequence[LengthChange]) -> tuple[Table, ...]:
 
 
 def definitions(change: Change) -> tuple[Fact, ...]:
-    """The boundaries, the chest wall and the interval that were compared."""
+    """The compared boundaries, chest wall and interval."""
     rows = []
     for breast in change.breasts:
         name = NAMES[breast.name]

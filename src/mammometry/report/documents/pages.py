@@ -1,4 +1,4 @@
-"""Pages from templates: what all share, the places of a report's pictures, the page of a refused run."""
+"""Pages from templates: shared parts, places of a report's pictures, the page of a refused run."""
 
 import base64
 import re
@@ -16,13 +16,13 @@ from mammometry.report.pictures import encoded
 
 STYLE = "report.css"
 _TORN = re.compile(r"(?<=[\d±<>]) (?=%|± ?\d|\d|(?:cc|cm²|mm|px|ppm|s|CPU s)\b)")
-"""Spaces within a quantity, at which no line may end."""
+"""Spaces within a quantity, where lines must not break."""
 _COMMAND = re.compile("`([^`]+)`")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shown:
-    """A picture as the page embeds it."""
+    """A picture embedded in a page."""
 
     source: str
     """A data URI."""
@@ -33,15 +33,15 @@ class Shown:
 
 
 def resource(name: str) -> str:
-    """Text of a file beside the templates."""
+    """Text of a file in the templates' folder."""
     return files("mammometry.report").joinpath("templates", name).read_text(encoding="utf-8")
 
 
 def render(template: str, *, styles: tuple[str, ...] = (STYLE,), **values: Any) -> str:
-    """HTML of a page, from its template.
+    """HTML of a page from its template.
 
-    It may import macros from other templates, and finds its style under ``style``. Its filter ``commands`` sets what
-    stands between `backticks` as code.
+    It may import macros from other templates, and has its style as ``style``. The filter ``commands`` sets text between
+    `backticks` as code.
     """
     from jinja2 import Environment, FunctionLoader, StrictUndefined
     from markupsafe import Markup, escape
@@ -63,7 +63,7 @@ def render(template: str, *, styles: tuple[str, ...] = (STYLE,), **values: Any) 
 
 
 def tied(value: object) -> object:
-    """Words whose numbers keep to their signs and units. Everything else as it is."""
+    """Text with no-break spaces between numbers, signs and units. Other values unchanged."""
     if type(value) is not str or value.startswith("data:"):
         return value
     return _TORN.sub("\u00a0", value)
@@ -89,7 +89,7 @@ def viewer_program() -> str:
     """The viewer's program, safe inside a script element.
 
     Raises:
-        StorageError: the package was copied and not installed: the program is made when it is installed.
+        StorageError: the package was copied, not installed; the program is made during installation.
     """
     try:
         return resource("viewer.js").replace("</", "<\\/")
@@ -118,12 +118,12 @@ def breast_pictures(content: ReportContent, breast: str) -> list[Picture]:
 
 
 def stage_pictures(content: ReportContent, stage: str) -> list[Picture]:
-    """Pictures of one stage for the technician. Those of the measurement stand with the breasts."""
+    """Pictures of one stage for the technician. Those of the measurement are with the breasts."""
     return [picture for _, picture in _of_stage(content, stage)]
 
 
 def paper_pictures(content: ReportContent, stages: Sequence[str]) -> list[Picture]:
-    """Pictures of these stages that the paper has room for."""
+    """Pictures of these stages for the PDF."""
     return [picture for stage in stages for name, picture in _of_stage(content, stage) if is_on_paper(name)]
 
 
@@ -144,9 +144,9 @@ def refusal_page(identity: Identity, error: MammometryError, pictures: Mapping[s
     """The refusal's parts, and the pictures made before it.
 
     Args:
-        identity: whose photographs they are.
+        identity: of the subject.
         error: the refusal.
-        pictures: name → PNG with its caption, the most telling first.
+        pictures: name → PNG with its caption, the most useful first.
     """
     return render(
         "refused.html.j2",
@@ -160,5 +160,5 @@ def refusal_page(identity: Identity, error: MammometryError, pictures: Mapping[s
 
 
 def _heading(subject: str) -> str:
-    """The subject with a capital, unless it is the name of a file."""
+    """The subject with a capital letter, unless it is a file name."""
     return subject if {"/", "."} & set(subject) else f"{subject[:1].upper()}{subject[1:]}"

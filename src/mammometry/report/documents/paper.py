@@ -1,4 +1,4 @@
-"""Parts of our paper documents: paragraphs, facts, tables, pictures on A4."""
+"""Parts of PDF documents: paragraphs, facts, tables, pictures on A4."""
 
 import io
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -26,8 +26,8 @@ def document(title: str, subject: str, story: Callable[[float], Iterable[Any]]) 
 
     Args:
         title: of the document, and at the foot of each page.
-        subject: what it is about.
-        story: given the width of a page's text, points, what stands on the pages.
+        subject: of the document.
+        story: width of a page's text, points → content.
     """
     return _built(title, subject, lambda width, height: story(width))[0]
 
@@ -35,12 +35,12 @@ def document(title: str, subject: str, story: Callable[[float], Iterable[Any]]) 
 def fitted(
     title: str, subject: str, stories: Sequence[Callable[[float, float], Iterable[Any]]], *, most_pages: int
 ) -> bytes:
-    """First `document` of the stories with at most so many pages. The last one if none fits.
+    """First of the documents that has few enough pages, or the last one.
 
     Args:
         title: of the document.
-        subject: what it is about.
-        stories: given width and height of a page's text, points, what stands on the pages.
+        subject: of the document.
+        stories: width and height of a page's text, points → content.
         most_pages: number of pages.
     """
     made = b""
@@ -93,8 +93,8 @@ def text(
         size: of the letters.
         bold: whether they are bold.
         colour: of the letters.
-        before: room above it.
-        leading: from line to line. None: as the size wants it.
+        before: space above it.
+        leading: from line to line. None: by the size.
         square: colour of a square before the words. Empty: none.
     """
     from reportlab.lib.styles import ParagraphStyle
@@ -117,12 +117,12 @@ def text(
 
 
 def _marked(words: str) -> str:
-    """Words as paper has them: commands without their `backticks`."""
+    """Text for PDF: commands without their `backticks`."""
     return words.replace("`", "")
 
 
 def facts(lines: Sequence[Fact], size: float = 8.0) -> Iterator[Any]:
-    """One line a fact: label and value."""
+    """One line per fact: label and value."""
     from reportlab.lib.styles import ParagraphStyle
 
     from mammometry.report.documents.letters.lines import paragraph
@@ -135,7 +135,7 @@ def facts(lines: Sequence[Fact], size: float = 8.0) -> Iterator[Any]:
 
 
 def table(data: Table, width: float, *, size: float = 6.5, first: float | None = None) -> Any:
-    """A table as wide as its room, points.
+    """A table with the given width, points.
 
     Args:
         data: columns and rows.
@@ -183,7 +183,7 @@ def line(width: float) -> Any:
 
 
 def signature_line(width: float, room: float) -> Iterator[Any]:
-    """An empty line to sign on, with so much room above it to write, points."""
+    """An empty line for a signature, with space above it, points."""
     from reportlab.platypus import HRFlowable, Spacer
 
     yield Spacer(0, 22 + room)
@@ -192,7 +192,7 @@ def signature_line(width: float, room: float) -> Iterator[Any]:
 
 
 def height_of(flowables: Sequence[Any], width: float) -> float:
-    """Height that these take in a column, with the room around them, points."""
+    """Height of these in a column, with the space around them, points."""
     heights = [
         flowable.wrap(width, 1e6)[1] + flowable.getSpaceBefore() + flowable.getSpaceAfter() for flowable in flowables
     ]
@@ -206,13 +206,13 @@ def side_by_side(cells: Sequence[Sequence[Any]], width: float) -> Any:
 
 
 def box(words: Sequence[Any], width: float) -> Any:
-    """Paragraphs on a coloured ground with a left edge: a warning."""
+    """Paragraphs on a coloured background with a left edge: a warning."""
     ground, edge = ("BACKGROUND", (0, 0), (-1, -1), _WARN_GROUND), ("LINEBEFORE", (0, 0), (0, -1), 3, _EDGE)
     return _grid([[list(words)]], [width], 5, ground, edge, ("LEFTPADDING", (0, 0), (-1, -1), 9))
 
 
 def pictures(shown: Sequence[Picture], width: float, height: float) -> Iterator[Any]:
-    """Pictures two a row, each under its title."""
+    """Pictures in rows of two, each under its title."""
     half = 0.5 * width - 4
     for start in range(0, len(shown), 2):
         row = [
@@ -222,7 +222,7 @@ def pictures(shown: Sequence[Picture], width: float, height: float) -> Iterator[
 
 
 def picture(jpeg: bytes, width: float, height: float) -> Any:
-    """A JPEG fitted into a space, points."""
+    """A JPEG fitted into a box, points."""
     from reportlab.platypus import Image as Placed
 
     with Image.open(io.BytesIO(jpeg), formats=("JPEG",)) as opened:
@@ -252,16 +252,16 @@ def _footer(title: str, margin: float) -> Callable[[Any, Any], None]:
 
 @lru_cache(maxsize=1)
 def _prepare() -> None:
-    """Register DejaVu, and keep pictures as bytes instead of ASCII.
+    """Register DejaVu, and store pictures as bytes instead of ASCII.
 
-    Matplotlib brings DejaVu, which has every sign we use: ± σ ² − °.
+    DejaVu comes with Matplotlib and has every sign we use: ± σ ² − °.
     """
     from matplotlib import get_data_path
     from reportlab import rl_config
     from reportlab.pdfbase.pdfmetrics import registerFont
     from reportlab.pdfbase.ttfonts import TTFont
 
-    rl_config.useA85 = 0  # a fifth less to store, and most of the time that a document took
+    rl_config.useA85 = 0  # saves a fifth of the size, and most of the time
     folder = Path(get_data_path()) / "fonts" / "ttf"
     registerFont(TTFont("DejaVu", folder / "DejaVuSans.ttf"))
     registerFont(TTFont("DejaVu-Bold", folder / "DejaVuSans-Bold.ttf"))

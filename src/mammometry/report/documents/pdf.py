@@ -1,7 +1,7 @@
-"""The report on paper: one page for the surgeon, the rest for whoever wants to know more.
+"""The report as a PDF: one page for the surgeon, then the details.
 
-It shows what the page in the browser shows, from the same values. ReportLab needs no library of the system, so a PDF
-can be made wherever mammometry runs.
+It has the same content as the web page. ReportLab needs no system library, so a PDF can be made wherever mammometry
+runs.
 """
 
 from collections.abc import Iterator
@@ -34,18 +34,18 @@ _MOST_PAGES = 5
 _HEIGHT = 150.0  # of a breast's pictures, points; chosen by eye
 _PICTURE_HEIGHTS = (120.0, 95.0)
 """Heights of the technical pictures, points. The document takes the largest that fits `_MOST_PAGES`."""
-_LEAST_PICTURES, _GAP = 200.0, 6.0  # height of the first page's pictures at least, and between them, points
+_LEAST_PICTURES, _GAP = 200.0, 6.0  # least height of the first page's pictures, and space between them, points
 _VIEW_NAME = 12.0  # height of a view's name, points
-_WRITING = 80.0  # room to write a conclusion at most, points
-_LONGEST_CONCLUSION = 900  # characters that the first page has room for; a longer one follows on the second
+_WRITING = 80.0  # largest space for writing a conclusion, points
+_LONGEST_CONCLUSION = 900  # characters that fit on the first page; a longer one is on the second
 
 
 def render(content: ReportContent, first: FirstPage) -> bytes:
     """The document's bytes. Equal arguments give equal bytes.
 
     Args:
-        content: what was measured.
-        first: what the first page shows.
+        content: of the report.
+        first: of the first page.
     """
 
     def story(technical: float, width: float, height: float) -> Iterator[Any]:
@@ -58,7 +58,7 @@ def render(content: ReportContent, first: FirstPage) -> bytes:
 
 
 def _for_the_surgeon(content: ReportContent, first: FirstPage, width: float, height: float) -> Iterator[Any]:
-    """The first page. Its pictures take what the words leave."""
+    """The first page. Its pictures use the space left by the text."""
     from reportlab.platypus import PageBreak, Spacer
 
     above, below = [*_heading(content, first, width)], [*_below(content, first, width)]
@@ -98,7 +98,7 @@ def _large(number: LargeNumber) -> list[Any]:
 
 
 def _views(first: FirstPage, width: float, height: float) -> Any:
-    """The front view, and both oblique ones above one another beside it."""
+    """The front view, with both oblique ones stacked next to it."""
     front, *oblique = first.pictures
     if len(oblique) != 2:
         return paper.picture(front.jpeg, width, height)
@@ -137,7 +137,7 @@ def _conclusion(first: FirstPage, width: float) -> Iterator[Any]:
     if signed is None:
         return
     if len(signed.text) > _LONGEST_CONCLUSION:
-        yield text(f"It is long and stands on the next page. Signed: {signature(signed)}.", size=9)
+        yield text(f"It is long: see the next page. Signed: {signature(signed)}.", size=9)
         return
     yield from _signed(first)
 
@@ -149,7 +149,7 @@ def _signed(first: FirstPage) -> Iterator[Any]:
 
 
 def _in_words(content: ReportContent, first: FirstPage, width: float) -> Iterator[Any]:
-    """Meaning and basis of the numbers, breast by breast."""
+    """Definition and basis of the numbers, by breast."""
     if first.conclusion is not None and len(first.conclusion.text) > _LONGEST_CONCLUSION:
         yield text("Conclusion", size=12, bold=True)
         yield from _signed(first)
@@ -157,7 +157,7 @@ def _in_words(content: ReportContent, first: FirstPage, width: float) -> Iterato
         words = [text("To know before the numbers are used", size=9.5, bold=True)]
         yield box([*words, *(text(f"• {words_of(warning)}", size=8.5) for warning in content.warnings)], width)
     if content.meanings:
-        yield text("What is called the breast", size=12, bold=True, before=8)
+        yield text("Definition of the breast", size=12, bold=True, before=8)
         yield text(MEANINGS_INTRODUCTION, size=8.5)
     for meaning in content.meanings:
         yield text(meaning.title, size=9, bold=True, before=4)
@@ -167,7 +167,7 @@ def _in_words(content: ReportContent, first: FirstPage, width: float) -> Iterato
         yield text("Left and right", size=12, bold=True, before=8)
         yield from facts(content.comparison)
     for breast in content.breasts:
-        yield text(f"{breast.title}: what was measured", size=12, bold=True, before=8)
+        yield text(f"{breast.title}: measured values", size=12, bold=True, before=8)
         yield from facts(
             [
                 Fact("Boundary", breast.boundary),

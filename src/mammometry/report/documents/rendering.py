@@ -1,4 +1,4 @@
-"""Render a report: stored content, whoever drew and confirmed the boundaries, and what a clinic knows."""
+"""Render a report from stored content, the boundaries' authors and confirmations, and a clinic's data."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,13 +13,13 @@ from mammometry.report.words.describe import posture_fact
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RenderedReport:
-    """A report as a page and as a document."""
+    """A report as a web page and as a PDF."""
 
     html: bytes
     """One page that needs no other file."""
     pdf: bytes
     warnings: tuple[Notice, ...]
-    """What a reader must know before the numbers, the gravest first."""
+    """Warnings to read before the numbers, worst first."""
 
 
 def render(
@@ -33,12 +33,11 @@ def render(
     """Render a report. Equal arguments give equal bytes.
 
     Args:
-        content: what was measured.
-        attributions: breast → who drew its boundary, and who confirmed it.
-        clinical: what a clinic knows. Its confirmation stands for all boundaries. None: the reader has the command
-            line.
-        named: whether names, dates and people's own words are said, which a de-identified report must not do.
-        photographs: name → address of the session's photographs, for a page that is kept in its folder.
+        content: of the report.
+        attributions: breast → author and confirmation of its boundary.
+        clinical: a clinic's data. Its confirmation applies to all boundaries. None: the reader uses the command line.
+        named: whether names, dates and free text are included; never in a de-identified report.
+        photographs: name → address of the session's photographs, for a page in its folder.
     """
     from mammometry.report.documents import html, pdf
 
@@ -50,7 +49,7 @@ def render(
 
 
 def _in_posture(stages: Sequence[StageReport], posture: str) -> tuple[StageReport, ...]:
-    """The stages with the posture that the clinic knows, which may be entered after the measurement."""
+    """The stages with the clinic's posture, which may be entered after the measurement."""
     known = posture_fact(posture)
     return tuple(
         replace(stage, facts=tuple(known if fact.label == known.label else fact for fact in stage.facts))
@@ -61,7 +60,7 @@ def _in_posture(stages: Sequence[StageReport], posture: str) -> tuple[StageRepor
 def attributed_content(
     content: ReportContent, attributions: Mapping[str, Attribution], clinical: Clinical | None, *, named: bool
 ) -> ReportContent:
-    """The content with who drew and who confirmed each boundary, and with the warnings of boundaries."""
+    """The content with the author and confirmation of each boundary, and the boundaries' warnings."""
     breasts = []
     for breast in content.breasts:
         attribution = attributions.get(breast.name, Attribution())

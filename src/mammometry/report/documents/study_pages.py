@@ -1,4 +1,4 @@
-"""Agreement and observer studies, each on one page that needs nothing but itself."""
+"""Agreement and observer studies, each on one self-contained page."""
 
 import json
 from collections.abc import Sequence
@@ -36,8 +36,8 @@ def agreement_files(
     Args:
         title: of the page.
         data: the measurements.
-        figures: what they come to.
-        checked: published figures beside the recomputed ones.
+        figures: the statistics.
+        checked: published figures with the recomputed ones.
         more: further tables.
         remarks: sentences for the end.
     """
@@ -63,16 +63,16 @@ def study_json(data: PairedMeasurements, figures: Agreement, checked: Sequence[C
 
 _SURFACES_SHOWN = 12  # pictures of surfaces on a page; chosen by eye
 _REMARKS = (
-    "All volumes are before the same kind of wall on the same mesh: they differ by the curves alone.",
-    "ICC(2,1) is about single measurements, and counts a constant offset as error: whoever drew is one of many who "
-    "might.",
-    "The standard uncertainty of one curve is the root mean square distance of two, over √2. The measurement takes "
-    "`measure.observers` for it: set yours there.",
+    "All volumes have the same kind of wall on the same mesh: only the curves differ.",
+    "ICC(2,1) is for single measurements, and counts a constant offset as error: the observers are a sample of "
+    "all observers.",
+    "The standard uncertainty of one curve is the root mean square distance of two, divided by √2. To use yours "
+    "in measurements, set `measure.observers`.",
 )
 
 
 def observers_names(surfaces: int) -> tuple[str, ...]:
-    """Names of all files that a study of so many surfaces writes."""
+    """Names of all files of a study with this number of surfaces."""
     shown = (_picture_of(number) for number in range(min(surfaces, _SURFACES_SHOWN)))
     return ("report.html", "observers.json", "volumes.png", "regions.png", *shown)
 
@@ -85,8 +85,8 @@ def observers_files(
     Args:
         title: of the page.
         surfaces: with the curves on them.
-        drawings: one a curve.
-        study: what they come to.
+        drawings: one per curve.
+        study: the statistics.
     """
     pictures = {"volumes.png": volumes(drawings, study), "regions.png": regions(study)}
     pictures |= {

@@ -1,1 +1,1 @@
-"""Results in words, numbers and tables."""
+"""Results as text, numbers and tables."""

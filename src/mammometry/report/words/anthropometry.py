@@ -1,4 +1,4 @@
-"""Lengths, shape, and left against right, in words, and the table of numbers that surgeons plan with."""
+"""Lengths, shape and asymmetry as text, and the table of surgical planning numbers."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -38,11 +38,11 @@ class LengthRow:
     sides: tuple[Length | None, Length | None]
     """Left and right. None: not measured."""
     missing: tuple[str, str] = ("", "")
-    """Why a side has no number; empty where it has one."""
+    """Reason why a side has no number; empty if it has one."""
 
     @property
     def cells(self) -> tuple[tuple[str, Length | None, str], ...]:
-        """Side, number, and why there is none: left, then right."""
+        """Side, number, and the reason for a missing one: left, then right."""
         return tuple(zip(_SIDES, self.sides, self.missing, strict=True))
 
     @property
@@ -58,13 +58,13 @@ class LengthRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LengthTable:
-    """All rows in the order in which a breast is examined, and what has no side."""
+    """All rows in the order of an examination, and lengths without a side."""
 
     rows: tuple[LengthRow, ...]
     nipples: Length | None
     """From nipple to nipple. None: not measured."""
     has_gaps: bool
-    """Whether a number of a breast is missing for want of a landmark."""
+    """Whether a number of a breast is missing because a landmark is not marked."""
 
 
 _ROWS = (
@@ -76,10 +76,11 @@ _ROWS = (
     ("Projection", ("projection",), "draw the boundary"),
     ("Nipple below the fold (ptosis)", ("nipple_below_fold",), "mark the nipple"),
 )
-"""Title, codes of `hospital.exported.Quantity`, what to do where it lacks. A second code is what version 1.0 called the
-same quantity, in a clinic's stored rows."""
+"""Title, codes of `hospital.exported.Quantity`, remedy if it is missing. The second code is the quantity's name in rows
+stored by version 1.0.
+"""
 _NIPPLE = ("n_midline_straight", "nipple_below_fold")
-"""Codes that are there where a nipple is marked."""
+"""Codes that need a marked nipple."""
 _WITH_NIPPLE = {"sn_n_straight": "mark the sternal notch", "n_imf_along_skin": "mark the fold"}
 
 
@@ -87,7 +88,8 @@ def length_table(quantities: Sequence[Mapping[str, Any]]) -> LengthTable | None:
     """Lay out a measurement's quantities. None: none is a torso's length.
 
     Args:
-        quantities: rows with the names of `hospital.exported.Quantity`: of `quantities_of`, or as a clinic keeps them.
+        quantities: rows with the names of `hospital.exported.Quantity`: from `quantities_of`, or a clinic's stored
+            rows.
     """
     by_code = {(str(row["code"]), str(row.get("side") or "")): row for row in quantities}
     breasts = [side for side in _SIDES if ("projection", side) in by_code]
@@ -110,7 +112,7 @@ def length_table(quantities: Sequence[Mapping[str, Any]]) -> LengthTable | None:
 
 
 def quantities_of(dimensions: Dimensions) -> Iterator[dict[str, Any]]:
-    """Sizes beside the volumes, with the names and values of `hospital.exported.Quantity`."""
+    """Sizes other than volumes, with the names and values of `hospital.exported.Quantity`."""
     for length in dimensions.lengths:
         name, side = _sided(length.name)
         ways = (
@@ -140,7 +142,7 @@ def quantities_of(dimensions: Dimensions) -> Iterator[dict[str, Any]]:
 
 
 def projections_of(dimensions: Dimensions) -> Iterator[dict[str, Any]]:
-    """Projection of each breast for the table: exports have it beside the volume."""
+    """Projection of each breast for the table; in exports it is with the volume."""
     for shape in dimensions.shapes:
         value, sigma = shape.projection_mm, shape.projection_sigma_mm
         yield _quantity("projection", "Projection", shape.name, value, sigma, method="plane-distance")
@@ -220,11 +222,11 @@ def difference_number(measurements: Sequence[VolumeMeasurement]) -> LargeNumber 
 
 
 def planning_lengths(dimensions: Dimensions | None, landmarks: Sequence[Landmark] = ()) -> tuple[Table | None, str]:
-    """Lengths that surgeons plan with, what their table leaves out, and what they rest on.
+    """Surgical lengths, the missing ones, and their landmarks.
 
     Args:
         dimensions: of the measurement. None: there are no lengths.
-        landmarks: from which they were measured.
+        landmarks: the used ones.
     """
     if dimensions is None:
         return None, ""
@@ -241,15 +243,15 @@ def planning_lengths(dimensions: Dimensions | None, landmarks: Sequence[Landmark
     )
     lacking = [row.title[0].lower() + row.title[1:] for row in laid_out.rows if row.sides == (None, None)]
     note = [] if laid_out.nipples is None else [f"Nipple to nipple: {length_words(laid_out.nipples)} mm."]
-    note += [f"Not measured, since a landmark is not marked: {'; '.join(lacking)}."] if lacking else []
+    note += [f"Not measured, because a landmark is not marked: {'; '.join(lacking)}."] if lacking else []
     guessed = {mark.name for mark in landmarks if mark.proposed}
     titles = [mark.title for mark in LANDMARKS["torso"] if mark.name in guessed and mark.kind == "point"]
-    note += [f"Proposed by the program, not confirmed by anybody: {', '.join(titles)}."] if titles else []
+    note += [f"Proposed by the program, not confirmed: {', '.join(titles)}."] if titles else []
     return table, " ".join(note)
 
 
 def _lacks(deficit: VolumeDeficit) -> Fact:
-    """Words for what a side lacks."""
+    """Text on a side's lacking volume."""
     volume = measured_words(deficit.volume_cc, deficit.interval_cc)
     if deficit.volume_cc < 0:
         volume = f"nothing ({span_words(deficit.interval_cc)})"
@@ -272,7 +274,7 @@ def _both(left: VolumeMeasurement, right: VolumeMeasurement) -> tuple[Fact, ...]
 def without_nipple(
     measurements: Sequence[VolumeMeasurement], landmarks: Sequence[Landmark], settings: MeasureSettings
 ) -> tuple[str, ...]:
-    """Breasts of a torso without a nipple certain enough to measure from."""
+    """Breasts of a torso without a reliable nipple."""
     least = settings.nipple.least_probability
     seen = {mark.name for mark in landmarks if mark.probability >= least}
     names = [measured.name for measured in measurements if measured.name != "model"]
@@ -280,13 +282,13 @@ def without_nipple(
 
 
 def symmetry_facts(symmetry: Symmetry | None) -> tuple[Fact, ...]:
-    """Differences of the breasts in place and shape. Empty without a symmetry."""
+    """Differences of the breasts in position and shape. Empty without a symmetry."""
     if symmetry is None:
         return ()
     across, up, ahead = symmetry.shift_mm
     return (
-        Fact("Difference in shape (RMS)", f"{symmetry.rms_mm:.1f} mm, with one breast laid onto the other"),
-        Fact("Difference in place and shape (RMS)", f"{symmetry.rms_mirrored_mm:.1f} mm"),
+        Fact("Difference in shape (RMS)", f"{symmetry.rms_mm:.1f} mm, with one breast aligned to the other"),
+        Fact("Difference in position and shape (RMS)", f"{symmetry.rms_mirrored_mm:.1f} mm"),
         Fact(
             "Movement from the mirrored right onto the left",
             f"{signed(across)} mm sideways, {signed(up)} mm up, {signed(ahead)} mm forwards, turned by "
@@ -297,7 +299,7 @@ def symmetry_facts(symmetry: Symmetry | None) -> tuple[Fact, ...]:
 
 
 def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark] = ()) -> tuple[Table, ...]:
-    """Lengths, shape and ptosis as tables. Those without rows are left out."""
+    """Lengths, shape and ptosis as tables, without empty ones."""
     if dimensions is None:
         return ()
     lengths = Table(

@@ -1,4 +1,4 @@
-"""Describe products in the words, numbers and tables of a report."""
+"""Describe products in a report's text, numbers and tables."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ _PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "scikit-image"
 
 
 def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None = None) -> BreastReport:
-    """Describe one measurement in words.
+    """Describe one measurement as text.
 
     Args:
         measured: one breast.
-        repaired: the whole surface, to tell what of the skin was measured.
+        repaired: the whole surface, for the origin of the skin.
     """
     facts = [
         Fact("Projection", f"{measured.projection_mm:.1f} mm"),
@@ -89,7 +89,7 @@ def side_title(name: str) -> str:
 
 
 def meanings(measurements: Sequence[VolumeMeasurement]) -> tuple[Meaning, ...]:
-    """The volumes in every meaning of the breast."""
+    """The volumes in every definition of the breast."""
     facts: dict[str, list[Fact]] = {}
     walls: dict[str, str] = {}
     for measured in measurements:
@@ -104,11 +104,11 @@ def meanings(measurements: Sequence[VolumeMeasurement]) -> tuple[Meaning, ...]:
 
 
 def absent_report(absent: NoBreast) -> BreastReport:
-    """Content for a side without a breast, with the evidence for that."""
+    """Content for a side without a breast, with the evidence."""
     seen = absent.prominence
-    facts = [Fact("It rests on", sentence(absent.why))]
+    facts = [Fact("Based on", sentence(absent.why))]
     if seen is not None:
-        facts.append(Fact("What stands out there at most", f"{seen.volume_cc:.0f} cc"))
+        facts.append(Fact("Largest possible volume there", f"{seen.volume_cc:.0f} cc"))
     return BreastReport(
         name=absent.name,
         title=f"{absent.name.capitalize()} side",
@@ -133,7 +133,7 @@ def _without(absent: NoBreast) -> str:
 
 
 def wall_label(measured: VolumeMeasurement) -> str:
-    """Name of what closes a breast at its back. The chest wall, or a cast's base."""
+    """Name of the surface at the back: the chest wall, or a cast's base."""
     return "Chest wall" if measured.name != "model" else "Base"
 
 
@@ -160,7 +160,7 @@ def _breast_tables(measured: VolumeMeasurement) -> tuple[Table, ...]:
 
 
 def calibration_report(rig: Rig, calibration: Calibration | None, quality: CalibrationQuality | None) -> StageReport:
-    """The calibrate stage in words and numbers."""
+    """The calibrate stage as text and numbers."""
     title = "Calibration"
     if calibration is None or quality is None:
         imported = Fact("Cameras", f"{len(rig.cameras)}, imported. Their errors are not known")
@@ -262,8 +262,8 @@ def surface_report(
         ),
         Fact("Area", _shares_words(shares)),
         Fact(
-            "Closed without having been measured",
-            f"{closed_cm2:.0f} cm², {bridged_cm2:.0f} cm² of them between or beside measured places; greyed in "
+            "Closed without measurement",
+            f"{closed_cm2:.0f} cm², {bridged_cm2:.0f} cm² of them between or next to measured skin; grey in "
             "photographic colours",
         ),
         Fact("Movement in each repair round", ", ".join(f"{moved:.3g} mm" for moved in repaired.convergence) or "none"),
@@ -287,7 +287,7 @@ def surface_report(
 
 
 def posture_fact(posture: str) -> Fact:
-    """The patient's posture, as far as that is known."""
+    """The patient's posture, if known."""
     return Fact("Posture", f"{posture or 'not given'}. {NOT_TO_BE_COMPARED}")
 
 
@@ -317,7 +317,7 @@ def settings_facts(settings: Settings) -> tuple[tuple[Fact, ...], tuple[Fact, ..
 
 
 def versions() -> tuple[Fact, ...]:
-    """Versions of all software that the numbers depend on."""
+    """Versions of all software that affects the numbers."""
     import mammometry
 
     return (
@@ -329,13 +329,13 @@ def versions() -> tuple[Fact, ...]:
 
 
 def timings(stage_seconds: Mapping[str, float]) -> tuple[Fact, ...]:
-    """Seconds of each stage in words."""
+    """Seconds of each stage as text."""
     facts = [Fact(stage, f"{seconds:.1f} s") for stage, seconds in stage_seconds.items()]
     return (*facts, Fact("total", f"{sum(stage_seconds.values()):.1f} s")) if facts else ()
 
 
 def created_words(moment: datetime | None = None) -> str:
-    """A moment in words, UTC, to the minute."""
+    """A time as text, UTC, to the minute."""
     return (moment or datetime.now(UTC)).astimezone(UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
@@ -347,7 +347,7 @@ SUBJECTS: Mapping[str, str] = {
 
 
 def target_words(target: Target) -> str:
-    """The calibration target in words."""
+    """The calibration target as text."""
     table = ", ".join(
         _with_unit(name, _value_words(value))
         for name, value in as_table(target).items()
@@ -404,10 +404,10 @@ def _value_words(value: object) -> str:
 
 
 SKIN_MEASURED = 0.8
-"""Share of a breast's skin that should be measured, not closed by the elastic repair. Chosen by eye."""
+"""Smallest measured share of a breast's skin without a warning. Chosen by eye."""
 
 
-_AROUND_MM = 10.0  # around a breast: its skin is a part of the surface, a cube's edge from its vertices at most
+_AROUND_MM = 10.0  # around a breast: its skin is part of the surface, at most a cube's edge from its vertices
 
 
 def skin_shares(measured: VolumeMeasurement, repaired: RepairedSurface) -> dict[Provenance, float]:

@@ -1,4 +1,4 @@
-"""Sentences on what makes a torso's volumes doubtful, for report, first page and terminal."""
+"""Sentences on doubtful volumes of a torso, for report, first page and terminal."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mammometry.measure.shape.body_size import BodySize
 
 
 def body_doubts(plan: Plan) -> tuple[Notice, ...]:
-    """Warnings about the body, the gravest first. They are made with the measurement, and empty before it."""
+    """Warnings about the body, worst first. Empty before the measurement."""
     size, overlaps = plan.value(measure.size), plan.value(measure.overlaps) or ()
     measured = {measurement.name for measurement in plan.value(measure.measurements) or ()}
     covered = (
@@ -37,7 +37,7 @@ def torso_notices(plan: Plan, posture: str | None) -> tuple[Notice, ...]:
 
     Args:
         plan: of its measurement.
-        posture: empty where it was not given; None: no torso.
+        posture: empty if not given; None: no torso.
     """
     if posture is None:
         return ()

@@ -14,30 +14,30 @@ from mammometry.study.tables import thousands
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeshOrigin:
-    """Facts about a mesh that the file's measurements do not tell."""
+    """Facts about a mesh that are not in its measurements."""
 
     kind: SubjectKind
     """A cast or a torso."""
     units: str
-    """The file's unit and who says so."""
+    """The file's unit and its source."""
     world: str
-    """What the frame is, one sentence."""
+    """Definition of the frame, one sentence."""
     scanner: str = ""
     """Name of the device. Empty: not given."""
     posture: str = ""
     """The patient's posture. Empty if unknown."""
     notices: tuple[Notice, ...] = ()
-    """What was changed in the mesh, and what was assumed."""
+    """Changes made to the mesh, and assumptions."""
     sides_doubtful: bool = False
-    """Whether left and right may be exchanged. The notes say why."""
+    """Whether left and right may be exchanged; the notes have the reason."""
     sources: UInt8[Array, " n"] | None = None
-    """Scans that show each vertex, as bits, where several were merged."""
+    """Scans that show each vertex, as bits, if several were merged."""
     also: tuple[str, ...] = ()
-    """How each further scan lies on the first one, one line each."""
+    """Alignment of each further scan with the first one, one line each."""
 
 
 def mesh_facts(finished: FinishedSurface, origin: MeshOrigin) -> StageReport:
-    """What the technician's page says of a mesh."""
+    """A mesh's facts for the technician's page."""
     mesh = finished.repaired.mesh
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     facts = (

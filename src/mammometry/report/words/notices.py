@@ -1,4 +1,4 @@
-"""The catalogue: the words of every notice, by its code. docs/reference/codes.md lists it."""
+"""The catalogue: the text of every notice, by its code. docs/reference/codes.md lists it."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ Concern: TypeAlias = Literal["volume", "confirmation", "photographs"]
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """Words of one code."""
+    """Text of one code."""
 
     words: str
     """A template. ``{of}`` and ``{on}`` are the breasts concerned, ``{about}`` the cameras or pairs; other fields are
     the notice's values."""
     concern: Concern = "volume"
-    """``confirmation``: the state of a clinic's visit shows it. ``photographs``: how photographs were matched."""
+    """``confirmation``: shown by the state of a clinic's visit. ``photographs``: about the matching of photographs."""
     caution: str = ""
     """Shown beside the volumes on the first page. Empty: nothing."""
 
 
 FOLD_NOT_SEEN = (
-    "The fold is not seen because the breast hangs over it. The interval is therefore wider, and no ptosis is "
+    "The fold is hidden because the breast hangs over it. The interval is therefore wider, and no ptosis is "
     "stated. Lift the breast, let the patient lean forward, or scan from below as well."
 )
-_AWAY = "Pair {about} measured its points {mm:.2f} ± {std_mm:.2f} mm away from where the others do."
+_AWAY = "The points of pair {about} are {mm:.2f} ± {std_mm:.2f} mm away from those of the others."
 _MOVED = "Cameras or body moved: see the warnings."
 TEXTS: Mapping[str, Text] = MappingProxyType(
     {
         "skin-covered": Text(
-            "{cm2:.0f} cm² of the skin inside the border of the {of} is a groove, as a hand or a strap on it leaves. "
-            "It is measured because measure.bare_confirmed is set."
+            "{cm2:.0f} cm² of the skin inside the border of the {of} is a groove, as from a hand or a strap. It "
+            "is measured because measure.bare_confirmed is set."
         ),
         "fold-not-seen": Text(f"The {{of}}: {FOLD_NOT_SEEN}", caution=FOLD_NOT_SEEN),
         "body-size-rare": Text(
@@ -50,13 +50,13 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
             "The closed solid of the {of} is not watertight. Do not use its volume.",
             caution="Do not use this volume: its solid is not watertight.",
         ),
-        "upright-unknown": Text("{text} What depends on left and up is only as exact as the cameras are level."),
+        "upright-unknown": Text("{text} Results that depend on left and up are only as exact as the cameras are level."),
         "nipple-not-seen": Text(
-            "No nipple was seen on the {on}. What is measured from a nipple is left out there: pick it if there is one."
+            "No nipple was seen on the {on}. Lengths from this nipple are missing: mark it if there is one."
         ),
         "outline-not-used": Text(
-            "No outline of the subject is used in the photographs of {about}: {reasons}. Everything near was matched "
-            "there, and the largest connected surface was taken. What else was near may be part of it. Look at the "
+            "No outline of the subject is used in the photographs of {about}: {reasons}. Everything near was "
+            "matched there, and the largest connected surface was kept. It may include other objects. Check the "
             "surface, or draw {masks}."
         ),
         "outline-first": Text(
@@ -64,9 +64,9 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
             "Draw {masks}, and run again before you calibrate again."
         ),
         "pairs-matched-less-well": Text(
-            "Pairs measured the same skin {mm:.2f} mm apart (RMS), as if something had moved. What pairs share shows "
-            "that nothing did: they were matched less well, as where they see the skin aslant. Nothing was corrected; "
-            "the interval covers it. More overlap of neighbouring pairs, or more texture, helps."
+            "Pairs measured the same skin {mm:.2f} mm apart (RMS), as if something had moved. But nothing did: "
+            "the pairs were matched less well, for example where they see the skin at a flat angle. Nothing was "
+            "corrected; the interval includes this. More overlap of neighbouring pairs, or more texture, helps."
         ),
         "camera-turned": Text(
             "A camera turned after the calibration: {turns}. Calibrate again before the next capture."
@@ -91,41 +91,40 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
         ),
         "motion-corrected": Text(
             f"{_AWAY} That was corrected: the pairs now agree to {{after_mm:.2f}} mm ({{before_mm:.2f}} mm before); "
-            "the interval covers what is left.",
+            "the interval includes the rest.",
             caution=_MOVED,
         ),
         "motion-not-corrected": Text(
-            f"{_AWAY} That was not corrected, and the pairs disagree by {{before_mm:.2f}} mm; the interval covers it.",
+            f"{_AWAY} That was not corrected, and the pairs disagree by {{before_mm:.2f}} mm; the interval includes this.",
             caution=_MOVED,
         ),
         "motion-not-confirmed": Text(
-            f"{_AWAY} That was not corrected, since nothing else that pairs share confirms it, and the pairs disagree "
-            "by {before_mm:.2f} mm; the interval covers it.",
+            f"{_AWAY} That was not corrected, because no other comparison of the pairs confirms it, and the pairs disagree " "by {before_mm:.2f} mm; the interval includes this.",
             caution=_MOVED,
         ),
         "motion-unexplained": Text(
-            "Pairs still disagree by {mm:.2f} mm in a way that no motion of cameras or pairs explains, as when an arm "
-            "or a fold moves between exposures. The interval covers it. Expose all cameras together."
+            "Pairs still disagree by {mm:.2f} mm in a way that no motion of cameras or pairs explains, for "
+            "example because an arm or a fold moved between exposures. The interval includes this. Expose all "
+            "cameras together."
         ),
         "head-not-shown": Text(
-            "The body does not show where its head is: left and right rest on how the cameras are mounted. Check that "
-            "none is upside down.",
+            "The body does not show where its head is: left and right depend on how the cameras are mounted. Check that none is upside down.",
             caution="Left and right may be exchanged: the body does not show where its head is. See the warnings.",
         ),
         "sides-doubtful": Text(
-            "Left and right may be exchanged: the mesh was inside out, as a mirror image is. Compare a mole, the "
+            "Left and right may be exchanged: the mesh was inside out, like a mirror image. Compare a mole, the "
             "operated side or a tattoo with the patient. If they are exchanged, export the mesh again without "
             "mirroring. If they are right: --sides-checked.",
             caution="Left and right may be exchanged: compare a mole or the operated side. See the warnings.",
         ),
         "posture": Text(f"Posture: {{posture}}. {NOT_TO_BE_COMPARED}."),
         "mesh-of-another-scanner": Text(
-            "The mesh comes from another scanner, whose accuracy is not known here. The interval uses the uncertainty "
+            "The mesh comes from another scanner of unknown accuracy. The interval uses the uncertainty "
             "of scale and surface that was entered, or 0.1 % and 0.1 mm."
         ),
         "breasts-fuller-above": Text(
             "The breasts are fuller towards the head than towards the feet. Check that left and right are not "
-            "exchanged, and that the head is where it was said to be (--head)."
+            "exchanged, and that the direction of the head is right (--head)."
         ),
         "mesh-repaired": Text("{text}"),
         "no-breast": Text(
@@ -135,7 +134,7 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
             "Nothing was measured on the patient's {side} side. {text} If there is a breast, draw its boundary."
         ),
         "boundary-not-confirmed": Text(
-            "Nobody has confirmed the automatic boundary of the {of}. Look at it, and confirm it or draw a better one.",
+            "The automatic boundary of the {of} is not confirmed. Check it, and confirm it or draw a better one.",
             "confirmation",
         ),
         "boundaries-drawn-with-edit": Text(
@@ -143,20 +142,20 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
         ),
         "calibration-doubtful": Text("Check the calibration. {text}"),
         "cameras-imported": Text(
-            "The cameras were imported. Their errors are not known, and the interval does not cover them.",
+            "The cameras were imported. Their errors are not known and not included in the interval.",
             caution="The interval does not cover the cameras' errors.",
         ),
         "imported-camera-doubtful": Text("{text}"),
         "board-not-measured": Text(
-            "The printed board was not measured: its size alone makes each volume uncertain by {percent:.0f} %. "
-            "Measure the ruler on the print, and write it into board.toml (edge_mm)."
+            "The printed board was not measured: this alone makes each volume uncertain by {percent:.0f} %. "
+            "Measure the ruler on the print, and enter it in board.toml (edge_mm)."
         ),
         "body-moved-against-board": Text(
             "The body moved against the board between photographs, by about {moved_mm:.1f} mm. This was corrected: "
             "pairs disagree by {after_mm:.2f} mm instead of {before_mm:.2f} mm. Hold the breath next time."
         ),
         "size-unusual": Text(
-            "The surface is rare: {text}. Check that the sizes of target or cameras are in millimetres."
+            "The surface has an unusual size: {text}. Check that the sizes of target or cameras are in millimetres."
         ),
         "pair-disagrees": Text("Pair {about}: a vertical disparity of {px:.2f} ± {std_px:.2f} px.", "photographs"),
         "pair-moved": Text(
@@ -165,21 +164,21 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
             "photographs",
         ),
         "texture-weak": Text(
-            "Pair {about}: on {percent:.0f} % of the surface the texture is too weak to be matched; nothing was "
-            "invented there. Light it more, focus, or paint a pattern on a model.",
+            "Pair {about}: the texture is too weak for matching on {percent:.0f} % of the surface, which was "
+            "left open. Use more light, focus, or paint a pattern on a model.",
             "photographs",
         ),
         "pair-little-matched": Text(
             "Pair {about} matched only {percent:.0f} % of the subject's silhouette.", "photographs"
         ),
         "subject-hidden": Text(
-            "Something hides part of the subject in the photographs of {shares}. The skin there was kept where other "
-            "pairs saw it. Skin that no pair saw is closed by the repair.",
+            "Something hides part of the subject in the photographs of {shares}. Skin that other pairs saw was "
+            "kept. Skin that no pair saw is closed by the repair.",
             "photographs",
         ),
         "subject-not-separated": Text(
-            "The subject was not separated from the background in {about}. Nothing limits the surface where no pair "
-            "measured it.",
+            "The subject was not separated from the background in {about}. Unmeasured parts of the surface have "
+            "no limit there.",
             "photographs",
         ),
         "skin-not-measured": Text(
@@ -188,23 +187,22 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
         ),
         "board-photograph-doubtful": Text("{text}", "photographs"),
         "board-photograph-left-out": Text(
-            "Pose {pose} of camera {about} was left out of the calibration: it is {px:.1f} px off the others.",
+            "Pose {pose} of camera {about} was left out of the calibration: it differs from the others by {px:.1f} px.",
             "photographs",
         ),
         "postures-differ": Text(
             f"The patient was {{before}} at the earlier date and {{after}} later. {NOT_TO_BE_COMPARED}."
         ),
         "trunks-fit-badly": Text(
-            "The trunks fit badly: 20 % of the skin beside the breasts is more than {within_mm:.1f} mm apart. Check "
-            "that both sessions show the same patient, with arms and breath alike."
+            "The trunks fit badly: 20 % of the skin around the breasts is more than {within_mm:.1f} mm apart. "
+            "Check that both sessions show the same patient, with the same arm position and breathing."
         ),
         "trunks-lean-differently": Text(
-            "The trunk leaned differently by {turned_deg:.0f}°. Breasts then hang differently, by more than the "
-            "interval includes."
+            "The trunk leaned differently by {turned_deg:.0f}°. Breasts then hang differently, by more than the interval includes."
         ),
-        "volume-at-one-date": Text("The {of} has a volume at the {date} date only, and is not compared."),
+        "volume-at-one-date": Text("The {of} has a volume only at the {date} date, and is not compared."),
         "date-not-confirmed": Text(
-            "Nobody has confirmed the automatic boundaries of the {date} date. Look at them with `mammometry edit`, "
+            "The automatic boundaries of the {date} date are not confirmed. Check them with `mammometry edit`, "
             "and confirm them or draw better ones."
         ),
         "drawn-at-one-date": Text(
@@ -218,9 +216,9 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
         "walls-differ": Text(
             "The dates used different chest walls ({walls}). Both were measured again with the wall “{wall}”."
         ),
-        "dates-exchanged": Text("The sessions were named in the other order. The dates in their manifests were used."),
-        "date-missing": Text("A session has no date. The session named first was taken as the earlier one."),
-        "measured-again": Text("The {date} session had been measured with other settings. It was measured again."),
+        "dates-exchanged": Text("The sessions were given in the wrong order. The dates in their manifests were used."),
+        "date-missing": Text("A session has no date. The first one given counts as the earlier one."),
+        "measured-again": Text("The {date} session was measured again, because its settings were different."),
         "value-may-be-missing": Text("{column} is {value:g} for {row}: leave the row out if it stands for no value."),
         "column-constant": Text("Every value of {column} is {value:g}."),
         "unit-assumed": Text("Column {column} states no unit; {unit} was taken, as the other's."),
@@ -231,11 +229,11 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
         "sentence": Text("{text}"),
     }
 )
-"""Code → its words, English. ``sentence`` is a warning of version 1.0, which kept sentences."""
+"""Code → its text, English. ``sentence`` is a warning of version 1.0, which stored sentences."""
 
 
 def words_of(notice: Notice) -> str:
-    """The notice in words."""
+    """The notice as text."""
     return _filled(TEXTS[notice.code].words, notice)
 
 
@@ -261,12 +259,12 @@ def _filled(template: str, notice: Notice) -> str:
 
 
 def words_at(level: Level, notices: Iterable[Notice]) -> list[str]:
-    """The notices of one level in words."""
+    """The notices of one level as text."""
     return [words_of(notice) for notice in notices if notice.level == level]
 
 
 def in_json(notices: Iterable[Notice]) -> dict[str, list[Any]]:
-    """Notices for programs, in one order: words under ``warnings``, codes and values under ``notices``."""
+    """Notices for programs, in one order: text under ``warnings``, codes and values under ``notices``."""
     listed = list(notices)
     return {"warnings": list(map(words_of, listed)), "notices": [notice.as_table() for notice in listed]}
 
@@ -277,7 +275,7 @@ def lines_of(notices: Iterable[Notice]) -> list[str]:
 
 
 def concern_of(notice: Notice) -> Concern:
-    """What kind of thing the notice concerns."""
+    """Kind of the notice's subject."""
     return TEXTS[notice.code].concern
 
 
@@ -290,7 +288,7 @@ _OF_1_0 = (
     ("The subject was not separated", "subject-not-separated"),
     ("Left and right may be exchanged: the mesh was inside out", "sides-doubtful"),
 )
-"""How sentences begin that version 1.0 stored → their code. They are a file format, and no longer written."""
+"""Beginnings of sentences stored by version 1.0 → their code. They are a file format, and no longer written."""
 
 
 def code_of_1_0(sentence: str) -> str:

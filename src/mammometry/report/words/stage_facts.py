@@ -1,6 +1,6 @@
 """Facts of a stage for the report.
 
-It is found with the stage's pictures, from the same values: they are large, and read once.
+They are computed with the stage's pictures, so that the large values are read once.
 """
 
 from collections.abc import Mapping
@@ -35,23 +35,23 @@ class MatchingFacts:
 
 
 Facts: TypeAlias = MatchingFacts | StageReport | None
-"""Of the matching, of the surface, or none."""
+"""Facts of the matching, of the surface, or none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shown:
-    """Pictures of all stages, and what was said with them."""
+    """Pictures of all stages, and their facts."""
 
     pictures: Mapping[str, Mapping[str, bytes]]
     """Stage → its previews, name → PNG."""
     facts: Mapping[Stage, Facts] = field(default_factory=dict)
-    """Stage → what `drawn` found."""
+    """Stage → result of `drawn`."""
     scene: ViewerScene | None = None
-    """What `gather.whole_scene` made of the session, for a report that leaves nothing out."""
+    """Result of `gather.whole_scene`, for a report without omissions."""
 
 
 def drawn(stage: Stage, plan: Plan, inputs: Inputs) -> tuple[dict[str, bytes], Facts]:
-    """Previews of a stage, and what the report says of it."""
+    """Previews of a stage, and its facts for the report."""
     result = stage_result(stage, plan, inputs)
     pictures = draw(result)
     if isinstance(result, MatchingResult):
@@ -62,13 +62,13 @@ def drawn(stage: Stage, plan: Plan, inputs: Inputs) -> tuple[dict[str, bytes], F
 
 
 def matching_facts(plan: Plan, rig: Rig) -> MatchingFacts:
-    """Find what the report says of the matching, without pictures."""
+    """The report's facts about the matching, without pictures."""
     foregrounds = {camera: thinned_foreground(seen) for camera, seen in Uncached(plan[match.foreground]).items()}
     maps, quality = thinned_maps(Uncached(plan[match.disparity]))
     return MatchingFacts(foregrounds=foregrounds, quality=quality, shares=matched_shares(rig, foregrounds, maps))
 
 
 def surface_facts(plan: Plan) -> StageReport:
-    """Find what the report says of the surface, without pictures."""
+    """The report's facts about the surface, without pictures."""
     ranges = thinned_ranges(Uncached(plan[surface.range_image]), plan[surface.valid_patches].uncached())
     return surface_report(ranges, plan[surface.mesh]().repaired, summary(plan[surface.stillness]()))

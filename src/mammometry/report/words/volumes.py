@@ -1,4 +1,4 @@
-"""A volume, its interval, its meaning, its cautions and its change between two dates, in words."""
+"""A volume, its interval, definition, cautions and change between two dates, as text."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import datetime
 from mammometry.base.rounding import decimals, half_width, rounded_words
 from mammometry.measure.volume.measurement import DENSITY_G_PER_CC, DefinedVolume
 
-_MIDDLE_CC = 0.05  # a volume farther from the middle of its interval belongs to one that is cut off at zero
+_MIDDLE_CC = 0.05  # a volume farther from the centre of its interval has an interval cut off at zero
 
 
 def term_words(half_cc: float) -> str:
@@ -23,12 +23,12 @@ def volume_words(volume_cc: float, interval_cc: tuple[float, float] | None = Non
 def measured_words(volume_cc: float, interval_cc: tuple[float, float] | None, *, sign: bool = False) -> str:
     """A volume with its interval: "284 ± 55 cc (95 %: 230 to 339 cc)".
 
-    Without the half-width where the interval is cut off at zero.
+    Without the half-width if the interval is cut off at zero.
 
     Args:
         volume_cc: or a difference of volumes.
         interval_cc: its 95 % interval.
-        sign: whether it is a difference, with a sign before positive numbers.
+        sign: whether it is a difference, with a sign for positive numbers.
     """
     cut_off = interval_cc is not None and abs(volume_cc - sum(interval_cc) / 2) > _MIDDLE_CC
     words = rounded_words(volume_cc, half_width(interval_cc), "cc", sign=sign, alone=cut_off)
@@ -36,7 +36,7 @@ def measured_words(volume_cc: float, interval_cc: tuple[float, float] | None, *,
 
 
 def span_words(interval_cc: tuple[float, float] | None, *, sign: bool = False) -> str:
-    """The 95 % interval in words, its ends alone: "95 %: 300 to 410 cc", of a difference with signs."""
+    """The limits of the 95 % interval as text: "95 %: 300 to 410 cc", for a difference with signs."""
     if interval_cc is None:
         return "its error is not known"
     half = half_width(interval_cc)
@@ -48,38 +48,44 @@ MEANINGS = {
     "flat chest": "what stands out from the chest",
     "measured wall": "in front of the chest wall, which was measured",
     "named wall": "in front of one fixed surface, to compare visits",
-    "muscle": "down to the chest muscle, as a mastectomy takes it out",
+    "muscle": "down to the chest muscle, as removed in a mastectomy",
     "closed solid": "of the whole model",
     "any": "",
 }
-"""Meaning of "the breast" (docs/decisions/0029) → a few plain words that follow a volume."""
+"""Definition of "the breast" (docs/decisions/0029) → a few plain words that follow a volume."""
 MEANINGS_INTRODUCTION = (
-    "The back of a breast cannot be seen. How much is counted behind it is a matter of agreement, so one breast has "
-    "several volumes. Compare only volumes of the same kind."
+    "The back of a breast cannot be seen. Where it ends is a matter of definition, so one breast has several "
+    "volumes. Compare only volumes of the same kind."
 )
 _EXPLAINED = {
-    "flat chest": "The part of the breast that stands out from the chest. Behind it, the chest is taken to be flat, "
-    "with a layer of fat and skin like that beside the breast.",
-    "measured wall": "All that lies in front of the chest wall. The chest wall was measured by itself.",
-    "named wall": "The part of the breast in front of one fixed surface ({wall}), drawn by the same rule at every "
-    "visit. Visits are compared by this volume. It does not say where the chest really is.",
-    "muscle": "The breast with the layer of fat behind it, down to the chest muscle: what is weighed after a "
-    "mastectomy. This layer cannot be seen. Its thickness was entered, or is the mean of other women.",
+    "flat chest": (
+        "The part of the breast that stands out from the chest. Behind it, the chest is assumed to be flat, with the "
+        "same layer of fat and skin as around the breast."
+    ),
+    "measured wall": "Everything in front of the chest wall. The chest wall was measured separately.",
+    "named wall": (
+        "The part of the breast in front of one fixed surface ({wall}), found in the same way at every visit. Use "
+        "this volume to compare visits. The real chest wall may be elsewhere."
+    ),
+    "muscle": (
+        "The breast with the layer of fat behind it, down to the chest muscle: the tissue weighed after a "
+        "mastectomy. This layer cannot be seen. Its thickness was entered, or is the mean of other women."
+    ),
 }
 
 
 def meaning_title(meaning: str) -> str:
-    """A few plain words for one meaning of the breast, as a heading."""
+    """A few plain words for one definition of the breast, as a heading."""
     words = MEANINGS.get(meaning, meaning)
     return words[:1].upper() + words[1:]
 
 
 def meaning_sentences(meaning: str, wall: str) -> str:
-    """One meaning of the breast, explained to a patient.
+    """One definition of the breast, explained to a patient.
 
     Args:
         meaning: key of `MEANINGS`.
-        wall: name of the surface that closes the breast.
+        wall: name of the surface behind the breast.
     """
     return _EXPLAINED[meaning].format(wall=wall)
 
@@ -104,10 +110,10 @@ def date_words(date: datetime.date) -> str:
 
 
 def verdict_words(beyond_error: bool | None) -> str:
-    """Verdict on a change against its measurement error, in words.
+    """Verdict on a change against its measurement error, as text.
 
     Args:
-        beyond_error: whether the 95 % interval of the change leaves out zero. None: it is not known.
+        beyond_error: whether the 95 % interval of the change excludes zero. None: unknown.
     """
     return UNKNOWN if beyond_error is None else MORE if beyond_error else WITHIN
 
@@ -119,10 +125,10 @@ def change_sentence(
 
     Args:
         breast: "left" or "right".
-        change_cc: later volume less the earlier one, cc.
+        change_cc: later volume minus the earlier one, cc.
         interval_cc: its 95 % interval, cc.
-        beyond_error: whether that leaves out zero.
-        before: the earlier date. None: it is not known.
+        beyond_error: whether that excludes zero.
+        before: the earlier date. None: unknown.
     """
     digits = decimals(half_width(interval_cc))
     than = "before" if before is None else f"on {date_words(before)}"
@@ -135,7 +141,7 @@ def change_sentence(
 
 
 def _span(interval_cc: Interval, digits: int) -> str:
-    """Both ends in the direction of the change, or each with its own where they differ."""
+    """Both limits in the direction of the change, or each with its own if they differ."""
     low, high = interval_cc
     if low < 0.0 < high:
         return f"{-low:.{digits}f} cc smaller to {high:.{digits}f} cc larger"

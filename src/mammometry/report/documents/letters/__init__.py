@@ -1,1 +1,1 @@
-"""Letters of all scripts on paper: order, shapes and fonts."""
+"""Letters of all scripts in PDF: order, shapes and fonts."""

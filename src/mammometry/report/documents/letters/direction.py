@@ -1,7 +1,7 @@
 """Order of letters in text of both directions: Unicode's bidirectional algorithm.
 
 With isolates of the first strong direction, which our sentences have around names (`base/letters`). Other embeddings,
-overrides and isolates, which no name holds, count as absent.
+overrides and isolates, which no name contains, are ignored.
 """
 
 import re
@@ -31,9 +31,9 @@ _BRACKETS = {
     "【": "】",
 }
 MIRRORED = str.maketrans({**_BRACKETS, **{last: first for first, last in _BRACKETS.items()}})
-"""Brackets as they look in text from right to left, for `str.translate`."""
+"""Mirrored brackets of right-to-left text, for `str.translate`."""
 _ISOLATED = re.compile(f"{ISOLATE}([^{ISOLATE}{END}]*){END}")
-_OBJECT = "\ufffc"  # stands for what is isolated: it has no direction (rule BD9)
+_OBJECT = "\ufffc"  # replaces isolated text, which has no direction (rule BD9)
 _DEEPEST = 63  # open brackets at most, by rule BD16
 
 
@@ -89,7 +89,7 @@ def _without_isolates(line: str, base: int) -> list[int]:
 
 
 def reordered(items: Sequence[_Item], at: Sequence[int]) -> list[_Item]:
-    """Items of one line in the order in which they stand from left to right (rule L2).
+    """Items of one line in visual order from left to right (rule L2).
 
     Args:
         items: in the order of reading.
@@ -107,7 +107,7 @@ def reordered(items: Sequence[_Item], at: Sequence[int]) -> list[_Item]:
 
 
 def _weak(kinds: _Kinds, base: int) -> None:
-    """Rules W1 to W7: marks, numbers and what stands between and beside them."""
+    """Rules W1 to W7: marks, numbers and their neighbours."""
     before = strong = "LR"[base % 2]
     for place, kind in enumerate(kinds):  # W1, W2
         if kind == "NSM":
@@ -156,7 +156,7 @@ def _brackets(kinds: _Kinds, letters: Sequence[str], classes: Sequence[str], bas
 
 
 def _pairs(kinds: Sequence[str], letters: Sequence[str]) -> list[tuple[int, int]]:
-    """Places of brackets that belong together, by the place of the first (rule BD16)."""
+    """Places of matching brackets, by the place of the first (rule BD16)."""
     opened: list[tuple[str, int]] = []
     found: list[tuple[int, int]] = []
     for place, letter in enumerate(letters):
@@ -175,7 +175,7 @@ def _pairs(kinds: Sequence[str], letters: Sequence[str]) -> list[tuple[int, int]
 
 
 def _neutral(kinds: _Kinds, base: int) -> None:
-    """Rules N1 and N2: what has no direction takes that of both its sides, or the paragraph's."""
+    """Rules N1 and N2: neutral letters take the direction of both sides, or the paragraph's."""
     for start, end in _runs(kinds, _NEUTRAL):
         before = _side(kinds[start - 1]) if start else "LR"[base % 2]
         after = _side(kinds[end]) if end < len(kinds) else "LR"[base % 2]

@@ -1,6 +1,6 @@
 """The shapes of `shaping` as a font of ReportLab.
 
-A document embeds only the shapes that it uses, with the letters that they stand for: text can be found and copied.
+A document embeds only the shapes that it uses, with their letters, so that text can be found and copied.
 """
 
 from __future__ import annotations
@@ -17,14 +17,17 @@ NAME = "Shaped"
 """Name of the font, whose text are the codes of `shaping.shaped`."""
 _MOST = 255  # shapes of one font in the file: its codes are bytes, and 0 is the missing glyph
 _CURVE_ERROR = 0.5  # of curves made quadratic, units of the em: less than a printer shows at 24 points
-_ASCENT, _DESCENT = 880, -300  # of Noto Sans CJK and Devanagari about, units of the em; readers select text by it
+_ASCENT, _DESCENT = (
+    880,
+    -300,
+)  # about that of Noto Sans CJK and Devanagari, units of the em; readers use it for selection
 _SYMBOLIC = 4  # flag of a font with its own encoding (PDF 32000-1, table 123)
 _SYMBOL_CODES = 0xF000  # where a symbolic TrueType font has its codes (9.6.6.4)
 
 
 @dataclass(slots=True)
 class _Used:
-    """What one document uses of the font."""
+    """The part of the font used by one document."""
 
     name: str = ""
     """The font's name inside the document. Empty: not used yet."""
@@ -33,14 +36,14 @@ class _Used:
 
 
 class _Face:
-    """What ReportLab asks of a font's design."""
+    """A font's design for ReportLab."""
 
     name = NAME
     ascent, descent = _ASCENT, _DESCENT
 
 
 class ShapedFont:
-    """A font as ReportLab wants it. Its documents are independent of each other."""
+    """A font for ReportLab. Its documents are independent of each other."""
 
     fontName = NAME
     face = _Face()
@@ -86,7 +89,7 @@ class ShapedFont:
 
 
 def _tag(subset: int) -> str:
-    """Six capitals, as PDF wants before the name of a font with only some letters."""
+    """Six capitals, required by PDF before the name of a subset font."""
     return "".join(chr(ord("A") + subset // 26**place % 26) for place in range(5, -1, -1))
 
 
@@ -140,7 +143,7 @@ def _to_unicode(base: str, clusters: Sequence[Cluster]) -> bytes:
 
 
 def _true_type(clusters: Sequence[Cluster]) -> bytes:
-    """A TrueType font with one glyph a cluster, coded from 1 on. The same clusters give the same bytes."""
+    """A TrueType font with one glyph per cluster, coded from 1. The same clusters give the same bytes."""
     from fontTools.fontBuilder import FontBuilder
     from fontTools.pens.cu2quPen import Cu2QuPen
     from fontTools.pens.ttGlyphPen import TTGlyphPen

@@ -1,4 +1,4 @@
-"""Text in lines: words of all scripts in the order in which they stand from left to right."""
+"""Text in lines: words of all scripts in visual order from left to right."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mammometry.report.documents.letters import embedding
 from mammometry.report.documents.letters.direction import is_right_to_left, levels, reordered
 from mammometry.report.documents.letters.shaping import is_plain, shaped
 
-_SLACK = 0.01  # points by which a line stays narrower than its room, so that rounding does not break it again
+_SLACK = 0.01  # points by which a line is narrower than the space, so that rounding does not break it again
 
 
 @value
@@ -26,7 +26,7 @@ class Piece:
     """Letters of one font and direction in a line."""
 
     text: str
-    """As the font has it: letters, or codes of shapes."""
+    """Letters, or codes of shapes in the font."""
     font: str
     level: int
     """Of `direction.levels`."""
@@ -37,18 +37,18 @@ class Piece:
 
     @property
     def markup(self) -> str:
-        """As a paragraph of ReportLab wants it."""
+        """Markup for a paragraph of ReportLab."""
         if self.font == embedding.NAME:
             return f'<font name="{embedding.NAME}">{self.text}</font>'
         return escape(self.text)
 
 
 def pieces(line: str, font: str, *, is_bold: bool) -> list[Piece]:
-    """Pieces of a line in the order of reading, blanks and words apart.
+    """Pieces of a line in reading order, with blanks and words separate.
 
     Args:
         line: without line breaks.
-        font: ReportLab's name of DejaVu, for words that it can write letter by letter.
+        font: ReportLab's name of DejaVu, for words without shaping.
         is_bold: whether the other fonts are bold.
 
     Raises:
@@ -72,7 +72,7 @@ def pieces(line: str, font: str, *, is_bold: bool) -> list[Piece]:
 def in_order(line: Sequence[Piece]) -> list[Piece]:
     """Pieces of one line from left to right.
 
-    Those of one font and level become one: readers of PDF put its letters in the order of reading.
+    Neighbours of one font and level are joined: PDF readers put their letters in reading order.
     """
     from_left = reordered(line, [piece.level for piece in line])
     joined = []
@@ -88,8 +88,8 @@ def paragraph(words: str, style: Any, *, is_bold: bool = False, label: str = "",
         words: its text, with line breaks.
         style: its font is DejaVu.
         is_bold: whether that is the bold one.
-        label: what stands before the words in the first line, from left to right.
-        label_markup: the same as ReportLab wants it.
+        label: text before the words in the first line, from left to right.
+        label_markup: the same as markup.
 
     Raises:
         SettingsError: a letter that no font has.
@@ -103,7 +103,7 @@ def paragraph(words: str, style: Any, *, is_bold: bool = False, label: str = "",
 
 
 class _Directed(Flowable):  # type: ignore[misc]
-    """A paragraph with words from right to left, broken here into lines: their order holds within a line only."""
+    """A paragraph of right-to-left text, broken into lines here, because letters are reordered line by line."""
 
     def __init__(
         self, lines: Sequence[Sequence[Piece]], style: Any, label: str, label_markup: str, turned: Sequence[bool]
@@ -138,7 +138,7 @@ class _Directed(Flowable):  # type: ignore[misc]
 
 
 def _broken(line: Sequence[Piece], width: float, size: float, used: float) -> Iterator[list[Piece]]:
-    """Lines of at most this width, in the order of reading. `used`: what the first has less. Points."""
+    """Lines of at most this width, in reading order. `used`: space taken in the first line. Points."""
     current: list[Piece] = []
     for is_blank, run in groupby(line, key=lambda piece: piece.text.isspace()):
         word = list(run)
@@ -153,7 +153,7 @@ def _broken(line: Sequence[Piece], width: float, size: float, used: float) -> It
 
 
 def _is_direction_mark(letter: str) -> bool:
-    """Whether a letter only chose directions and is not drawn. Joiners are asked for by shapes."""
+    """Whether a letter only sets directions and is not drawn. Joiners are needed for shaping."""
     return category(letter) == "Cf" and letter not in "\u200c\u200d"
 
 

@@ -1,4 +1,4 @@
-"""Letters as drawn shapes: the font that has them, and HarfBuzz, which joins and places them."""
+"""Shaping of letters: the font that has them, and HarfBuzz, which joins and places them."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from mammometry.base.value import value
 from mammometry.report.documents.letters.direction import MIRRORED
 
 EM = 1000
-"""Units of an em, the same for all fonts. PDF measures letters in thousandths of the font's size."""
+"""Units per em, the same for all fonts. PDF measures letters in thousandths of the font's size."""
 _REGULAR, _BOLD = 400.0, 700.0  # on OpenType's axis of weight
 _LATIN, _SYMBOLS, _EMOJI = "NotoSans[wght].ttf", "NotoSansSymbols[wght].ttf", "NotoEmoji[wght].ttf"
 _CJK = "NotoSansCJK-VF.otf.ttc"
-_FIRST_CODE = 0xF0000  # private use: shapes have codes of no letter
+_FIRST_CODE = 0xF0000  # private use: codes of shapes are not letters
 _SHOWN_LETTERS = 5  # of those that cannot be printed, named in an error
 
 Shape: TypeAlias = "tuple[tuple[int, int, int], ...]"
@@ -29,10 +29,10 @@ Shape: TypeAlias = "tuple[tuple[int, int, int], ...]"
 
 @value
 class Cluster:
-    """What one or more letters look like together, in one font."""
+    """Shape of one or more letters together, in one font."""
 
     text: str
-    """The letters, in the order of reading; brackets as they look."""
+    """The letters, in reading order, with mirrored brackets."""
     font: Path
     """Its file."""
     is_bold: bool
@@ -49,7 +49,7 @@ class Cluster:
             font.draw_glyph_with_pen(glyph, TransformPen(pen, (1, 0, 0, 1, right, up)))
 
 
-# Of all documents of this process: as many as the names that it meets have different syllables.
+# For all documents of this process: as many as there are different syllables in names.
 _clusters: dict[int, Cluster] = {}
 _codes: dict[Cluster, int] = {}
 _free = itertools.count(_FIRST_CODE)
@@ -57,9 +57,9 @@ _lock = threading.Lock()
 
 
 def cluster_of(code: str) -> Cluster:
-    """Cluster that a code of `shaped` stands for.
+    """Cluster of a code of `shaped`.
 
-    Any other letter, such as the blank between words, stands for itself.
+    Any other letter, such as a blank, represents itself.
     """
     return _clusters.get(ord(code)) or _clusters[ord(shaped(code, is_bold=False, right_to_left=False))]
 
@@ -80,14 +80,14 @@ def shaped(word: str, *, is_bold: bool, right_to_left: bool) -> str:
 
 
 def is_plain(word: str) -> bool:
-    """Whether DejaVu has all letters of a word, and none has to be joined to or placed on another one."""
+    """Whether DejaVu has all letters of a word, and none needs joining or stacking."""
     return all(map(_is_plain_letter, word))
 
 
-@lru_cache(maxsize=4096)  # more than a clinic's documents hold
+@lru_cache(maxsize=4096)  # more than in a clinic's documents
 def _is_plain_letter(letter: str) -> bool:
     return (
-        letter <= "\uffff"  # ReportLab's own fonts lose others when a reader copies them
+        letter <= "\uffff"  # with ReportLab's own fonts, other letters cannot be copied
         and _has(_dejavu(False), [ord(letter)])
         and not unicodedata.category(letter).startswith("M")
         and unicodedata.bidirectional(letter) not in ("R", "AL", "AN")
@@ -111,7 +111,7 @@ def _shaped(text: str, font: Path, is_bold: bool, right_to_left: bool) -> list[C
     buffer.add_str(text)
     buffer.guess_segment_properties()
     buffer.direction = "rtl" if right_to_left else "ltr"
-    buffer.language = "en"  # else the machine's, and a document would depend on it
+    buffer.language = "en"  # otherwise the machine's, on which a document would depend
     uharfbuzz.shape(_font(font, is_bold), buffer)
     glyphs = list(zip(buffer.glyph_infos, buffer.glyph_positions, strict=True))
     starts = sorted({info.cluster for info, _ in glyphs})
@@ -136,7 +136,7 @@ def _shaped(text: str, font: Path, is_bold: bool, right_to_left: bool) -> list[C
 
 
 def _runs(word: str) -> Iterator[tuple[str, Path]]:
-    """Parts of a word, each with the first font that has all its letters; one font for all of it where there is one."""
+    """Parts of a word, each with the first font that has all its letters; one font for the whole word if possible."""
     if (font := _font_file(word)) is not None:
         yield word, font
         return
@@ -190,9 +190,9 @@ def _has(file: Path, letters: Sequence[int]) -> bool:
 
 @lru_cache(maxsize=1)
 def _files() -> tuple[Path, ...]:
-    """Fonts that we bring, in the order in which they are asked for a word.
+    """Included fonts, in the order of preference.
 
-    A word of Latin and other letters is better set in one font of its script, so those with symbols come last.
+    Mixed words look better in one font of their script, so fonts with symbols come last.
     """
     noto, cjk = (_folder(package) for package in ("manimgx_fonts", "manimgx_fonts_cjk"))
     scripts = sorted(set(noto.glob("NotoSans*.ttf")) - {noto / _LATIN, noto / _SYMBOLS, *noto.glob("*-Italic*")})
@@ -215,7 +215,7 @@ def _folder(package: str) -> Path:
 
 
 def _dejavu(is_bold: bool) -> Path:
-    """Matplotlib brings it."""
+    """Included in Matplotlib."""
     from matplotlib import get_data_path
 
     return Path(get_data_path()) / "fonts" / "ttf" / ("DejaVuSans-Bold.ttf" if is_bold else "DejaVuSans.ttf")
