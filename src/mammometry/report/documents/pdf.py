@@ -154,7 +154,7 @@ def _in_words(content: ReportContent, first: FirstPage, width: float) -> Iterato
         yield text("Conclusion", size=12, bold=True)
         yield from _signed(first)
     if content.warnings:
-        words = [text("To know before the numbers are used", size=9.5, bold=True)]
+        words = [text("Read this before you use the numbers", size=9.5, bold=True)]
         yield box([*words, *(text(f"• {words_of(warning)}", size=8.5) for warning in content.warnings)], width)
     if content.meanings:
         yield text("Definition of the breast", size=12, bold=True, before=8)
