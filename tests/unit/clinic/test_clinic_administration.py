@@ -140,7 +140,7 @@ def test_a_backup_without_room_is_refused_and_said(
     with pytest.raises(backups.ClinicError, match="GB free"):
         backups.make_kept_backup(clinic)
     assert len(backups.backup_files(clinic)) == 1
-    assert "The last try failed" in text_of(client_of(Role.ADMINISTRATOR), reverse("backups"))
+    assert "The last attempt failed" in text_of(client_of(Role.ADMINISTRATOR), reverse("backups"))
 
 
 def test_a_backup_is_due_once_a_day_in_the_clinics_zone(clinic: ClinicConfig) -> None:
@@ -205,7 +205,7 @@ def test_a_patient_is_erased_by_the_pseudonym_typed_twice(
     pseudonym = visit.patient.pseudonym
     Upload.objects.create(visit=visit, camera="front_left", size_bytes=9, state="placed")
     page = text_of(client, reverse("erase"), pseudonym=pseudonym.lower())
-    assert "What goes with" in page
+    assert "Deleted with" in page
     assert "Zypernkatze" not in page
     for again in ("", "P-AAAAAA"):
         client.post(reverse("erase"), {"pseudonym": pseudonym, "again": again})
@@ -242,7 +242,7 @@ def test_the_first_day_goes_step_by_step_and_ends_by_itself(
         return None if day is None else (day.next_step.title, day.may_do)
 
     assert next_step() == ("People", True)
-    assert "Enter somebody" in text_of(client, "/")
+    assert "Add a person" in text_of(client, "/")
     technician = client_of(Role.TECHNICIAN)
     assert next_step() == ("Rig", True)
     rig = Rig.objects.create(name="Room 1", definition=DEFINITION)

@@ -364,7 +364,7 @@ def test_a_conclusion_is_signed_amended_and_never_overwritten(
     assert "Of the old numbers." in page  # what was written is not lost
     assert Conclusion.objects.count() == 2
     page = client.get(reverse("visit", args=[visit.pk])).content.decode()
-    assert "The visit was measured again since." in page
+    assert "The visit has been measured again since." in page
     assert "measured again since" not in sign("Of the new numbers.", again)
     Person.objects.filter(pk=surgeon.pk).update(full_name="د. محمد")
     page = client.get(reverse("visit", args=[visit.pk])).content.decode()
@@ -387,8 +387,8 @@ def test_technicians_read_a_conclusion_and_write_none(visit: Visit, client_of: C
 @pytest.mark.parametrize(
     ("state", "role", "words", "button"),
     [
-        ("measured", Role.CLINICIAN, "Look at the boundaries", "Confirm boundaries"),
-        ("measured", Role.TECHNICIAN, "A clinician looks at the boundaries", None),
+        ("measured", Role.CLINICIAN, "Check the boundaries", "Confirm boundaries"),
+        ("measured", Role.TECHNICIAN, "A clinician checks the boundaries", None),
         ("changed", Role.TECHNICIAN, "was changed and is not measured yet", "Measure"),
         ("confirmed", Role.CLINICIAN, "The boundaries are confirmed.", "Write the conclusion"),
         ("confirmed", Role.TECHNICIAN, "A clinician writes the conclusion.", None),

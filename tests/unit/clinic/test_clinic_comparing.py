@@ -310,7 +310,7 @@ def test_the_page_names_lengths_and_shows_the_photographs_of_both_dates(
     assert "<strong>+4.0 ± 2.9</strong>" in page
     assert all(reverse("upload-screen", args=[shot.pk]) in page for shot in shots)
     assert page.count("No photograph") == 1
-    assert page.count("Boundaries that nobody has confirmed yet") == 1
+    assert page.count("Boundaries that are not confirmed yet") == 1
     larger = client.get(reverse("upload-screen", args=[shots[0].pk]))
     assert Image.open(io.BytesIO(larger.content)).size == (1600, 19)
     assert client_of(Role.RESEARCHER).get(reverse("upload-screen", args=[shots[0].pk])).status_code == 403

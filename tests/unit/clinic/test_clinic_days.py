@@ -112,7 +112,7 @@ def people(hospital: Hospital) -> Hospital:
     links = {}
     for role, (name, full_name, label) in PEOPLE.items():
         page.goto("/people/")
-        page.get_by_role("link", name="Enter somebody").click()
+        page.get_by_role("link", name="Add a person").click()
         page.get_by_label("Name for the login").fill(name)
         page.get_by_label("Full name").fill(full_name)
         page.get_by_label(label).check()
@@ -261,7 +261,7 @@ def enter_patient(page: Page) -> None:
     require_step(page, "First patient")
     page.get_by_role("main").get_by_role("link", name="New visit", exact=True).click()
     page.get_by_label("Who is photographed?").press_sequentially("müller")
-    expect(page.get_by_text("Nobody answers “müller”.")).to_be_visible()
+    expect(page.get_by_text("No patient matches “müller”.")).to_be_visible()
     judge(page, "search")
     page.get_by_role("link", name="Enter a new patient").click()
     entries = {

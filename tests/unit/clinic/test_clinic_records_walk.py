@@ -95,7 +95,7 @@ def test_records_are_kept_right_by_clicks(tmp_path: Path, database: str) -> None
 
             page = pages["researcher"]
             page.goto("/study/")
-            expect(page.get_by_text("Apart, not in the median")).to_be_visible()
+            expect(page.get_by_text("Listed separately, not in the median")).to_be_visible()
             expect(page.get_by_text("apart: another wall").first).to_be_visible()
             expect(page.get_by_text("3 patients with a visit that was entered as a repeat")).to_be_visible()
             require_accessible(page)
@@ -103,7 +103,7 @@ def test_records_are_kept_right_by_clicks(tmp_path: Path, database: str) -> None
             page = pages["administrator"]
             page.goto("/erase/")
             page.get_by_label("Pseudonym", exact=True).fill(pseudonym)
-            page.get_by_role("button", name="Show what would go").click()
+            page.get_by_role("button", name="Show what would be deleted").click()
             expect(page.get_by_text(f"The backup {tmp_path / 'elsewhere.tar'}")).to_be_visible()
             require_accessible(page)
             page.get_by_label("Type the pseudonym again").fill(pseudonym)

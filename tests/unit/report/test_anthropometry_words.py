@@ -57,7 +57,7 @@ def test_the_first_pages_lengths_are_the_exported_ones() -> None:
         ("Ptosis, grade after Regnault", "I or II", "–", ""),
     )
     assert note == (
-        "Not measured, since a landmark is not marked: sternal notch to nipple; nipple to fold, along the skin; "
+        "Not measured, because a landmark is not marked: sternal notch to nipple; nipple to fold, along the skin; "
         "base width, straight."
     )
     assert planning_lengths(None) == (None, "")
@@ -84,6 +84,6 @@ def test_symmetry_in_words() -> None:
         left_mm=np.zeros(1), right_mm=np.zeros(1),
     )  # fmt: skip
     said = " | ".join(fact.value for fact in symmetry_facts(found))
-    assert "2.5 mm, with one breast laid onto the other" in said
+    assert "2.5 mm, with one breast aligned to the other" in said
     assert "+6.5 mm sideways, −4.5 mm up, 0.0 mm forwards, turned by 12°" in said
     assert symmetry_facts(None) == ()

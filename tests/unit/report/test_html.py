@@ -96,7 +96,7 @@ def test_the_page_says_what_it_must(page_content: ReportContent) -> None:
         "The interval does not cover the cameras' errors.",
         "Boundaries: not confirmed.",
         "Pair one: <script>",
-        "Left breast: what was measured",
+        "Left breast: measured values",
         "For the technician",
     )
     places = [words.index(part) for part in order]

@@ -151,7 +151,7 @@ def test_the_first_page_shows_all_that_a_clinic_knows() -> None:
 def test_a_long_conclusion_follows_whole_on_the_second_page() -> None:
     long = replace(CLINICAL, conclusions=(replace(CLINICAL.conclusions[0], text="All is well. " * 150),))
     pages = pages_of(rendered_with(page_content("left", "right"), long))
-    assert "It is long and stands on the next page. Signed: Dr. B" in pages[0]
+    assert "It is long: see the next page. Signed: Dr. B" in pages[0]
     assert pages[1].count("All is well.") == 150
 
 

@@ -114,8 +114,8 @@ def _judgement(visit: Visit, measurement: Measurement, *, clinician: bool) -> Ne
     """Next step of a measured visit: a clinician's, or what others wait for."""
     if visit.state != Visit.State.CONFIRMED:
         if not clinician:
-            return NextStep(words="Measured. A clinician looks at the boundaries and confirms them.")
-        words = "Measured. Look at the boundaries, and confirm them or draw them better."
+            return NextStep(words="Measured. A clinician checks the boundaries and confirms them.")
+        words = "Measured. Check the boundaries, and confirm or correct them."
         return NextStep(words=words, button="Confirm boundaries", address=reverse("draw", args=[visit.pk]))
     newest = visit.conclusions.first()
     if newest is None or newest.measurement_id != measurement.pk:

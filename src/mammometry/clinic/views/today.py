@@ -49,7 +49,7 @@ def steps() -> list[Step]:
     return [
         Step(
             "People", "Enter at least one technician or clinician, and hand over the link to set a password.",
-            staff, "Enter somebody", reverse("person-new"), ADMINISTRATOR,
+            staff, "Add a person", reverse("person-new"), ADMINISTRATOR,
         ),
         Step(
             "Rig", "Enter the cameras that stand together, and the board they are calibrated with.",

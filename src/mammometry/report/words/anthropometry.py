@@ -142,7 +142,7 @@ def quantities_of(dimensions: Dimensions) -> Iterator[dict[str, Any]]:
 
 
 def projections_of(dimensions: Dimensions) -> Iterator[dict[str, Any]]:
-    """Projection of each breast for the table; in exports it is with the volume."""
+    """Projection of each breast for the table, as exports have it with the volume."""
     for shape in dimensions.shapes:
         value, sigma = shape.projection_mm, shape.projection_sigma_mm
         yield _quantity("projection", "Projection", shape.name, value, sigma, method="plane-distance")

@@ -68,7 +68,7 @@ _EXPLAINED = {
         "this volume to compare visits. The real chest wall may be elsewhere."
     ),
     "muscle": (
-        "The breast with the layer of fat behind it, down to the chest muscle: the tissue weighed after a "
+        "The breast with the layer of fat behind it, down to the chest muscle. It is weighed after a "
         "mastectomy. This layer cannot be seen. Its thickness was entered, or is the mean of other women."
     ),
 }
