@@ -28,10 +28,10 @@ from mammometry.hospital.exported import person_name
 
 
 def add_person(username: str, roles: Sequence[Role], *, full_name: str = "", email: str = "") -> Person:
-    """Enter somebody, who cannot log in before having set a password.
+    """Add a person, who can log in after setting a password.
 
     Raises:
-        ClinicError: the name is taken, or something in it cannot be.
+        ClinicError: the name is taken or invalid.
     """
     require_text(person_name(full_name), "PN", "the full name", refusal=ClinicError)
     person = Person(username=username, roles=[role.value for role in roles], full_name=full_name, email=email)
@@ -48,7 +48,7 @@ def add_person(username: str, roles: Sequence[Role], *, full_name: str = "", ema
 
 
 def invitation(person: Person) -> str:
-    """Path of the page on which this person sets a password. It works once, for three days."""
+    """Path of the page for setting this person's password. It works once, for three days."""
     from allauth.account.forms import default_token_generator
     from allauth.account.utils import user_pk_to_url_str
 
@@ -57,28 +57,28 @@ def invitation(person: Person) -> str:
 
 
 def find_person(username: str) -> Person:
-    """Somebody by the name to log in with.
+    """The person with a login name.
 
     Raises:
-        ClinicError: there is nobody of that name.
+        ClinicError: there is none.
     """
     person = Person.objects.filter(username=username).first()
     if person is None:
         remedy = "See `mammometry clinic people list`"
-        raise ClinicError(username, found="nobody of that name", expected="somebody who may log in", remedy=remedy)
+        raise ClinicError(username, found="no person of that name", expected="a person who may log in", remedy=remedy)
     return person
 
 
 _NEW_CODES = "mfa/messages/recovery_codes_generated.txt"
 _MESSAGES = {
     "account/messages/password_changed.txt": "Your password is changed. Log in with the new one.",
-    _NEW_CODES: "New codes are made. The old ones do not work any more.",
+    _NEW_CODES: "There are new codes. The old ones no longer work.",
     "mfa/messages/totp_activated.txt": "The second factor is set up.",
     "mfa/messages/totp_deactivated.txt": "The second factor is removed.",
 }
-"""Template of allauth's message → our sentence. All other messages are left out: the page itself says it."""
+"""Template of allauth's message → our sentence. All other messages are left out, because the page shows the result."""
 FRESH_S = 600
-"""How long after a login the password is not asked again, s."""
+"""Time after a login without asking for the password again, s."""
 
 
 class Accounts(DefaultAccountAdapter):
@@ -88,9 +88,9 @@ class Accounts(DefaultAccountAdapter):
         **DefaultAccountAdapter.error_messages,
         "username_password_mismatch": "The name or the password is wrong.",
         "incorrect_password": "The password is wrong.",
-        "enter_current_password": "This is not your password now.",
-        "too_many_login_attempts": "Too many tries. Wait a minute, then try again.",
-        "rate_limited": "Too many tries. Wait a minute, then try again.",
+        "enter_current_password": "This is not your current password.",
+        "too_many_login_attempts": "Too many attempts. Wait a minute, then try again.",
+        "rate_limited": "Too many attempts. Wait a minute, then try again.",
     }
 
     def is_open_for_signup(self, request: HttpRequest) -> bool:
@@ -100,9 +100,9 @@ class Accounts(DefaultAccountAdapter):
     def add_message(
         self, request: HttpRequest, level: int, message_template: str | None = None, *args: Any, **kwargs: Any
     ) -> None:
-        """Show our sentence in place of allauth's.
+        """Show our sentence instead of allauth's.
 
-        The first codes come with the factor itself and replace none.
+        The first codes come with the factor and replace none.
         """
         sentence = _MESSAGES.get(message_template or "")
         first = message_template == _NEW_CODES and request.path != reverse("mfa_generate_recovery_codes")
@@ -110,7 +110,7 @@ class Accounts(DefaultAccountAdapter):
             super().add_message(request, level, message=sentence)
 
     def is_reauthentication_required(self, *, app: str, **kwargs: Any) -> bool:
-        """Whether the password is asked again. Not for a first second factor, just after the login."""
+        """Whether the password is asked again: not when setting up the first second factor after a login."""
         from allauth.account.authentication import get_authentication_records
 
         request = context.request
@@ -126,16 +126,16 @@ class SecondFactor(DefaultMFAAdapter):
 
     error_messages = {  # noqa: RUF012
         **DefaultMFAAdapter.error_messages,
-        "incorrect_code": "The code is wrong. It changes every 30 seconds: enter the one that is shown now.",
+        "incorrect_code": "The code is wrong. It changes every 30 seconds: enter the current one.",
         "cannot_delete_authenticator": "The second factor cannot be removed: this clinic requires it.",
     }
 
     def encrypt(self, text: str) -> str:
-        """Under a key made of the clinic's."""
+        """Encrypt with a key derived from the clinic's."""
         return _cipher().encrypt(text.encode()).decode()
 
     def decrypt(self, encrypted_text: str) -> str:
-        """The text that `encrypt` was given."""
+        """Decrypt a text of `encrypt`."""
         return _cipher().decrypt(encrypted_text.encode()).decode()
 
 
@@ -144,9 +144,9 @@ def _cipher() -> Fernet:
     return Fernet(base64.urlsafe_b64encode(digest))
 
 
-_PASSWORD = "At least 12 characters. A few words in a row are good; your name or a common password is refused."
+_PASSWORD = "At least 12 characters. A few words in a row are good. Your name and common passwords are refused."
 _AGAIN = ("The same again", "")
-_CODE = "Six digits, as the application on your telephone shows them now. A code for a lost telephone works, too."
+_CODE = "Six digits from the app on your telephone. A code for a lost telephone also works."
 
 
 class _Labelled:
@@ -159,7 +159,7 @@ class _Labelled:
         for name, (label, hint) in self.words.items():
             field = self.fields[name]  # type: ignore[attr-defined]
             field.label, field.help_text = label, hint
-            field.widget.attrs.pop("placeholder", None)  # it would say the label again
+            field.widget.attrs.pop("placeholder", None)  # it would repeat the label
 
 
 class LoginForm(_Labelled, account.LoginForm):
@@ -192,7 +192,7 @@ class CodeForm(_Labelled, mfa.AuthenticateForm):
     words: ClassVar = {"code": ("Code", _CODE)}
 
     def clean_code(self) -> Any:
-        """Enter a wrong code into the audit, and refuse it."""
+        """Record a wrong code in the audit, and refuse it."""
         try:
             return super().clean_code()
         except forms.ValidationError:
@@ -209,4 +209,4 @@ class CodeAgainForm(_Labelled, mfa.ReauthenticateForm):
 class SetUpForm(_Labelled, totp.ActivateTOTPForm):
     """The first code of a new authenticator."""
 
-    words: ClassVar = {"code": ("Code", "Six digits, as the application shows them now.")}
+    words: ClassVar = {"code": ("Code", "Six digits from the app.")}

@@ -5,14 +5,14 @@ from django.db.models.signals import post_migrate
 
 
 class ClinicApp(AppConfig):
-    """Registers what the audit watches, and seals the audit after each migration."""
+    """Registers the audited models, and seals the audit after each migration."""
 
     name = "mammometry.clinic"
     label = "clinic"
     default_auto_field = "django.db.models.BigAutoField"
 
     def ready(self) -> None:
-        """Called by Django when all models are known."""
+        """Called by Django when all models are loaded."""
         from mammometry.clinic import audit
 
         audit.watch_models()

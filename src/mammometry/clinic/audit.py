@@ -1,9 +1,8 @@
-"""The audit. Who saw and who changed what. Entries can be added and read, and never changed.
+"""The audit: who saw and who changed what. Entries can be added and read, but never changed.
 
-django-auditlog enters each change of a registered model. `record_view` enters each page that was opened, and
-`record_refusal` each that was refused; signals of the login enter who came, who left and whose login failed. Entries
-name a patient by pseudonym, and hold no names: what is entered of `MASKED` fields is that they changed. `audit_entries`
-reads them.
+django-auditlog records each change of a registered model, `record_view` each opened page, `record_refusal` each refused
+one, and login signals each login, logout and failed login. Entries have pseudonyms and no names: of `MASKED` fields
+they only record that they changed. `audit_entries` reads them.
 """
 
 import getpass
@@ -26,14 +25,14 @@ from django.http import HttpRequest, HttpResponseBase
 
 TABLE = "auditlog_logentry"
 OPENED, LOGIN, FAILED_LOGIN, REFUSED, COMMAND = "opened", "login", "failed login", "refused", "command"
-"""Kinds of entries that are no change of a row; `additional_data["kind"]`."""
+"""Kinds of entries other than changes of rows; `additional_data["kind"]`."""
 _LEFT_OUT = {
     "Patient": ["search_words"],
     "Person": ["password", "last_login"],
     "Upload": ["received_bytes"],
     "Job": ["stage", "fraction", "message", "lease_owner", "lease_until", "due"],
 }
-"""Fields whose changes are no news: secrets, and how far something is."""
+"""Fields whose changes are not recorded: secrets and progress."""
 MASKED = {
     "Patient": ["family_name", "given_name", "born", "record_number", "note"],
     "Visit": ["note"],
@@ -43,11 +42,11 @@ MASKED = {
     "Conclusion": ["text"],
     "Correction": ["reason", "before", "after"],
 }
-"""Fields of which the audit holds only that they changed: they tell who somebody is."""
+"""Fields that identify a person. The audit records only that they changed."""
 NOTES = {"Patient": "note", "Visit": "note", "Consent": "note", "Operation": "words"}
-"""Fields whose text before and after each change is kept beside the audit (`NoteChange`), for who may read notes."""
+"""Fields whose text before and after each change is stored in `NoteChange`, for people who may read notes."""
 _UNWATCHED = ("AuditLink", "FormToken", "NoteChange")
-"""Rows that are entered with others or hold nothing of anybody."""
+"""Rows that are recorded with others or contain no personal data."""
 _ABOUT = {
     "patient": "Patient", "visit": "Visit", "rig": "Rig", "calibration": "Calibration", "check": "DailyCheck",
     "job": "Job", "upload": "Upload", "measurement": "Measurement", "person": "Person",
@@ -57,17 +56,17 @@ _ABOUT = {
 
 
 _BOTH_VERSIONS = 409
-"""Status of the page that shows a record that a colleague changed."""
-_PATH = 300  # characters of an address that are kept; ours are shorter
+"""Status of the page for a record that a colleague changed."""
+_PATH = 300  # characters of an address that are stored; ours are shorter
 
 
 def mask(value: str) -> str:
-    """A stand-in for a value that shows who somebody is."""
+    """Replacement for a value that identifies a person."""
     return "•••" if value and value != "None" else value
 
 
 def watch_models() -> None:
-    """Have each change of the clinic's models entered."""
+    """Record each change of the clinic's models."""
     for model in apps.get_app_config("clinic").get_models():
         name = model.__name__
         if name in _UNWATCHED:
@@ -95,7 +94,7 @@ def record_note(
     log_entry: LogEntry | None,
     **_: object,
 ) -> None:
-    """Keep what a note said before and after a change, unless its patient is being erased."""
+    """Store a note before and after a change, unless its patient is being erased."""
     field = NOTES[sender.__name__]
     if log_entry is None or field not in (log_entry.changes_dict or {}):
         return
@@ -118,12 +117,12 @@ _ALONE = "_is_deleted_alone"
 
 
 def _note_origin(instance: Model, origin: object = None, **_: object) -> None:
-    """Note whether a row is removed by itself, and not with its patient."""
+    """Remember whether a row is removed separately from its patient."""
     setattr(instance, _ALONE, origin is instance and not hasattr(instance, "note_changes"))
 
 
 def record_login(sender: object, request: HttpRequest | None, user: Model | None, signal: Signal, **_: object) -> None:
-    """Enter that somebody came or left."""
+    """Record a login or logout."""
     if user is None:
         return
     _enter_access(user, user, request, LOGIN, {"page": "login" if signal is user_logged_in else "logout"})
@@ -136,13 +135,13 @@ def record_failed_login(
     credentials: dict[str, Any] | None = None,
     **_: object,
 ) -> None:
-    """Enter that a password was wrong, or that somebody was locked out after too many.
+    """Record a wrong password, or a lock after too many.
 
-    The entry names the person whose name was tried. A name that nobody has is not kept: it may be a password in the
+    The entry names the person whose login was tried. An unknown name is not stored, because it may be a password in the
     wrong field.
     """
     if signal is user_login_failed and getattr(request, "axes_locked_out", False):
-        return  # axes says so by its own signal
+        return  # axes reports this by its own signal
     name = (tried_name(request, credentials) or "").replace("\0", "")
     person = get_user_model()._default_manager.filter(username=name).first()
     page = "login failed" if signal is user_login_failed else "locked out"
@@ -150,24 +149,24 @@ def record_failed_login(
 
 
 def record_wrong_code(person: Model, request: HttpRequest | None) -> None:
-    """Enter that the password was right and the second factor's code wrong."""
+    """Record a right password with a wrong code of the second factor."""
     _enter_access(person, person, request, FAILED_LOGIN, {"page": "wrong code"})
 
 
 def record_view(request: HttpRequest, response: HttpResponseBase, parameters: Mapping[str, Any]) -> None:
-    """Enter who opened what. The deepest object that the path names, else the page itself.
+    """Record an opened page. The entry is about the last object in the path, otherwise the page.
 
     A view that shows several objects puts their ids into ``request.shown``.
     """
     if request.method not in ("GET", "POST"):
         return
     if response.status_code >= 300 and response.status_code != _BOTH_VERSIONS:
-        return  # nothing was shown; what a POST changed is entered by its change
+        return  # nothing was shown; changes by a POST have their own entries
     _enter_page(request, OPENED, parameters)
 
 
 def record_refusal(request: HttpRequest) -> None:
-    """Enter that somebody who is logged in asked for a page that his or her role does not open."""
+    """Record that a logged-in person asked for a page without having the role."""
     match = request.resolver_match
     _enter_page(request, REFUSED, {} if match is None else match.kwargs)
 
@@ -209,7 +208,7 @@ def _enter_access(
 
 
 def record_command(instance: Model, command: str, person: Model | None = None) -> None:
-    """Enter that something was exported or erased: by a person on a page, or by a command."""
+    """Record an export or erasure, by a person on a page or by a command."""
     by = {} if person is not None else {"account": getpass.getuser()}
     _enter_access(instance, person, None, COMMAND, {"page": f"command {command}", **by})
 
@@ -227,7 +226,7 @@ _ROW_CHANGED, _TRUNCATED = 1 + 2 + 8 + 16, 2 + 32
 
 
 def _sqlite_triggers(table: str) -> dict[str, str]:
-    """Name → what SQLite keeps as its definition. REPLACE deletes without a trigger: an insert must be of a new key."""
+    """Name → its definition in SQLite. REPLACE deletes without a trigger, so an insert needs a new key."""
     refuse = f"BEGIN SELECT RAISE(ABORT, '{_REFUSAL}'); END"
     key = "place" if table == LINKS else "id"
     there = f"WHEN EXISTS (SELECT 1 FROM {table} WHERE {key} = NEW.{key})"
@@ -256,9 +255,9 @@ def _seals(table: str) -> list[str]:
 
 
 def seal() -> None:
-    """Make the database itself refuse to change or delete entries, and index what pages filter by.
+    """Make the database refuse to change or delete entries, and add indexes for the filters.
 
-    Safe to call again: what was there under these names is replaced.
+    Can be called again: existing triggers of these names are replaced.
     """
     kind = KIND_POSTGRESQL if connection.vendor == "postgresql" else KIND_SQLITE
     indexes = [
@@ -273,7 +272,7 @@ def seal() -> None:
 
 
 def is_sealed() -> bool:
-    """Whether the database refuses to change entries, by our own triggers and no others of their names."""
+    """Whether the database refuses to change entries with exactly our triggers."""
     with connection.cursor() as cursor:
         if connection.vendor != "postgresql":
             cursor.execute("SELECT name, sql FROM sqlite_master WHERE type = 'trigger'")

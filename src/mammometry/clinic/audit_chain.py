@@ -1,8 +1,8 @@
 """The chain of the audit: each entry has a digest of itself and of the digest before.
 
-An entry that was changed or taken out, or put between others, breaks the chain from there on. Entries are chained some
-seconds after they are written, and before each backup. The digest of the last one stands in every backup, so that
-even an administrator of the database cannot start a new chain unnoticed (docs/dossier/security.md).
+An entry that was changed, removed or inserted breaks the chain from there on. Entries are chained some seconds after
+they are written, and before each backup. Every backup contains the last digest, so that even a database administrator
+cannot start a new chain unnoticed (docs/dossier/security.md).
 """
 
 import datetime
@@ -21,9 +21,9 @@ from django.db.models import Exists, Max, OuterRef
 from mammometry.clinic.config import ClinicError
 from mammometry.clinic.models import AuditLink
 
-_AT_ONCE = 1000  # entries that are read together
+_AT_ONCE = 1000  # entries read at a time
 _LATE = 10_000  # entries between one and the latest: far more than are written at the same time
-_LOCK = 7_013_311  # of PostgreSQL: any number that nothing else here uses
+_LOCK = 7_013_311  # of PostgreSQL: any number that is not used elsewhere
 _Row = TypeVar("_Row")
 
 
@@ -32,24 +32,24 @@ class ChainEnd:
     """Last link of the chain."""
 
     place: int
-    """Number of links. 0: there is none."""
+    """Number of links. 0: none."""
     digest: str
 
 
 def extend(*, every: bool = True) -> ChainEnd:
-    """Chain all entries that are not chained yet. The last link.
+    """Chain all entries that are not chained yet. Returns the last link.
 
     Args:
-        every: look at all entries. False: at the latest ones, which is quick however many there are.
+        every: check all entries. False: only the latest ones, which is always quick.
     """
     new = LogEntry.objects.filter(~Exists(AuditLink.objects.filter(entry=OuterRef("pk")))).order_by("pk")
     if not every:
         latest = AuditLink.objects.aggregate(latest=Max("entry"))["latest"] or 0
-        new = new.filter(pk__gt=latest - _LATE)  # a number may be given long before its entry is there
+        new = new.filter(pk__gt=latest - _LATE)  # a number may be assigned long before its entry is visible
     if not new.exists():
         return _end()
     with transaction.atomic():
-        if connection.vendor == "postgresql":  # SQLite lets one transaction write at a time by itself
+        if connection.vendor == "postgresql":  # SQLite allows only one writing transaction
             with connection.cursor() as cursor:
                 cursor.execute("SELECT pg_advisory_xact_lock(%s)", [_LOCK])
         end = _end()
@@ -63,13 +63,13 @@ def extend(*, every: bool = True) -> ChainEnd:
 
 
 def verify(expected: ChainEnd | None = None) -> ChainEnd:
-    """Check every link against its entry. The last link.
+    """Check every link against its entry. Returns the last link.
 
     Args:
         expected: a link that must be in the chain, such as the last one of a backup.
 
     Raises:
-        ClinicError: an entry was changed or taken out, links are missing, or the expected one is not there.
+        ClinicError: an entry was changed or removed, or links are missing.
     """
     found = ChainEnd(0, "")
     is_there = expected is None or expected.place == 0
@@ -82,11 +82,11 @@ def verify(expected: ChainEnd | None = None) -> ChainEnd:
             if content is None:
                 raise _broken(f"entry {link.entry} is gone")
             if link.digest != _next(found.digest, content):
-                raise _broken(f"entry {link.entry}, or one before, is not as it was written")
+                raise _broken(f"entry {link.entry}, or an earlier one, was changed")
             found = ChainEnd(link.place, link.digest)
             is_there = is_there or found == expected
     if not is_there:
-        raise _broken("another chain than in the newest backup")
+        raise _broken("a different chain from the newest backup")
     return found
 
 
@@ -125,6 +125,6 @@ def _plain(value: object) -> str:
 
 def _broken(found: str) -> ClinicError:
     return ClinicError(
-        "the audit", found=found, expected="each entry as it was written, in an unbroken chain",
-        remedy="Somebody changed the database by other means: find out who, and compare with the backups",
+        "the audit", found=found, expected="unchanged entries in an unbroken chain",
+        remedy="The database was changed by other means: find out by whom, and compare with the backups",
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""The audit, to read: filters, pages of entries, and their CSV."""
+"""Reading the audit: filters, pages of entries, and their CSV."""
 
 import datetime
 import io
@@ -27,7 +27,7 @@ KINDS = {
     REFUSED: "refused page",
     COMMAND: "exported or erased",
 }
-"""Kind of an entry → its words."""
+"""Kind of an entry → its text."""
 SHOWN = 50
 """Entries on a page."""
 COLUMNS = (
@@ -54,7 +54,7 @@ _TITLES = {
     "audit-csv": "Audit as CSV",
     "audit-entry": "Entry of the audit",
     "person-factor": "Reset of a second factor",
-    "person-let-in": "Let in again",
+    "person-let-in": "Unlocked",
     "person-invite": "New link for a password",
     "login": "Login",
     "logout": "Logout",
@@ -71,7 +71,7 @@ _TITLES = {
     "mfa_generate_recovery_codes": "New codes for a lost telephone",
     "mfa_download_recovery_codes": "Codes for a lost telephone, as a file",
 }
-"""Routes whose name is no title."""
+"""Titles of routes whose name is not suitable."""
 _MODELS = {"dailycheck": "daily check", "visitorder": "order of a visit", "destination": "archive"}
 
 
@@ -89,7 +89,7 @@ class AuditFilter:
     """Filter of the audit's entries."""
 
     person: UUID | None = None
-    """Who did it, or whose name was tried."""
+    """Actor, or the login that was tried."""
     since: datetime.date | None = None
     """First day."""
     until: datetime.date | None = None
@@ -102,7 +102,7 @@ class AuditFilter:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entry:
-    """An entry of the audit as the page shows it, in words."""
+    """An entry of the audit as text for the page."""
 
     number: int
     at: datetime.datetime
@@ -110,7 +110,7 @@ class Entry:
     kind: str
     """A key of `KINDS`."""
     title: str
-    """The page's, or what was changed."""
+    """Title of the page, or the changed object."""
     path: str
     """Address of the page, without a query."""
     about: str
@@ -124,7 +124,7 @@ class Entry:
 
     @property
     def words(self) -> str:
-        """The kind in words."""
+        """The kind as text."""
         return KINDS[self.kind]
 
     @property
@@ -136,21 +136,21 @@ class Entry:
 
 
 class _Kind(Func):
-    """Kind of an entry in SQL, as the index has it."""
+    """Kind of an entry in SQL, as in the index."""
 
     output_field = TextField()
 
     def as_sqlite(self, compiler: Any, connection: Any, **context: Any) -> Any:
-        """Extract the kind as SQLite reads JSON."""
+        """Extract the kind with SQLite's JSON functions."""
         return super().as_sql(compiler, connection, template=KIND_SQLITE % "%(expressions)s", **context)
 
     def as_postgresql(self, compiler: Any, connection: Any, **context: Any) -> Any:
-        """Extract the kind as PostgreSQL reads JSON."""
+        """Extract the kind with PostgreSQL's JSON operators."""
         return super().as_sql(compiler, connection, template=f"({KIND_POSTGRESQL % '%(expressions)s'})", **context)
 
 
 def entries(chosen: AuditFilter) -> QuerySet[LogEntry]:
-    """Entries that a filter lets through, the newest first."""
+    """Entries that match a filter, newest first."""
     rows = LogEntry.objects.alias(kind=_Kind("additional_data")).order_by("-pk")
     if chosen.person is not None:
         rows = rows.filter(actor_id=chosen.person)
@@ -168,11 +168,11 @@ def entries(chosen: AuditFilter) -> QuerySet[LogEntry]:
 
 
 def entry_page(chosen: AuditFilter, before: int | None = None) -> tuple[list[Entry], int | None]:
-    """Entries older than a number, and the number from which the next page goes on.
+    """Entries older than a number, and the number where the next page starts.
 
     Args:
-        chosen: which entries.
-        before: number of the last entry of the page before; None: begin with the newest.
+        chosen: the filtered entries.
+        before: number of the last entry of the previous page; None: start with the newest.
     """
     matching = entries(chosen)
     if before is not None:
@@ -185,12 +185,12 @@ def entry_page(chosen: AuditFilter, before: int | None = None) -> tuple[list[Ent
 def in_words(
     row: LogEntry, names: Mapping[UUID, str], texts: Mapping[str, tuple[str, str]] = MappingProxyType({})
 ) -> Entry:
-    """One entry in words, whatever became of what it is about.
+    """One entry as text, even if its object no longer exists.
 
     Args:
         row: the entry.
-        names: key of each person → the name that pages say.
-        texts: field → its text before and after, where the entry does not hold it and the reader may read it.
+        names: key of each person → name shown on pages.
+        texts: field → its text before and after, if the reader may see it.
     """
     additional: dict[str, Any] = row.additional_data if isinstance(row.additional_data, dict) else {}
     model = ContentType.objects.get_for_id(row.content_type_id).model
@@ -216,7 +216,7 @@ def in_words(
 
 
 def change_of(row: Model) -> LogEntry | None:
-    """The newest change of a row: who and when. None: there is none."""
+    """The newest change of a row, with its author and time. None: there is none."""
     of_row = LogEntry.objects.filter(
         content_type=ContentType.objects.get_for_model(row), object_pk=str(row.pk), action__in=_CHANGES
     )
@@ -248,9 +248,9 @@ def audit_csv(chosen: AuditFilter) -> str:
 
 
 def _about_patient(rows: QuerySet[LogEntry], pseudonym: str) -> QuerySet[LogEntry]:
-    """Entries about a patient's rows, and pages on which the patient was one of several.
+    """Entries about a patient's rows, and pages that listed the patient.
 
-    Those of an erased patient are found by the pseudonym alone.
+    For an erased patient only the pseudonym is used.
     """
     from mammometry.clinic.maintenance.patient import rows_of
 

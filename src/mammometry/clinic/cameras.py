@@ -1,7 +1,7 @@
-"""Cameras that this computer drives for the clinic's pages.
+"""Cameras connected to this computer, for the clinic's pages.
 
-clinic.toml names a rig.toml for each rig whose cables end here. Cameras are opened when a page first asks for them,
-and let go when no page has asked for a while, so that other programs can have them.
+clinic.toml names a rig.toml for each rig that is connected here. Cameras are opened when a page first needs them, and
+released after a while without requests, so that other programs can use them.
 """
 
 import atexit
@@ -18,7 +18,7 @@ from mammometry.clinic.models import Calibration, Rig
 from mammometry.clinic.site import the_clinic
 
 _IDLE_S = 60.0
-"""Seconds without a page after which cameras are let go. A live page asks several times a second."""
+"""Seconds without requests after which cameras are released. A live page sends several per second."""
 
 
 @dataclass(slots=True)
@@ -34,7 +34,7 @@ _timer: threading.Timer | None = None
 
 
 def rig_file(rig: Rig) -> Path | None:
-    """The rig.toml of a rig whose cables end at this computer."""
+    """The rig.toml of a rig that is connected to this computer."""
     name = the_clinic().cameras.get(rig.name)
     return None if name is None else the_clinic().folder / name
 
@@ -42,21 +42,21 @@ def rig_file(rig: Rig) -> Path | None:
 def stand_of(rig: Rig, calibration: Calibration | None) -> Stand:
     """A rig's open cameras.
 
-    They are opened now where they are not, or where the rig's file or the calibration is another.
+    They are opened if needed, or if the rig's file or the calibration has changed.
 
     Args:
         rig: the clinic's.
-        calibration: what pictures are compared with; None: nothing yet.
+        calibration: for comparison with the pictures; None: none yet.
 
     Raises:
-        CaptureError: this computer drives no such cameras, or they do not answer.
-        SessionError: the rig's file is not as documented, or of another rig.
+        CaptureError: no such cameras are connected, or they do not answer.
+        SessionError: the rig's file is invalid or of another rig.
     """
     path = rig_file(rig)
     if path is None:
         remedy = "Ask the administrator; until then, upload the photographs"
         expected = "its rig.toml in clinic.toml"
-        raise CaptureError(rig.name, found="no cameras that this computer drives", expected=expected, remedy=remedy)
+        raise CaptureError(rig.name, found="no cameras connected to this computer", expected=expected, remedy=remedy)
     folder = None if calibration is None else the_clinic().folder / calibration.folder
     with _one:
         file = read_rig_file(path)
@@ -71,7 +71,7 @@ def stand_of(rig: Rig, calibration: Calibration | None) -> Stand:
                     f"{path.name}: rig.pairs", found="other cameras or pairs", expected=f"those of {rig.name}",
                     remedy="Correct the file, or name the right one in clinic.toml",
                 )  # fmt: skip
-            # The clinic's calibration, never the file's: a visit is measured with it.
+            # The clinic's calibration, never the file's, because visits are measured with it.
             rigged = OpenRig(path, calibration=folder, settings=the_clinic().measuring(), own_calibration=False)
             entry = _open[str(rig.pk)] = _Open(key=key, stand=Stand(rigged), used_s=time.monotonic())
         entry.used_s = time.monotonic()
@@ -80,10 +80,10 @@ def stand_of(rig: Rig, calibration: Calibration | None) -> Stand:
 
 
 def close_idle(*, idle_s: float = 0.0) -> int:
-    """Let cameras go that no page asks for.
+    """Release cameras that no page uses.
 
     Args:
-        idle_s: seconds since a page asked last.
+        idle_s: seconds since the last request.
 
     Returns:
         How many rigs are still open.

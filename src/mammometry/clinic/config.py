@@ -1,7 +1,7 @@
 """A clinic's settings: ``clinic.toml`` in its folder.
 
-The folder also holds the secret key, the database (unless that is PostgreSQL), the sessions with their photographs, the
-rigs, uploads that are under way, backups and logs.
+The folder also contains the secret key, the database (unless PostgreSQL), the sessions with their photographs, the
+rigs, running uploads, backups and logs.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 FILE = "clinic.toml"
 KEY_FILE = "secret.key"
 SETTINGS_FILE = "settings.toml"
-"""Settings of all measurements, in the clinic's folder; without it, the recommended ones."""
+"""Settings of all measurements, in the clinic's folder; without it, the defaults."""
 OPENID_SECRET_FILE = "openid.secret"
 FOLDERS = ("sessions", "rigs", "uploads", "backups", "logs")
 _STRICT = ConfigDict(extra="forbid", strict=True, frozen=True)
@@ -34,7 +34,7 @@ _KEY_BYTES = 48  # of randomness in the secret key; Django asks for 50 character
 
 
 class ClinicError(MammometryError):
-    """The clinic's folder, database or people are not as they must be."""
+    """An error in the clinic's folder, database or people."""
 
     exit_code = 3
     code = "clinic"
@@ -74,59 +74,59 @@ class Tls(BaseModel):
     key: str = ""
     """PEM file of the certificate's key."""
     behind_proxy: bool = False
-    """A proxy on this machine (127.0.0.1) speaks TLS and passes requests on."""
+    """A proxy on this machine (127.0.0.1) handles TLS and forwards requests."""
 
     @property
     def used(self) -> bool:
-        """Whether browsers speak TLS with us or our proxy."""
+        """Whether browsers use TLS."""
         return self.behind_proxy or bool(self.certificate)
 
 
 class Limits(BaseModel):
-    """Limits of what one person or address may ask for."""
+    """Limits for one person or address."""
 
     model_config = _STRICT
 
     idle_minutes: Annotated[int, Field(ge=1, le=24 * 60)] = 30
     """Minutes without a request after which a person is logged out."""
     session_hours: Annotated[int, Field(ge=1, le=24 * 7)] = 12
-    """Hours after which a person logs in again, idle or not."""
+    """Hours after which a person must log in again, idle or not."""
     wrong_passwords: Annotated[int, Field(ge=3, le=100)] = 8
-    """Wrong passwords for one name from one address, after which it waits."""
+    """Wrong passwords for one name from one address before it is locked."""
     wait_minutes: Annotated[int, Field(ge=1, le=24 * 60)] = 15
-    """How long it waits."""
+    """Duration of the lock."""
     requests_per_second: Annotated[int, Field(ge=1, le=100_000)] = 100
-    """Of one address, on average; ten seconds' worth may come at once."""
+    """Requests per second from one address, on average; the amount of ten seconds may come at once."""
     request_s: Annotated[int, Field(ge=1, le=600)] = 30
-    """Seconds in which a request must be here, besides those that a large one takes at 10 kB a second."""
+    """Seconds for receiving a request, in addition to those of a large one at 10 kB a second."""
     photograph_mb: Annotated[int, Field(ge=1, le=2000)] = 150
     """Largest photograph, MB."""
     photograph_megapixels: Annotated[int, Field(ge=1, le=1000)] = 250
     """Largest photograph, millions of pixels."""
     scan_mb: Annotated[int, Field(ge=1, le=500)] = 200
-    """Largest scan of another device, MB, with its pictures and unpacked."""
+    """Largest scan of another device, MB, unpacked and with its pictures."""
 
 
 class People(BaseModel):
-    """Rules by which people prove who they are."""
+    """Rules for logging in."""
 
     model_config = _STRICT
 
     second_factor: Literal["required", "offered"] = "required"
-    """Whether everybody needs a code from an authenticator besides the password."""
+    """Whether everybody needs a code from an authenticator in addition to the password."""
 
 
 class Backup(BaseModel):
-    """The daily backup that the server makes by itself."""
+    """The server's automatic daily backup."""
 
     model_config = _STRICT
 
     daily_at: Annotated[str, StringConstraints(pattern=r"^(([01]\d|2[0-3]):[0-5]\d)?$")] = "02:30"
-    """Time of day in the clinic's zone; empty: none, as something else makes them."""
+    """Time of day in the clinic's zone; empty: no automatic backups."""
     folder: str = ""
-    """Where backups are kept; empty: ``backups`` in the clinic's folder. Another disk survives the first."""
+    """Folder of the backups; empty: ``backups`` in the clinic's folder. Use another disk."""
     keep: Annotated[int, Field(ge=1, le=1000)] = 3
-    """How many are kept; older ones are deleted after a new one is whole."""
+    """Number of backups; older ones are deleted after a new one is complete."""
 
 
 class OpenId(BaseModel):
@@ -135,7 +135,7 @@ class OpenId(BaseModel):
     model_config = _STRICT
 
     name: Filled
-    """As the login page says it."""
+    """Its name on the login page."""
     server: Filled
     """Address of the server, such as https://login.hospital.example/realms/main."""
     client: Filled
@@ -148,15 +148,15 @@ class ClinicConfig(BaseModel):
     model_config = _STRICT
 
     folder: Path
-    """Where all of it lies."""
+    """The clinic's folder."""
     name: Annotated[Filled, AfterValidator(_is_organization)] = "Clinic"
-    """As pages say it, and as DICOM names the organization of those who confirm."""
+    """Name on pages, and DICOM organization of the people who confirm."""
     address: Annotated[str, StringConstraints(pattern=r"^[^\s:]+:\d{1,5}$")] = "127.0.0.1:8000"
-    """Where the server listens: host:port."""
+    """Address of the server: host:port."""
     hosts: tuple[Filled, ...] = ("localhost", "127.0.0.1")
-    """Names under which browsers may call it."""
+    """Host names that browsers may use."""
     time_zone: Annotated[str, AfterValidator(_is_time_zone)] = "UTC"
-    """Of dates on pages; the database holds UTC."""
+    """Time zone of dates on pages; the database uses UTC."""
     database: str = "sqlite"
     """``sqlite``, or ``postgresql://user:password@host:port/name``."""
     cluster: str = ""
@@ -167,11 +167,12 @@ class ClinicConfig(BaseModel):
     backup: Backup = Backup()
     openid: OpenId | None = None
     cameras: dict[Filled, Filled] = {}
-    """Rig's name → its rig.toml, relative to the clinic's folder, where its cameras are driven by this computer."""
+    """Name of a rig that is connected to this computer → its rig.toml, relative to the clinic's folder."""
 
     stow_secrets: Annotated[dict[Filled, Filled], AfterValidator(_are_encrypted)] = {}
-    """Address of a DICOMweb archive → the file with its login ("Bearer …"), relative to the clinic's folder. It goes to
-    this address only, whichever address is entered on a page."""
+    """Address of a DICOMweb archive → the file with its login ("Bearer …"), relative to the clinic's folder. It is sent
+    only to this address, whichever address is entered on a page.
+    """
 
     def stow_secret(self, address: str) -> str | None:
         """Login for a DICOMweb archive. None: it has none.
@@ -186,10 +187,10 @@ class ClinicConfig(BaseModel):
     def measuring(self) -> Settings:
         """The clinic's measurement settings: its settings.toml, or the defaults.
 
-        Everything that opens a session must use these: with others its results would be made again.
+        Everything that opens a session must use these; with others its results would be computed again.
 
         Raises:
-            SettingsError: the file is not one of settings.
+            SettingsError: the file is invalid.
         """
         from mammometry.settings import Settings
 
@@ -212,7 +213,7 @@ class ClinicConfig(BaseModel):
 
     @property
     def openid_secret(self) -> str:
-        """Secret by which the hospital's login knows the clinic, from its file.
+        """The clinic's secret for the hospital's login, from its file.
 
         Raises:
             ClinicError: the file is missing or empty.
@@ -271,7 +272,7 @@ def read_config(folder: Path) -> ClinicConfig:
 
 
 def machine_time_zone() -> str:
-    """The time zone of this machine, such as Europe/Berlin. UTC where it is not known."""
+    """The time zone of this machine, such as Europe/Berlin. UTC if unknown."""
     found = [os.environ.get("TZ", "").removeprefix(":")]
     with suppress(OSError):
         found.append(Path("/etc/timezone").read_text(encoding="ascii", errors="replace").strip())
@@ -285,8 +286,8 @@ def new_clinic(
     """Make the folder of a clinic: settings, secret key, empty folders.
 
     Raises:
-        ClinicError: there is something in the folder already.
-        SettingsError: the name cannot be a clinic's, or there is no such time zone.
+        ClinicError: the folder is not empty.
+        SettingsError: the name is invalid, or the time zone unknown.
     """
     require_text(name, "LO", "the clinic's name")
     if time_zone not in available_timezones():
@@ -305,13 +306,13 @@ def new_clinic(
 
 
 def new_private(path: Path) -> BinaryIO:
-    """Open a new file, readable by its owner alone. Replaces one that a killed process left."""
-    path.unlink(missing_ok=True)  # it may have a wider mode, which opening would keep
+    """Open a new file, readable only by its owner. Replaces the leftover of a killed process."""
+    path.unlink(missing_ok=True)  # it may have wider permissions, which opening would keep
     return open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb")
 
 
 def write_private(path: Path, text: str) -> None:
-    """Write a small private file, whole or not at all."""
+    """Write a small private file atomically."""
     beside = path.with_name(path.name + ".new")
     with new_private(beside) as file:
         file.write(text.encode())

@@ -23,20 +23,20 @@ _LIBRARIES = ("pydicom", "pynetdicom", "highdicom")
 
 
 def require_libraries(*modules: str) -> None:
-    """Refuse where a library is not installed, in words for people who cannot install it.
+    """Refuse if a library is not installed, with a message for the clinic's users.
 
     Raises:
         MissingLibraryError: names it.
     """
     if absent := missing(*modules):
         raise MissingLibraryError(
-            "this clinic's server", found=f"no library {', '.join(absent)}", expected="all that exports need",
+            "this clinic's server", found=f"no library {', '.join(absent)}", expected="all libraries for exports",
             remedy="Ask the administrator to install mammometry with its extra \"clinic\"",
         )  # fmt: skip
 
 
 def enqueue(visit: Visit, destination: Destination, person: Person | None) -> Delivery:
-    """Have a visit's results sent. One that is on its way already is not sent twice."""
+    """Queue a visit's results for sending. An open delivery is not queued twice."""
     pending = visit.deliveries.filter(destination=destination, state=Delivery.State.QUEUED).first()
     if pending is not None:
         return pending
@@ -47,10 +47,10 @@ def enqueue(visit: Visit, destination: Destination, person: Person | None) -> De
 
 
 def test(destination: Destination) -> None:
-    """Ask an archive whether it answers. C-ECHO, or a search of its web service.
+    """Check that an archive answers, by C-ECHO or a search of its web service.
 
     Raises:
-        MammometryError: it does not, in one sentence.
+        MammometryError: it does not.
     """
     require_libraries(*_LIBRARIES)
     if destination.kind != Destination.Kind.STOW:
@@ -77,11 +77,11 @@ def send(config: ClinicConfig, job: Job) -> dict[str, Any]:
     visit, destination = job.delivery.visit, job.delivery.destination
     sent, kept = _send(config, visit, destination)
     wanted = destination.commitment and destination.kind == Destination.Kind.DICOM
-    return {"sent": sent, "kept": kept, "message": "It gave no promise to keep them." if wanted and not kept else ""}
+    return {"sent": sent, "kept": kept, "message": "It sent no storage commitment." if wanted and not kept else ""}
 
 
 def patient_module(patient: Patient) -> PatientModule:
-    """A patient as the hospital's systems call him or her."""
+    """A patient as in the hospital's systems."""
     name = f"{plain_name(patient.family_name)}^{plain_name(patient.given_name)}"
     return PatientModule(id=patient.record_number, name=name, born=patient.born)
 
@@ -92,11 +92,11 @@ def gathered(config: ClinicConfig, visit: Visit, *, whole: bool = True, deidenti
     Args:
         config: the clinic's.
         visit: measured.
-        whole: with report, models and photographs; else numbers alone.
+        whole: with report, models and photographs; otherwise only numbers.
         deidentify: for others: no pseudonym, no dates, no photographs.
 
     Raises:
-        MammometryError: it is not measured, was changed since, or would have to be measured again.
+        MammometryError: it is not measured, has changed since, or needs a new measurement.
     """
     from mammometry.hospital.gather import PARTS, gather
 
@@ -113,7 +113,7 @@ def gathered(config: ClinicConfig, visit: Visit, *, whole: bool = True, deidenti
 
 
 def _operations(visit: Visit) -> tuple[Operation, ...]:
-    """Operations before the visit, the newest first."""
+    """Operations before the visit, newest first."""
     return tuple(
         Operation(
             kind=row.kind, title=str(row.get_kind_display()), side=row.side, day=row.day,
@@ -143,7 +143,7 @@ def study_of(config: ClinicConfig, visit: Visit, *, deidentify: bool = False) ->
 
 
 def order_of(visit: Visit) -> Order:
-    """A visit's order. Empty where it did not come from a worklist."""
+    """A visit's order. Empty if it is not from a worklist."""
     order = VisitOrder.objects.filter(visit=visit).first()
     if order is None:
         return Order()
@@ -159,7 +159,7 @@ def connection(destination: Destination) -> tuple[Peer, Tls | None]:
 
 
 def _send(config: ClinicConfig, visit: Visit, destination: Destination) -> tuple[int, bool | None]:
-    """Objects that were sent; whether the archive promised to keep all."""
+    """Number of sent objects; whether the archive committed to store all."""
     require_libraries(*_LIBRARIES)
     from mammometry.hospital.dicom.objects import objects
     from mammometry.hospital.dicom.store import committed, send
@@ -177,7 +177,7 @@ def _send(config: ClinicConfig, visit: Visit, destination: Destination) -> tuple
 
 
 def tls_of(destination: Destination) -> Tls | None:
-    """Encryption of the connection to an archive. None: not encrypted."""
+    """Encryption of the connection to an archive. None: unencrypted."""
     if not destination.encrypted:
         return None
     files = (

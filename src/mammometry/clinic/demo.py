@@ -2,10 +2,10 @@
 
 Three virtual patients at several dates, photographed by a virtual rig and measured by the queue.
 
-Everything goes the way of a real clinic: photographs are uploaded and checked, the rig is calibrated and checked by
-jobs, visits are measured by jobs. Only the photographs are rendered, and small. It opens as soon as the rig is
-calibrated and the first visit is queued, after about half a minute on two cores. By then all visits are entered; a
-process beside the server brings their photographs in one after another, as staff would, and the queue measures them.
+Everything works as in a real clinic: photographs are uploaded and checked, jobs calibrate and check the rig and measure
+the visits. Only the photographs are rendered, and small. It opens as soon as the rig is calibrated and the first visit
+is queued, after about half a minute on two cores. All visits are entered by then; a second process uploads their
+photographs one after another, and the queue measures them.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _RIG_NAME = "Room 1"
 _RIG_FILE = "cameras/rig.toml"  # in the clinic's folder
 _SEED = 11  # of the rig: all visits must have the same
 _TARGET = {"squares": (9, 7), "square_mm": 42.0, "marker_mm": 32.0, "dictionary": "DICT_4X4_100"}
-"""A coarser board than usual, which pictures so small still show."""
+"""A coarser board than usual, for small pictures."""
 SETTINGS = """\
 # The demo's photographs are small, and its cubes large, so that a visit takes seconds.
 [surface.extract]
@@ -62,7 +62,7 @@ _PEOPLE = (
     ("administrator", "Ada Administrator"),
 )
 _WAIT_S = 900.0  # for all jobs: a slow machine is no failure
-_LOOK_S = 0.3  # between looks at the jobs: often enough for a smooth bar
+_LOOK_S = 0.3  # between two checks of the jobs: often enough for a smooth bar
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,7 +75,7 @@ class VirtualPatient:
     subject: str
     """Of the simulation."""
     dates: tuple[tuple[int, str], ...]
-    """Days before today, and what is other at that date: disturbances of the simulation."""
+    """Days before today, and the simulation's disturbances on that date."""
     operations: tuple[tuple[int, str, str], ...] = ()
     """Days before today, kind and side."""
 
@@ -112,11 +112,11 @@ class Demo:
 
     config: ClinicConfig
     passwords: dict[str, str]
-    """Login → password, drawn anew for every demo; empty where the demo was there before."""
+    """Login → random password; empty for an existing demo."""
     visits: int
     measured: int
     failed: dict[str, str]
-    """Pseudonym and date → why a visit was not measured."""
+    """Pseudonym and date → reason why a visit was not measured."""
     seconds: float
 
 
@@ -125,13 +125,13 @@ def make_demo(folder: Path, say: Callable[[str], Progress], *, address: str | No
 
     Args:
         folder: new or empty.
-        say: called with what is done now; gives the progress to report it by.
-        address: HOST:PORT at which it will be served, if it is.
-        whole: measure all visits. Else they are entered, the first is queued, and a server beside `finish` does the
+        say: called with the current step; returns its progress callback.
+        address: HOST:PORT of the server, if any.
+        whole: measure all visits. Otherwise they are entered, the first is queued, and `finish` with a server does the
             others.
 
     Raises:
-        ClinicError: there is something in the folder.
+        ClinicError: the folder is not empty.
         BatchError: the jobs do not end.
     """
     from mammometry.clinic.web.server import migrate
@@ -156,7 +156,7 @@ def make_demo(folder: Path, say: Callable[[str], Progress], *, address: str | No
         working.enter_context(_runner(config))
         calibration = _calibrated(made)
         if not whole:
-            working.close()  # the server's own runner does what is queued from here on
+            working.close()  # from here on the server's runner does the queued jobs
         _check(calibration.rig, made)
         visit = _enter_visits(calibration)[0]
         _bring(visit, made)
@@ -181,7 +181,7 @@ def make_demo(folder: Path, say: Callable[[str], Progress], *, address: str | No
 def finish(say: Callable[[str], Progress]) -> None:
     """Photograph the demo's visits that have no photographs yet, and queue them.
 
-    Stopped on its way, it goes on when it is called again.
+    If it is stopped, calling it again continues.
     """
     from mammometry.clinic.jobs.queue import enqueue
     from mammometry.clinic.models import Visit
@@ -202,7 +202,7 @@ def finish(say: Callable[[str], Progress]) -> None:
 
 
 def finish_beside(folder: Path) -> None:
-    """Finish a demo beside its server."""
+    """Finish a demo while its server runs."""
     from mammometry.base.progress import no_progress
     from mammometry.clinic.site import configure
 
@@ -212,7 +212,7 @@ def finish_beside(folder: Path) -> None:
 
 
 def _people() -> dict[str, str]:
-    """One person a role, with a password that is drawn now."""
+    """One person per role, with a random password."""
     from mammometry.clinic.models import Person
 
     passwords = {}
@@ -272,7 +272,7 @@ def _with_cameras(config: ClinicConfig) -> ClinicConfig:
 
 
 def _write_cameras(made: Path, rig: Rig) -> None:
-    """Let the rendered pictures be the rig's cameras, so that the page that fires can be tried."""
+    """Use the rendered pictures as the rig's cameras, so that firing can be tried on the page."""
     from mammometry.capture.sessions import manifest_text
     from mammometry.clinic.site import the_clinic
     from mammometry.io.write import write_text
@@ -303,7 +303,7 @@ def _check(rig: Rig, made: Path) -> None:
 
 
 def _enter_visits(calibration: Calibration) -> list[Visit]:
-    """All patients and their visits, which wait for their photographs."""
+    """All patients and their visits, without photographs."""
     from django.utils import timezone
 
     from mammometry.clinic.models import Consent, Operation, Patient, Visit
@@ -344,7 +344,7 @@ def _note(number: int) -> str:
 
 
 def _bring(visit: Visit, made: Path) -> None:
-    """Upload a visit's photographs; those that are there already stay."""
+    """Upload a visit's missing photographs."""
     placed = set(visit.uploads.filter(state="placed").values_list("camera", flat=True))
     for path in sorted((made / "capture").glob("*.jpg")):
         if path.stem not in placed:
@@ -373,7 +373,7 @@ def _wait_for_calibration(rig: Rig) -> None:
         if failed is not None or time.monotonic() > until:
             raise BatchError(
                 "the demo's rig", found=failed.message if failed else "no calibration yet", expected="a calibration",
-                remedy="Tell the authors",
+                remedy="Report this to the authors",
             )  # fmt: skip
         time.sleep(_LOOK_S)
 
@@ -394,7 +394,7 @@ def render(folder: Path, subject: str, other: str, poses: int, progress: Progres
 
 
 def _send(target: object, path: Path, pose: str = "") -> None:
-    """Bring one photograph in, as the page does."""
+    """Upload one photograph, as the page does."""
     from mammometry.clinic.intake import uploads
     from mammometry.clinic.models import Calibration, DailyCheck, Visit
     from mammometry.io.write import file_digest

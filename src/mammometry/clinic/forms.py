@@ -20,10 +20,10 @@ DAY_AND_TIME = forms.DateTimeInput(attrs={"type": "datetime-local"}, format="%Y-
 
 
 def require_dicom_text(text: str, representation: Representation) -> None:
-    """Refuse text that DICOM does not allow, before anything is sent with it.
+    """Refuse text that DICOM does not allow, before it is sent.
 
     Raises:
-        ValidationError: says what is wrong, and what is allowed.
+        ValidationError: with the fault, and what is allowed.
     """
     if (fault := text_fault(text, representation)) is not None:
         found, allowed = fault
@@ -31,7 +31,7 @@ def require_dicom_text(text: str, representation: Representation) -> None:
 
 
 class PatientForm(RecordForm):
-    """Who somebody is."""
+    """Identity of a patient."""
 
     class Meta:
         model = Patient
@@ -47,18 +47,18 @@ class PatientForm(RecordForm):
         }
 
     duplicates: Duplicates | None = None
-    """Records that may be of the same patient. None: there are none, or nobody looked yet."""
+    """Records that may be of the same patient. None: there are none, or not searched yet."""
 
     def validate_unique(self) -> None:
         """Show the same patient's record before another one is made.
 
-        The person may go on where it is not the same record number.
+        The user can continue if the record number is different.
         """
         if self.errors:
             return
         similar, changed = duplicates(self.instance), set(self.changed_data)
         if similar.same_number is not None and "record_number" in changed:
-            self.add_error("record_number", "There is a patient with this record number.")
+            self.add_error("record_number", "There is already a patient with this record number.")
         elif similar.same_person and changed & {"family_name", "given_name", "born"} and "anyway" not in self.data:
             self.add_error(None, "There is a patient of this name and birthday. Is it the same one?")
         else:
@@ -66,17 +66,17 @@ class PatientForm(RecordForm):
         self.duplicates = similar
 
     def clean_record_number(self) -> str:
-        """Refuse what no other system takes as a patient's id."""
+        """Refuse ids that other systems do not accept."""
         number: str = self.cleaned_data["record_number"]
         require_dicom_text(number, "LO")
         return number
 
     def clean_family_name(self) -> str:
-        """Refuse what no other system takes as a name."""
+        """Refuse names that other systems do not accept."""
         return _clean_name(self.cleaned_data["family_name"])
 
     def clean_given_name(self) -> str:
-        """Refuse what no other system takes as a name, alone or together with the family name."""
+        """Refuse names that other systems do not accept, alone or together with the family name."""
         given = _clean_name(self.cleaned_data["given_name"])
         if text_fault(name := f"{self.cleaned_data.get('family_name', '')}^{given}", "PN") is not None:
             raise forms.ValidationError(
@@ -85,7 +85,7 @@ class PatientForm(RecordForm):
         return given
 
     def clean_born(self) -> datetime.date | None:
-        """Refuse days that have not come yet."""
+        """Refuse future days."""
         born: datetime.date | None = self.cleaned_data["born"]
         if born is not None and not FIRST_DAY <= born <= timezone.localdate():
             raise forms.ValidationError("Enter a day between 1900 and today.")
@@ -94,13 +94,13 @@ class PatientForm(RecordForm):
 
 def _clean_name(name: str) -> str:
     if set(name) & set("^="):
-        raise forms.ValidationError("A name has no ^ and no =: they separate its parts in the hospital’s systems.")
+        raise forms.ValidationError("A name cannot contain ^ or =: they separate its parts in the hospital’s systems.")
     require_dicom_text(name, "LO")
     return name
 
 
 class VisitForm(RecordForm):
-    """Who is photographed, before which rig."""
+    """Patient and rig of a visit."""
 
     class Meta:
         model = Visit
@@ -129,7 +129,7 @@ class VisitForm(RecordForm):
         self.fields["posture"].initial = Visit.Posture.LEANING
 
     def clean(self) -> dict[str, Any]:
-        """Ask whether a strange day is right. A model has no posture."""
+        """Ask about an unusual day. A model has no posture."""
         values: dict[str, Any] = super().clean() or self.cleaned_data
         ask_about_day(self, values.get("rig"))
         if values.get("subject_kind") == Visit.Subject.MODEL:
@@ -138,7 +138,7 @@ class VisitForm(RecordForm):
 
 
 def name_empty_choices(fields: Mapping[str, forms.Field]) -> None:
-    """Say of occasion and posture, where a form has them, that nothing has to be chosen."""
+    """Mark occasion and posture, if present, as optional."""
     for name, choices in (("occasion", Visit.Occasion.choices), ("posture", Visit.Posture.choices)):
         field = fields.get(name)
         if field is None:
@@ -148,14 +148,14 @@ def name_empty_choices(fields: Mapping[str, forms.Field]) -> None:
 
 
 class PersonForm(RecordForm):
-    """Somebody who logs in, with roles to tick."""
+    """A person who logs in, with roles to tick."""
 
     roles = forms.MultipleChoiceField(
         choices=[
             (Role.TECHNICIAN, "Technician: photographs and measures"),
             (Role.CLINICIAN, "Clinician: also draws, confirms and compares"),
             (Role.RESEARCHER, "Researcher: sees pseudonyms and figures, no names"),
-            (Role.ADMINISTRATOR, "Administrator: keeps people, rigs, backups and the audit; sees no results"),
+            (Role.ADMINISTRATOR, "Administrator: manages people, rigs, backups and the audit; sees no results"),
         ],
         widget=forms.CheckboxSelectMultiple,
         error_messages={"required": "Tick at least one role."},
@@ -172,11 +172,11 @@ class PersonForm(RecordForm):
         }
         help_texts = {  # noqa: RUF012
             "username": "Letters, digits and @ . + - _",
-            "full_name": "As pages and reports say it.",
-            "email": "Only for the hospital’s own login, which knows people by it.",
+            "full_name": "Name on pages and reports.",
+            "email": "Only for the hospital’s own login, which identifies people by it.",
             "is_active": "",
         }
-        error_messages = {"username": {"unique": "Somebody has this name already."}}  # noqa: RUF012
+        error_messages = {"username": {"unique": "This name is already taken."}}  # noqa: RUF012
 
     def __init__(self, *args: Any, own: bool = False, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -184,7 +184,7 @@ class PersonForm(RecordForm):
         self.fields["email"].required = False
 
     def clean_full_name(self) -> str:
-        """Refuse what no other system takes as the name of who confirms."""
+        """Refuse names of confirming people that other systems do not accept."""
         name: str = self.cleaned_data["full_name"]
         require_dicom_text(name, "LO")
         if text_fault(person_name(name), "PN") is not None:
@@ -192,17 +192,17 @@ class PersonForm(RecordForm):
         return name
 
     def clean(self) -> dict[str, Any]:
-        """Refuse that administrators lock themselves out."""
+        """Prevent administrators from locking themselves out."""
         values: dict[str, Any] = super().clean() or self.cleaned_data
         if self._own and (Role.ADMINISTRATOR not in values.get("roles", ()) or not values.get("is_active")):
             raise forms.ValidationError(
-                "You cannot take the administrator’s role or the login from yourself. Let another administrator do it."
+                "You cannot remove your own administrator role or login. Another administrator can do it."
             )
         return values
 
 
 class _Asking(Protocol):
-    """A form that asks whether a visit's day is right."""
+    """A form that asks about an unusual day of a visit."""
 
     questions: tuple[str, ...]
     data: Any
@@ -212,13 +212,13 @@ class _Asking(Protocol):
 
 
 FIRST_DAY = datetime.date(1900, 1, 1)
-"""No date of a clinic is earlier."""
+"""Earliest date in a clinic."""
 
 
 def ask_about_day(form: _Asking, rig: Rig | None) -> None:
-    """Ask whether a visit's day is right where it is in the future or before the rig's first calibration.
+    """Ask if a visit's day is in the future or before the rig's first calibration.
 
-    A second button says that it is. No button allows a day before 1900 or after tomorrow.
+    A second button confirms it. Days before 1900 or after tomorrow are always refused.
     """
     taken_at = form.cleaned_data.get("taken_at")
     if taken_at is None:
@@ -246,7 +246,7 @@ def _number(most: float) -> forms.NumberInput:
 
 
 class OperationForm(RecordForm):
-    """What was done to a breast, and when."""
+    """An operation on a breast."""
 
     class Meta:
         model = Operation
@@ -254,18 +254,18 @@ class OperationForm(RecordForm):
         labels = {  # noqa: RUF012
             "kind": "Operation",
             "volume_cc": "Volume, cc",
-            "resected_g": "Tissue taken out, g",
+            "resected_g": "Tissue removed, g",
             "words": "In words",
         }
         help_texts = {  # noqa: RUF012
             "volume_cc": "Of the implant, of the expander’s whole filling, or of the injected fat; each side.",
             "resected_g": "Weight, each side.",
-            "words": "The flap, the implant’s type, or what was done otherwise.",
+            "words": "The flap, the implant’s type, or another operation.",
         }
         widgets = {"day": _day(), "volume_cc": _number(_MOST_CC), "resected_g": _number(_MOST_G)}  # noqa: RUF012
 
     def clean_day(self) -> datetime.date:
-        """Refuse days that have not come yet, and those before the patient was born."""
+        """Refuse future days, and those before the patient was born."""
         day: datetime.date = self.cleaned_data["day"]
         born = self.instance.patient.born
         if not (born or FIRST_DAY) <= day <= timezone.localdate():
@@ -274,35 +274,35 @@ class OperationForm(RecordForm):
         return day
 
     def clean_words(self) -> str:
-        """Refuse control characters, which no other system takes."""
+        """Refuse control characters, which other systems do not accept."""
         words: str = self.cleaned_data["words"]
         require_dicom_text(words, "UT")
         return words
 
     def clean_volume_cc(self) -> float | None:
-        """Refuse volumes that no breast holds."""
+        """Refuse impossible volumes."""
         return self._within("volume_cc", _MOST_CC, "cc")
 
     def clean_resected_g(self) -> float | None:
-        """Refuse weights that no breast has."""
+        """Refuse impossible weights."""
         return self._within("resected_g", _MOST_G, "g")
 
     def clean(self) -> dict[str, Any]:
-        """Ask what was done where the list does not say."""
+        """Require a description of an operation that is not in the list."""
         cleaned: dict[str, Any] = super().clean() or self.cleaned_data
         if cleaned.get("kind") == Operation.Kind.OTHER and not cleaned.get("words"):
-            self.add_error("words", "Say what was done.")
+            self.add_error("words", "Describe the operation.")
         return cleaned
 
     def _within(self, name: str, most: float, unit: str) -> float | None:
         value: float | None = self.cleaned_data[name]
         if value is not None and not 0 < value <= most:
-            raise forms.ValidationError(f"Enter a number above 0 and up to {most:g} {unit}, or nothing.")
+            raise forms.ValidationError(f"Enter a number above 0 and up to {most:g} {unit}, or leave it empty.")
         return value
 
 
 class OperationRemovalForm(RecordForm):
-    """Removes an operation, as it was seen."""
+    """Removes an operation, if it has not changed."""
 
     watched = ("kind", "side", "day", "volume_cc", "resected_g", "words")
 
@@ -312,36 +312,36 @@ class OperationRemovalForm(RecordForm):
 
 
 class ConsentForm(RecordForm):
-    """What a patient agreed to, and since when."""
+    """A patient's consent and its day."""
 
     class Meta:
         model = Consent
         fields = ("purpose", "given_on", "note")
         labels = {"purpose": "Consent to", "note": "Remark"}  # noqa: RUF012
-        help_texts = {"note": "Where the signed form lies, for example."}  # noqa: RUF012
+        help_texts = {"note": "For example, where the signed form is kept."}  # noqa: RUF012
         widgets = {"given_on": _day()}  # noqa: RUF012
 
     def clean_given_on(self) -> datetime.date:
-        """Refuse days that have not come yet."""
+        """Refuse future days."""
         return _until_today(self.cleaned_data["given_on"])
 
 
 class WithdrawalForm(RecordForm):
-    """Since when a consent holds no more. Empty: it holds."""
+    """Day on which a consent was withdrawn. Empty: it is valid."""
 
     class Meta:
         model = Consent
         fields = ("given_on", "withdrawn_on", "note")
         labels = {"note": "Remark"}  # noqa: RUF012
-        help_texts = {"withdrawn_on": "Leave it empty while the consent holds."}  # noqa: RUF012
+        help_texts = {"withdrawn_on": "Leave it empty while the consent is valid."}  # noqa: RUF012
         widgets = {"given_on": _day(), "withdrawn_on": _day()}  # noqa: RUF012
 
     def clean_given_on(self) -> datetime.date:
-        """Refuse days that have not come yet."""
+        """Refuse future days."""
         return _until_today(self.cleaned_data["given_on"])
 
     def clean_withdrawn_on(self) -> datetime.date | None:
-        """Refuse days before the consent, and those that have not come yet."""
+        """Refuse future days, and those before the consent."""
         day: datetime.date | None = self.cleaned_data["withdrawn_on"]
         given = self.cleaned_data.get("given_on")
         if day is not None and given is not None and day < given:
@@ -358,7 +358,7 @@ class _VisitField(forms.ModelChoiceField):  # type: ignore[type-arg]
 
 
 class CircumstancesForm(RecordForm):
-    """Why the patient came, how she held herself, and whether the visit repeats another."""
+    """Occasion and posture of a visit, and whether it repeats another."""
 
     class Meta:
         model = Visit
@@ -366,7 +366,7 @@ class CircumstancesForm(RecordForm):
 
     repeat_of = _VisitField(
         label="Repeat of", required=False, queryset=Visit.objects.none(), empty_label="no other visit",
-        help_text="Photographed once more to learn how well two measurements agree.",
+        help_text="Photographed again to see how well two measurements agree.",
     )  # fmt: skip
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -379,16 +379,16 @@ class CircumstancesForm(RecordForm):
         repeat.queryset = earlier.filter(taken_at__lte=visit.taken_at).exclude(pk=visit.pk)
 
     def clean_repeat_of(self) -> Visit | None:
-        """Refuse a repeat of a breast that was operated on in between."""
+        """Refuse a repeat with an operation in between."""
         first: Visit | None = self.cleaned_data["repeat_of"]
         operations = () if first is None else self.instance.patient.operations.all()
         if first is not None and any(is_between(operation, first, self.instance) for operation in operations):
-            raise forms.ValidationError("An operation lies between both visits: this is no repeat.")
+            raise forms.ValidationError("There was an operation between the visits: this is not a repeat.")
         return first
 
 
 class ConclusionForm(RecordForm):
-    """What a clinician concludes."""
+    """A clinician's conclusion."""
 
     class Meta:
         model = Conclusion
@@ -397,7 +397,7 @@ class ConclusionForm(RecordForm):
         widgets = {"text": forms.Textarea(attrs={"rows": 4})}  # noqa: RUF012
 
     def clean_text(self) -> str:
-        """Refuse control characters, which no other system takes."""
+        """Refuse control characters, which other systems do not accept."""
         text: str = self.cleaned_data["text"]
         require_dicom_text(text, "UT")
         return text

@@ -52,7 +52,7 @@ def test_a_person_is_entered_and_the_link_is_shown_once(client_of: Callable[...,
     ("changed", "said"),
     [
         ({"roles": []}, "Tick at least one role"),
-        ({"username": "administrator"}, "Somebody has this name already"),
+        ({"username": "administrator"}, "This name is already taken"),
         ({"username": "anna anna"}, "Enter a valid username"),
     ],
 )

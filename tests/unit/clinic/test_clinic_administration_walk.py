@@ -86,7 +86,7 @@ def set_up(page: Page) -> None:
     page.get_by_role("button", name="Finish").click()
     expect(page.get_by_role("heading", name="Codes for a lost telephone")).to_be_visible()
     expect(page.get_by_text("The second factor is set up.")).to_be_visible()
-    expect(page.get_by_text("The old ones do not work any more.")).to_have_count(0)
+    expect(page.get_by_text("The old ones no longer work.")).to_have_count(0)
 
 
 @pytest.mark.slow

@@ -292,7 +292,7 @@ def test_an_operation_is_entered_changed_and_removed(visit: Visit, client_of: Ca
         ("day", "1979-01-01", "birth and today"),
         ("volume_cc", "-5", "above 0"),
         ("volume_cc", "1e9", "above 0"),
-        ("kind", "other", "Say what was done."),
+        ("kind", "other", "Describe the operation."),
         ("kind", "tattoo", "valid choice"),
     ],
 )
@@ -356,7 +356,7 @@ def test_a_conclusion_is_signed_amended_and_never_overwritten(
 
     assert "Signed by Dr. Sergio Surgeon" in sign("Symmetrical.", measurement)
     assert "signed already" in sign("Symmetrical.", measurement)
-    assert "Earlier conclusions, which this one amends (1)" in sign("Nearly symmetrical.", measurement)
+    assert "Earlier conclusions, amended by this one (1)" in sign("Nearly symmetrical.", measurement)
     assert Conclusion.objects.count() == 2
     again = Measurement.objects.create(visit=visit, digest="2", made_at=timezone.now(), software="1")
     page = sign("Of the old numbers.", measurement)

@@ -285,7 +285,7 @@ def enter_patient(page: Page) -> None:
     page.get_by_label("Operation", exact=True).select_option("Reduction or lift")
     page.get_by_label("Side").select_option("Both")
     page.get_by_label("Day").fill("2026-01-12")
-    page.get_by_label("Tissue taken out, g").fill("210")
+    page.get_by_label("Tissue removed, g").fill("210")
     judge(page, "operation")
     page.get_by_role("button", name="Save").click()
     expect(page.get_by_text("Reduction or lift").first).to_be_visible()

@@ -127,7 +127,7 @@ def test_a_restore_is_tested_and_the_page_says_so(
         tar.addfile(entry, io.BytesIO(manifest))
     assert run(["clinic", "test-restore", str(clinic.folder)]) == ClinicError.exit_code
     page = client_of(Role.ADMINISTRATOR).get("/backups/").content.decode()
-    assert "no whole backup" in page
+    assert "not a complete backup" in page
     assert not list(clinic.backups.glob("restore-test-*"))
 
 
@@ -311,7 +311,7 @@ def test_a_damaged_backup_is_refused(clinic: ClinicConfig, full: Visit, tmp_path
     with pytest.raises(ClinicError, match="1 damaged files"):
         unpack(archive, tmp_path / "restored")
     archive.write_bytes(content[: len(content) // 2])
-    with pytest.raises(ClinicError, match="no whole backup"):
+    with pytest.raises(ClinicError, match="not a complete backup"):
         unpack(archive, tmp_path / "restored")
     assert not (tmp_path / "restored").exists()
 
@@ -321,7 +321,7 @@ def test_a_backup_cannot_leave_its_folder(tmp_path: Path) -> None:
     (tmp_path / "payload").write_text("x")
     with tarfile.open(archive, "w") as tar:
         tar.add(tmp_path / "payload", arcname="../../escaped")
-    with pytest.raises(ClinicError, match="no whole backup"):
+    with pytest.raises(ClinicError, match="not a complete backup"):
         unpack(archive, tmp_path / "deep" / "restored")
     assert not (tmp_path / "escaped").exists()
 

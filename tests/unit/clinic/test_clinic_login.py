@@ -214,10 +214,10 @@ def test_first_codes_replace_no_old_ones(anna: Person, client: Client, settings:
     client.post(reverse("mfa_activate_totp"), {"code": code(secret)})
     first = client.get(reverse("mfa_index")).content.decode()
     assert "The second factor is set up." in first
-    assert "The old ones do not work any more." not in first
+    assert "The old ones no longer work." not in first
     client.post(reverse("account_reauthenticate"), {"password": PASSWORD})
     client.post(reverse("mfa_generate_recovery_codes"))
-    assert "The old ones do not work any more." in client.get(reverse("mfa_index")).content.decode()
+    assert "The old ones no longer work." in client.get(reverse("mfa_index")).content.decode()
 
 
 def test_a_script_logs_in_with_both_factors(anna: Person, client: Client) -> None:

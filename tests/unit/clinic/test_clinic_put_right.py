@@ -200,7 +200,7 @@ def exchanged_check(client_of, rig_visit):  # noqa: F811
 def test_a_checks_photographs_are_put_right_and_judged_again(exchanged_check, clinic):
     client, row = exchanged_check.client, DailyCheck.objects.get()
     assert not row.passed
-    assert "are exchanged: put them right" in row.verdict
+    assert "are exchanged: correct them" in row.verdict
     assert today(row.rig).sentence == "No: photographs of the last check are exchanged."
     path = f"/checks/{row.pk}/put-right/"
     answer = client.post(path, filled(client, f"/checks/{row.pk}/", path))

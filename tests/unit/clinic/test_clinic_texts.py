@@ -48,7 +48,7 @@ def test_who_confirms_has_a_name_that_dicom_allows(client_of: Callable[..., Clie
     client = client_of(Role.ADMINISTRATOR)
     for name, sentence in (
         ("A" * 70, "Found 70 letters."),
-        ("A\\B", "Found a backslash at place 2."),
+        ("A\\B", "Found a backslash at position 2."),
         ("Dr. \u202eB", "Found the format character U+202E"),
     ):
         table = {"username": "eva", "full_name": name, "roles": [Role.CLINICIAN.value], "is_active": "on"}
@@ -61,7 +61,7 @@ def test_who_confirms_has_a_name_that_dicom_allows(client_of: Callable[..., Clie
 def test_an_archive_knows_us_by_a_title_that_dicom_allows(client_of: Callable[..., Client]) -> None:
     table = {"name": "PACS", "kind": "dicom", "address": "PACS@10.0.0.5:104", "own_title": "MÜHLE"}
     assert (
-        "Found letters beyond ASCII."
+        "Found non-ASCII letters."
         in client_of(Role.ADMINISTRATOR).post(reverse("destination-new"), table).content.decode()
     )
     assert not Destination.objects.exists()

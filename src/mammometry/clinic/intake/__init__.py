@@ -1,1 +1,1 @@
-"""Photographs that come in. Resumable uploads, and what is checked while they come."""
+"""Incoming photographs: resumable uploads and their checks."""

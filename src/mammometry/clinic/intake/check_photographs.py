@@ -1,4 +1,4 @@
-"""Whether a daily check's photograph was taken for it: a new file, new pixels, a later moment."""
+"""Checks that a daily check's photograph is new: a new file, new pixels, a later time."""
 
 import datetime
 from collections.abc import Iterator
@@ -17,10 +17,10 @@ def known_photograph(upload: Upload, check: DailyCheck, pixels: str, taken_s: fl
     """Refuse a photograph that was sent before, or is older than its camera's last.
 
     Args:
-        upload: with its digest and, where known, its camera.
-        check: what it is sent for.
+        upload: with its digest and, if known, its camera.
+        check: the daily check.
         pixels: digest of its pixels.
-        taken_s: moment by its camera's own clock; None: the file does not say.
+        taken_s: time on its camera's own clock; None: unknown.
     """
     others = Upload.objects.filter(state__in=_ARRIVED).exclude(pk=upload.pk).exclude(check_of_day=check)
     others = others.select_related("calibration", "check_of_day", "visit").order_by("created")
@@ -34,10 +34,10 @@ def known_photograph(upload: Upload, check: DailyCheck, pixels: str, taken_s: fl
 
 
 def _counts(other: Upload, check: DailyCheck) -> bool:
-    """Whether a photograph of something else may not be sent for a check.
+    """Whether an earlier use of a photograph forbids it for a check.
 
-    One of a check that was never judged may. So may one of a check of the same day against another calibration: after
-    calibrating again without a poor picture, nothing need be photographed again.
+    A check that was never evaluated does not. Nor does a check of the same day against another calibration, so that
+    nothing must be photographed again after calibrating without a poor picture.
     """
     earlier = other.check_of_day
     if earlier is None:
@@ -49,7 +49,7 @@ def _counts(other: Upload, check: DailyCheck) -> bool:
 
 
 def _age(upload: Upload, check: DailyCheck, others: QuerySet[Upload], taken_s: float | None) -> Iterator[Finding]:
-    """Refuse a photograph that is no newer than its camera's in the calibration and the checks against it."""
+    """Refuse a photograph that is not newer than its camera's last one in the calibration and its checks."""
     if taken_s is None or not upload.camera or check.calibration is None:
         return
     of_camera = others.filter(camera=upload.camera)
@@ -68,7 +68,7 @@ def _age(upload: Upload, check: DailyCheck, others: QuerySet[Upload], taken_s: f
 
 
 def _described(upload: Upload) -> str:
-    """Where a photograph belongs. Of a visit, its day only: people who check rigs may not see patients."""
+    """Use of a photograph. Of a visit only its day, because people who check rigs may not see patients."""
     camera = upload.camera.replace("_", " ")
     if upload.calibration is not None:
         pose = upload.name.split("/")[1]
@@ -85,6 +85,6 @@ def _day(at: datetime.datetime, *, time: bool = False) -> str:
 
 
 def _moment(taken_s: float) -> str:
-    """By the camera's own clock, whose zone is unknown."""
+    """Time on the camera's own clock, whose zone is unknown."""
     at = datetime.datetime.fromtimestamp(taken_s, datetime.UTC)
     return f"{at.day} {at:%b %Y, %H:%M:%S}"

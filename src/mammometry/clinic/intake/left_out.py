@@ -1,7 +1,7 @@
-"""Photographs of the board that stand out, and a calibration without some of them.
+"""Photographs of the board that disagree, and calibration without some of them.
 
-The calibration that is in use is never changed: visits were measured with it. Another one is made of the same
-photographs less those that are left out, which are kept as set aside. The former one can be used again.
+The calibration in use is never changed, because visits were measured with it. A new one is made from the same
+photographs without those left out, which are set aside. The former one can be used again.
 """
 
 import re
@@ -33,7 +33,7 @@ class BoardPhotograph:
 
     @property
     def key(self) -> str:
-        """Pose and camera, as forms and addresses have them."""
+        """Pose and camera, as in forms and addresses."""
         return f"{self.pose}/{self.camera}"
 
 
@@ -83,15 +83,15 @@ def _named_in_1_0(words: str, photographs: Iterable[BoardPhotograph]) -> list[Bo
 
 
 def calibrate_without(calibration: Calibration, left_out: Collection[str], by: Person | None) -> Calibration:
-    """Make another calibration of the same photographs, less some of them.
+    """Make another calibration from the same photographs without some of them.
 
     Args:
-        calibration: done.
+        calibration: completed.
         left_out: pose and camera of each, as `BoardPhotograph.key`.
-        by: who leaves them out.
+        by: the user.
 
     Raises:
-        UploadError: it is not done, has no such photograph, or a camera would have too few left.
+        UploadError: it is not completed, has no such photograph, or too few would be left for a camera.
         StorageError: the disk is full or refuses.
     """
     if calibration.state != Calibration.State.DONE:
@@ -143,14 +143,14 @@ def _copied(known: Upload | None, photograph: BoardPhotograph, made: Calibration
 
 
 def left_out_of(calibration: Calibration) -> list[str]:
-    """Photographs that were left out of a calibration, in words."""
+    """Photographs that were left out of a calibration, as text."""
     rows = calibration.uploads.filter(state=Upload.State.SET_ASIDE).order_by("name")
     return [f"pose {Path(row.name).parent.name}, {row.camera.replace('_', ' ')}" for row in rows]
 
 
 @transaction.atomic
 def use(calibration: Calibration) -> None:
-    """Let new visits use a calibration again, in place of the one that they use now.
+    """Use an earlier calibration again for new visits.
 
     Raises:
         UploadError: it has no result.

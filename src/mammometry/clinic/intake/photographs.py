@@ -1,4 +1,4 @@
-"""Photographs as they come in: what each shows, its smaller pictures, its camera, those set aside."""
+"""Incoming photographs: their checks, smaller pictures, cameras, and those set aside."""
 
 import io
 import json
@@ -54,7 +54,7 @@ def screen_picture(photograph: Photograph) -> bytes:
 
 
 def _roughly(photograph: Photograph, longest_px: int) -> Image.Image:
-    """A picture of at least twice that size, 8 bit. The rest is done well by Pillow."""
+    """A picture of at least twice that size, 8 bit, for Pillow to reduce further."""
     pixels = photograph.pixels
     shift = 8 * (pixels.dtype.itemsize - 1)
     step = max(1, max(photograph.size_wh) // (2 * longest_px))
@@ -62,19 +62,19 @@ def _roughly(photograph: Photograph, longest_px: int) -> Image.Image:
 
 
 def small_picture(picture: Image.Image, path: Path) -> None:
-    """Write a picture that Pillow has open. Of a JPEG only as much is decoded as that needs."""
+    """Write a picture that Pillow has opened. A JPEG is decoded only as far as needed."""
     picture.draft("RGB", (_LONGEST_PX, _LONGEST_PX))
     picture.thumbnail((_LONGEST_PX, _LONGEST_PX))
     small = picture if picture.mode in ("L", "RGB") else picture.convert("RGB")
     small.save(path, format="WEBP", quality=_QUALITY)
 
 
-_KEPT = 64  # photographs whose features are kept, half a megabyte each: those of the visits that are being entered
+_KEPT = 64  # photographs with cached features, half a megabyte each: those of visits being entered
 _features: dict[str, Keypoints] = {}
 
 
 def note(sha256: str, photograph: Photograph) -> None:
-    """Keep the features of a photograph that is decoded anyway."""
+    """Cache the features of a decoded photograph."""
     _features[sha256] = keypoints(photograph)
     for old in list(_features)[:-_KEPT]:
         _features.pop(old, None)
@@ -86,15 +86,15 @@ Placed = tuple[tuple[str, str, Path], ...]
 
 @dataclass(frozen=True, slots=True)
 class NamesChecked:
-    """What the photographs say together of their cameras."""
+    """Findings of all photographs together on their cameras."""
 
     findings: tuple[Finding, ...] = ()
     exchanged: Mapping[str, str] = field(default_factory=dict)
-    """Camera → camera in whose place its photograph is."""
+    """Camera → camera under which its photograph is filed."""
 
 
 def check(visit: Visit, photographs: Placed) -> NamesChecked:
-    """Say which photographs are exchanged, or do not belong to the others.
+    """Find photographs that are exchanged, or do not belong to the others.
 
     Args:
         visit: with its calibration, if it has one.
@@ -111,7 +111,7 @@ def _checked(calibration: str, photographs: Placed) -> NamesChecked:
     try:
         rig = _rig(calibration)
         seen = {camera: _seen(sha256, path) for camera, sha256, path in photographs if camera in rig.cameras}
-    except MammometryError:  # the job says what is wrong with the calibration, or with a photograph
+    except MammometryError:  # the job reports faults of the calibration or a photograph
         return NamesChecked()
     names = check_names(rig, seen)
     wrong = wrong_photographs(names, rig.pair_names)
@@ -120,7 +120,7 @@ def _checked(calibration: str, photographs: Placed) -> NamesChecked:
     ]
     if names.unknown and not findings:
         pairs = ", ".join(names.unknown)
-        sentence = f"Too little texture to tell whether the photographs of pair {pairs} belong to their cameras."
+        sentence = f"Too little texture to check whether the photographs of pair {pairs} belong to their cameras."
         findings.append(Finding("names", "unknown", sentence))
     return NamesChecked(tuple(findings), dict(names.exchanged))
 
@@ -131,7 +131,7 @@ def cameras_by_geometry(visit: Visit, placed: Placed, unnamed: Placed) -> dict[s
     Args:
         visit: with its calibration, if it has one.
         placed: photographs in place.
-        unnamed: those without; of each the camera is any one that has no photograph yet, each once.
+        unnamed: photographs without a camera, for the cameras without a photograph.
 
     Returns:
         Empty if any of them is undecided.
@@ -167,7 +167,7 @@ def _by_geometry(calibration: str, placed: Placed, unnamed: Placed) -> tuple[tup
 @lru_cache(maxsize=8)
 def _rig(calibration: str) -> Rig:
     job = open_session(calibration, the_clinic().measuring())
-    if not job.store.has(job.plan[calibrate.cameras].key):  # to be made again, by a job and not while a page waits
+    if not job.store.has(job.plan[calibrate.cameras].key):  # made again by a job, not while a page waits
         raise CalibrationError(
             calibration, found="no result that is current", expected="one", remedy="Calibrate the rig again"
         )
@@ -181,11 +181,11 @@ def _seen(sha256: str, path: Path) -> Keypoints:
 
 
 def look(upload: Upload, target: Target) -> tuple[list[Finding], dict[str, Any]]:
-    """All checks of one photograph, and what is kept of its EXIF."""
+    """All checks of one photograph, and its stored EXIF data."""
     other = not_only_a_photograph(upload.path)
     if other is not None:
         what = "no photograph" if other is NO_PHOTOGRAPH else f"{other} as well as a photograph"
-        sentence = f"This file is {what}. Send the JPEG, PNG or TIFF as the camera wrote it."
+        sentence = f"This file is {what}. Send the original JPEG, PNG or TIFF of the camera."
         return [Finding("format", "refuse", sentence)], {}
     limits = LimitSettings(megapixels=float(the_clinic().limits.photograph_megapixels))
     try:
@@ -207,7 +207,7 @@ def look(upload: Upload, target: Target) -> tuple[list[Finding], dict[str, Any]]
         findings.append(checks.right_camera(upload.camera, exposure, named, known))
         findings.append(checks.right_size(upload.camera, header.stored_wh, header.orientation, known))
     else:
-        sentence = "Neither the file's name nor its EXIF says which camera took it. Choose the camera."
+        sentence = "The file's name and EXIF do not show which camera took it. Choose the camera."
         findings.append(Finding("camera", "unknown", sentence))
     if isinstance(target, Visit):
         findings += checks.judge(checks.look(photograph), target.subject_kind)
@@ -229,7 +229,7 @@ def known_cameras(target: Target) -> dict[str, KnownCamera]:
 
 
 def poses_needed(definition: Mapping[str, Any], cameras: Sequence[str], photographs: Iterable[tuple[str, str]]) -> str:
-    """Number of poses of the board still needed, in a sentence. Empty: it can be calibrated.
+    """Sentence on the poses of the board still needed. Empty: it can be calibrated.
 
     Args:
         definition: of the rig.
@@ -250,12 +250,12 @@ FOLDER = "set-aside"
 
 
 def set_aside(upload: Upload, folder: Path, *, kept_name: str = "") -> None:
-    """Move a placed photograph beside the others, under a name that no other file ever has.
+    """Set a placed photograph aside, under a unique name.
 
     Args:
         upload: placed.
         folder: the visit's, calibration's or check's.
-        kept_name: file that the next photograph is about to take the place of, which is left to it.
+        kept_name: file that the next photograph will replace, which is not moved.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -272,16 +272,16 @@ def set_aside(upload: Upload, folder: Path, *, kept_name: str = "") -> None:
 
 
 def clear_place(others: Sequence[Upload], upload: Upload, folder: Path, goal: Path) -> bool:
-    """Set aside the photograph in a place, and forget uploads that never came there.
+    """Set aside the photograph in a place, and delete incomplete uploads for it.
 
     Args:
-        others: the place's uploads, but for this one.
-        upload: what comes into the place.
+        others: the place's other uploads.
+        upload: the new one.
         folder: the visit's, calibration's or check's.
-        goal: the file that it becomes.
+        goal: its final file.
 
     Returns:
-        Whether the place held another photograph, or none.
+        Whether the place had another photograph, or none.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -301,21 +301,21 @@ def clear_place(others: Sequence[Upload], upload: Upload, folder: Path, goal: Pa
 
 
 def fired_files(folder: Path) -> dict[str, str]:
-    """Digest → name below the visit's folder of every picture that was fired, where it lies for good."""
+    """Digest → permanent file, below the visit's folder, of every captured picture."""
     names: dict[str, str] = {}
     for path in sorted((folder / "shots").glob("[0-9]*/shot.json")):
         try:
             cameras = json.loads(path.read_text(encoding="utf-8"))["cameras"]
             names |= {about["sha256"]: f"shots/{path.parent.name}/{about['file']}" for about in cameras.values()}
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
-            continue  # of a firing that failed
+            continue  # from a failed firing
     return names
 
 
 def put_back(upload: Upload, folder: Path, goal: Path) -> None:
-    """Put the file of a photograph that was set aside into its place.
+    """Put the file of a photograph that was set aside back into its place.
 
-    It stays where it was set aside until its row says that it is back.
+    The set-aside file remains until the row is updated.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -324,7 +324,7 @@ def put_back(upload: Upload, folder: Path, goal: Path) -> None:
 
 
 def _copy(source: Path, goal: Path) -> None:
-    """Link a file, or copy it where the disk has no links, whole or not at all."""
+    """Link a file, or copy it if the disk has no links, atomically."""
     with disk_errors(goal):
         goal.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         part = goal.with_name(f".{goal.name}.part")
@@ -334,5 +334,5 @@ def _copy(source: Path, goal: Path) -> None:
         except OSError:
             shutil.copy2(source, part)
         part.replace(goal)
-        part.unlink(missing_ok=True)  # where both were links to one file already
+        part.unlink(missing_ok=True)  # if both were already links to one file
         sync_folder(goal.parent)

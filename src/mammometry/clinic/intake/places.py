@@ -1,4 +1,4 @@
-"""Places of photographs: of which record each is, and its path below the record's folder."""
+"""Places of photographs: the record of each, and its path below the record's folder."""
 
 import re
 from pathlib import Path
@@ -14,10 +14,10 @@ _POSE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
 
 
 class UploadError(MammometryError):
-    """An upload cannot go on as it was asked for.
+    """An upload is refused.
 
     Args:
-        sentence: what and what to do.
+        sentence: the reason and the remedy.
         status: of the HTTP answer.
     """
 
@@ -43,7 +43,7 @@ def rig_of(target: Target) -> Rig:
         UploadError: the visit has a scan of another device, and no cameras.
     """
     if target.rig is None:
-        raise UploadError("This visit has a scan of another device. Begin a new visit for photographs.")
+        raise UploadError("This visit has a scan of another device. Start a new visit for photographs.")
     return target.rig
 
 
@@ -63,17 +63,17 @@ def field_of(target: Target) -> str:
 
 
 def place_of(target: Target, pose: str, camera: str) -> str:
-    """Path of a camera's photograph below its target's folder, less the ending.
+    """Path of a camera's photograph below its target's folder, without the suffix.
 
     Raises:
-        UploadError: a calibration's photograph without a pose, or one that is no folder's name.
+        UploadError: a calibration's photograph without a valid pose.
     """
     if isinstance(target, Visit):
         return f"capture/{camera}"
     if isinstance(target, DailyCheck):
         return camera
     if not _POSE.fullmatch(pose):
-        raise UploadError("Say which pose this is: letters and digits, such as 01.", 400)
+        raise UploadError("Enter the pose: letters and digits, such as 01.", 400)
     return f"calibration/{pose}/{camera}"
 
 

@@ -1,4 +1,4 @@
-"""Photographs that are given to other cameras: exchanged ones put right, and choices that are changed."""
+"""Assigning photographs to other cameras: correcting exchanged ones, and changed choices."""
 
 import os
 import shutil
@@ -19,12 +19,12 @@ from mammometry.io.write import disk_errors, sync_folder
 
 
 def reassign(target: Target, sources: Mapping[str, str], why: str, pose: str = "") -> None:
-    """Give photographs in place to other cameras.
+    """Assign photographs to other cameras.
 
     Args:
-        target: whose photographs they are.
-        sources: camera → camera in whose place its photograph is now.
-        why: sentence that the photographs' checks say from now on.
+        target: their visit, calibration or check.
+        sources: camera → camera under which its photograph is filed now.
+        why: new sentence for the photographs' checks.
         pose: of a calibration.
 
     Raises:
@@ -38,7 +38,7 @@ def reassign(target: Target, sources: Mapping[str, str], why: str, pose: str = "
         placed = uploads_of(target).filter(state=Upload.State.PLACED)
         rows = {row.camera: row for row in placed if pose_of(row) == pose}
         if not set(sources.values()) <= set(rows) or set(sources) & set(rows) - set(sources.values()):
-            raise UploadError("The photographs were changed meanwhile. Load the page again.")
+            raise UploadError("The photographs have changed. Reload the page.")
         moves = {camera: rows[source] for camera, source in sources.items()}
         for camera, row in moves.items():
             _require_fitting(target, camera, row, folder)
@@ -65,7 +65,7 @@ def _require_fitting(target: Target, camera: str, row: Upload, folder: Path) -> 
 
 
 def _checks(row: Upload, why: str) -> list[dict[str, Any]]:
-    """What is known of a photograph, with another reason why it is this camera's."""
+    """A photograph's data, with a new reason for its camera."""
     others = [check for check in row.checks if check.get("check") not in ("camera", "name")]
     names = ("serial", "taken_s", "pixels", "file")
     facts = {name: row.checks[0].get(name) for name in names if row.checks and name in row.checks[0]}
@@ -73,10 +73,10 @@ def _checks(row: Upload, why: str) -> list[dict[str, Any]]:
 
 
 def _move_files(goals: Mapping[Path, Path]) -> None:
-    """Move files to one another's places.
+    """Exchange files.
 
-    Each is there under a second name before the first one is replaced. A cut in between leaves one photograph in two
-    places, which is refused by name.
+    Each has a second name before the first one is replaced. An interruption leaves one photograph in two places, which
+    is refused and named.
     """
     parts = {goal: goal.with_name(f".{goal.name}.part") for goal in goals.values()}
     for source, goal in goals.items():
@@ -97,7 +97,7 @@ def _move_files(goals: Mapping[Path, Path]) -> None:
 
 
 def exchange_of_check(check: DailyCheck) -> list[tuple[Upload, Upload]]:
-    """What is in each exchanged camera's place of a check, and what belongs there."""
+    """Present and correct photograph of each exchanged camera of a check."""
     cameras = check.figures.get("exchanged") or ()
     placed = {row.camera: row for row in uploads_of(check).filter(state=Upload.State.PLACED)}
     if len(cameras) != 2 or not set(cameras) <= set(placed):
@@ -108,10 +108,10 @@ def exchange_of_check(check: DailyCheck) -> list[tuple[Upload, Upload]]:
 
 @transaction.atomic
 def put_check_right(check: DailyCheck) -> None:
-    """Exchange the photographs of a check that is judged exchanged. It is then to be judged again.
+    """Exchange the photographs of a check that were found exchanged. It must then be evaluated again.
 
     Raises:
-        UploadError: nothing of it is exchanged any more.
+        UploadError: nothing is exchanged any more.
         StorageError: the disk is full or refuses.
     """
     locked = DailyCheck.objects.select_for_update().get(pk=check.pk)

@@ -30,7 +30,7 @@ _PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 _KINDS = (*SUFFIXES, ".mtl", *_PICTURES)
 _MOST_FILES = 40  # of one scan: a mesh, its material, at most sixteen pictures, and what devices add
 _CHUNK = 1 << 20  # bytes that are unpacked at once
-_AT_ONCE = threading.BoundedSemaphore(1)  # a scan of 200 MB takes about 2 GB as it is read
+_AT_ONCE = threading.BoundedSemaphore(1)  # reading a scan of 200 MB takes about 2 GB
 _MB = 10**6  # bytes
 
 
@@ -42,18 +42,18 @@ def taken_in(
     texture: bool,
     second: Sequence[UploadedFile[Any]] = (),
 ) -> dict[str, bytes]:
-    """Read what was sent, and return the files of a scan's folder.
+    """Read the sent files, and return the files of a scan's folder.
 
     Args:
-        files: the mesh and what belongs to it, or one ZIP.
-        second: another scan of the same visit, in the same way, which is merged with the first.
+        files: the mesh and its files, or one ZIP.
+        second: another scan of the same visit to be merged, likewise.
         about: scanner, axes and pseudonym.
         units: of the mesh. None: its file states it.
-        texture: whether pictures are taken, too.
+        texture: whether pictures are imported.
 
     Raises:
-        UploadError: files of other kinds, no mesh or several, or too much.
-        MammometryError: the scan cannot be read, in one sentence.
+        UploadError: files of other kinds, no mesh or several, or too large.
+        MammometryError: the scan cannot be read.
     """
     most = the_clinic().limits.scan_mb * _MB
     place = the_clinic().folder / "uploads"
@@ -92,10 +92,10 @@ def _unpack(packed: UploadedFile[Any], folder: Path, most: int) -> None:
         with zipfile.ZipFile(packed) as archive:
             members = [member for member in archive.infolist() if _is_wanted(member)]
             if len(archive.infolist()) > 50 * _MOST_FILES or len(members) > _MOST_FILES:
-                raise UploadError(f"The ZIP holds too many files. A scan has at most {_MOST_FILES}.", 400)
+                raise UploadError(f"The ZIP contains too many files. A scan has at most {_MOST_FILES}.", 400)
             for member in members:
                 if member.flag_bits & 1:
-                    raise UploadError("The ZIP is locked by a password. Pack it without one.", 400)
+                    raise UploadError("The ZIP has a password. Pack it without one.", 400)
                 with archive.open(member) as source, _new(folder, member.filename).open("xb") as file:
                     while chunk := source.read(_CHUNK):
                         left -= len(chunk)
@@ -113,7 +113,7 @@ def _is_wanted(member: zipfile.ZipInfo) -> bool:
 
 
 def _new(folder: Path, name: str) -> Path:
-    """Place of a file by its own name, without folders: an OBJ names its material and pictures."""
+    """Place of a file by its own name, without folders, because an OBJ names its material and pictures."""
     plain = PurePosixPath(name.replace("\\", "/")).name
     if _suffix(plain) not in _KINDS or len(plain.encode()) > 200 or not plain.isprintable():
         ending = _suffix(plain)[:10] or "a file without an ending"

@@ -1,8 +1,8 @@
-"""Resumable uploads. A photograph comes in pieces, each appended where the last one ended.
+"""Resumable uploads. A photograph is sent in pieces, each appended to the last.
 
-What has arrived is the length of the file in ``uploads/``, so nothing need be sent twice after a cut, a restart or a
-kill. The whole file is checked against the digest that the sender gave, looked at, and then moved to its place in the
-session in one step: a session never holds half a photograph, or one that was refused.
+The length of the file in ``uploads/`` is the received part, so nothing is sent twice after a lost connection, a restart
+or a kill. The complete file is checked against the sender's digest, examined, and then moved into the session in one
+step: a session never contains a partial or refused photograph.
 """
 
 import re
@@ -53,12 +53,12 @@ _BY_A_CAMERA = re.compile(r"[A-Za-z]{0,4}[_-]?\d{2,8}\.[A-Za-z]{3,4}")
 """Names that cameras give their files, such as IMG_0001.JPG, DSC01234.JPG, P1010001.JPG."""
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _ENDINGS = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png", b"II*\x00": ".tif", b"MM\x00*": ".tif"}
-_LOCK_S = 5.0  # that one piece waits for another of the same photograph
-_DECODED_AT_ONCE = threading.BoundedSemaphore(2)  # a photograph of 250 megapixels takes 750 MB as it is looked at
+_LOCK_S = 5.0  # for a piece to wait for another of the same photograph
+_DECODED_AT_ONCE = threading.BoundedSemaphore(2)  # examining a photograph of 250 megapixels takes 750 MB
 
 
 class OccupiedError(UploadError):
-    """Another photograph has the place, and nobody said that it may be replaced."""
+    """Another photograph has the place, and replacing was not allowed."""
 
     code = "place-occupied"
 
@@ -68,9 +68,9 @@ class Announced:
     """A sender's announcement of a file, before its bytes come in."""
 
     name: str
-    """The sender's name of it. Kept is whether it names a camera, and a name that a camera gave (IMG_0001.JPG)."""
+    """The sender's file name. Only a camera's name in it, or a name given by a camera (IMG_0001.JPG), is stored."""
     camera: str | None
-    """In whose place it is put. None: its name or its EXIF says so."""
+    """The camera to file it under. None: from its name or EXIF."""
     pose: str = ""
     """Of a calibration's photograph."""
     size_bytes: int
@@ -79,17 +79,17 @@ class Announced:
 
 
 def begin(target: Target, by: Person | None, file: Announced, *, replace: bool = False) -> Upload:
-    """Begin an upload, or find the one that was cut.
+    """Start an upload, or find the interrupted one.
 
     Args:
-        target: what it is for.
-        by: who sends it.
-        file: what is said of it.
-        replace: whether it takes the place of another photograph, which is set aside.
+        target: visit, calibration or check.
+        by: the sender.
+        file: the announcement.
+        replace: whether it replaces another photograph, which is set aside.
 
     Raises:
         OccupiedError: another photograph has the place.
-        UploadError: it is too large, for no camera of the rig, or for a visit that is being measured.
+        UploadError: it is too large, for an unknown camera, or for a visit that is being measured.
     """
     require_open(target)
     camera, pose, size_bytes, sha256 = file.camera, file.pose, file.size_bytes, file.sha256
@@ -135,7 +135,7 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
 
 
 def _has_photograph(target: Target, pose: str, camera: str) -> bool:
-    """Whether a camera's place is taken, or a photograph is on its way there."""
+    """Whether a camera's place is taken, or an upload for it is running."""
     uploads = uploads_of(target).filter(camera=camera, state__in=(Upload.State.PLACED, Upload.State.RECEIVING))
     of_pose = pose if isinstance(target, Calibration) else ""
     return any(pose_of(upload) == of_pose for upload in uploads)
@@ -149,12 +149,12 @@ def append(upload: Upload, offset: int, data: bytes) -> Upload:
         StorageError: the disk is full or refuses.
     """
     if upload.state != Upload.State.RECEIVING:
-        raise UploadError("This photograph has arrived already.")
+        raise UploadError("This photograph has already arrived.")
     try:
         with FileLock(f"{upload.path}.lock", timeout=_LOCK_S), disk_errors(upload.path):
             arrived_bytes = arrived(upload)
             if offset != arrived_bytes:
-                raise UploadError(f"The next byte is {arrived_bytes}, not {offset}. Go on from there.")
+                raise UploadError(f"The next byte is {arrived_bytes}, not {offset}. Continue from there.")
             if arrived_bytes + len(data) > upload.size_bytes:
                 raise UploadError(f"That is more than the {upload.size_bytes} bytes that were announced.", 413)
             with upload.path.open("ab") as file:
@@ -166,32 +166,32 @@ def append(upload: Upload, offset: int, data: bytes) -> Upload:
                 # The upload has ended: later pieces are refused by its state.
                 Path(f"{upload.path}.lock").unlink(missing_ok=True)
     except Timeout:
-        raise UploadError("Another piece of this photograph is just arriving. Ask again where to go on.") from None
+        raise UploadError("Another piece of this photograph is arriving. Ask again where to continue.") from None
     upload.refresh_from_db()
     return upload
 
 
 def arrived(upload: Upload) -> int:
-    """Bytes that are safe: where the next piece begins."""
+    """Stored bytes: where the next piece starts."""
     if upload.state != Upload.State.RECEIVING:
         return upload.size_bytes
     return upload.path.stat().st_size if upload.path.exists() else 0
 
 
 def resumed(upload: Upload) -> Upload:
-    """An upload as it is. One whose last byte arrived as the server was killed is finished now."""
+    """The state of an upload. If the server was killed after its last byte, it is finished now."""
     if upload.state == Upload.State.RECEIVING and arrived(upload) == upload.size_bytes:
         return append(upload, upload.size_bytes, b"")
     return upload
 
 
 def place(upload: Upload, camera: str) -> Upload:
-    """Say by hand which camera took a photograph, or change that.
+    """Choose or change a photograph's camera by hand.
 
-    The photograph in that camera's place, if there is one, takes the former place of one that is in place already.
+    A photograph that already has this camera gets the former camera.
 
     Raises:
-        UploadError: it has not arrived, the rig has no such camera, or it cannot be this camera's.
+        UploadError: it has not arrived, the rig has no such camera, or it cannot be from this camera.
         StorageError: the disk is full or refuses.
     """
     target = target_of(upload)
@@ -214,11 +214,11 @@ def place(upload: Upload, camera: str) -> Upload:
 
 
 def put_right(visit: Visit, exchanged: Mapping[str, str]) -> None:
-    """Give exchanged photographs to the cameras that took them, by the calibration.
+    """Assign exchanged photographs to the right cameras, by the calibration.
 
     Args:
-        visit: whose.
-        exchanged: camera → camera in whose place its photograph is, as the page showed it.
+        visit: of the photographs.
+        exchanged: camera → camera under which its photograph is filed, as shown on the page.
 
     Raises:
         UploadError: the visit is being measured, or something else is exchanged now.
@@ -232,10 +232,10 @@ def put_right(visit: Visit, exchanged: Mapping[str, str]) -> None:
 
 
 def remove(upload: Upload) -> None:
-    """Set a photograph aside, or forget an upload that never came into its place.
+    """Set a photograph aside, or delete an incomplete upload.
 
     Raises:
-        UploadError: the visit is being measured, or it is set aside already.
+        UploadError: the visit is being measured, or it is already set aside.
         StorageError: the disk is full or refuses.
     """
     target = target_of(upload)
@@ -254,7 +254,7 @@ def remove(upload: Upload) -> None:
 
 
 def bring_back(upload: Upload) -> None:
-    """Put a photograph that was set aside into its place. One that is there is set aside.
+    """Put a photograph that was set aside back. Its replacement is set aside.
 
     Raises:
         UploadError: it is not set aside, or the visit is being measured.
@@ -275,7 +275,7 @@ def bring_back(upload: Upload) -> None:
 
 
 def require_open(target: Target) -> None:
-    """Refuse to change what is being computed from.
+    """Refuse changes during a computation.
 
     Raises:
         UploadError: a job of it is open.
@@ -285,7 +285,7 @@ def require_open(target: Target) -> None:
 
 
 def table_of(upload: Upload) -> dict[str, Any]:
-    """An upload as JSON, less the addresses."""
+    """An upload as JSON, without addresses."""
     field = "visit" if upload.visit_id else "calibration" if upload.calibration_id else "check"
     return {
         "id": str(upload.pk),
@@ -305,7 +305,7 @@ def table_of(upload: Upload) -> dict[str, Any]:
 
 
 def state_of(target: Target) -> dict[str, Any]:
-    """Every camera's photograph, what is missing, and what the photographs say together."""
+    """Every camera's photograph, missing ones, and findings on all together."""
     uploads = list(uploads_of(target).exclude(state=Upload.State.SET_ASIDE))
     newest = {(pose_of(upload), upload.camera): upload for upload in uploads if upload.camera}
     placed = {shot: upload for shot, upload in newest.items() if upload.state == Upload.State.PLACED}
@@ -348,13 +348,13 @@ def state_of(target: Target) -> dict[str, Any]:
     }
 
 
-# --- when a photograph is whole ---
+# --- when a photograph is complete ---
 
 
 def _finish(upload: Upload) -> None:
     digest = file_digest(upload.path)
     if upload.sha256 and digest != upload.sha256:
-        sentence = "The photograph was damaged on its way. Send it again."
+        sentence = "The photograph was damaged during the upload. Send it again."
         _refuse(upload, [Finding("digest", "refuse", sentence)])
         return
     upload.sha256 = digest
@@ -371,7 +371,7 @@ def _judge_and_place(upload: Upload) -> None:
         _refuse(upload, findings)
         return
     if by_serial and upload.camera and _has_photograph(target, pose_of(upload), upload.camera):
-        sentence = f"By its serial number {upload.camera} took it, which has another photograph. Choose the camera."
+        sentence = f"Its serial number is that of {upload.camera}, which has another photograph. Choose the camera."
         findings.append(Finding("camera", "warn", sentence))
         upload.camera = ""
     upload.checks = [{**finding.as_table(), **seen} for finding in findings]
@@ -387,8 +387,7 @@ def _judge_and_place(upload: Upload) -> None:
     if isinstance(target, Visit):
         ready_folder(target)
     with transaction.atomic():
-        # One at a time for each target, so that the file that stays is the one of the row that stays. SQLite has one
-        # writer anyhow.
+        # One at a time per target, so that file and row agree. SQLite has one writer anyway.
         type(target)._default_manager.select_for_update().get(pk=target.pk)
         changed = _clear_place(upload, target, goal)
         with disk_errors(goal):
@@ -432,7 +431,7 @@ def _together(target: Target, placed: Sequence[Upload]) -> list[Finding]:
     findings = [checks.together(taken, clock_s), *checks.twice(same)]
     if isinstance(target, Visit) and not refuses(findings):
         findings += photographs.check(target, _shots(target, placed)).findings
-    if isinstance(target, DailyCheck) and not target.figures:  # another check may have been judged since they came
+    if isinstance(target, DailyCheck) and not target.figures:  # another check may have been evaluated since
         for upload in placed:
             _, table = _facts(upload)
             findings += known_photograph(upload, target, table.get("pixels", ""), table.get("taken_s"))
@@ -444,7 +443,7 @@ def _shots(visit: Visit, placed: Iterable[Upload]) -> photographs.Placed:
 
 
 def _exchanged(visit: Visit) -> dict[str, str]:
-    """Camera → camera in whose place its photograph is, by the calibration."""
+    """Camera → camera under which its photograph is filed, by the calibration."""
     placed = uploads_of(visit).filter(state=Upload.State.PLACED)
     newest = {upload.camera: upload for upload in placed if upload.camera}
     return dict(photographs.check(visit, _shots(visit, newest.values())).exchanged)
@@ -461,7 +460,7 @@ def _by_geometry(visit: Visit, placed: Iterable[Upload], missing: Sequence[str])
 
 
 def _facts(upload: Upload) -> tuple[str, dict[str, Any]]:
-    """A photograph's camera, and what is kept of its file."""
+    """A photograph's camera, and the stored data of its file."""
     return upload.camera, upload.checks[0] if upload.checks else {}
 
 
@@ -473,7 +472,7 @@ def _refuse(upload: Upload, findings: Sequence[Finding]) -> None:
 
 
 def note_ready(target: Target, *, changed: bool = False) -> None:
-    """A visit whose photographs are all there is ready. A measured one whose photographs changed says so."""
+    """Update a visit's state after a change of its photographs."""
     if not isinstance(target, Visit):
         return
     if target.measurements.exists():
@@ -486,7 +485,7 @@ def note_ready(target: Target, *, changed: bool = False) -> None:
 
 
 def remove_stale_locks() -> int:
-    """Remove locks of uploads that are not coming in. The number of those."""
+    """Remove locks of inactive uploads. Returns their number."""
     receiving = {str(key) for key in Upload.objects.filter(state=Upload.State.RECEIVING).values_list("pk", flat=True)}
     stale = [path for path in (the_clinic().folder / "uploads").glob("*.lock") if path.stem not in receiving]
     for path in stale:

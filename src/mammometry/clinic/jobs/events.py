@@ -1,6 +1,6 @@
 """Jobs as they change, as server-sent events (HTML Standard, section 9.2).
 
-One poll of the database serves all who listen: the rows are the truth, whichever process changes them.
+One poll of the database serves all listeners: any process may change the rows.
 """
 
 import asyncio
@@ -18,16 +18,16 @@ from django.utils import timezone
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Job
 
-_LOOK_S = 0.5  # between two looks at the rows
+_LOOK_S = 0.5  # between two polls
 _STILL_S = 15.0  # without an event, after which a line keeps the connection open
 _ENDED_S = 60.0  # for so long an ended job is still sent
 OF_PATIENTS = ("visit", "comparison")
-"""What a job is about, where a patient is behind it."""
+"""Subject of a job that concerns a patient."""
 _RETRY_MS = 2000  # a browser that lost the connection waits this long
 
 
 def table_of(job: Job, place: int | None = None) -> dict[str, Any]:
-    """A job as JSON. It names a patient by pseudonym."""
+    """A job as JSON, with the patient's pseudonym."""
     target = queue.target_of(job)
     fields = {"visit": job.visit_id, "calibration": job.calibration_id, "comparison": job.comparison_id}
     field = next((name for name, key in fields.items() if key), "check")
@@ -52,7 +52,7 @@ def table_of(job: Job, place: int | None = None) -> dict[str, Any]:
 
 
 def tables(jobs: list[Job]) -> list[dict[str, Any]]:
-    """Jobs as JSON, each with its place in the queue. All that wait must be among them."""
+    """Jobs as JSON, each with its place in the queue. They must include all waiting ones."""
     waiting = sorted((job for job in jobs if job.state == Job.State.QUEUED), key=lambda job: (job.created, job.pk))
     places = {job.pk: place for place, job in enumerate(waiting, start=1)}
     return [table_of(job, places.get(job.pk)) for job in jobs]
@@ -71,7 +71,7 @@ def newest() -> dict[str, dict[str, Any]]:
 
 
 class Board:
-    """News of the jobs, and who waits for them. One for each event loop."""
+    """News of the jobs for listeners. One for each event loop."""
 
     def __init__(self) -> None:
         self.jobs: dict[str, dict[str, Any]] = {}
@@ -80,7 +80,7 @@ class Board:
         self._poller: asyncio.Task[None] | None = None
 
     async def listen(self) -> AsyncIterator[Mapping[str, dict[str, Any]]]:
-        """The jobs now, and again after each change. Or after a while without news."""
+        """The jobs now, and again after each change, or after a while without news."""
         self._listeners += 1
         try:
             if self._poller is None or self._poller.done():
@@ -95,7 +95,7 @@ class Board:
             self._listeners -= 1
 
     async def _poll(self) -> None:
-        """Look at the rows while anybody listens."""
+        """Poll the rows while there are listeners."""
         while self._listeners:
             await asyncio.sleep(_LOOK_S)
             now = await sync_to_async(_look)()
@@ -117,7 +117,7 @@ def board() -> Board:
     """The board of this event loop."""
     loop = asyncio.get_running_loop()
     if (known := _boards.get(id(loop))) is None:
-        _boards.clear()  # a loop that has ended is no longer listened to
+        _boards.clear()  # a closed loop has no listeners
         known = _boards[id(loop)] = Board()
     return known
 
@@ -127,7 +127,7 @@ async def stream(about: Mapping[str, str], *, visits: bool = True) -> AsyncItera
 
     Args:
         about: field of a job's JSON → the value that it must have; empty: all.
-        visits: whether jobs of visits and of their comparisons are sent, too.
+        visits: whether jobs of visits and of their comparisons are included.
     """
     sent: dict[str, dict[str, Any]] = {}
     number = 0

@@ -1,4 +1,4 @@
-"""The queue: rows in the database, held by runners on leases.
+"""The queue: rows in the database, claimed by runners with leases.
 
 All work in the background is a job: computations, deliveries to archives, backups and restore tests.
 
@@ -31,7 +31,7 @@ from mammometry.io.subject import rename_subject
 LEASE_S = 45.0
 """Without a renewal for this long, a runner is considered dead. It renews every third of it."""
 _GAVE_UP_DAYS = 30  # an administrator is shown jobs that gave up so recently
-_STOPPED_S = 10.0  # for so long a cancelled job's process is looked for
+_STOPPED_S = 10.0  # time for stopping a cancelled job's process
 OPEN = (Job.State.QUEUED, Job.State.RUNNING)
 _KINDS: Mapping[type, tuple[str, str]] = {
     Visit: (Job.Kind.MEASURE, "visit"),
@@ -96,7 +96,7 @@ def target_of(job: Job) -> Target:
 
 
 def _about(job: Job) -> Target | Delivery | None:
-    """The record that a job is about. None for a backup or a restore test."""
+    """The record of a job. None for a backup or a restore test."""
     return target_of(job) if job.kind in COMPUTED else job.delivery
 
 
@@ -108,7 +108,7 @@ def retries_of(job: Job) -> Retries:
 def enqueue(target: Target | Delivery, by: Person | None) -> Job:
     """Queue a computation for a visit, calibration, daily check or comparison, or a delivery.
 
-    One that is open already is returned.
+    An open one is returned.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -120,13 +120,13 @@ def enqueue(target: Target | Delivery, by: Person | None) -> Job:
         return open_one
     if isinstance(target, Visit):
         carry_subject(target)
-    if isinstance(target, Calibration) and "rig" in target.rig.definition:  # the board may have been measured meanwhile
+    if isinstance(target, Calibration) and "rig" in target.rig.definition:  # the board may have been measured since
         make_session(the_clinic().folder / target.folder, manifest_text(target.rig.definition, "torso"))
     try:
         with transaction.atomic():
             job = Job.objects.create(**about, kind=kind, created_by=by)
             results.queued(target)
-    except IntegrityError:  # somebody else queued it at this moment
+    except IntegrityError:  # queued by somebody else at the same time
         return Job.objects.get(**about, state__in=OPEN)
     return job
 
@@ -149,7 +149,7 @@ def enqueue_upkeep(kind: Job.Kind, by: Person | None, *, once: str = "") -> None
 
 
 def compare(before: Visit, after: Visit, by: Person | None) -> None:
-    """Queue the comparison of two visits where none of their newest measurements is there."""
+    """Queue the comparison of two visits if there is none of their newest measurements."""
     if not comparing.may_compare(before, after):
         return
     comparison, _ = Comparison.objects.get_or_create(before=before, after=after)
@@ -158,9 +158,9 @@ def compare(before: Visit, after: Visit, by: Person | None) -> None:
 
 
 def carry_subject(visit: Visit) -> None:
-    """Let a visit's folder name its patient by pseudonym, and its day, after either was corrected.
+    """Update pseudonym and day in a visit's folder after a correction.
 
-    Results that name another patient are dropped.
+    Results of another patient are deleted.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -169,12 +169,12 @@ def carry_subject(visit: Visit) -> None:
 
 
 def retry(job: Job, by: Person | None) -> Job:
-    """Queue what a job was about once more."""
+    """Queue a job's computation again."""
     return enqueue(target_of(job), by)
 
 
 def cancel(job: Job) -> bool:
-    """Take a job out of the queue, or stop it. Say whether it was still open."""
+    """Remove a job from the queue, or stop it. Returns whether it was still open."""
     with transaction.atomic():
         done = Job.objects.filter(pk=job.pk, state__in=OPEN).update(state=Job.State.CANCELLED, ended=timezone.now())
         if done:
@@ -196,7 +196,7 @@ def of_visits_in_use() -> QuerySet[Job]:
 
 
 def place(job: Job) -> int | None:
-    """Place in the queue, from 1. None where it does not wait."""
+    """Place in the queue, from 1. None if it is not waiting."""
     if job.state != Job.State.QUEUED:
         return None
     before = Q(created__lt=job.created) | Q(created=job.created, pk__lt=job.pk)
@@ -219,7 +219,7 @@ def gave_up() -> list[Job]:
     ]
 
 
-# --- what runners do ---
+# --- for runners ---
 
 
 def anything() -> bool:
@@ -266,15 +266,15 @@ def claim(owner: str, room: int, kinds: Collection[str] = COMPUTED) -> list[Job]
 
 
 def renew(owner: str) -> None:
-    """Say that the runner lives."""
+    """Renew the runner's leases."""
     until = timezone.now() + datetime.timedelta(seconds=LEASE_S)
     Job.objects.filter(lease_owner=owner, state=Job.State.RUNNING).update(lease_until=until)
 
 
 def requeue_abandoned() -> int:
-    """Queue again what dead runners held.
+    """Queue the jobs of dead runners again.
 
-    Blame what took its runner down too often. Return how many there were.
+    Jobs whose runner died too often fail. Returns how many there were.
     """
     now = timezone.now()
     abandoned = [
@@ -302,11 +302,11 @@ def _abandon(job: Job) -> None:
     with transaction.atomic():
         if held.update(
             state=Job.State.FAILED,
-            message=f"The machine stopped {job.attempt} times while it worked on this. Look at its memory.",
+            message=f"The machine stopped {job.attempt} times during this job. Check its memory.",
             exit_code=1,
             ended=timezone.now(),
         ):
-            results.failed(_about(job), "The machine stopped while it worked on this.")
+            results.failed(_about(job), "The machine stopped during this job.")
 
 
 def release(owner: str, key: UUID | None = None, kinds: Collection[str] = tuple(Job.Kind)) -> int:
@@ -319,7 +319,7 @@ def release(owner: str, key: UUID | None = None, kinds: Collection[str] = tuple(
 
 
 def progressed(key: UUID, owner: str, stage: str, fraction: float) -> None:
-    """Note how far a job is. The bar never goes back."""
+    """Store a job's progress, which never decreases."""
     held = Job.objects.filter(pk=key, lease_owner=owner, state=Job.State.RUNNING)
     held.update(stage=stage[:60])
     held.filter(fraction__lt=fraction).update(fraction=fraction)
@@ -336,7 +336,7 @@ def done(key: UUID, owner: str, answer: Mapping[str, Any]) -> bool:
             return False
         job = Job.objects.get(pk=key)
         results.enter(job, answer)
-        if job.visit is not None and job.visit.state == Visit.State.CHANGED:  # drawn while this was at work
+        if job.visit is not None and job.visit.state == Visit.State.CHANGED:  # drawn during the measurement
             enqueue(job.visit, job.created_by)
         _compare_after(job)
     return True
@@ -363,9 +363,9 @@ def failed(key: UUID, owner: str, message: str, exit_code: int) -> bool:
 
 
 def _compare_after(job: Job) -> None:
-    """Queue the comparisons that are due now that a job has ended.
+    """Queue the comparisons that are due after a job.
 
-    A comparison is due again when one of its visits was measured while it was made.
+    A comparison is due again if one of its visits was measured while it was made.
     """
     pairs = [(job.comparison.before, job.comparison.after)] if job.comparison is not None else []
     if job.visit is not None:
@@ -375,7 +375,7 @@ def _compare_after(job: Job) -> None:
 
 
 def unwanted(owner: str) -> list[str]:
-    """Keys of a runner's jobs that were cancelled just now."""
+    """Keys of a runner's recently cancelled jobs."""
     since = timezone.now() - datetime.timedelta(seconds=_STOPPED_S)
     cancelled = Job.objects.filter(lease_owner=owner, state=Job.State.CANCELLED, ended__gt=since)
     return [str(key) for key in cancelled.values_list("pk", flat=True)]
@@ -387,7 +387,7 @@ def new_owner() -> str:
 
 
 def _is_dead(owner: str) -> bool:
-    """Whether the runner was a process of this machine that is gone. Its lease need not be waited for."""
+    """Whether the runner was a process of this machine that has ended, so that its lease can be ignored."""
     import psutil
 
     host, _, rest = owner.partition(":")

@@ -29,7 +29,7 @@ _LONGEST = 500  # characters of a verdict
 
 
 def queued(target: Target | Delivery) -> None:
-    """Note at a job's target that the job waits."""
+    """Mark a job's target as waiting."""
     if isinstance(target, Visit):
         target.state = Visit.State.QUEUED
         target.save(update_fields=["state"])
@@ -44,7 +44,7 @@ def queued(target: Target | Delivery) -> None:
 
 
 def begun(target: Target | Delivery | None) -> None:
-    """Note at a job's target that the job is at work."""
+    """Mark a job's target as running."""
     if isinstance(target, Calibration):
         target.state = Calibration.State.RUNNING
         target.save(update_fields=["state"])
@@ -54,7 +54,7 @@ def begun(target: Target | Delivery | None) -> None:
 
 
 def cancelled(target: Target) -> None:
-    """Set a cancelled job's target back to what it was."""
+    """Reset a cancelled job's target."""
     if isinstance(target, Visit):
         target.state = settled_state(target)
         target.save(update_fields=["state"])
@@ -111,8 +111,8 @@ def _refuse(comparison: Comparison, digests: str, message: str) -> None:
 
 
 def _measured(job: Job, visit: Visit, answer: Mapping[str, Any]) -> None:
-    """Add a measurement, unless the visit's newest one is the same, whose confirmation then stays."""
-    Visit.objects.select_for_update().get(pk=visit.pk)  # what is drawn at this moment is seen, or sees this
+    """Add a measurement, unless the visit's newest one is equal; its confirmation then remains."""
+    Visit.objects.select_for_update().get(pk=visit.pk)  # a drawing at this moment is seen, or sees this
     newest = visit.measurements.order_by("-made_at").first()
     if newest is None or newest.digest != answer["digest"]:
         made_at = datetime.datetime.fromisoformat(answer["made_at"]) if answer.get("made_at") else timezone.now()
@@ -129,11 +129,11 @@ def _measured(job: Job, visit: Visit, answer: Mapping[str, Any]) -> None:
 
 
 def _calibrated(calibration: Calibration, figures: Mapping[str, Any]) -> None:
-    """Make it the rig's current one, unless a later one is."""
+    """Make it the rig's current calibration, unless a later one is."""
     calibration.figures = dict(figures)
     calibration.state = Calibration.State.DONE
     reasons = figures.get("reasons") or [""]
-    words = "May be used, but somebody should look. " if figures.get("verdict") == "warn" else "May be used. "
+    words = "May be used, but check it. " if figures.get("verdict") == "warn" else "May be used. "
     calibration.verdict = f"{words}{_sentence(reasons[0])}".strip()[:_LONGEST]
     earlier = Calibration.objects.filter(rig=calibration.rig, current=True).exclude(pk=calibration.pk)
     if not earlier.filter(taken_at__gt=calibration.taken_at).exists():
@@ -149,15 +149,15 @@ def _checked(check: DailyCheck, figures: Mapping[str, Any]) -> None:
     unseen = [str(name) for name in figures.get("unseen") or ()]
     words = f"{_VERDICTS.get(verdict, verdict)} {_sentence(reasons[0])}".strip()
     if exchanged := [str(name).replace("_", " ") for name in figures.get("exchanged") or ()]:
-        words = f"The photographs of {' and '.join(exchanged)} are exchanged: put them right, and check again."
+        words = f"The photographs of {' and '.join(exchanged)} are exchanged: correct them, and check again."
     elif unseen:
         which = f"Camera {unseen[0]}" if len(unseen) == 1 else f"Cameras {', '.join(unseen)}"
-        words = f"{which} saw no board: photograph it again, where every camera sees it. {words}"
+        words = f"{which} did not see the board: photograph it again, where every camera sees it. {words}"
     check.verdict = words[:_LONGEST]
     check.passed = verdict != "refuse" and not unseen
     check.save(update_fields=["figures", "verdict", "passed"])
 
 
 def _sentence(reason: str) -> str:
-    """A reason that stands by itself."""
+    """A reason as a complete sentence."""
     return f"{reason[0].upper()}{reason[1:].rstrip('.')}." if reason else ""

@@ -22,23 +22,23 @@ from mammometry.clinic.jobs.lanes import Lane
 from mammometry.clinic.models import Job, Visit
 from mammometry.clinic.records.comparing import comparison_folder
 
-_LOOK_S = 1.0  # between two looks into an empty queue
+_LOOK_S = 1.0  # between two checks of an empty queue
 _LANE_LOOK_S = 5.0  # between two looks for deliveries, and for backups
-_AGAIN_S = 5.0  # until a cluster that was gone is asked again
-_LOOKED_BACK = 40  # newest visits whose need of memory is known
+_AGAIN_S = 5.0  # until an unavailable cluster is tried again
+_LOOKED_BACK = 40  # newest visits used to estimate memory
 _SHARES = {"prepare": 0.02, "calibrate": 0.05, "match": 0.3, "surface": 0.7, "measure": 0.92, "report": 1.0}
-"""Stage → share of the whole that is done when it ends, about as in time."""
+"""Stage → share of the total time at its end, approximately."""
 _LOG = logging.getLogger(__name__)
 
 Workers = Callable[[], AbstractContextManager[Machines]]
 
 
 class Runner:
-    """Does the queue's jobs until it is stopped.
+    """Runs the queue's jobs until it is stopped.
 
     Args:
-        config: the clinic's, whose Django is set up.
-        workers: connects to a cluster, or starts one; None: as the clinic's settings say.
+        config: the clinic's, with Django set up.
+        workers: connects to a cluster, or starts one; None: from the clinic's settings.
         lanes: jobs that are done in this process besides.
     """
 
@@ -50,11 +50,11 @@ class Runner:
         self._stopped = threading.Event()
 
     def stop(self) -> None:
-        """Stop what runs, put it back into the queue, and end."""
+        """Stop running jobs, queue them again, and end."""
         self._stopped.set()
 
     def run(self) -> None:
-        """Serve the queue. A cluster that is gone is waited for."""
+        """Serve the queue. Waits for an unavailable cluster."""
         heart = threading.Thread(target=self._beat, daemon=True)
         heart.start()
         for lane in self._lanes:
@@ -62,7 +62,7 @@ class Runner:
         while not self._stopped.is_set():
             try:
                 queue.requeue_abandoned()
-                if not queue.anything():  # no worker is started before there is work
+                if not queue.anything():  # workers are started only when there is work
                     self._stopped.wait(_LOOK_S)
                     continue
                 with self._workers() as workers:
@@ -79,11 +79,11 @@ class Runner:
     def _give_back(self, kinds: Collection[str]) -> None:
         try:
             queue.release(self.owner, kinds=kinds)
-        except DatabaseError:  # its leases end by themselves
+        except DatabaseError:  # its leases expire
             close_old_connections()
 
     def _beat(self) -> None:
-        """Renew the leases, and look for those of the dead."""
+        """Renew the leases, and recover those of dead runners."""
         while not self._stopped.wait(queue.LEASE_S / 3):
             try:
                 queue.renew(self.owner)
@@ -139,13 +139,13 @@ class Runner:
     def _end(self, key: UUID, event: Ended) -> None:
         if not event.failed:
             held = queue.done(key, self.owner, event.value)
-        elif event.code == BusyError.code:  # a former process of this clinic still works in the session
+        elif event.code == BusyError.code:  # a former process of this clinic is still running in the session
             queue.release(self.owner, key)
             return
         else:
             held = queue.failed(key, self.owner, _words(event.failed, self._config), event.exit_code)
         if not held:
-            _LOG.info("Job %s is no longer ours; what it made stays on the disk.", key)
+            _LOG.info("Job %s is no longer ours; its results remain on the disk.", key)
 
     def _task(self, job: Job) -> Task:
         folder, settings = self._config.folder, self._settings()
@@ -174,7 +174,7 @@ class Runner:
         return self._config.measuring().to_toml()
 
     def _known(self) -> list[tuple[float, float]]:
-        """How much memory the newest visits needed."""
+        """Memory used by the newest visits."""
         known = []
         for visit in Visit.objects.filter(measurements__isnull=False).distinct()[:_LOOKED_BACK]:
             try:
@@ -205,5 +205,5 @@ def _megapixels(visit: Visit) -> float | None:
 
     try:
         return megapixels_of(visit.folder / "capture")
-    except (OSError, MammometryError):  # its own task will say what is wrong with it
+    except (OSError, MammometryError):  # its own task will report the fault
         return None

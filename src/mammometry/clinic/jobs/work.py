@@ -1,9 +1,9 @@
 """The work of a job, in the worker's process.
 
-It runs in a process of its own. Nothing here knows of the database or of names.
+It runs in a process of its own. It uses neither the database nor names.
 
-Everything that is made lies in the session's folder under keys of its content. A job that is begun twice, because a
-machine died, finds what its first turn has made and comes to the same answer.
+All results are in the session's folder under keys of their content. A job that is started twice, because a machine
+died, finds its first results and gives the same answer.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ if TYPE_CHECKING:
 RESULTS = "results"
 """Folder of the results in a visit's folder."""
 _WHOLE = "closed solid"
-"""What a cast's volume means: it has no other meanings."""
+"""Definition of a cast's volume: the only one."""
 _CHANGE_NO_NUMBER = ("compare", "limits")
-"""Tables of the settings that change nothing of one visit's numbers."""
+"""Tables of the settings that do not affect a visit's numbers."""
 _REFUSED = "any"
-"""The meaning of a side that has no volume at all."""
+"""Definition for a side without any volume."""
 
 
 def measure(progress: StageProgress, session: str, calibration: str, settings: str) -> dict[str, Any]:
@@ -65,7 +65,7 @@ def measure(progress: StageProgress, session: str, calibration: str, settings: s
         as rows of `hospital.exported.Quantity`, ``megapixels``.
 
     Raises:
-        MammometryError: whatever stands in the way, in one sentence.
+        MammometryError: the job cannot be done.
     """
     chosen = Settings.from_toml(settings)
     progress("prepare", 0.0)
@@ -98,7 +98,7 @@ def measure_scan(progress: StageProgress, folder: str, settings: str) -> dict[st
         As `measure`. ``megapixels`` is 0.
 
     Raises:
-        MammometryError: whatever stands in the way, in one sentence.
+        MammometryError: the job cannot be done.
     """
     progress("prepare", 0.0)
     job = open_session(folder, Settings.from_toml(settings), watch=lambda key: watched(key, progress))
@@ -116,7 +116,7 @@ def measure_scan(progress: StageProgress, folder: str, settings: str) -> dict[st
 def _numbers(
     measured: Mapping[str, VolumeMeasurement], plan: Plan, settings: Settings, drawn: Iterable[str]
 ) -> dict[str, Any]:
-    """Digests of the boundaries, how all was measured, and every number under the name that exports use."""
+    """Digests of the boundaries, basis of the measurement, and every number with its name in exports."""
     curves = plan.value(boundaries) or ()
     otherwise = "landmarks" if settings.measure.boundary == "landmarks" else "automatic"
     return {
@@ -131,7 +131,7 @@ def _numbers(
 
 
 def measuring_settings(settings: Settings) -> dict[str, Any]:
-    """Settings of a measurement that are not the recommended ones, by their names."""
+    """Settings of a measurement that differ from the defaults, by name."""
     ours, usual = (_flat(tomllib.loads(some.to_toml())) for some in (settings, Settings()))
     changed = {name: value for name, value in ours.items() if value != usual.get(name)}
     return _finite({name: value for name, value in changed.items() if name.split(".")[0] not in _CHANGE_NO_NUMBER})
@@ -147,7 +147,7 @@ def _flat(table: Mapping[str, Any], before: str = "") -> dict[str, Any]:
 def volume_rows(measured: Mapping[str, VolumeMeasurement], no_breast: Mapping[str, str]) -> list[dict[str, Any]]:
     """Volumes of a measured session or scan.
 
-    A row for each side and meaning of the word, and for each side without.
+    One row per side and definition, and one for each side without a volume.
     """
     rows = []
     for side, measurement in measured.items():
@@ -173,13 +173,13 @@ def _row(
 
 
 def calibrate(progress: StageProgress, session: str, settings: str) -> dict[str, Any]:
-    """Calibrate a rig and judge the calibration.
+    """Calibrate a rig and assess the calibration.
 
     Returns:
-        ``digest`` of the cameras, and ``figures``: verdict, reasons, residuals, what is known of each camera.
+        ``digest`` of the cameras, and ``figures``: verdict, reasons, residuals, facts about each camera.
 
     Raises:
-        MammometryError: whatever stands in the way, in one sentence.
+        MammometryError: the job cannot be done.
     """
     job = open_session(session, Settings.from_toml(settings))
     progress("calibrate", 0.0)
@@ -208,7 +208,7 @@ def calibrate(progress: StageProgress, session: str, settings: str) -> dict[str,
 
 
 def known_cameras(session: Path) -> dict[str, KnownCamera]:
-    """Cameras by a calibration's photographs."""
+    """Cameras from a calibration's photographs."""
     files = {
         (path.parent.name, path.stem): path
         for path in sorted((session / "calibration").glob("*/*"))
@@ -231,23 +231,22 @@ def known_cameras(session: Path) -> dict[str, KnownCamera]:
 
 
 def check(progress: StageProgress, calibration: str, folder: str, settings: str) -> dict[str, Any]:
-    """Check by a later photograph whether a rig has moved.
+    """Check with a later photograph whether a rig has moved.
 
-    An exposure that was checked against this calibration before has its entry in the rig's history, and is not
-    entered again.
+    An exposure that was already checked against this calibration is not added to the rig's history again.
 
     Returns:
         ``digest`` and ``figures``: the entry of the history.
 
     Raises:
-        MammometryError: whatever stands in the way, in one sentence.
+        MammometryError: the job cannot be done.
     """
     job = open_session(calibration, Settings.from_toml(settings))
     progress("check", 0.0)
     now = job.plan[cameras_product].key.digest[:12]
     entries = drift.read_history(Path(calibration)).entries
     same = [entry for entry in entries if entry.image_set == folder and entry.calibration == now]
-    pixels = _pixels(job.session, Path(folder)) if same else {}  # two of them may have been exchanged meanwhile
+    pixels = _pixels(job.session, Path(folder)) if same else {}  # two of them may have been exchanged since
     entry = next((entry for entry in same if entry.photographs in ({}, pixels)), None)
     unseen: list[str] = []
     exchanged: tuple[str, ...] = ()
@@ -280,14 +279,14 @@ def compare(
         before: folder of the earlier visit.
         after: folder of the later visit.
         folder: for the comparison's page and pictures.
-        digests: of both measurements, between them a colon.
+        digests: of both measurements, separated by a colon.
         settings: TOML.
 
     Returns:
         ``digest``, ``of`` and ``table``, the content of compare.json.
 
     Raises:
-        MammometryError: whatever stands in the way, in one sentence.
+        MammometryError: the job cannot be done.
     """
     from mammometry.api.dates import compare_visits
 
@@ -297,9 +296,9 @@ def compare(
         if _digest([key.digest for key in open_session(session, chosen).keys("measure")]) != digest:
             raise SessionError(
                 f"The {which} visit",
-                found="results of another version of the software, of other settings or of other drawings",
-                expected="results of what is drawn and set now",
-                remedy="Measure that visit again. Both are then compared by themselves",
+                found="results of a different software version, settings or drawings",
+                expected="results of the current drawings and settings",
+                remedy="Measure that visit again. Both are then compared automatically",
             )
     compared = compare_visits(
         Path(before), Path(after), chosen, out=Path(folder), progress=lambda share: progress("compare", share)
@@ -312,7 +311,7 @@ def _digest(value: object) -> str:
 
 
 def _finite(value: Any) -> Any:
-    """JSON-ready values, without infinite numbers and NaN, which the database cannot hold."""
+    """JSON-ready values, without infinite numbers and NaN, which the database cannot store."""
     if isinstance(value, Mapping):
         return {str(name): _finite(item) for name, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -1,4 +1,4 @@
-"""Backups: how one is made, which are kept, when the next is made, what became of the last."""
+"""Backups: making and keeping them, their schedule, and the outcome of the last."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
 _PATTERN = "clinic-????????-??????.tar"
 _LOCK = ".lock"
 _OUTCOMES = "outcomes.json"
-"""What became of the last backup and the last restore test, in the folder of backups."""
+"""Outcome of the last backup and restore test, in the folder of backups."""
 _ELSEWHERE = "elsewhere.json"
-"""Paths of backups that a command wrote outside the folder of backups: each is a copy of every patient."""
-_CLOCK = datetime.timedelta(hours=1)  # by which a file server's clock may be ahead of ours
-_MARGIN = 1.2  # a new backup is expected to be at most this much larger than the last one
+"""Paths of backups outside the folder of backups: each is a copy of every patient."""
+_CLOCK = datetime.timedelta(hours=1)  # possible lead of a file server's clock over ours
+_MARGIN = 1.2  # expected growth of a new backup over the last one, at most
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,10 +64,10 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BackupState:
-    """All that a page says of the backups."""
+    """State of the backups for a page."""
 
     files: list[BackupFile]
-    """The newest first."""
+    """Newest first."""
     backup: Outcome | None
     """Of the last backup; None: none was tried."""
     restore: Outcome | None
@@ -75,7 +75,7 @@ class BackupState:
     at_work: bool
     """Whether a backup or a test is being made now."""
     next_at: datetime.datetime | None
-    """When the server makes the next; None: it makes none by itself."""
+    """Time of the next automatic backup; None: there is none."""
 
     @property
     def newest(self) -> BackupFile | None:
@@ -89,7 +89,7 @@ class BackupState:
 
 
 def state_of(config: ClinicConfig) -> BackupState:
-    """State of the backups now: which there are, which is due, what became of the last."""
+    """Present state of the backups: the list, the next one, outcome of the last."""
     outcomes = _outcomes(config)
     files = backup_files(config)
     return BackupState(
@@ -102,10 +102,7 @@ def state_of(config: ClinicConfig) -> BackupState:
 
 
 def backup_files(config: ClinicConfig) -> list[BackupFile]:
-    """Whole backups, the newest first.
-
-    Those that a clock in the future made are last.
-    """
+    """Complete backups, newest first; those dated in the future are last."""
     now = datetime.datetime.now(datetime.UTC) + _CLOCK
     made = []
     for path in config.backups.glob(_PATTERN):
@@ -116,9 +113,9 @@ def backup_files(config: ClinicConfig) -> list[BackupFile]:
 
 
 def make_kept_backup(config: ClinicConfig) -> Path:
-    """Make a backup in the folder of backups, and delete the oldest beyond those that are kept.
+    """Make a backup in the folder of backups, and delete the oldest ones.
 
-    The outcome is noted for the page.
+    The outcome is stored for the page.
 
     Raises:
         ClinicError: one is being made, the disk is too full, or the backup cannot be written.
@@ -139,7 +136,7 @@ def make_kept_backup(config: ClinicConfig) -> Path:
 
 
 def note(config: ClinicConfig, kind: str, *, passed: bool, sentence: str) -> None:
-    """Keep what became of a backup or a restore test, for the page."""
+    """Store the outcome of a backup or a restore test for the page."""
     outcome = Outcome(at=datetime.datetime.now(datetime.UTC).isoformat(), passed=passed, sentence=sentence)
     table = {key: asdict(value) for key, value in {**_outcomes(config), kind: outcome}.items()}
     write_private(config.backups / _OUTCOMES, json.dumps(table, indent=1))
@@ -158,7 +155,9 @@ def exclusive(config: ClinicConfig) -> Iterator[None]:
         lock.acquire()
     except Timeout:
         remedy = "Wait until it ends"
-        raise ClinicError("backups", found="one that is being made or tested", expected="none", remedy=remedy) from None
+        raise ClinicError(
+            "backups", found="a backup that is being made or tested", expected="none", remedy=remedy
+        ) from None
     try:
         _remove_leftovers(config)
         yield
@@ -167,7 +166,7 @@ def exclusive(config: ClinicConfig) -> Iterator[None]:
 
 
 def remove_leftovers(config: ClinicConfig) -> bool:
-    """Delete the remains of killed backups and restore tests: they hold names. False if one is running."""
+    """Delete leftovers of killed backups and restore tests, which contain names. False if one is running."""
     try:
         with exclusive(config):
             return True
@@ -184,15 +183,12 @@ def _remove_leftovers(config: ClinicConfig) -> None:
 
 
 def unfinished(config: ClinicConfig) -> list[Path]:
-    """Unfinished archives and restored clinics in the folder of backups.
-
-    They are being made now, or their maker was killed.
-    """
+    """Unfinished archives and restored clinics in the folder of backups, from a running or killed process."""
     return sorted([*config.backups.glob(f"*.tar{PART}"), *config.backups.glob(f"{SCRATCH}*")])
 
 
 def elsewhere(config: ClinicConfig) -> list[Path]:
-    """Backups outside the folder of backups that are still there, unfinished ones too."""
+    """Existing backups outside the folder of backups, including unfinished ones."""
     try:
         named = json.loads((config.backups / _ELSEWHERE).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -218,14 +214,14 @@ def plan_daily(config: ClinicConfig) -> None:
 
 
 def is_due(config: ClinicConfig, now: datetime.datetime) -> bool:
-    """Whether the last scheduled time has passed without a backup or a try of one."""
+    """Whether the last scheduled time has passed without a backup or an attempt."""
     last = _scheduled(config, now, after=False)
     if last is None:
         return False
     begun = datetime.datetime.fromtimestamp((config.folder / KEY_FILE).stat().st_mtime, datetime.UTC)
     tried = _outcomes(config).get("backup")
     known = [begun, *(file.made_at for file in backup_files(config)), *([tried.moment] if tried else [])]
-    # A backup dated in the future says nothing about today.
+    # A backup dated in the future does not count.
     return all(moment < last or moment > now for moment in known)
 
 
@@ -243,7 +239,7 @@ def _scheduled(config: ClinicConfig, now: datetime.datetime, *, after: bool) -> 
 
 
 def _require_room(config: ClinicConfig) -> None:
-    """Refuse to begin what the disk cannot hold."""
+    """Refuse if the disk has not enough space."""
     config.backups.mkdir(mode=0o700, parents=True, exist_ok=True)
     newest = next(iter(backup_files(config)), None)
     free = shutil.disk_usage(config.backups).free
@@ -273,23 +269,23 @@ def _is_locked(config: ClinicConfig) -> bool:
 
 FORMAT = 1
 DATABASE = "database.jsonl"
-"""The rows, one a line."""
+"""The rows, one per line."""
 MANIFEST = "manifest.json"
 """Format, version, time, migrations, and the SHA-256 of each file; the archive's last entry."""
 
 
 KEPT_FOLDERS = ("sessions", "rigs", "uploads")
 PART = ".part"
-"""What the name of an archive ends with while it is written."""
+"""Suffix of an archive while it is written."""
 SCRATCH = "restore-test-"
-"""What the name of a folder begins with in which a restore is tested."""
+"""Prefix of the folder for a restore test."""
 _RIG_FILE = "rig.toml"
 _NOT_KEPT = re.compile(r"\.(sqlite3(-\w+)?|tar|part|lock|new)$")
-"""Files in a clinic's folder that no backup holds: the database's, archives, and what is being written."""
+"""Files in a clinic's folder that are not in backups: the database's, archives, and unfinished ones."""
 
 
 def make_backup(config: ClinicConfig, target: Path | None = None) -> Path:
-    """Write a backup. The clinic may be in use. Return its file, which nobody else may read.
+    """Write a backup. The clinic may be in use. Returns its file, which only its owner can read.
 
     Args:
         config: the open clinic.
@@ -320,7 +316,7 @@ def make_backup(config: ClinicConfig, target: Path | None = None) -> Path:
                     with path.open("rb") as file:
                         _add(tar, name, file, digests)
                 except FileNotFoundError:
-                    continue  # replaced or erased since the folder was read
+                    continue  # replaced or erased since the folder was listed
             manifest = {
                 "format": FORMAT,
                 "software": mammometry.__version__,
@@ -340,7 +336,7 @@ def make_backup(config: ClinicConfig, target: Path | None = None) -> Path:
 
 
 def chain_of_newest(config: ClinicConfig) -> ChainEnd | None:
-    """End of the audit's chain when the newest backup was made. None: it does not say, or there is none."""
+    """End of the audit's chain in the newest backup. None: unknown, or no backup."""
     newest = next(iter(backup_files(config)), None)
     if newest is None:
         return None
@@ -353,17 +349,16 @@ def chain_of_newest(config: ClinicConfig) -> ChainEnd | None:
 
 
 def chain_in(manifest: dict[str, Any]) -> ChainEnd | None:
-    """End of the audit's chain in a backup. None: it is of 1.0, which had no chain."""
+    """End of the audit's chain in a backup. None for version 1.0, which had no chain."""
     from mammometry.clinic.audit_chain import ChainEnd
 
     return ChainEnd(**manifest["audit"]) if "audit" in manifest else None
 
 
 def measures_with(config: ClinicConfig) -> dict[str, str]:
-    """SHA-256 of each file beside the photographs that changes a number.
+    """SHA-256 of each file other than photographs that affects a number; empty if missing.
 
-    It is empty where there is none. The files are the clinic's settings and the rig.toml of each rig that this
-    computer drives.
+    These are the clinic's settings and the rig.toml of each connected rig.
     """
     files = {SETTINGS_FILE: config.folder / SETTINGS_FILE}
     files |= {f"{_RIG_FILE} of {rig}": config.folder / name for rig, name in sorted(config.cameras.items())}
@@ -373,7 +368,7 @@ def measures_with(config: ClinicConfig) -> dict[str, str]:
 
 
 def _outside(config: ClinicConfig) -> dict[str, str]:
-    """Rig whose rig.toml lies outside the clinic's folder → its name in the archive."""
+    """Rig whose rig.toml is outside the clinic's folder → its name in the archive."""
     rigs = sorted(rig for rig, name in config.cameras.items() if not _is_inside(config, config.folder / name))
     return {rig: f"cameras/{number}-{_RIG_FILE}" for number, rig in enumerate(rigs, start=1)}
 
@@ -383,9 +378,9 @@ def _is_inside(config: ClinicConfig, path: Path) -> bool:
 
 
 def _files(config: ClinicConfig) -> Iterator[tuple[str, Path]]:
-    """Name in the archive and path of each file that is kept.
+    """Name in the archive and path of each file to store.
 
-    Of the clinic's own folder these are all files but the database's, whose rows are kept, and archives.
+    These are all files of the clinic's folder except archives and the database, whose rows are stored.
     """
     folder, outside = config.folder, _outside(config)
     named = {path: path.name for path in folder.iterdir() if path.is_file() and not _NOT_KEPT.search(path.name)}
@@ -402,7 +397,7 @@ def _files(config: ClinicConfig) -> Iterator[tuple[str, Path]]:
 
 
 def _add(tar: tarfile.TarFile, name: str, file: BinaryIO, digests: dict[str, str]) -> None:
-    """Add as many bytes as the file has now. An upload may be growing."""
+    """Add the bytes that the file has now. An upload may be growing."""
     entry = tarfile.TarInfo(name)
     start = file.tell()
     entry.size = file.seek(0, os.SEEK_END) - start
@@ -414,7 +409,7 @@ def _add(tar: tarfile.TarFile, name: str, file: BinaryIO, digests: dict[str, str
 
 
 class _Hashed:
-    """A file whose bytes are seen as they are read."""
+    """A file that is hashed while it is read."""
 
     def __init__(self, file: BinaryIO, see: Callable[[bytes], object]) -> None:
         self._file, self._see = file, see

@@ -1,4 +1,4 @@
-"""Use of the disk by a clinic's files, and how long the rest will last."""
+"""Disk use of a clinic's files, and how long the free space will last."""
 
 import datetime
 import os
@@ -15,7 +15,7 @@ from mammometry.clinic.config import KEY_FILE, ClinicConfig
 from mammometry.clinic.maintenance.backups import backup_files
 
 RATE_DAYS = 30
-"""Days over which the rate is taken; fewer for a younger clinic."""
+"""Days for computing the rate; fewer for a new clinic."""
 _DAY_S = 86400.0  # seconds in a day
 _CACHED_S = 600  # seconds; a walk over some hundred thousand files takes seconds
 
@@ -25,7 +25,7 @@ class DiskUsage:
     """Bytes of the clinic's files, by kind."""
 
     photographs: int
-    """Of visits, of other devices' scans, of boards, and what is coming in."""
+    """Photographs of visits and boards, other devices' scans, and uploads."""
     results: int
     backups: int
     database: int
@@ -35,21 +35,21 @@ class DiskUsage:
     per_day: float
     """New photographs and results a day, at the rate of the last days."""
     rate_days: int
-    """How many days that rate is of."""
+    """Number of days of that rate."""
     at: datetime.datetime
-    """When it was counted."""
+    """Time of the count."""
 
     @property
     def days_left(self) -> int | None:
-        """Days until the disk is full at this rate, or None when nothing came."""
+        """Days until the disk is full at this rate, or None without new data."""
         return None if self.per_day <= 0 else int(self.free / self.per_day)
 
     @property
     def lasts(self) -> str:
-        """Time until the disk is full, in words."""
+        """Time until the disk is full, as text."""
         days = self.days_left
         if days is None:
-            return "nothing new came, so there is no rate"
+            return "no new data, so there is no rate"
         if days < 60:
             return f"{days} days"
         return f"{days / 30.4:.0f} months" if days < 730 else "more than two years"
@@ -101,12 +101,12 @@ def measure_usage(config: ClinicConfig) -> DiskUsage:
 
 
 def folder_bytes(folder: Path) -> int:
-    """Bytes of all files below a folder, 0 where there is none."""
+    """Bytes of all files below a folder; 0 if there is no folder."""
     return sum(status.st_size for _, status in _files(folder))
 
 
 def _files(root: Path) -> Iterator[tuple[str, os.stat_result]]:
-    """Path and status of each file below a folder; one that has gone meanwhile is left out."""
+    """Path and status of each file below a folder, without those that disappear."""
     waiting = [str(root)]
     while waiting:
         try:

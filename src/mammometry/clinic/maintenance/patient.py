@@ -42,9 +42,9 @@ from mammometry.clinic.models import (
 
 
 def find_patient(word: str) -> Patient:
-    """The patient of this pseudonym or record number, from the bin too.
+    """The patient with this pseudonym or record number, including the bin.
 
-    A merged record leads to the one that holds its visits.
+    A merged record gives the one with its visits.
 
     Raises:
         ClinicError: there is none.
@@ -53,12 +53,12 @@ def find_patient(word: str) -> Patient:
     patient = rows.filter(Q(pseudonym=word) | Q(record_number=word)).first()
     if patient is None:
         remedy = "Look for the patient in the clinic; the page says the pseudonym"
-        raise ClinicError("patient", found="none of this word", expected="a pseudonym or record number", remedy=remedy)
+        raise ClinicError("patient", found="no such patient", expected="a pseudonym or record number", remedy=remedy)
     return patient.merged_into or patient
 
 
 def rows_of(patient: Patient) -> list[Model]:
-    """All rows about a patient, each after what it refers to."""
+    """All rows about a patient, each after the rows it refers to."""
     visits = list(Visit.everything.filter(patient=patient).order_by("taken_at"))
     records = [patient, *Patient.everything.filter(merged_into=patient)]
     queries: list[Any] = [
@@ -98,7 +98,7 @@ def export_patient(config: ClinicConfig, patient: Patient, target: Path) -> int:
         new_private(part) as stream,
         zipfile.ZipFile(
             stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1, strict_timestamps=False
-        ) as archive,  # a file dated before 1980 gets that year: a ZIP knows none before
+        ) as archive,  # a file dated before 1980 gets that year, the earliest in a ZIP
     ):
         plain = json.loads(serializers.serialize("json", rows, cls=RowEncoder))
         archive.writestr("patient.json", json.dumps(plain, indent=1, ensure_ascii=False))
@@ -115,14 +115,14 @@ def export_patient(config: ClinicConfig, patient: Patient, target: Path) -> int:
 
 
 def erase_patient(config: ClinicConfig, patient: Patient, by: Person | None = None) -> int:
-    """Erase one patient. Files, then rows. Killed in between, the same command goes on.
+    """Erase one patient: files, then rows.
 
-    What stays are the audit's entries, which hold the pseudonym and no name, and backups made before.
+    After a kill, the same command continues. The audit's entries with the pseudonym, and earlier backups, remain.
 
     Args:
         config: the open clinic.
-        patient: who is erased.
-        by: who does it on a page; None: a command.
+        patient: to be erased.
+        by: user of the page; None: a command.
 
     Returns:
         Number of visits erased.
@@ -140,7 +140,7 @@ def erase_patient(config: ClinicConfig, patient: Patient, by: Person | None = No
 
 
 def erase_bin(patient: Patient) -> int:
-    """Erase those of a patient's visits that lie in the bin, as `erase_patient` does.
+    """Erase a patient's visits in the bin, as `erase_patient` does.
 
     Returns:
         Number of visits erased.
@@ -155,14 +155,14 @@ def erase_bin(patient: Patient) -> int:
 
 
 def copies(config: ClinicConfig, patient: Patient) -> list[str]:
-    """Copies of a patient's data outside the clinic's own rows and files, a sentence each.
+    """Copies of a patient's data outside the clinic's rows and files, one sentence each.
 
-    They are the backups, those that are being made and those that a command wrote elsewhere; what was sent to archives;
-    what was exported for the patient. Where a file was copied or moved later, the clinic does not know.
+    They are backups, including unfinished ones and those written elsewhere by a command; results sent to archives;
+    exports for the patient. Later copies of these files are unknown to the clinic.
     """
     backups = sorted(path.name for path in config.backups.glob("*.tar"))
     known = [f"The backup{'s' if len(backups) > 1 else ''} {', '.join(backups)}"] if backups else []
-    known += [f"{path.name}, which is unfinished: a backup or a restore test is at work" for path in unfinished(config)]
+    known += [f"{path.name}, which is unfinished: a backup or a restore test is running" for path in unfinished(config)]
     known += [f"The backup {path}" for path in elsewhere(config)]
     sent = Delivery.objects.filter(visit__in=Visit.everything.filter(patient=patient), sent__gt=0)
     for name in sorted(set(sent.values_list("destination__name", flat=True))):
@@ -196,7 +196,7 @@ def _erase_visits(patient: Patient, visits: list[Visit], by: Person | None = Non
 
 
 def _overwrite() -> None:
-    """Leave nothing of the erased rows in the database's own files."""
+    """Remove the erased rows from the database's own files."""
     if connection.in_atomic_block:
         return
     with connection.cursor() as cursor:

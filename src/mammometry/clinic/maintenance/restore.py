@@ -1,4 +1,4 @@
-"""A clinic out of a backup, whole or not at all, and the test of that."""
+"""Restoring a clinic from a backup, atomically, and testing it."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ _CHUNK = 1 << 20  # bytes
 
 
 def unpack(archive: Path, folder: Path, database: str | None = None) -> tuple[ClinicConfig, dict[str, Any]]:
-    """Unpack a backup beside the folder that is to be. Nothing is opened yet.
+    """Unpack a backup next to the new folder, without opening it.
 
     Args:
-        archive: what `backup` wrote.
-        folder: the new clinic's folder, which must not be there or be empty.
-        database: another database than the backup's settings name.
+        archive: from `backup`.
+        folder: the new clinic's folder, which must be missing or empty.
+        database: to replace the one in the backup's settings.
 
     Returns:
         Settings of the clinic in its temporary folder ``<folder>.restoring``, and the archive's manifest.
 
     Raises:
-        ClinicError: no backup, a damaged one, or something is in the folder.
+        ClinicError: not a backup, a damaged one, or the folder is not empty.
     """
     if folder.exists() and any(folder.iterdir()):
         raise ClinicError(str(folder), found="files", expected="a new or empty folder", remedy="Name another folder")
@@ -51,12 +51,12 @@ def unpack(archive: Path, folder: Path, database: str | None = None) -> tuple[Cl
         damaged = [name for name, digest in manifest["sha256"].items() if _digest(staging / name) != digest]
     except (OSError, tarfile.TarError, ValueError, KeyError) as error:
         raise ClinicError(
-            archive.name, found=f"no whole backup ({type(error).__name__})", expected="a backup that can be read",
+            archive.name, found=f"not a complete backup ({type(error).__name__})", expected="a backup that can be read",
             remedy="Take another backup",
         ) from None  # fmt: skip
     if damaged:
         found = f"{len(damaged)} damaged files, {damaged[0]} among them"
-        raise ClinicError(archive.name, found=found, expected="files as they were", remedy="Take another backup")
+        raise ClinicError(archive.name, found=found, expected="unchanged files", remedy="Take another backup")
     if manifest.get("format") != FORMAT:
         found, expected = f"format {manifest.get('format')}", f"format {FORMAT}"
         raise ClinicError(archive.name, found=found, expected=expected, remedy="Use the version that made it")
@@ -77,7 +77,7 @@ def _extract(tar: tarfile.TarFile, folder: Path) -> None:
     """Write a backup's files. Debian 12's Python has no ``extractall(filter=…)``.
 
     Raises:
-        TarError: it holds something else than plain files, or one that lies elsewhere.
+        TarError: it contains other things than plain files, or a file outside the folder.
     """
     for entry in tar:
         path, source = folder / entry.name, tar.extractfile(entry) if entry.isfile() else None
@@ -91,7 +91,7 @@ def _extract(tar: tarfile.TarFile, folder: Path) -> None:
 
 
 def fill(config: ClinicConfig, manifest: dict[str, Any], folder: Path) -> int:
-    """Fill an unpacked clinic's database and put it into its place. Returns the number of its people.
+    """Fill an unpacked clinic's database and move it to its place. Returns the number of its people.
 
     Raises:
         ClinicError: the backup is of a later version, or the database is not empty.
@@ -108,13 +108,13 @@ def fill(config: ClinicConfig, manifest: dict[str, Any], folder: Path) -> int:
     (config.folder / DATABASE).unlink()
     (config.folder / MANIFEST).unlink()
     if folder.exists():
-        folder.rmdir()  # empty, as was looked at
+        folder.rmdir()  # checked to be empty
     config.folder.rename(folder)
     return number
 
 
 def _load(config: ClinicConfig, manifest: dict[str, Any]) -> Apps:
-    """Load the rows of an unpacked backup. The tables of the version that made it."""
+    """Load the rows of an unpacked backup. Returns the tables of the version that made it."""
     from mammometry.clinic.maintenance.rows import load_database
 
     with (config.folder / DATABASE).open("rb") as lines:
@@ -142,16 +142,18 @@ class RestoreTest:
     @property
     def sentence(self) -> str:
         """The outcome of the restore test in one sentence."""
-        return f"{self.backup}: {self.rows} rows and {self.files} files came back the same, in {self.seconds:.0f} s."
+        return (
+            f"{self.backup}: {self.rows} rows and {self.files} files were restored unchanged, in {self.seconds:.0f} s."
+        )
 
 
 def run_restore_test(config: ClinicConfig) -> RestoreTest:
     """Restore the newest backup into a temporary folder and database, and compare rows and files with it.
 
-    The process opens the restored clinic, so it can have opened no other. The outcome is noted for the page.
+    The process opens the restored clinic, so it must not have opened another. The outcome is stored for the page.
 
     Raises:
-        ClinicError: there is no backup, it is damaged, or what came back differs.
+        ClinicError: there is no backup, it is damaged, or the restored clinic differs.
     """
     with backups.exclusive(config):
         try:
@@ -187,9 +189,9 @@ def _tested(config: ClinicConfig) -> RestoreTest:
 
 
 def _require_measures_the_same(config: ClinicConfig, restored: ClinicConfig, manifest: dict[str, Any]) -> None:
-    """Refuse a backup out of which a clinic would measure with other settings or rigs.
+    """Refuse a backup with which a clinic would use different settings or rigs.
 
-    Backups of 1.0 do not say with which: theirs are compared with those of the clinic now.
+    Backups of 1.0 do not record them, and are compared with the present clinic.
     """
     expected = manifest.get("measures_with", backups.measures_with(config))
     found = backups.measures_with(restored)
@@ -201,7 +203,7 @@ def _require_measures_the_same(config: ClinicConfig, restored: ClinicConfig, man
 
 
 def _restored_rows(restored: ClinicConfig, manifest: dict[str, Any]) -> int:
-    """Load a backup's rows, compare them, and bring the tables to this version. The number of rows."""
+    """Load a backup's rows, compare them, and upgrade the tables to this version. Returns the number of rows."""
     from mammometry.clinic.site import configure
 
     configure(restored)

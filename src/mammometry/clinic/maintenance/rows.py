@@ -1,7 +1,6 @@
-"""Rows of a clinic's database as text, one a line: written, loaded into another database, compared.
+"""Rows of a clinic's database as text, one per line: written, loaded into another database, compared.
 
-A backup of an earlier version holds the rows of its tables. They are loaded into tables as that version had them,
-and those are then migrated.
+The rows of an earlier version's backup are loaded into that version's tables, which are then migrated.
 """
 
 import datetime
@@ -32,9 +31,9 @@ _LEFT_OUT = ("sessions", "contenttypes", "axes")
 """Applications whose rows belong to the running server: logins, wrong passwords."""
 _TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?(Z|[+-]\d\d:\d\d)")
 _NATURAL = ("natural_key", "get_username", "USERNAME_FIELD")
-"""By what rows name a person or a table in place of its key."""
+"""Natural keys of people and tables in rows."""
 _READ_AT_ONCE = 500  # rows
-_SHOWN_ROWS = 3  # of those that differ, named in the refusal
+_SHOWN_ROWS = 3  # number of different rows named in the refusal
 
 
 class RowEncoder(DjangoJSONEncoder):
@@ -46,12 +45,12 @@ class RowEncoder(DjangoJSONEncoder):
 
 
 def known_migrations() -> list[str]:
-    """All migrations of this version. A backup's rows fit the tables that they make."""
+    """All migrations of this version, which make the tables for a backup's rows."""
     return sorted(f"{app} {name}" for app, name in MigrationLoader(None).disk_migrations)
 
 
 def write_database(file: BinaryIO, tables: Apps = current) -> None:
-    """Write all rows that a clinic keeps, one a line, all of one moment."""
+    """Write all rows of a clinic, one per line, from one snapshot."""
     text = io.TextIOWrapper(file, encoding="utf-8", write_through=True)
     with _snapshot():
         for model in _kept_models(tables):
@@ -61,11 +60,11 @@ def write_database(file: BinaryIO, tables: Apps = current) -> None:
 
 
 def load_database(lines: Iterable[bytes], migrations: list[str], software: str) -> Apps:
-    """Load written rows into an empty database, with tables as they were where the rows were written.
+    """Load written rows into an empty database, with the tables of the version that wrote them.
 
     Args:
-        lines: as `write_database` wrote them, by this version or an earlier one.
-        migrations: which that version knew; `known_migrations`.
+        lines: from `write_database`, of this version or an earlier one.
+        migrations: known to that version; `known_migrations`.
         software: that version.
 
     Returns:
@@ -111,11 +110,11 @@ def digests_of(lines: Iterable[bytes]) -> dict[str, dict[str, bytes]]:
 
 
 def require_same(expected: Mapping[str, Mapping[str, bytes]], restored: Mapping[str, Mapping[str, bytes]]) -> None:
-    """Refuse rows that are not those of the backup.
+    """Refuse rows that differ from the backup's.
 
     Args:
-        expected: those of the backup, by `digests_of`.
-        restored: those that came back.
+        expected: the backup's, by `digests_of`.
+        restored: the restored ones.
 
     Raises:
         ClinicError: names the first table that differs and some of its rows.
@@ -132,7 +131,7 @@ def require_same(expected: Mapping[str, Mapping[str, bytes]], restored: Mapping[
             raise ClinicError(
                 "the restored clinic", found=f"other rows of {table}: {words}, such as {named}",
                 expected=f"the {len(before)} of the backup",
-                remedy="Make another backup, test it, and tell the authors if it differs again",
+                remedy="Make another backup, test it, and report it to the authors if it differs again",
             )  # fmt: skip
 
 
@@ -148,7 +147,7 @@ class _Reader(Deserializer):
 
 
 def _tables_of(migrations: list[str]) -> Apps:
-    """Make the tables that some migrations make. Their models."""
+    """Make the tables of some migrations. Returns their models."""
     executor = MigrationExecutor(connection)
     wanted = {(app, name) for app, _, name in (word.partition(" ") for word in migrations)}
     if set(executor.loader.applied_migrations) - wanted:
@@ -162,7 +161,7 @@ def _tables_of(migrations: list[str]) -> Apps:
     state = executor.migrate(last)
     if wanted == set(nodes):
         return current
-    for model in state.apps.get_models():  # of migrations: without the methods by which rows refer to one another
+    for model in state.apps.get_models():  # of migrations: without the methods for natural keys
         ours = current.get_model(model._meta.label) if _is_known(model) else None
         for name in _NATURAL if ours is not None else ():
             if hasattr(ours, name):
@@ -196,7 +195,7 @@ def _same_time(value: Any) -> Any:
 
 @contextmanager
 def _snapshot() -> Iterator[None]:
-    """All that is read within is of one moment. Writers are not held up."""
+    """Context for reading one snapshot, without blocking writers."""
     if connection.in_atomic_block:
         yield
         return

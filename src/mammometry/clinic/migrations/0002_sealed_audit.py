@@ -1,4 +1,4 @@
-"""The audit's table is only added to. Triggers of the database refuse changes (`audit.seal`)."""
+"""Entries can only be added to the audit's table. Triggers of the database refuse changes (`audit.seal`)."""
 
 from django.apps.registry import Apps
 from django.db import migrations
@@ -12,9 +12,9 @@ def _seal(apps: Apps, schema_editor: BaseDatabaseSchemaEditor) -> None:
 
 
 class Migration(migrations.Migration):
-    """Puts the triggers there.
+    """Adds the triggers.
 
-    They are put there again after each migration, as SQLite makes changed tables anew.
+    They are added again after each migration, because SQLite recreates changed tables.
     """
 
     dependencies = [("clinic", "0001_initial"), ("auditlog", "0017_add_actor_email")]

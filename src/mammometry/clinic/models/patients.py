@@ -1,4 +1,4 @@
-"""Tables of patients, whose names are here and nowhere else, of their visits and photographs."""
+"""Tables of patients, with their names, which are only here, and of their visits and photographs."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from mammometry.clinic.records.search_words import words_of
 from mammometry.clinic.site import the_clinic
 
 ALPHABET = "ACDEFGHJKLMNPQRTUVWXY34679"
-"""Letters and digits that are not taken for one another: no B and 8, I and 1, O and 0, S and 5, Z and 2."""
+"""Letters and digits that are not confused: no B and 8, I and 1, O and 0, S and 5, Z and 2."""
 
 
 def new_pseudonym() -> str:
-    """P- and six random letters. 26^6 = 309 million, drawn again where one is taken."""
+    """P- and six random letters. 26^6 = 309 million, drawn again if taken."""
     while True:
         drawn = "P-" + "".join(secrets.choice(ALPHABET) for _ in range(6))
         if not Patient.everything.filter(pseudonym=drawn).exists():
@@ -36,7 +36,7 @@ class PatientsInUse(InUse["Patient"]):
         return super().get_queryset().filter(merged_into=None)
 
     def bulk_create(self, objs: Iterable[Patient], *args: Any, **options: Any) -> list[Patient]:
-        """Enter many, each with its words for the search."""
+        """Add many, each with its search words."""
         patients = list(objs)
         for patient in patients:
             patient.search_words = words_of(patient.own_words)
@@ -44,22 +44,22 @@ class PatientsInUse(InUse["Patient"]):
 
 
 class Patient(Keyed):
-    """Somebody who is photographed."""
+    """A patient."""
 
     family_name = models.CharField(max_length=100)
     given_name = models.CharField(max_length=100)
     born = models.DateField(null=True, blank=True)
     record_number = models.CharField(max_length=64, unique=True)
-    """As the hospital calls this patient."""
+    """The hospital's record number."""
     pseudonym = models.CharField(max_length=8, unique=True, default=new_pseudonym, editable=False)
-    """As everything outside this table calls this patient."""
+    """The patient's identifier outside this table."""
     note = models.TextField(max_length=2000, blank=True)
     search_words = models.TextField(default="", blank=True, editable=False)
-    """Names and numbers as a search compares them, those of merged records too: `search_words.words_of`."""
+    """Normalised names and numbers for the search, including merged records: `search_words.words_of`."""
     merged_into = models.ForeignKey("self", null=True, on_delete=models.CASCADE, related_name="merged", editable=False)
-    """The record that holds this patient's visits now. None: this one."""
+    """The record with this patient's visits after a merge. None: this one."""
     binned_at = models.DateTimeField(null=True, editable=False)
-    """When it was put into the bin. None: it is in use."""
+    """Time when it was put into the bin. None: it is in use."""
     created = models.DateTimeField(auto_now_add=True)
 
     objects = PatientsInUse()
@@ -73,7 +73,7 @@ class Patient(Keyed):
         return self.pseudonym
 
     def save(self, *args: Any, **options: Any) -> None:
-        """Save, with the words for the search."""
+        """Save, with the search words."""
         texts = list(self.own_words)
         if not self._state.adding:
             texts += [word for other in Patient.everything.filter(merged_into=self) for word in other.own_words]
@@ -84,7 +84,7 @@ class Patient(Keyed):
 
     @property
     def own_words(self) -> tuple[str, ...]:
-        """What a search finds this record by."""
+        """Search words of this record."""
         return self.family_name, self.given_name, self.record_number, self.pseudonym
 
     @property
@@ -94,10 +94,10 @@ class Patient(Keyed):
 
 
 class Consent(Keyed):
-    """What a patient agreed to, and until when."""
+    """A patient's consent and its duration."""
 
     class Purpose(models.TextChoices):
-        """What the pictures may be used for."""
+        """Allowed use of the pictures."""
 
         PICTURES = "pictures", "Photographs and measurement"
         RESEARCH = "research", "Research, by pseudonym"
@@ -122,7 +122,7 @@ class Operation(Keyed):
     """One operation on one or both breasts."""
 
     class Kind(models.TextChoices):
-        """What was done."""
+        """Kind of the operation."""
 
         MASTECTOMY = "mastectomy", "Mastectomy"
         CONSERVING = "conserving", "Breast-conserving surgery"
@@ -147,11 +147,11 @@ class Operation(Keyed):
     side = models.CharField(max_length=5, choices=Side.choices)
     day = models.DateField()
     volume_cc = models.FloatField(null=True, blank=True)
-    """Of the implant, of the expander's filling in all, or of the injected fat, each side."""
+    """Of the implant, the expander's total filling, or the injected fat, each side."""
     resected_g = models.FloatField(null=True, blank=True)
-    """Weight of the tissue that was taken out, each side."""
+    """Weight of the removed tissue, each side."""
     words = models.CharField(max_length=300, blank=True)
-    """In free text: the flap, the implant's type, what "other" is."""
+    """Free text: the flap, the implant's type, description of "other"."""
     entered_at = models.DateTimeField(auto_now_add=True)
     entered_by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
 
@@ -162,16 +162,16 @@ class Operation(Keyed):
         return f"{self.patient.pseudonym}, {self.kind}"
 
     def is_after(self, visit: Visit) -> bool:
-        """Whether a visit's pictures were taken before this operation.
+        """Whether a visit was before this operation.
 
-        On the day of the operation, the visit's occasion decides.
+        On the same day, the visit's occasion decides.
         """
         day = timezone.localtime(visit.taken_at).date()
         return day < self.day or (day == self.day and visit.occasion == Visit.Occasion.BEFORE)
 
 
 class Visit(Keyed):
-    """One patient before one rig on one day."""
+    """One patient photographed on one day."""
 
     class State(models.TextChoices):
         """How far it is."""
@@ -181,14 +181,14 @@ class Visit(Keyed):
         READY = "ready"
         QUEUED = "queued"
         CHANGED = "changed"
-        """A boundary or landmark was changed and not measured yet."""
+        """A boundary or landmark has changed and is not measured yet."""
         MEASURED = "measured"
         REFUSED = "refused"
         CONFIRMED = "confirmed"
         """The newest measurement was confirmed (`Confirmation`)."""
 
     class Occasion(models.TextChoices):
-        """Why the patient came."""
+        """Occasion of the visit."""
 
         BEFORE = "before", "Before the operation"
         FILLING = "filling", "Filling of an expander"
@@ -200,7 +200,7 @@ class Visit(Keyed):
         OTHER = "other", "Other"
 
     class Posture(models.TextChoices):
-        """How the patient held herself. Volumes of different postures are not to be compared."""
+        """The patient's posture. Volumes in different postures must not be compared."""
 
         LEANING = "leaning", "Leaning forward"
         STANDING = "standing", "Standing"
@@ -221,18 +221,18 @@ class Visit(Keyed):
     state = models.CharField(max_length=12, choices=State.choices, default=State.NEW)
     occasion = models.CharField(max_length=10, choices=Occasion.choices, blank=True, default="")
     posture = models.CharField(max_length=10, choices=Posture.choices, blank=True, default="")
-    """Empty: nobody said."""
+    """Empty: unknown."""
     repeat_of = models.ForeignKey("self", null=True, blank=True, on_delete=models.SET_NULL, related_name="repeats")
-    """The visit that this one measures once more, to learn how well both agree. None: it is no repeat."""
+    """The visit that this one repeats, to study agreement. None: it is not a repeat."""
     note = models.TextField(max_length=2000, blank=True)
     binned_at = models.DateTimeField(null=True, editable=False)
-    """When it was put into the bin. None: it is in use."""
+    """Time when it was put into the bin. None: it is in use."""
     created = models.DateTimeField(auto_now_add=True)
     created_by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
 
     objects = InUse["Visit"]()
     everything = models.Manager()
-    """Those in the bin, too."""
+    """Including those in the bin."""
 
     class Meta:
         ordering = ("-taken_at",)
@@ -242,7 +242,7 @@ class Visit(Keyed):
 
     @property
     def repeated(self) -> Visit | None:
-        """The visit that this one repeats, while both are the same patient's."""
+        """The visit that this one repeats, if both are the same patient's."""
         return self.repeat_of if self.repeat_of is not None and self.repeat_of.patient_id == self.patient_id else None
 
     @property
@@ -260,17 +260,17 @@ class Visit(Keyed):
 
     @property
     def shown_state(self) -> str:
-        """The visit's state, as pages say it."""
+        """The visit's state, as shown on pages."""
         return Visit.State.CHANGED if self.is_changed else self.state
 
     @property
     def is_changed(self) -> bool:
-        """Whether its numbers are of an earlier drawing or earlier photographs."""
+        """Whether its numbers are from an earlier drawing or earlier photographs."""
         return self.state == Visit.State.CHANGED or (self.state == Visit.State.QUEUED and self.has_unmeasured)
 
     @property
     def has_unmeasured(self) -> bool:
-        """Whether drawings or photographs came in, or came back, since the last finished measurement began."""
+        """Whether drawings or photographs were added or restored since the last finished measurement started."""
         began = self._measured_at
         if began is None:
             return self.has_unmeasured_drawing
@@ -279,14 +279,14 @@ class Visit(Keyed):
 
     @property
     def has_unmeasured_drawing(self) -> bool:
-        """Whether somebody drew since the last finished measurement began."""
+        """Whether boundaries or landmarks were drawn since the last finished measurement started."""
         drawn = self.drawings.exclude(action="confirmed").order_by("-at").first()
         began = self._measured_at
         return drawn is not None and (began is None or drawn.at > began)
 
     @property
     def _measured_at(self) -> datetime.datetime | None:
-        """When the last finished measurement began. It may have come to the numbers of an earlier one."""
+        """Start of the last finished measurement, whose numbers may equal an earlier one's."""
         job = self.jobs.filter(kind="measure", state="done").order_by("-started").first()
         if job is not None and job.started is not None:
             return job.started
@@ -295,18 +295,18 @@ class Visit(Keyed):
 
     @property
     def is_scan(self) -> bool:
-        """Whether another device made it: it has a mesh and no photographs."""
+        """Whether it is a scan of another device: a mesh without photographs."""
         return self.rig_id is None
 
 
 class NoteChange(Keyed):
-    """What a note about a patient said before and after a change.
+    """A note about a patient before and after a change.
 
-    The audit's entry says who changed it and when, and holds no text. This goes when the patient is erased.
+    The audit's entry has author and time, but no text. Erased with the patient.
     """
 
     patient = models.ForeignKey(Patient, null=True, on_delete=models.CASCADE, related_name="note_changes")
-    """None: it is of a visit, which may be moved to another patient."""
+    """None: of a visit, which may be moved to another patient."""
     visit = models.ForeignKey(Visit, null=True, on_delete=models.CASCADE, related_name="note_changes")
     entry = models.BigIntegerField(db_index=True)
     """Key of the audit's entry."""
@@ -322,15 +322,15 @@ class NoteChange(Keyed):
 
 
 class Scan(Keyed):
-    """Where a visit without photographs has its mesh from."""
+    """Origin of the mesh of a visit without photographs."""
 
     visit = models.OneToOneField(Visit, on_delete=models.CASCADE, related_name="scan")
     scanner = models.CharField(max_length=100)
     """Name of the device, as entered."""
     units = models.CharField(max_length=40)
-    """Unit of the device's file, and who says so."""
+    """Unit of the device's file, and its source."""
     textured = models.BooleanField(default=False)
-    """Whether it came with pictures."""
+    """Whether it has pictures."""
     sha256 = models.CharField(max_length=64)
     """Of the device's own mesh file."""
 
@@ -339,7 +339,7 @@ class Scan(Keyed):
 
 
 class Upload(Keyed):
-    """One photograph that comes in, whole or in pieces."""
+    """One uploaded photograph, complete or in pieces."""
 
     class State(models.TextChoices):
         """How far it is."""
@@ -349,20 +349,20 @@ class Upload(Keyed):
         REFUSED = "refused"
         PLACED = "placed"
         SET_ASIDE = "set aside"
-        """Its file lies beside the others and is not measured. It can come back."""
+        """Its file is kept but not measured, and can be restored."""
 
     visit = models.ForeignKey(Visit, null=True, on_delete=models.CASCADE, related_name="uploads")
     calibration = models.ForeignKey(Calibration, null=True, on_delete=models.CASCADE, related_name="uploads")
     check_of_day = models.ForeignKey(DailyCheck, null=True, on_delete=models.CASCADE, related_name="uploads")
     camera = models.CharField(max_length=100)
     name = models.CharField(max_length=100, blank=True)
-    """Its name in the folder, made by us; the sender's own name is not kept."""
+    """Its name in the folder, chosen by us; the sender's name is not stored."""
     size_bytes = models.BigIntegerField()
     received_bytes = models.BigIntegerField(default=0)
     sha256 = models.CharField(max_length=64, blank=True, db_index=True)
     state = models.CharField(max_length=12, choices=State.choices, default=State.RECEIVING)
     checks = models.JSONField(default=list, blank=True)
-    """What was looked at: {check, ok, sentence} each."""
+    """Checks: {check, ok, sentence} each."""
     created = models.DateTimeField(auto_now_add=True)
     created_by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
 
@@ -374,5 +374,5 @@ class Upload(Keyed):
 
     @property
     def path(self) -> Path:
-        """Where its bytes come in, named by this row's key."""
+        """File of the incoming bytes, named by this row's key."""
         return the_clinic().folder / "uploads" / str(self.id)

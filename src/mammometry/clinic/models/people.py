@@ -1,4 +1,4 @@
-"""Tables of what a clinic has before its first patient: people, rigs, calibrations and daily checks."""
+"""Tables of people, rigs, calibrations and daily checks."""
 
 import uuid
 from typing import Any, ClassVar, TypeVar
@@ -27,8 +27,7 @@ class Keyed(models.Model):
 class InUse(models.Manager[Row]):
     """Rows that are not in the bin.
 
-    It is the default, so that no page shows what is in the bin. Backup, export, erasure and corrections take
-    ``everything``.
+    It is the default, so that pages do not show the bin. Backup, export, erasure and corrections use ``everything``.
     """
 
     def get_queryset(self) -> models.QuerySet[Row]:
@@ -37,14 +36,14 @@ class InUse(models.Manager[Row]):
 
 
 def require_roles(value: Any) -> None:
-    """Refuse what is no list of different roles."""
+    """Require a list of different roles."""
     known = {role.value for role in Role}
     if not isinstance(value, list) or not set(value) <= known or len(set(value)) != len(value):
         raise ValidationError("Roles are some of " + ", ".join(sorted(known)) + ".")
 
 
 class Person(AbstractUser):
-    """Somebody who logs in. Never deleted, since the audit names them: set inactive instead."""
+    """A person who logs in. Never deleted, because the audit refers to them: set inactive instead."""
 
     id = models.UUIDField(primary_key=True, default=uuid.uuid4, editable=False)
     full_name = models.CharField(max_length=200, blank=True)
@@ -59,7 +58,7 @@ class Person(AbstractUser):
         return self.full_name or self.username
 
     def get_full_name(self) -> str:
-        """The name as pages say it."""
+        """The name shown on pages."""
         return str(self)
 
     def has_role(self, *roles: Role) -> bool:
@@ -68,14 +67,11 @@ class Person(AbstractUser):
 
     @property
     def waits_for_password(self) -> bool:
-        """Whether this person has not used the link that sets a password, and never came in otherwise."""
+        """Whether this person has not set a password yet and never logged in otherwise."""
         return not self.has_usable_password() and self.last_login is None
 
     def lacks_second_factor(self, request: HttpRequest) -> bool:
-        """Whether a second factor is required and missing.
-
-        It may be set up here or at the hospital's own login.
-        """
+        """Whether a required second factor is missing, here or at the hospital's own login."""
         from allauth.account.authentication import get_authentication_records
         from allauth.mfa.models import Authenticator
 
@@ -87,13 +83,13 @@ class Person(AbstractUser):
 
 
 class Rig(Keyed):
-    """Cameras that stand together."""
+    """Cameras that are used together."""
 
     name = models.CharField(max_length=100, unique=True)
     note = models.TextField(max_length=2000, blank=True)
     created = models.DateTimeField(auto_now_add=True)
     definition = models.JSONField(default=dict)
-    """What session.toml says of the rig: its tables rig, target and intrinsics."""
+    """The tables rig, target and intrinsics of session.toml."""
     active = models.BooleanField(default=True)
 
     class Meta:
@@ -118,14 +114,14 @@ class Calibration(Keyed):
     rig = models.ForeignKey(Rig, on_delete=models.PROTECT, related_name="calibrations")
     taken_at = models.DateTimeField()
     folder = models.CharField(max_length=200)
-    """Where its photographs lie, relative to the clinic's folder."""
+    """Folder of its photographs, relative to the clinic's folder."""
     state = models.CharField(max_length=12, choices=State.choices, default=State.UPLOADING)
     figures = models.JSONField(default=dict, blank=True)
-    """What was found, with units in the names: rms_px, worst_pair_mm, …"""
+    """Figures, with units in the names: rms_px, worst_pair_mm, …"""
     verdict = models.CharField(max_length=500, blank=True)
     """One sentence: may be used, or why not."""
     current = models.BooleanField(default=False)
-    """Whether new visits use it."""
+    """Whether it is used for new visits."""
     created_by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
 
     class Meta:
@@ -139,19 +135,19 @@ class Calibration(Keyed):
 
 
 class DailyCheck(Keyed):
-    """Photographs of a board, one a camera, to see whether one moved."""
+    """Photographs of a board, one per camera, to check whether a camera has moved."""
 
     rig = models.ForeignKey(Rig, on_delete=models.PROTECT, related_name="checks")
     calibration = models.ForeignKey(Calibration, null=True, on_delete=models.PROTECT, related_name="checks")
     taken_at = models.DateTimeField()
     folder = models.CharField(max_length=200, blank=True)
-    """Where its photographs lie, relative to the clinic's folder."""
+    """Folder of its photographs, relative to the clinic's folder."""
     figures = models.JSONField(default=dict, blank=True)
     """Drift by camera, mm and px."""
     verdict = models.CharField(max_length=500, blank=True)
     """One sentence: may we measure today?"""
     passed = models.BooleanField(null=True)
-    """None: not judged yet."""
+    """None: not evaluated yet."""
     by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
 
     class Meta:
@@ -167,9 +163,9 @@ class AuditLink(models.Model):
     place = models.BigIntegerField(primary_key=True)
     """1 for the first."""
     entry = models.BigIntegerField(unique=True)
-    """Key of the audit's entry. No foreign key: nothing may be done here when an entry goes."""
+    """Key of the audit's entry. Not a foreign key, so that removing an entry changes nothing here."""
     digest = models.CharField(max_length=64)
-    """SHA-256 of the digest before and the entry."""
+    """SHA-256 of the previous digest and the entry."""
 
     class Meta:
         ordering = ("place",)
@@ -185,7 +181,7 @@ class FormToken(models.Model):
     token = models.UUIDField()
     at = models.DateTimeField(auto_now_add=True, db_index=True)
     answer = models.JSONField(default=dict)
-    """Address that the form led to, or status and JSON. Empty: the answer is being made."""
+    """Address after the form, or status and JSON. Empty: not answered yet."""
 
     class Meta:
         constraints = (models.UniqueConstraint(fields=("person", "token"), name="one_form_a_token"),)

@@ -1,4 +1,4 @@
-"""Tables of what becomes of visits: jobs, results, comparisons, corrections, deliveries."""
+"""Tables of jobs, results, comparisons, corrections and deliveries."""
 
 from django.conf import settings
 from django.db import models
@@ -9,7 +9,7 @@ from mammometry.clinic.models.people import Calibration, DailyCheck, Keyed
 
 
 class Comparison(Keyed):
-    """Two visits of one patient, laid onto one another."""
+    """Comparison of two visits of one patient."""
 
     class State(models.TextChoices):
         """State of its progress."""
@@ -21,12 +21,12 @@ class Comparison(Keyed):
     before = models.ForeignKey(Visit, on_delete=models.CASCADE, related_name="comparisons_as_before")
     after = models.ForeignKey(Visit, on_delete=models.CASCADE, related_name="comparisons")
     of = models.CharField(max_length=200, blank=True)
-    """Digests of both measurements. Where they are others now, the comparison is of the past."""
+    """Digests of both measurements. If they have changed, the comparison is stale."""
     state = models.CharField(max_length=10, choices=State.choices, default=State.QUEUED)
     table = models.JSONField(default=dict)
     """Content of compare.json."""
     message = models.CharField(max_length=1500, blank=True)
-    """Why the two cannot be compared."""
+    """Reason why the two cannot be compared."""
     made_at = models.DateTimeField(null=True)
 
     class Meta:
@@ -72,9 +72,9 @@ class Job(Keyed):
     """No runner takes it earlier."""
     stage = models.CharField(max_length=60, blank=True)
     fraction = models.FloatField(default=0.0)
-    """Of the whole, 0 to 1."""
+    """Progress, 0 to 1."""
     message = models.CharField(max_length=1500, blank=True)
-    """What a failure said, without a patient's name."""
+    """Message of a failure, without a patient's name."""
     exit_code = models.IntegerField(null=True)
     lease_owner = models.CharField(max_length=100, blank=True)
     lease_until = models.DateTimeField(null=True)
@@ -106,7 +106,7 @@ class Job(Keyed):
 
 
 class Measurement(Keyed):
-    """Results of one visit, as one job made them."""
+    """Results of one visit, from one job."""
 
     visit = models.ForeignKey(Visit, on_delete=models.CASCADE, related_name="measurements")
     job = models.ForeignKey(Job, null=True, on_delete=models.SET_NULL, related_name="measurements")
@@ -117,7 +117,7 @@ class Measurement(Keyed):
     curves = models.JSONField(default=dict)
     """Breast → digest of the boundary that was measured (`measure.volume.attribution.curve_digest`)."""
     how = models.JSONField(default=dict, blank=True)
-    """What `records.comparability` compares: settings, and of each breast the wall and how its boundary was made."""
+    """Data for `records.comparability`: settings, and for each breast the wall and the origin of its boundary."""
     quantities = models.JSONField(default=list)
     """All measured numbers, with the names of `hospital.exported.Quantity`."""
 
@@ -129,7 +129,7 @@ class Measurement(Keyed):
 
 
 class Volume(Keyed):
-    """One volume of a measurement, or why there is none."""
+    """One volume of a measurement, or the reason for having none."""
 
     class Side(models.TextChoices):
         """The patient's own sides."""
@@ -142,16 +142,16 @@ class Volume(Keyed):
     measurement = models.ForeignKey(Measurement, on_delete=models.CASCADE, related_name="volumes")
     side = models.CharField(max_length=10, choices=Side.choices)
     definition = models.CharField(max_length=60)
-    """What is called the breast."""
+    """Definition of the breast."""
     volume_cc = models.FloatField(null=True)
     low_cc = models.FloatField(null=True)
     """Lower end of the 95 % interval, cc."""
     high_cc = models.FloatField(null=True)
     """Upper end of the 95 % interval, cc."""
     refused = models.CharField(max_length=1500, blank=True)
-    """Why there is no volume; empty: there is one."""
+    """Reason for having no volume; empty: there is one."""
     leads = models.BooleanField(default=False)
-    """Its meaning leads the page among those of its side (`clinic.records.results.add_volumes`)."""
+    """Its definition comes first on the page for its side (`clinic.records.results.add_volumes`)."""
 
     class Meta:
         ordering = ("definition", "side")
@@ -169,7 +169,7 @@ class Volume(Keyed):
 
 
 class Drawing(Keyed):
-    """Who drew or confirmed a boundary or landmark. The curve itself lies in the session folder."""
+    """Author or confirmation of a boundary or landmark. The curve is in the session folder."""
 
     class Action(models.TextChoices):
         """Action of a person."""
@@ -185,7 +185,7 @@ class Drawing(Keyed):
     by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
     at = models.DateTimeField(auto_now_add=True)
     digest = models.CharField(max_length=64, blank=True)
-    """Of the file as it was then."""
+    """Digest of the file at that time."""
 
     class Meta:
         ordering = ("-at",)
@@ -195,11 +195,11 @@ class Drawing(Keyed):
 
 
 class Confirmation(Keyed):
-    """Somebody looked at one measured result and found it right. It changes no number."""
+    """Confirmation of a measured result after a visual check. It changes no number."""
 
     measurement = models.ForeignKey(Measurement, on_delete=models.CASCADE, related_name="confirmations")
     curves = models.JSONField(default=dict)
-    """Breast → digest of the boundary that was looked at."""
+    """Breast → digest of the checked boundary."""
     at = models.DateTimeField(auto_now_add=True)
     by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
 
@@ -211,11 +211,11 @@ class Confirmation(Keyed):
 
 
 class Conclusion(Keyed):
-    """Conclusion of a clinician on a visit, signed: a later one amends it and overwrites none."""
+    """Signed conclusion of a clinician on a visit. Later ones amend it and overwrite nothing."""
 
     visit = models.ForeignKey(Visit, on_delete=models.CASCADE, related_name="conclusions")
     measurement = models.ForeignKey(Measurement, null=True, on_delete=models.SET_NULL, related_name="conclusions")
-    """The result that it is about."""
+    """The concluded result."""
     text = models.TextField(max_length=4000)
     at = models.DateTimeField(auto_now_add=True)
     by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
@@ -243,7 +243,7 @@ class Correction(Keyed):
     patient = models.ForeignKey(Patient, null=True, on_delete=models.CASCADE, related_name="corrections")
     """The patient who was merged or put into the bin, or whose visit was moved."""
     before = models.JSONField(default=dict)
-    """What was there before, patients by their keys. The audit does not hold it, since notes may hold names."""
+    """The previous values, with patients by their keys. Not in the audit, because notes may contain names."""
     after = models.JSONField(default=dict)
     reason = models.CharField(max_length=500)
     at = models.DateTimeField(auto_now_add=True)
@@ -275,15 +275,15 @@ class Destination(Keyed):
     own_title = models.CharField(max_length=16, default="MAMMOMETRY")
     encrypted = models.BooleanField(default=False)
     authorities = models.CharField(max_length=300, blank=True)
-    """File with the certificates that the archive's is signed by. Empty: those that the system trusts."""
+    """File with the archive's certificate authorities. Empty: those that the system trusts."""
     certificate = models.CharField(max_length=300, blank=True, default="")
-    """File with our own certificate, where the archive asks for one."""
+    """File with our own certificate, if the archive requires one."""
     key = models.CharField(max_length=300, blank=True, default="")
     """File with its key. Empty: in the certificate's file."""
     commitment = models.BooleanField(default=False)
-    """Whether its promise to keep what was sent is awaited."""
+    """Whether to wait for its storage commitment."""
     promise_port = models.PositiveIntegerField(null=True, blank=True)
-    """Where it sends that promise. None: on the connection that asked."""
+    """Port for the storage commitment. None: on the same connection."""
     active = models.BooleanField(default=True)
 
     class Meta:
@@ -294,7 +294,7 @@ class Destination(Keyed):
 
 
 class VisitOrder(Keyed):
-    """Order of a visit, as the worklist said."""
+    """Order of a visit, from the worklist."""
 
     visit = models.OneToOneField(Visit, on_delete=models.CASCADE, related_name="order")
     accession = models.CharField(max_length=64, blank=True)
@@ -308,7 +308,7 @@ class VisitOrder(Keyed):
 
 
 class Delivery(Keyed):
-    """One visit's results on their way to an archive."""
+    """Delivery of one visit's results to an archive."""
 
     class State(models.TextChoices):
         """State of its progress."""
@@ -321,11 +321,11 @@ class Delivery(Keyed):
     destination = models.ForeignKey(Destination, on_delete=models.PROTECT, related_name="deliveries")
     state = models.CharField(max_length=8, choices=State.choices, default=State.QUEUED, db_index=True)
     message = models.CharField(max_length=1500, blank=True)
-    """What the last try said, without a patient's name."""
+    """Message of the last attempt, without a patient's name."""
     sent = models.PositiveIntegerField(default=0)
-    """Objects that were sent, of all tries."""
+    """Number of sent objects, over all attempts."""
     kept = models.BooleanField(null=True)
-    """Whether the archive promised to keep them all. None: it was not asked, or gave no answer."""
+    """Whether the archive committed to store all. None: not asked, or no answer."""
     created = models.DateTimeField(auto_now_add=True)
     ended = models.DateTimeField(null=True)
     created_by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
