@@ -26,7 +26,7 @@ LATIN_1 = b"M\xfcller".decode("utf-8", "surrogateescape")
 """As Python hands over an argument whose bytes are not UTF-8."""
 
 REFUSED = [
-    ("--patient-name", "Muster\\Anna", "the patient's name: found a backslash at place 7"),
+    ("--patient-name", "Muster\\Anna", "the patient's name: found a backslash at position 7"),
     ("--patient-name", "M" * 77, "the patient's name: found 77 letters"),
     ("--patient-name", LATIN_1, "the patient's name: found a byte at position 2 that is not valid UTF-8"),
     ("--patient-name", "A=B=C=D", "the patient's name: found 4 groups"),
@@ -159,7 +159,7 @@ PEER = Peer(title="RIS", host="h", port=104)
 @pytest.mark.parametrize(
     ("texts", "sentence"),
     [
-        ({"PatientID": "1\\2"}, "entry A1: found the patient's id with a backslash at place 2"),
+        ({"PatientID": "1\\2"}, "entry A1: found the patient's id with a backslash at position 2"),
         ({"PatientName": "A\\B"}, "entry A1: found the patient's name with a backslash"),
         ({"PatientID": "1" * 65}, "the patient's id with 65 letters"),
         ({"PatientName": "M\ufffdller"}, "the patient's name with a byte at position 2 that is not valid"),
@@ -192,5 +192,5 @@ def test_long_words_of_a_procedure_are_cut() -> None:
 def test_patient_and_order_check_themselves() -> None:
     with pytest.raises(SettingsError, match="procedure's id: found 17 letters"):
         Order(procedure_id="P" * 17)
-    with pytest.raises(SettingsError, match="id: found a backslash at place 3"):
+    with pytest.raises(SettingsError, match="id: found a backslash at position 3"):
         Patient(id="ab\\c")

@@ -112,9 +112,9 @@ def test_messages_are_ours_or_none(monkeypatch: pytest.MonkeyPatch, rf: RequestF
         for where in ("mfa_activate_totp", "mfa_generate_recovery_codes"):
             Accounts().add_message(rf.get(reverse(where)), messages.SUCCESS, path.relative_to(folder).as_posix())
     assert sorted(map(str, said)) == [
-        "There are new codes. The old ones no longer work.",  # not with the first factor
         *2 * ["The second factor is removed."],
         *2 * ["The second factor is set up."],
+        "There are new codes. The old ones no longer work.",  # not with the first factor
         *2 * ["Your password is changed. Log in with the new one."],
     ]
 

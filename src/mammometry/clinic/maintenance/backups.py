@@ -102,7 +102,7 @@ def state_of(config: ClinicConfig) -> BackupState:
 
 
 def backup_files(config: ClinicConfig) -> list[BackupFile]:
-    """Complete backups, newest first; those dated in the future are last."""
+    """Complete backups, newest first, with those dated in the future last."""
     now = datetime.datetime.now(datetime.UTC) + _CLOCK
     made = []
     for path in config.backups.glob(_PATTERN):
@@ -356,7 +356,7 @@ def chain_in(manifest: dict[str, Any]) -> ChainEnd | None:
 
 
 def measures_with(config: ClinicConfig) -> dict[str, str]:
-    """SHA-256 of each file other than photographs that affects a number; empty if missing.
+    """SHA-256 of each file other than photographs that affects a number, empty if missing.
 
     These are the clinic's settings and the rig.toml of each connected rig.
     """

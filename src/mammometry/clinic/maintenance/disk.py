@@ -101,7 +101,7 @@ def measure_usage(config: ClinicConfig) -> DiskUsage:
 
 
 def folder_bytes(folder: Path) -> int:
-    """Bytes of all files below a folder; 0 if there is no folder."""
+    """Bytes of all files below a folder, 0 if there is no folder."""
     return sum(status.st_size for _, status in _files(folder))
 
 

@@ -50,7 +50,9 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
             "The closed solid of the {of} is not watertight. Do not use its volume.",
             caution="Do not use this volume: its solid is not watertight.",
         ),
-        "upright-unknown": Text("{text} Results that depend on left and up are only as exact as the cameras are level."),
+        "upright-unknown": Text(
+            "{text} Results that depend on left and up are only as exact as the cameras are level."
+        ),
         "nipple-not-seen": Text(
             "No nipple was seen on the {on}. Lengths from this nipple are missing: mark it if there is one."
         ),
@@ -95,11 +97,14 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
             caution=_MOVED,
         ),
         "motion-not-corrected": Text(
-            f"{_AWAY} That was not corrected, and the pairs disagree by {{before_mm:.2f}} mm; the interval includes this.",
+            f"{_AWAY} That was not corrected, and the pairs disagree by {{before_mm:.2f}} mm; the interval "
+            "includes this.",
             caution=_MOVED,
         ),
         "motion-not-confirmed": Text(
-            f"{_AWAY} That was not corrected, because no other comparison of the pairs confirms it, and the pairs disagree " "by {before_mm:.2f} mm; the interval includes this.",
+            f"{_AWAY} That was not corrected, because no other comparison of the pairs confirms it, and the pairs "
+            "disagree "
+            "by {before_mm:.2f} mm; the interval includes this.",
             caution=_MOVED,
         ),
         "motion-unexplained": Text(
@@ -108,7 +113,8 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
             "cameras together."
         ),
         "head-not-shown": Text(
-            "The body does not show where its head is: left and right depend on how the cameras are mounted. Check that none is upside down.",
+            "The body does not show where its head is: left and right depend on how the cameras are mounted. "
+            "Check that none is upside down.",
             caution="Left and right may be exchanged: the body does not show where its head is. See the warnings.",
         ),
         "sides-doubtful": Text(
@@ -198,7 +204,8 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
             "Check that both sessions show the same patient, with the same arm position and breathing."
         ),
         "trunks-lean-differently": Text(
-            "The trunk leaned differently by {turned_deg:.0f}°. Breasts then hang differently, by more than the interval includes."
+            "The trunk leaned differently by {turned_deg:.0f}°. Breasts then hang differently, by more than the "
+            "interval includes."
         ),
         "volume-at-one-date": Text("The {of} has a volume only at the {date} date, and is not compared."),
         "date-not-confirmed": Text(
