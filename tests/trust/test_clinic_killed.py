@@ -113,7 +113,7 @@ def test_a_running_server_sends_what_is_due_when_the_archive_is_there_again(
             filled(clinic_folder, "send", archive.peer)
             until(lambda: sending_job(clinic_folder)["message"] != "", "the end of the first try")
             assert (sending_job(clinic_folder)["attempt"], sending_job(clinic_folder)["state"]) == (1, "queued")
-            assert "nobody who answers" in sending_job(clinic_folder)["message"]
+            assert "no answer" in sending_job(clinic_folder)["message"]
             archive.start()
             until(lambda: rows_of(clinic_folder, "delivery")[0]["state"] == "sent", "the second try")
         assert (sending_job(clinic_folder)["attempt"], sending_job(clinic_folder)["state"]) == (2, "done")

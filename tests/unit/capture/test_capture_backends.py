@@ -63,7 +63,7 @@ def test_a_spoilt_buffer_is_that_camera_s_fault_alone(basler, tmp_path):
     basler.arm()
     device.ForceFailedBuffer.Execute()
     basler.fire()
-    with pytest.raises(CaptureError, match="spoilt"):
+    with pytest.raises(CaptureError, match="damaged"):
         basler.fetch("camera_5", 3.0)
     assert basler.fetch("camera_4", 3.0).content.pixels.size
     with pytest.raises(CaptureError, match="within"):  # one pulse, one picture

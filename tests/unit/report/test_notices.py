@@ -34,7 +34,7 @@ def test_every_notice_that_is_made_has_words_that_say_its_values() -> None:
     codes = made()
     assert len(codes) > 15
     for code, values in codes:
-        fields = set(re.findall(r"\{(\w+)", TEXTS[code].words)) - {"of", "on", "about", "side"}
+        fields = set(re.findall(r"\{(\w+)", TEXTS[code].words + TEXTS[code].caution)) - {"of", "on", "about", "side"}
         assert fields == values, code
 
 
