@@ -115,7 +115,7 @@ _Point = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
 class WalkEntry(BaseModel):
-    """Results of `mammometry photos` for photographs from one telephone; each photograph is a camera."""
+    """Results of `mammometry photos` for photographs from one telephone, each photograph is a camera."""
 
     model_config = _STRICT
 

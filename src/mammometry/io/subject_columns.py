@@ -1,4 +1,4 @@
-"""Subjects and sides of a table's rows; summary rows are refused."""
+"""Subjects and sides of a table's rows, summary rows are refused."""
 
 from __future__ import annotations
 
