@@ -1,9 +1,9 @@
 """Forms of records. Two people who change one record do not overwrite each other.
 
-A page's form carries the version of its record: a digest of each field as it was shown. A form that comes back is
-compared with the record as it is now, under the lock that the save takes. Where somebody else saved meanwhile and the
-two differ, nothing is saved: `StaleRecord` is raised, and `web.access.guarded` answers it with a page of both versions,
-field by field, for every form of the clinic.
+A page's form contains the version of its record: a digest of each field as shown. A submitted form is compared with the
+present record, under the lock for saving. If somebody else has saved in between and the two differ, nothing is saved:
+`StaleRecord` is raised, and `web.access.guarded` answers with a page of both versions, field by field, for every form
+of the clinic.
 """
 
 import hashlib
@@ -18,17 +18,17 @@ from django.http import Http404, QueryDict
 VERSION = "record_version"
 """Name of the hidden field with the digests."""
 CHOICE = "choice-"
-"""Begins the name of the field with what was chosen of a record's field: `MINE`, `THEIRS` or `BOTH`."""
+"""Prefix of the field with the choice for a record's field: `MINE`, `THEIRS` or `BOTH`."""
 TO_CHOOSE = "to-choose"
-"""Name of the hidden fields that list which fields are chosen between."""
+"""Name of the hidden fields that list the fields with a choice."""
 MINE, THEIRS, BOTH = "mine", "theirs", "both"
-_DIGEST_CHARACTERS = 16  # 64 bits: two values of one field are never taken for the same
+_DIGEST_CHARACTERS = 16  # 64 bits: two values of one field never collide
 _Sent = tuple[str, ...]
 """A field's value as a browser sends it; empty: nothing entered."""
 
 
 class StaleRecord(Exception):  # an answer, as Http404 is
-    """A colleague saved the record since the page was opened."""
+    """Somebody else has saved the record since the page was opened."""
 
     def __init__(self, form: "RecordForm") -> None:
         super().__init__("the record was changed meanwhile")
@@ -37,12 +37,12 @@ class StaleRecord(Exception):  # an answer, as Http404 is
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A field of which a form and its record hold different values."""
+    """A field that differs between a form and its record."""
 
     name: str
     label: str
     mine: str | None
-    """In words. None: the form does not show this field, so there is nothing to choose."""
+    """Value as text. None: the form does not show this field, so there is no choice."""
     theirs: str
     proposed: str
     """`MINE` or `THEIRS`; empty: both changed it, so the user must choose."""
@@ -51,14 +51,14 @@ class Difference:
 
 
 class RecordForm(forms.ModelForm):  # type: ignore[type-arg]
-    """A form of one record, new or known, that refuses to overwrite a colleague's change.
+    """A form of a new or existing record that refuses to overwrite somebody else's change.
 
-    A known record is read again and locked when the form comes back, so a view is in a transaction and saves
-    `instance`, not the row that it handed in.
+    An existing record is read again and locked when the form is submitted, so a view is in a transaction and saves
+    `instance`, not the row that it passed.
     """
 
     watched: ClassVar[tuple[str, ...]] = ()
-    """Fields of the record that the form does not show and its saving replaces."""
+    """Fields of the record that the form does not show but that saving replaces."""
 
     record_version = forms.CharField(required=False, widget=forms.HiddenInput)
 
@@ -73,7 +73,7 @@ class RecordForm(forms.ModelForm):  # type: ignore[type-arg]
         now = {name: _digest(sent) for name, sent in self._now.items()}
         now |= {name: _digest((str(getattr(self.instance, name)),)) for name in self.watched}
         self.version = json.dumps(now, sort_keys=True)
-        """Version of the record as it is now."""
+        """Present version of the record."""
         self.fields[VERSION].initial = self.version
         if self.is_bound and known:
             self._compare(now)
@@ -87,7 +87,7 @@ class RecordForm(forms.ModelForm):  # type: ignore[type-arg]
         """Whether the form can be saved.
 
         Raises:
-            StaleRecord: a colleague saved the record meanwhile, and the two differ.
+            StaleRecord: somebody else has saved the record, and the two differ.
         """
         if self.differences:
             raise StaleRecord(self)
@@ -95,7 +95,7 @@ class RecordForm(forms.ModelForm):  # type: ignore[type-arg]
 
     @property
     def kept(self) -> list[tuple[str, str]]:
-        """Names and values of all that was sent, for the page of both versions to send again."""
+        """Names and values of all sent fields, for the page of both versions to send again."""
         own = {VERSION, TO_CHOOSE, "csrfmiddlewaretoken", "form_token"}
         names = [name for name in self._sent_back if name not in own and not name.startswith(CHOICE)]
         return [(name, str(value)) for name in names for value in self._sent_back.getlist(name)]
@@ -135,7 +135,7 @@ class RecordForm(forms.ModelForm):  # type: ignore[type-arg]
         self.differences = tuple(rows)
 
     def _choose(self, mine: dict[str, _Sent]) -> None:
-        """Take over what was chosen on the page of both versions."""
+        """Apply the choices made on the page of both versions."""
         chosen = {name: self.data.get(f"{CHOICE}{name}") for name in self._versioned}
         if not {THEIRS, BOTH} & set(chosen.values()):
             return
@@ -174,10 +174,10 @@ class RecordForm(forms.ModelForm):  # type: ignore[type-arg]
 
 
 def _locked(instance: Model) -> Model:
-    """The record as it is now, locked until the transaction ends.
+    """The present record, locked until the transaction ends.
 
     Raises:
-        Http404: it is gone.
+        Http404: it no longer exists.
     """
     row = type(instance)._base_manager.select_for_update().filter(pk=instance.pk).first()
     if row is None:
@@ -186,7 +186,7 @@ def _locked(instance: Model) -> Model:
 
 
 def _sent(field: forms.Field, value: Any) -> _Sent:
-    """A value as a browser sends it. Lines end alike, and spaces around a text do not count."""
+    """A value as a browser sends it, with uniform line ends and without spaces around."""
     value = field.prepare_value(value)
     if isinstance(value, list | tuple):
         return tuple(sorted(map(str, value)))
@@ -199,7 +199,7 @@ def _sent(field: forms.Field, value: Any) -> _Sent:
 
 
 def _words(field: forms.Field, sent: _Sent) -> str:
-    """A sent value as a page says it."""
+    """A sent value as text for a page."""
     if isinstance(field.widget, forms.CheckboxInput):
         return "yes" if sent else "no"
     choices = {str(value): str(label) for value, label in getattr(field, "choices", ())}
@@ -219,7 +219,7 @@ def _digest(sent: _Sent) -> str:
 
 
 def _read_version(text: str) -> dict[str, str]:
-    """Name of a field → digest of what the page showed. Empty where the page sent none: nothing is known of it."""
+    """Name of a field → digest of its shown value. Empty if the page sent none."""
     try:
         read = json.loads(text)
     except ValueError:

@@ -1,7 +1,7 @@
-"""The form that describes a rig: its pairs of cameras, its board, and how large the board is on paper.
+"""The form that describes a rig: its pairs of cameras, its board, and the measured size of the print.
 
-It keeps the tables of a session.toml, as a file that is sent holds them. `capture.sessions.manifest_text` writes them
-for every session of the rig.
+It stores the tables of a session.toml, from the form or a file. `capture.sessions.manifest_text` writes them for every
+session of the rig.
 """
 
 import copy
@@ -22,7 +22,7 @@ from mammometry.clinic.record_form import RecordForm
 _FILE_BYTES = 100_000  # a session.toml has a few kB
 _TABLES = ("rig", "target", "intrinsics")
 PAIRS = 8
-"""Pairs that the form has rows for. A file may have more."""
+"""Largest number of rows for pairs in the form. A file may have more."""
 _MOST_SQUARES = 60  # in a row: 2 mm squares on a page of A4's width
 _SQUARES = {"charuco": "ChArUco: squares with markers", "chessboard": "Chessboard: plain squares"}
 _AS_IT_IS = "as it is"
@@ -31,8 +31,9 @@ _DICTIONARIES = tuple(
 )  # OpenCV's names of its own dictionaries
 _MOUNTINGS = {"upright": "upright", "upside-down": "upside down", "left": "turned to the left", "right": "to the right"}
 _PRINT_APART = 0.02
-"""Difference of a print from its design, relative, from which on the form asks. Printers err by up to half a percent;
-one square of 14 that was counted wrongly is 7 %."""
+"""Relative difference between print and design above which the form asks. Printers err by up to 0.5 %; a miscount by
+one square of 14 is 7 %.
+"""
 _DECIMALS = 4  # of the edge that is kept, mm
 
 
@@ -62,13 +63,13 @@ class RigForm(RecordForm):
         min_value=1,
         max_value=_MOST_SQUARES,
         widget=_number("1"),
-        help_text="Over as many as the ruler or caliper reaches: the more, the surer.",
+        help_text="As many as the ruler or caliper reaches: more squares are more accurate.",
     )
     measured_mm = forms.FloatField(
-        label="They are this long on the print, mm", required=False, min_value=0.1, max_value=5000.0, widget=_number()
+        label="Their length on the print, mm", required=False, min_value=0.1, max_value=5000.0, widget=_number()
     )
     measured_std_mm = forms.FloatField(
-        label="Give or take, mm",
+        label="Uncertainty of that length, mm",
         required=False,
         min_value=0.001,
         max_value=10.0,
@@ -78,8 +79,7 @@ class RigForm(RecordForm):
     described_by = forms.FileField(
         label="Or a session.toml of this rig",
         required=False,
-        help_text="Its cameras, pairs and board are read, in place of what is entered here. Its photographs are not "
-        "needed.",
+        help_text="Its cameras, pairs and board replace the entries here. Its photographs are not needed.",
     )
 
     class Meta:
@@ -126,7 +126,7 @@ class RigForm(RecordForm):
 
     @property
     def is_described_otherwise(self) -> bool:
-        """Whether cameras or board are other ones than before."""
+        """Whether cameras or board have changed."""
         return self._definition != self._before
 
     def clean_described_by(self) -> dict[str, Any] | None:
@@ -150,7 +150,7 @@ class RigForm(RecordForm):
         return kept
 
     def clean(self) -> dict[str, Any]:
-        """Make the description of a file, or of what is entered."""
+        """Make the description from a file or from the form."""
         values: dict[str, Any] = super().clean() or self.cleaned_data
         if self.errors:
             return values
@@ -199,7 +199,7 @@ class RigForm(RecordForm):
         needed = ["columns", "rows", "square_mm", *(["marker_mm"] if values["board"] == "charuco" else [])]
         for name in needed:
             if values[name] is None:
-                self.add_error(name, "Enter this of the board.")
+                self.add_error(name, "Enter this value of the board.")
         if self.errors:
             return
         kept = definition.get("target", {}) if definition.get("target", {}).get("kind") == values["board"] else {}
@@ -215,14 +215,14 @@ class RigForm(RecordForm):
         table |= self._print(values, board)
 
     def _print(self, values: Mapping[str, Any], board: Target) -> dict[str, float]:
-        """The edge of the board, by what was measured of it."""
+        """The edge of the board, from the measured length."""
         names = ("measured_squares", "measured_mm", "measured_std_mm")
         squares, length_mm, std_mm = (values[name] for name in names)
         if squares is None and length_mm is None and std_mm is None:
             return {}
         for name in names:
             if values[name] is None:
-                self.add_error(name, "Enter how many squares were measured, their length, and how surely.")
+                self.add_error(name, "Enter the number of measured squares, their length, and its uncertainty.")
         if self.errors:
             return {}
         assert isinstance(board, SquaresBoard)
@@ -262,11 +262,11 @@ def _pair_fields() -> dict[str, forms.Field]:
 RigForm.base_fields.update(_pair_fields())
 _OTHERS = ("name", "note", "active", "described_by", "record_version")
 _DESCRIPTION = tuple(name for name in RigForm.base_fields if name not in _OTHERS)
-"""Fields whose values are parts of the description."""
+"""Fields with values of the description."""
 
 
 def _described(definition: Mapping[str, Any]) -> dict[str, Any]:
-    """What the form shows of a description; of none, an ordinary board."""
+    """Initial values of the form from a description, or of a default board."""
     rig, target = definition.get("rig", {}), definition.get("target", {})
     mounting = rig.get("mounting", "upright")
     shown: dict[str, Any] = {
@@ -302,10 +302,10 @@ def _board_table(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _require_rig(definition: Mapping[str, Any]) -> None:
-    """Raise what a session of this rig would raise.
+    """Check the description as a session would.
 
     Raises:
-        SessionError: the description is none of a rig and a board.
+        SessionError: the description is invalid.
     """
     manifest_text(definition, "torso")
     if "target" in definition:
@@ -313,18 +313,18 @@ def _require_rig(definition: Mapping[str, Any]) -> None:
 
 
 def _plain(sentence: str) -> str:
-    """Remove the name of session.toml from a sentence: the user typed a form, not a file."""
+    """Remove the name of session.toml from a sentence, because the user filled in a form."""
     return sentence.replace("session.toml: ", "").replace(" in session.toml", "").replace("[target] ", "")
 
 
 def is_measured(definition: Mapping[str, Any]) -> bool:
-    """Whether the size of the print is known, or the target is none that is printed."""
+    """Whether the size of the print is known, or the target is not printed."""
     target = definition.get("target", {})
     return target.get("kind") not in _SQUARES or "edge_mm" in target
 
 
 def board_of(typed: Mapping[str, str]) -> Target:
-    """The board that is being typed in the form.
+    """The board that is being entered in the form.
 
     Args:
         typed: `board`, `columns`, `rows`, `square_mm`, `marker_mm`, `dictionary`.
@@ -348,7 +348,7 @@ def _no_board(found: str) -> SessionError:
 
 
 def board_svg(target: Target) -> str:
-    """A printed target as it looks, with its white border, as SVG in millimetres.
+    """A printed target with its white border, as SVG in millimetres.
 
     Raises:
         SessionError: no marker dictionary of the target's name.

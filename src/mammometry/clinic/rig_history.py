@@ -1,4 +1,4 @@
-"""Rigs: calibrations and checks out of the database, and whether one may be used today."""
+"""Rigs: calibrations and checks from the database, and whether a rig may be used today."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from mammometry.io.drift import CameraDrift, Entry
 
 Answer: TypeAlias = Literal["yes", "care", "no"]
 _OLD_DAYS = 90
-"""Days after which a calibration is called old: screws settle and rooms change; chosen, not measured. Whether a camera
-moved, the daily check tells."""
+"""Days after which a calibration is reported as old: screws settle and rooms change. Not measured; the daily check
+finds moved cameras.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,11 +27,11 @@ class Today:
     """Readiness of a rig today."""
 
     verdict: Answer
-    """``care``: yes, and somebody should read the reasons."""
+    """``care``: yes, but read the reasons."""
     sentence: str
     reasons: tuple[str, ...] = ()
     remedy: str = ""
-    """What to do first; empty where nothing is to be done."""
+    """What to do first; empty if nothing."""
 
     def as_table(self) -> dict[str, Any]:
         """The verdict as JSON."""
@@ -55,14 +56,14 @@ class Checked:
 
     on: datetime.date
     verdict: str | None
-    """``unmoved``, ``moved``, ``refuse``; None while it is not judged."""
+    """``unmoved``, ``moved``, ``refuse``; None if not evaluated yet."""
     effect_mm: float = 0.0
-    """RMS displacement of measured points by the worst pair."""
+    """RMS displacement of the worst pair's points."""
     reasons: tuple[str, ...] = ()
     unseen: tuple[str, ...] = ()
     """Cameras that did not see the board."""
     exchanged: bool = False
-    """Whether the photographs of two cameras are exchanged, so that it says nothing of movements."""
+    """Whether the photographs of two cameras are exchanged, so that it shows no movements."""
 
     @classmethod
     def of(cls, on: datetime.date, figures: Mapping[str, Any]) -> Checked:
@@ -78,10 +79,10 @@ class Checked:
 
 
 def judge(day: datetime.date, calibrated: Calibrated | None, checked: Checked | None) -> Today:
-    """Decide whether a rig may be measured with today.
+    """Decide whether a rig may be used today.
 
     Args:
-        day: today, where the clinic is.
+        day: today in the clinic's time zone.
         calibrated: the calibration in use; None: there is none.
         checked: the newest check against it; None: there was none.
     """
@@ -110,7 +111,7 @@ def judge(day: datetime.date, calibrated: Calibrated | None, checked: Checked | 
     if not fresh and (checked is None or checked.on != day or checked.verdict is None):
         last = "was never checked" if checked is None else f"was last checked on {checked.on.isoformat()}"
         if checked is not None and checked.verdict is None:
-            last = "has a check that has not been judged yet"
+            last = "has a check that has not been evaluated yet"
         return Today(
             verdict="care",
             sentence="Not checked today.",
@@ -127,7 +128,7 @@ def judge(day: datetime.date, calibrated: Calibrated | None, checked: Checked | 
     if checked is not None and checked.unseen and checked.on == day:
         if not reasons:
             remedy = "Photograph the board again, where these cameras see it."
-        reasons.insert(0, f"Not checked, as they saw no board: {', '.join(checked.unseen)}.")
+        reasons.insert(0, f"Not checked, because they did not see the board: {', '.join(checked.unseen)}.")
         if not fresh:
             return Today(verdict="care", sentence="Not all cameras are checked.", reasons=tuple(reasons), remedy=remedy)
     if reasons:
@@ -175,9 +176,9 @@ def today(rig: Rig) -> Today:
 
 
 def photographed_at(calibration: Calibration) -> datetime.datetime:
-    """When the oldest of a calibration's photographs came in.
+    """Upload time of the oldest photograph of a calibration.
 
-    Those of an earlier calibration are no newer for being sent again.
+    Photographs of an earlier calibration keep their time when sent again.
     """
     own = calibration.uploads.filter(state=Upload.State.PLACED).exclude(sha256="").values("sha256")
     first = Upload.objects.filter(sha256__in=own).aggregate(first=Min("created"))["first"]
@@ -185,13 +186,13 @@ def photographed_at(calibration: Calibration) -> datetime.datetime:
 
 
 def entries(rig: Rig) -> list[Entry]:
-    """The newest judged checks, the oldest first. As the drift chart takes them."""
+    """The newest evaluated checks for the drift chart, oldest first."""
     checks = rig.checks.exclude(figures={}).select_related("calibration").order_by("-taken_at")[:_SHOWN]
     return [_entry(check) for check in reversed(checks)]
 
 
 def drift_rows(rig: Rig) -> Iterator[dict[str, Any]]:
-    """The newest judged checks as a table: a row a check, the newest first."""
+    """The newest evaluated checks as a table: one row per check, newest first."""
     for entry in reversed(entries(rig)):
         yield {
             "when": entry.when,
@@ -213,7 +214,7 @@ def new_calibration(rig: Rig, by: Any) -> Calibration:
 
 
 def new_check(rig: Rig, by: Any) -> DailyCheck | None:
-    """A daily check without photographs yet. None where the rig is not calibrated."""
+    """A daily check without photographs yet. None if the rig is not calibrated."""
     calibration = current(rig)
     if calibration is None:
         return None
@@ -224,9 +225,9 @@ def new_check(rig: Rig, by: Any) -> DailyCheck | None:
 
 
 def may_queue(target: Visit | Calibration | DailyCheck | Comparison, *, anyway: bool = False) -> str | None:
-    """Reason why something cannot be computed now, in a sentence. None where it can.
+    """Reason why something cannot be computed now, one sentence. None if it can.
 
-    A visit takes its rig's current calibration when it is queued first, and keeps it.
+    A visit uses its rig's current calibration when it is first queued, and keeps it.
     """
     from mammometry.clinic.intake.uploads import state_of
     from mammometry.clinic.records.comparing import may_compare
@@ -235,12 +236,12 @@ def may_queue(target: Visit | Calibration | DailyCheck | Comparison, *, anyway: 
 
     if isinstance(target, Comparison):
         ready = may_compare(target.before, target.after)
-        return None if ready else "One of both visits is not measured as it stands. Measure it first."
+        return None if ready else "One of the visits has unmeasured changes. Measure it first."
     if Job.objects.filter(_about(target), state__in=(Job.State.QUEUED, Job.State.RUNNING)).exists():
         return None  # the one that is open is answered
     if isinstance(target, Visit):
         if target.rig is None:
-            return None if is_scan(target.folder) else "This visit has no scan. Begin a new one."
+            return None if is_scan(target.folder) else "This visit has no scan. Start a new visit."
         if target.calibration is None:
             target.calibration = current(target.rig)
             if target.calibration is None:

@@ -1,4 +1,4 @@
-"""Django's settings, made of a clinic's. A process opens one clinic."""
+"""Django's settings, from a clinic's. A process opens one clinic."""
 
 import logging
 import os
@@ -10,16 +10,16 @@ from mammometry.clinic.config import ClinicConfig, ClinicError, OpenId
 
 _PACKAGE = "mammometry.clinic"
 _CONNECTED_S = 60
-"""Seconds for which a thread keeps its connection to the database. To open one costs as much as a small page."""
+"""Seconds for which a thread keeps its database connection. Opening one costs as much as a small page."""
 
 
 def configure(config: ClinicConfig) -> None:
-    """Make this process the clinic's. Models can be imported afterwards.
+    """Configure this process for the clinic. Models can be imported afterwards.
 
-    Settings hold from the first call on: what is changed in clinic.toml afterwards needs a new process.
+    Later changes of clinic.toml need a new process.
 
     Raises:
-        ClinicError: the process has opened another clinic already.
+        ClinicError: the process has already opened another clinic.
     """
     import django
     from django.conf import settings
@@ -93,8 +93,8 @@ def database(config: ClinicConfig) -> dict[str, Any]:
             "CONN_MAX_AGE": _CONNECTED_S,
             "OPTIONS": {
                 "timeout": 20,  # seconds that a writer waits for another
-                "transaction_mode": "IMMEDIATE",  # a transaction that reads first would fail as it turns to writing
-                # What is erased is overwritten; what is committed is on the disk; what REPLACE deletes has triggers.
+                "transaction_mode": "IMMEDIATE",  # a transaction that reads first would fail when it writes
+                # Erased data are overwritten; commits are on the disk; deletions by REPLACE have triggers.
                 "init_command": "PRAGMA journal_mode=WAL; PRAGMA synchronous=FULL; PRAGMA secure_delete=ON; "
                 "PRAGMA recursive_triggers=ON;",
             },
@@ -121,7 +121,7 @@ def database(config: ClinicConfig) -> dict[str, Any]:
         "ENGINE": "django.db.backends.postgresql",
         **django_names,
         "CONN_MAX_AGE": _CONNECTED_S,
-        "CONN_HEALTH_CHECKS": True,  # the server may have been started anew
+        "CONN_HEALTH_CHECKS": True,  # the server may have been restarted
         "OPTIONS": {key: value for key, value in parts.items() if key not in named},
     }
 
@@ -180,7 +180,7 @@ def _cookies(config: ClinicConfig, tls: bool) -> dict[str, Any]:
         "SESSION_COOKIE_NAME": f"{prefix}clinic-session",
         "SESSION_COOKIE_SECURE": tls,
         "SESSION_COOKIE_HTTPONLY": True,
-        "SESSION_COOKIE_SAMESITE": "Lax",  # Strict would lose the way back from the hospital's login
+        "SESSION_COOKIE_SAMESITE": "Lax",  # Strict would break the return from the hospital's login
         "SESSION_COOKIE_AGE": config.limits.session_hours * 3600,
         "SESSION_EXPIRE_AT_BROWSER_CLOSE": True,
         "CSRF_COOKIE_NAME": f"{prefix}clinic-csrf",
@@ -242,7 +242,7 @@ def _logins(config: ClinicConfig) -> dict[str, Any]:
         "ACCOUNT_LOGIN_ON_PASSWORD_RESET": False,
         "ACCOUNT_LOGOUT_ON_PASSWORD_CHANGE": True,
         "ACCOUNT_REAUTHENTICATION_TIMEOUT": 600,
-        # Wrong passwords by name are counted by axes; by name alone, anybody could keep somebody out.
+        # axes counts wrong passwords by name and address; by name alone, anybody could lock out others.
         "ACCOUNT_RATE_LIMITS": {"login_failed": "30/m/ip"},
         "MFA_ADAPTER": f"{_PACKAGE}.accounts.SecondFactor",
         "MFA_FORMS": {
@@ -308,10 +308,10 @@ _INVITATION = re.compile(r"(/invitation/).+")  # what follows sets a password
 
 
 class Plain(logging.Formatter):
-    """Time, level, where from, and what was said to be logged.
+    """Log format: time, level, origin and message.
 
-    Of an exception only its class and the lines of code are written: its message may hold what somebody typed, as
-    PostgreSQL's do. Of a request only the path is written, which holds random keys and no search words.
+    Of an exception only its class and the lines of code are written, because its message may contain typed text, as
+    PostgreSQL's do. Of a request only the path is written, which has random keys and no search words.
     """
 
     def format(self, record: logging.LogRecord) -> str:

@@ -121,7 +121,7 @@ def test_what_is_refused_elsewhere_is_json_for_a_script_too(
     monkeypatch.setattr("mammometry.clinic.views.responses.get_token", fail)
     broken = client.get(reverse("account-token"), headers=SCRIPT)
     assert broken.status_code == 500
-    assert "our side" in broken.json()["error"]
+    assert "in the program" in broken.json()["error"]
 
 
 def test_a_script_gets_a_token_for_one_that_is_out_of_date(person_of: Callable[..., Person]) -> None:

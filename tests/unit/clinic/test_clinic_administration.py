@@ -106,7 +106,7 @@ def test_a_backup_and_a_restore_test_are_queued(clinic: ClinicConfig, client_of:
     job = Job.objects.get(kind=Job.Kind.BACKUP)
     assert str(job.created_by) == "administrator"
     assert "waiting or at work" in client.get(reverse("backups")).content.decode()
-    assert "at work already" in client.post(reverse("backup-test"), follow=True).content.decode()
+    assert "already running" in client.post(reverse("backup-test"), follow=True).content.decode()
     queue.claim("runner", 1, [Job.Kind.BACKUP])
     assert queue.done(job.pk, "runner", {})
     client.post(reverse("backup-test"))
@@ -114,7 +114,7 @@ def test_a_backup_and_a_restore_test_are_queued(clinic: ClinicConfig, client_of:
     Job.objects.all().delete()
     with backups.exclusive(clinic):
         page = client.post(reverse("backup-make"), follow=True)
-    assert "at work already" in page.content.decode()
+    assert "already running" in page.content.decode()
     assert not Job.objects.exists()
 
 

@@ -152,7 +152,7 @@ def test_what_stays_of_a_graft_has_the_interval_of_both_volumes(visit: Visit) ->
         (100.0, None, 460.0, "leaning", None, "no measured visit before"),
         (100.0, 400.0, None, "leaning", None, "no measured visit after"),
         (100.0, 400.0, 460.0, "standing", None, "another posture"),
-        (100.0, 400.0, 460.0, "leaning", -20, "Another operation on this side"),
+        (100.0, 400.0, 460.0, "leaning", -20, "There was another operation on this side"),
     ],
 )
 def test_where_nothing_can_be_said_of_a_graft_the_page_says_why(
@@ -355,12 +355,12 @@ def test_a_conclusion_is_signed_amended_and_never_overwritten(
         return page
 
     assert "Signed by Dr. Sergio Surgeon" in sign("Symmetrical.", measurement)
-    assert "signed already" in sign("Symmetrical.", measurement)
+    assert "already signed" in sign("Symmetrical.", measurement)
     assert "Earlier conclusions, amended by this one (1)" in sign("Nearly symmetrical.", measurement)
     assert Conclusion.objects.count() == 2
     again = Measurement.objects.create(visit=visit, digest="2", made_at=timezone.now(), software="1")
     page = sign("Of the old numbers.", measurement)
-    assert "measured again meanwhile" in page
+    assert "has been measured again" in page
     assert "Of the old numbers." in page  # what was written is not lost
     assert Conclusion.objects.count() == 2
     page = client.get(reverse("visit", args=[visit.pk])).content.decode()
@@ -389,7 +389,7 @@ def test_technicians_read_a_conclusion_and_write_none(visit: Visit, client_of: C
     [
         ("measured", Role.CLINICIAN, "Check the boundaries", "Confirm boundaries"),
         ("measured", Role.TECHNICIAN, "A clinician checks the boundaries", None),
-        ("changed", Role.TECHNICIAN, "was changed and is not measured yet", "Measure"),
+        ("changed", Role.TECHNICIAN, "There are no numbers until it is measured", "Measure"),
         ("confirmed", Role.CLINICIAN, "The boundaries are confirmed.", "Write the conclusion"),
         ("confirmed", Role.TECHNICIAN, "A clinician writes the conclusion.", None),
     ],

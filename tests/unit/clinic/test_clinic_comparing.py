@@ -165,7 +165,7 @@ def test_what_was_drawn_and_not_measured_is_not_compared(visits: list[Visit]) ->
     visits[1].refresh_from_db()
     queue.compare(visits[0], visits[1], None)
     assert open_pairs() == set()
-    assert "is not measured as it stands" in comparing.verdicts(visits[1])[0]
+    assert "has unmeasured changes" in comparing.verdicts(visits[1])[0]
 
 
 def test_visits_in_the_bin_are_not_compared(visits: list[Visit]) -> None:

@@ -120,7 +120,7 @@ def test_only_the_measured_boundaries_can_be_confirmed(
 ) -> None:
     refused = finish(client_of(Role.CLINICIAN), measured, body(measured, curves))
     assert refused.status_code == 409
-    assert "not those that were measured" in refused.json()["error"]
+    assert "not the measured ones" in refused.json()["error"]
     assert not Confirmation.objects.exists()
 
 
@@ -130,7 +130,7 @@ def test_what_a_colleague_changed_meanwhile_is_not_confirmed(client_of: Callable
     Visit.objects.filter(pk=measured.pk).update(state="changed")
     assert "not measured yet" in finish(client, measured, seen).json()["error"]
     measure(measured)  # the same boundaries: the landmark alone differs from what the page shows
-    assert "Somebody else changed" in finish(client, measured, seen).json()["error"]
+    assert "Somebody else has changed" in finish(client, measured, seen).json()["error"]
     assert finish(client, measured).status_code == 200
 
 

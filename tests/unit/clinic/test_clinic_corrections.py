@@ -140,7 +140,7 @@ def test_a_moved_visit_carries_the_right_pseudonym_everywhere_and_is_measured_ag
     assert visit.patient == anna
     names_nobody_else(visit)
     assert VisitOrder.objects.get().referring == "Dr. Who"
-    with pytest.raises(CorrectionError, match="undone already"):
+    with pytest.raises(CorrectionError, match="already been undone"):
         corrections.undo(done, None)
 
 
@@ -188,7 +188,7 @@ def test_a_corrected_day_stands_in_the_session_and_the_numbers_stay(anna: Patien
     visit.refresh_from_db()
     assert (visit.taken_at, visit.note) == (NOON, "Zypernkatze called")
     Job.objects.all().delete()
-    with pytest.raises(CorrectionError, match="as before"):
+    with pytest.raises(CorrectionError, match="have not changed"):
         corrections.redate(visit, NOON, visit.note, "x", None)
 
 

@@ -383,7 +383,7 @@ def test_a_surgeons_day(visit: str, opens: Opens, people: Hospital) -> None:
     judge(page, "landmarks")
     page.get_by_role("button", name="Confirm and finish").click()
     page.wait_for_url(visit)
-    expect(page.get_by_text("No other visit waits to be confirmed.")).to_be_visible()
+    expect(page.get_by_text("No other visit to confirm.")).to_be_visible()
     assert volumes_of(page) == [before[0], after]
     expect(page.get_by_text("✓ confirmed").first).to_be_visible()
     page.get_by_role("status").get_by_role("link", name="Write the conclusion").click()

@@ -289,7 +289,7 @@ def test_a_clinician_sends_and_the_audit_says_so(
     assert "The boundaries of this visit are not confirmed" in answer.content.decode()
     assert not Delivery.objects.exists()  # one press alone sends nothing that nobody confirmed
     answer = client.post(address, {"destination": str(archive.pk), "anyway": "1"}, follow=True)
-    assert "on their way to PACS" in answer.content.decode()
+    assert "being sent to PACS" in answer.content.decode()
     (delivery,) = Delivery.objects.all()
     assert str(delivery.created_by) == "clinician"
     entry = LogEntry.objects.get(object_pk=str(delivery.pk), action=LogEntry.Action.CREATE)
@@ -311,7 +311,7 @@ def test_a_confirmed_visit_is_sent_without_a_question(
     Visit.objects.filter(pk=visit.pk).update(state=Visit.State.CONFIRMED)
     address = reverse("visit-send", args=[visit.pk])
     answer = client_of(Role.CLINICIAN).post(address, {"destination": str(archive.pk)}, follow=True)
-    assert "on their way to PACS" in answer.content.decode()
+    assert "being sent to PACS" in answer.content.decode()
 
 
 def test_a_failed_one_is_tried_again_by_a_button(

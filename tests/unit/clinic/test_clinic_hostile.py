@@ -161,7 +161,7 @@ def test_without_its_database_the_clinic_says_so(
         without.setattr("django.db.backends.base.base.BaseDatabaseWrapper.cursor", gone)
         answer = client.get("/")
     assert answer.status_code == 500
-    assert b"our side" in answer.content
+    assert b"in the program" in answer.content
     assert b"secret" not in answer.content
 
 

@@ -65,11 +65,11 @@ def test_a_plain_chessboard_that_is_not_measured_is_the_templates(client_of):
         ({"pair0_left": "vorne/links"}, "a name of letters"),
         ({f"pair{k}_{part}": "" for k in range(2) for part in ("name", "left", "right")}, "needs its description"),
         ({"columns": "2"}, "greater than or equal to 3"),
-        ({"columns": ""}, "Enter this of the board."),
+        ({"columns": ""}, "Enter this value of the board."),
         ({"marker_mm": "25"}, "marker_mm must be between 0 and square_mm"),
         ({"dictionary": "DICT_4X4_50", "columns": "20", "rows": "20"}, "at least 200 markers"),
         ({"square_mm": "0.2", "marker_mm": "0.15"}, "Enter millimetres"),
-        ({"measured_mm": ""}, "Enter how many squares were measured"),
+        ({"measured_mm": ""}, "Enter the number of measured squares"),
         ({"measured_squares": "12"}, "A row has 11 squares."),
         ({"measured_mm": "264"}, "26.40 mm, 10.0% larger than designed"),  # eleven squares, counted as ten
         ({"measured_mm": "233"}, "23.30 mm, 2.9% smaller than designed"),

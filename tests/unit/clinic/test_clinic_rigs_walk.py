@@ -81,12 +81,12 @@ def test_a_rig_is_described_by_clicks_and_opens_as_a_session(rigs: Rigs, tmp_pat
     page.wait_for_function("document.querySelector('[data-board-picture]').src.includes('columns=11&rows=8')")
     page.wait_for_function("document.querySelector('[data-board-picture]').naturalWidth > 0")
     page.get_by_label("Measured over this many squares").fill("10")
-    page.get_by_label("They are this long on the print").fill("275.5")
-    page.get_by_label("Give or take").fill("0.1")
+    page.get_by_label("Their length on the print").fill("275.5")
+    page.get_by_label("Uncertainty of that length").fill("0.1")
     page.get_by_role("button", name="Save", exact=True).click()
     expect(page.get_by_text("10.2% larger than designed")).to_be_visible()  # eleven squares, counted as ten
     expect(page.get_by_label("Left camera of pair 2")).to_have_value("view2 left")
-    page.get_by_label("They are this long on the print").fill("250.3")
+    page.get_by_label("Their length on the print").fill("250.3")
     page.evaluate("window.scrollTo(0, 0)")  # what is under the sticky head is no target
     picture(page, "rig-form")
     require_accessible(page)
@@ -172,7 +172,7 @@ def test_a_poor_picture_is_left_out_by_clicks(rigs: Rigs) -> None:
     require_accessible(page)
     require_fitting(page)
     page.get_by_role("button", name="Calibrate again without the ticked ones").click()
-    expect(page.get_by_text("Until then nothing changes.")).to_be_visible()
+    expect(page.get_by_text("The present calibration stays in use until then.")).to_be_visible()
     expect(page.get_by_role("heading", name="Calibrating")).to_be_visible()
     made = page.url.rstrip("/").rsplit("/", 1)[1]
     folders = {path.parent.name for path in (rigs.folder / "rigs").glob("*/calibrations/*/set-aside")}

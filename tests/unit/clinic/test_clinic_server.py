@@ -89,7 +89,7 @@ def test_a_certificate_that_is_not_there_is_named(tmp_path: Path) -> None:
 def test_a_clinic_whose_audit_was_unsealed_is_not_served(clinic: ClinicConfig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("mammometry.clinic.audit.is_sealed", lambda: False)
     monkeypatch.setattr("django.db.migrations.executor.MigrationExecutor.migration_plan", lambda *_: [])
-    with pytest.raises(ClinicError, match="no triggers"):
+    with pytest.raises(ClinicError, match="missing or different triggers"):
         require_current(clinic)
 
 
@@ -179,7 +179,7 @@ def test_an_address_that_is_not_free_is_refused_before_anything_is_started(tmp_p
 def test_an_address_of_another_machine_is_named(address: str) -> None:
     from mammometry.clinic.web.server import require_free
 
-    with pytest.raises(ClinicError, match=f"address {address}: found an address or port that this machine does not"):
+    with pytest.raises(ClinicError, match=f"address {address}: found an address or port that does not exist"):
         require_free(address)
 
 

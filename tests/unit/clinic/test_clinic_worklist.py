@@ -53,7 +53,7 @@ def test_a_record_number_of_somebody_else_makes_no_visit(
 ) -> None:
     Patient.objects.create(**{"family_name": "Muster", "given_name": "Anna", "record_number": "KIS-4712", **known})
     answer = client_of(Role.TECHNICIAN).post(reverse("worklist"), asked, follow=True)
-    assert "under another name or date of birth" in answer.content.decode()
+    assert "a different name or date of birth" in answer.content.decode()
     assert not Visit.objects.exists()
 
 

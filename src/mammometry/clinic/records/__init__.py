@@ -1,4 +1,1 @@
-"""Records that can be found and put right.
-
-Search, near duplicates, corrections with their undoing, the bin.
-"""
+"""Finding and correcting records: search, near duplicates, corrections with undo, the bin."""

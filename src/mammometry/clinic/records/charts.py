@@ -1,4 +1,4 @@
-"""Charts of the clinic's pages. Places of points and lines, which a template draws as SVG."""
+"""Charts of the clinic's pages: positions of points and lines, which a template draws as SVG."""
 
 import datetime
 from collections.abc import Callable, Sequence
@@ -10,8 +10,8 @@ import numpy as np
 _LEFT, _RIGHT, _TOP, _BOTTOM = 46.0, 14.0, 14.0, 30.0  # px around the plot, for the words at its edges
 _STEPS = (1, 2, 5)  # round numbers on axes
 _TICKS = 5  # at most, more are hard to read
-_LEAST_SPAN = 0.2  # of the value: smaller changes do not fill the picture, so that noise looks like noise
-_APART_PX = 5.0  # between series of one date, so that their intervals can be told apart
+_LEAST_SPAN = 0.2  # of the value: smaller changes do not fill the picture, so that noise looks small
+_APART_PX = 5.0  # between series of one date, so that their intervals are distinguishable
 _HALF_PX = 5.0  # of a mark
 _DATE_PX = 78.0  # of a date's words
 
@@ -27,11 +27,11 @@ class Reading:
     low: float
     high: float
     words: str
-    """What the tooltip and a screen reader say."""
+    """Text for the tooltip and screen readers."""
     line: str = ""
     """Readings of a series with the same name are joined by a line."""
     is_apart: bool = False
-    """Whether it is not comparable with the newest of its series; the words say why."""
+    """Whether it is not comparable with the newest of its series; the text has the reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ class Way:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened on a day, such as an operation."""
+    """An event on a day, such as an operation."""
 
     at: datetime.datetime
     words: str
@@ -194,7 +194,7 @@ def round_levels(low: float, high: float) -> tuple[float, ...]:
 
 
 def _date_ticks(dates: Sequence[datetime.datetime], x_of: Callable[[datetime.datetime], float]) -> list[Tick]:
-    """Dates whose words do not lie on one another. The last one always has its own."""
+    """Dates whose labels do not overlap. The last one always has a label."""
     ticks: list[Tick] = []
     for at in reversed(dates):
         x = x_of(at)

@@ -1,4 +1,4 @@
-"""Clinical records of a visit beside its photographs: consents, operations, conclusions."""
+"""Clinical records of a visit: consents, operations, conclusions."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _VOLUMES = {
     Operation.Kind.EXPANDER: "filled with {} cc",
     Operation.Kind.FILLING: "{} cc in all",
 }
-"""Kind → how its volume is said. Others: "300 cc"."""
+"""Kind → text of its volume. Others: "300 cc"."""
 _EARLIER = "(Written before the visit was measured again.)"
 
 
 def clinical_of(visit: Visit) -> Clinical:
-    """Gather what reports and exports say of a visit beside its numbers."""
+    """Gather a visit's clinical data for reports and exports."""
     confirmation, measurement = valid_confirmation(visit), visit.measurements.first()
     patient = visit.patient
     return Clinical(
@@ -47,9 +47,9 @@ def clinical_of(visit: Visit) -> Clinical:
 
 
 def operations_before(visit: Visit) -> QuerySet[Operation]:
-    """Operations that the visit's pictures can show, the newest first.
+    """Operations that the visit's pictures can show, newest first.
 
-    One on the day of the visit counts, unless the visit is that before the operation.
+    One on the day of the visit counts, unless the visit is before the operation.
     """
     day = timezone.localtime(visit.taken_at).date()
     rows = Operation.objects.filter(patient=visit.patient_id)
@@ -81,12 +81,12 @@ def _signed(row: Confirmation | Conclusion, text: str = "") -> Signed:
 
 
 def holds(patient: Patient, purpose: Consent.Purpose) -> bool:
-    """Whether a patient's consent was given and not withdrawn."""
+    """Whether a patient's consent is valid."""
     return patient.consents.filter(purpose=purpose, withdrawn_on=None).exists()
 
 
 def pictures_caution(patient: Patient) -> str:
-    """Why photographs should not be taken yet, in a sentence. Empty: the consent holds."""
+    """Reason for not taking photographs yet, one sentence. Empty: the consent is valid."""
     if holds(patient, Consent.Purpose.PICTURES):
         return ""
     if patient.consents.filter(purpose=Consent.Purpose.PICTURES).exists():
@@ -95,7 +95,7 @@ def pictures_caution(patient: Patient) -> str:
 
 
 def research_consent() -> Exists:
-    """Condition on visits: the patient's consent to research holds."""
+    """Condition on visits: the patient's consent to research is valid."""
     return Exists(
         Consent.objects.filter(patient=OuterRef("patient"), purpose=Consent.Purpose.RESEARCH, withdrawn_on__isnull=True)
     )

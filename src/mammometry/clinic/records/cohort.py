@@ -1,6 +1,6 @@
-"""The study's cohort by pseudonym: one row for each breast and visit, and the figures of all rows.
+"""The study's cohort by pseudonym: one row for each breast and visit, and statistics of all rows.
 
-The database gives plain values. Of 90 000 volumes no objects are made.
+The database gives plain values, without creating objects for 90 000 volumes.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _YEARS_OF_DAYS = 4_000_000  # more than any day's ordinal
 
 
 def _text(column: str) -> Cast:
-    """A key or a time as text: of so many, no objects are made."""
+    """A key or a time as text, to avoid creating objects."""
     return Cast(column, CharField())
 
 
@@ -55,7 +55,7 @@ class Row:
     high_cc: float | None
     refused: str
     state: str
-    """Of the visit. An unmeasured change of a boundary or landmark is said, and no number is given."""
+    """State of the visit. With an unmeasured change of a boundary or landmark there is no number."""
     confirmed: bool
     confirmed_on: datetime.date | None
     """None: not confirmed."""
@@ -64,12 +64,12 @@ class Row:
     posture: str
     """Empty: not entered."""
     settings: str
-    """Those that differ from the recommended ones, as JSON. Empty: not recorded."""
+    """Settings that differ from the defaults, as JSON. Empty: not recorded."""
     wall: str
     boundary: str
-    """How the boundary was made, a key of `comparability.BOUNDARIES`."""
+    """Origin of the boundary, a key of `comparability.BOUNDARIES`."""
     apart: str
-    """Why the volume is not comparable with most of the study. Empty: it is."""
+    """Reason why the volume is not comparable with most of the study. Empty: it is."""
     repeat_of: datetime.date | None
     """Day of the visit that this one repeats."""
 
@@ -133,7 +133,7 @@ class Pooled:
 
     @property
     def reference(self) -> Basis | None:
-        """What most volumes rest on. None: there is none."""
+        """Basis of most volumes. None: there is none."""
         measured = self.basis[~np.isnan(self.volume_cc)]
         return self.bases[int(np.bincount(measured).argmax())] if len(measured) else None
 
@@ -169,7 +169,7 @@ def repeats(visits: QuerySet[Visit]) -> Repeats:
             if was is None or now is None or was.volume_cc is None or now.volume_cc is None:
                 why = "no volume at one of both visits"
             elif any(row.side in (side, Operation.Side.BOTH) for row in operations):
-                why = "an operation lies between both visits"
+                why = "an operation between the visits"
             else:
                 why = why_apart(now.basis, was.basis)
                 if not why:
@@ -180,7 +180,7 @@ def repeats(visits: QuerySet[Visit]) -> Repeats:
 
 
 def visits_between(begin: datetime.date | None, end: datetime.date | None, *, confirmed: bool) -> QuerySet[Visit]:
-    """Visits of a time, by pseudonym and day, whether or not the consent to research holds."""
+    """Visits of a period, by pseudonym and day, with or without consent to research."""
     visits = Visit.objects.filter(subject_kind=Visit.Subject.TORSO)
     if begin is not None:
         visits = visits.filter(taken_at__gte=_midnight(begin))
@@ -192,12 +192,12 @@ def visits_between(begin: datetime.date | None, end: datetime.date | None, *, co
 
 
 def measured_visits(visits: QuerySet[Visit]) -> QuerySet[Visit]:
-    """Visits with a measurement, of patients whose consent to research holds."""
+    """Visits with a measurement, of patients with consent to research."""
     return visits.filter(_is_measured(), research_consent())
 
 
 def left_out(visits: QuerySet[Visit]) -> tuple[int, int]:
-    """Numbers of measured visits, and of their patients, whose consent to research does not hold."""
+    """Numbers of measured visits and patients without consent to research."""
     without = visits.filter(_is_measured(), ~research_consent()).order_by()
     counts = without.aggregate(visits=Count("pk"), patients=Count("patient", distinct=True))
     return counts["visits"], counts["patients"]
@@ -207,8 +207,8 @@ def study_rows(visits: QuerySet[Visit], reference: Basis | None = None) -> Itera
     """Rows of the newest measurement of each visit, read some visits at a time.
 
     Args:
-        visits: which.
-        reference: what most volumes rest on (`Pooled.reference`); others say why they are apart.
+        visits: to read.
+        reference: basis of most volumes (`Pooled.reference`); others have the reason for being separate.
     """
     columns = (
         *("state", "patient__pseudonym", "patient__born", "taken_at", "rig__name", "scan__scanner"),
@@ -250,7 +250,7 @@ def pooled(visits: QuerySet[Visit]) -> Pooled:
     breast_of: dict[tuple[str, str], int] = {}
     by_visit, keys = [], []
     basis_number: dict[Basis, int] = {}
-    resting: dict[tuple[str, str, str, str], int] = {}  # of so many volumes, few rest on different things
+    resting: dict[tuple[str, str, str, str], int] = {}  # many volumes have few different bases
     how_of = dict(Measurement.objects.order_by().values_list(_text("pk"), _text("how")).iterator())
     posture_of: dict[str, str] = {}
     zone = timezone.get_current_timezone()
@@ -318,7 +318,7 @@ def _leading_volumes(measurements: list[str]) -> dict[tuple[str, str], _Values]:
 
 
 def _leading() -> QuerySet[Volume]:
-    """For every breast and measurement, the volume in the leading meaning."""
+    """For every breast and measurement, the volume in the leading definition."""
     return Volume.objects.filter(leads=True, side__in=SIDES).order_by()
 
 

@@ -1,10 +1,9 @@
 """The rule by which two volumes of a breast may be compared.
 
-Pages, charts, tables and studies ask this rule alone.
+Pages, charts, tables and studies all use this rule.
 
-Two volumes are comparable where they are of the same meaning of the word "breast", measured with the same settings, of
-the patient in the same posture, closed by the same wall, within boundaries that were made in the same way. What is not
-comparable is shown apart, with the reason.
+Two volumes are comparable if they have the same definition of the breast, settings, posture, wall, and origin of the
+boundary. Others are shown separately, with the reason.
 """
 
 from __future__ import annotations
@@ -21,16 +20,16 @@ if TYPE_CHECKING:
     from mammometry.clinic.models import Operation
 
 BOUNDARIES = {"automatic": "found automatically", "landmarks": "by the protocol's landmarks", "drawn": "drawn by hand"}
-"""How a boundary was made → its words."""
+"""Origin of a boundary → its text."""
 _NO_SETTINGS = "not recorded"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Basis:
-    """What a volume rests on, as far as another one must share it."""
+    """Properties of a volume that must be equal for a comparison."""
 
     definition: str
-    """Meaning of the word "breast"."""
+    """Definition of the breast."""
     posture: str
     """A value of `Visit.Posture`. Empty: not entered."""
     settings: str
@@ -42,12 +41,12 @@ class Basis:
 
 
 def basis_of(visit: Visit, measurement: Measurement, side: str, definition: str) -> Basis:
-    """What one volume of a measurement rests on."""
+    """Basis of one volume of a measurement."""
     return basis(visit.posture, measurement.how, side, definition)
 
 
 def basis(posture: str, how: Mapping[str, Any], side: str, definition: str) -> Basis:
-    """As `basis_of`, by the plain values of the database.
+    """As `basis_of`, from plain values of the database.
 
     Args:
         posture: of the visit.
@@ -65,13 +64,13 @@ def basis(posture: str, how: Mapping[str, Any], side: str, definition: str) -> B
 
 
 def why_apart(one: Basis, other: Basis, *, measured_alike: bool = False) -> str:
-    """Why two volumes are not to be compared, without a full stop. Empty: they may be compared.
+    """Reason why two volumes must not be compared, without a full stop. Empty: they may be compared.
 
     Args:
-        one: of the volume that the words are about.
-        other: of the volume that it would be compared with.
-        measured_alike: whether both are measured again with the same settings, as a comparison of two surfaces does.
-            The posture alone then decides.
+        one: of the volume in question.
+        other: of the volume to compare with.
+        measured_alike: whether both are measured again with the same settings, as in a comparison of two surfaces. Then
+            only the posture counts.
     """
     reasons = [_posture_apart(one.posture, other.posture)]
     if not measured_alike:
@@ -84,7 +83,7 @@ def why_apart(one: Basis, other: Basis, *, measured_alike: bool = False) -> str:
 
 
 def posture_apart(before: Visit, after: Visit) -> str:
-    """Why the surfaces of two visits are not to be compared. Empty: they may be."""
+    """Reason why the surfaces of two visits must not be compared. Empty: they may be."""
     bases = [
         Basis(definition="", posture=visit.posture, settings="", wall="", boundary="") for visit in (before, after)
     ]
@@ -105,7 +104,7 @@ def _posture_apart(one: str, other: str) -> str:
 
 def _definition_apart(one: Basis, other: Basis) -> str:
     words = [MEANINGS.get(made.definition, made.definition) for made in (one, other)]
-    return _apart("another meaning of the breast", *words)
+    return _apart("a different definition of the breast", *words)
 
 
 def _settings_apart(one: str, other: str) -> str:

@@ -1,4 +1,4 @@
-"""Comparison of two visits of one patient and its verdict in words."""
+"""Comparison of two visits of one patient, and its verdict as text."""
 
 import itertools
 from collections.abc import Iterable
@@ -15,7 +15,7 @@ from mammometry.measure.settings import NOT_TO_BE_COMPARED
 from mammometry.report.words.volumes import change_sentence, date_words
 
 _MEASURED = (Visit.State.MEASURED, Visit.State.CONFIRMED)
-"""States in which a visit's newest measurement is of all that was drawn."""
+"""States in which a visit's newest measurement includes all drawings."""
 _BREASTS = ("left", "right")
 
 
@@ -29,9 +29,9 @@ class Verdict:
     """``done``, ``busy``, ``refused``, ``waiting`` (one of both is not measured as it is drawn) or ``apart`` (they are
     not comparable)."""
     sentences: tuple[str, ...]
-    """One a breast where it is done, else why there is none."""
+    """One per breast if it is done, otherwise the reason."""
     cautions: tuple[str, ...] = ()
-    """What a reader must know with it."""
+    """Cautions for the reader."""
 
 
 def comparison_folder(before: Visit, after: Visit) -> Path:
@@ -40,7 +40,7 @@ def comparison_folder(before: Visit, after: Visit) -> Path:
 
 
 def comparable(visits: Iterable[Visit]) -> list[Visit]:
-    """Visits whose newest measurement has a breast's volume, the earliest first."""
+    """Visits whose newest measurement has a breast's volume, earliest first."""
     chosen = [visit for visit in visits if visit.binned_at is None and _has_volume(_newest(visit))]
     return sorted(chosen, key=lambda visit: (visit.taken_at, visit.created))
 
@@ -52,13 +52,13 @@ def neighbours(visit: Visit) -> list[tuple[Visit, Visit]]:
 
 
 def measured_digests(before: Visit, after: Visit) -> str:
-    """Digests of both newest measurements, between them a colon."""
+    """Digests of both newest measurements, separated by a colon."""
     newest = [_newest(visit) for visit in (before, after)]
     return ":".join("" if measurement is None else measurement.digest for measurement in newest)
 
 
 def refusal_of(digests: str) -> str:
-    """Key of a refused comparison: another version of the software may compare the same measurements."""
+    """Key of a refused comparison, with the software version, because another version may accept it."""
     return f"{digests} {mammometry.__version__}"
 
 
@@ -71,7 +71,7 @@ def is_current(comparison: Comparison) -> bool:
 
 
 def may_compare(before: Visit, after: Visit) -> bool:
-    """Whether both are measured as they are drawn, of the patient in one posture."""
+    """Whether both measurements are current and in one posture."""
     return all(visit.state in _MEASURED for visit in (before, after)) and not _apart(before, after)
 
 
@@ -81,7 +81,7 @@ def verdict(before: Visit, after: Visit) -> Verdict:
 
 
 def changes(visits: Iterable[Visit]) -> list[Verdict]:
-    """Verdicts from each comparable visit of a patient to the next, the newest first."""
+    """Verdicts from each comparable visit of a patient to the next, newest first."""
     pairs = list(itertools.pairwise(comparable(visits)))
     rows = {(row.before_id, row.after_id): row for row in Comparison.objects.filter(after__in=[b for _, b in pairs])}
     return [_verdict(before, after, rows.get((before.pk, after.pk))) for before, after in reversed(pairs)]
@@ -102,7 +102,7 @@ def _verdict(before: Visit, after: Visit, row: Comparison | None) -> Verdict:
             return Verdict(before=before, after=after, state="refused", sentences=(why,), cautions=cautions)
         return Verdict(before=before, after=after, state="done", sentences=_sentences(row), cautions=_cautions(row))
     if not may_compare(before, after):
-        sentence = f"Not yet compared with {day}: one of both visits is not measured as it stands."
+        sentence = f"Not yet compared with {day}: one of the visits has unmeasured changes."
         return Verdict(before=before, after=after, state="waiting", sentences=(sentence,))
     queued = row is not None and row.state == Comparison.State.QUEUED
     sentence = f"Not yet compared with {day}{': it is being compared' if queued else ''}."
@@ -110,9 +110,9 @@ def _verdict(before: Visit, after: Visit, row: Comparison | None) -> Verdict:
 
 
 def verdicts(visit: Visit) -> tuple[str, ...]:
-    """The verdict on the change since the visit before: a sentence a breast, then cautions.
+    """The verdict on the change since the previous visit: one sentence per breast, then cautions.
 
-    Empty: there is no visit before.
+    Empty: no previous visit.
     """
     pair = next((pair for pair in neighbours(visit) if pair[1] == visit), None)
     if pair is None:
@@ -132,7 +132,7 @@ def _sentences(comparison: Comparison) -> tuple[str, ...]:
         if name in breasts
     ]
     at_one_date = comparison.table.get("at_one_date", {})
-    alone = [f"{name.capitalize()} breast: a volume at the {which} date only." for name, which in at_one_date.items()]
+    alone = [f"{name.capitalize()} breast: a volume only at the {which} date." for name, which in at_one_date.items()]
     return (*changed, *alone)
 
 
@@ -145,12 +145,12 @@ def _cautions(comparison: Comparison) -> tuple[str, ...]:
 
 def _posture_cautions(before: Visit, after: Visit) -> tuple[str, ...]:
     if apart := posture_apart(after, before):  # the clinic's settings allow it
-        return (f"Not comparable by itself: {apart}. {NOT_TO_BE_COMPARED}.",)
+        return (f"Not compared automatically: {apart}. {NOT_TO_BE_COMPARED}.",)
     return () if after.posture else ("The posture of neither visit is entered.",)
 
 
 def _apart(before: Visit, after: Visit) -> str:
-    """Why the clinic does not compare two visits. Empty: it does."""
+    """Reason why the clinic does not compare two visits. Empty: it does."""
     apart = posture_apart(after, before)
     return "" if apart and the_clinic().measuring().compare.other_posture else apart
 

@@ -1,4 +1,4 @@
-"""Confirmations of measured results, and the one thing to do next with a visit."""
+"""Confirmations of measured results, and a visit's next step."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,8 +9,8 @@ from mammometry.clinic.models import Confirmation, Drawing, Job, Measurement, Pe
 from mammometry.clinic.roles import Role
 
 CHANGED = "changed, not yet measured"
-"""What pages, tables and exports say of a visit whose newest drawing is not measured."""
-CHANGED_SENTENCE = "A boundary, landmark or photograph of this visit was changed and is not measured yet. Measure it."
+"""Text for pages, tables and exports of a visit with unmeasured changes."""
+CHANGED_SENTENCE = "A boundary, landmark or photograph of this visit has changed and is not measured yet. Measure it."
 
 
 def confirmation_of(measurement: Measurement) -> Confirmation | None:
@@ -25,7 +25,7 @@ def valid_confirmation(visit: Visit) -> Confirmation | None:
 
 
 def settled_state(visit: Visit) -> Visit.State:
-    """State of a visit for which no measurement waits."""
+    """State of a visit without a waiting measurement."""
     measurement = visit.measurements.first()
     if visit.has_unmeasured:
         return Visit.State.CHANGED
@@ -35,23 +35,23 @@ def settled_state(visit: Visit) -> Visit.State:
 
 
 def refusal(visit: Visit, curves: Mapping[str, str]) -> str | None:
-    """Reason why a visit's boundaries cannot be confirmed, in a sentence. None: they can be."""
+    """Reason why a visit's boundaries cannot be confirmed, one sentence. None: they can be."""
     measurement = visit.measurements.first()
     if visit.is_changed:
         return CHANGED_SENTENCE
     if visit.state == Visit.State.QUEUED:
-        return "This visit is being measured. Wait until it is."
+        return "This visit is being measured. Wait until it is done."
     if measurement is None or visit.state not in (Visit.State.MEASURED, Visit.State.CONFIRMED):
         return "This visit is not measured. Measure it first."
     if dict(curves) != measurement.curves:
-        return "The boundaries on this page are not those that were measured. Load the page again and look at them."
+        return "The boundaries on this page are not the measured ones. Reload the page and check them."
     return None
 
 
 def confirm(visit: Visit, by: Person) -> Confirmation:
-    """Keep that somebody looked at the newest measurement and found it right. Once is enough."""
+    """Store a confirmation of the newest measurement, once."""
     measurement = visit.measurements.first()
-    assert measurement is not None  # `refusal` says so
+    assert measurement is not None  # refused by `refusal`
     confirmation = confirmation_of(measurement)
     if confirmation is None:
         confirmation = Confirmation.objects.create(measurement=measurement, curves=measurement.curves, by=by)
@@ -63,7 +63,7 @@ def confirm(visit: Visit, by: Person) -> Confirmation:
 
 
 def next_to_confirm(after: Visit) -> Visit | None:
-    """The visit that waits longest for its confirmation, beside this one."""
+    """The visit that has waited longest for its confirmation, except this one."""
     waiting = Visit.objects.filter(state=Visit.State.MEASURED, binned_at=None, patient__binned_at=None)
     return waiting.exclude(pk=after.pk).order_by("taken_at").first()
 
@@ -76,32 +76,30 @@ class NextStep:
     """The next step, and the button that does it."""
 
     words: str
-    """Where the visit stands, in a sentence."""
+    """State of the visit, one sentence."""
     button: str = ""
-    """Empty: there is nothing to press."""
+    """Label of the button. Empty: no button."""
     address: str = ""
     starts_job: bool = False
-    """Whether the button starts a job. Else it opens a page."""
+    """Whether the button starts a job. Otherwise it opens a page."""
 
 
 def next_step(visit: Visit, job: Job | None, measurement: Measurement | None, person: Person) -> NextStep | None:
-    """Choose what a person does next with a visit. None: the page shows the work itself.
+    """Choose the next step with a visit. None: the page itself shows it.
 
     Args:
         visit: any.
         job: its newest.
         measurement: its newest.
-        person: who looks at the page.
+        person: viewing the page.
     """
     if job is not None and job.state in _OPEN:
         return None
     if job is not None and job.state in (Job.State.FAILED, Job.State.CANCELLED):
-        return None  # the page says why, beside the button that tries again
+        return None  # the page has the reason and a button to retry
     measure = reverse("visit-measure", args=[visit.pk])
     if visit.state == Visit.State.CHANGED:
-        words = (
-            "A boundary, landmark or photograph was changed and is not measured yet. Until then there are no numbers."
-        )
+        words = "A boundary, landmark or photograph has changed. There are no numbers until it is measured."
         return NextStep(words=words, button="Measure", address=measure, starts_job=True)
     if measurement is None:
         if not visit.is_scan:
@@ -111,7 +109,7 @@ def next_step(visit: Visit, job: Job | None, measurement: Measurement | None, pe
 
 
 def _judgement(visit: Visit, measurement: Measurement, *, clinician: bool) -> NextStep:
-    """Next step of a measured visit: a clinician's, or what others wait for."""
+    """Next step of a measured visit, for clinicians and others."""
     if visit.state != Visit.State.CONFIRMED:
         if not clinician:
             return NextStep(words="Measured. A clinician checks the boundaries and confirms them.")

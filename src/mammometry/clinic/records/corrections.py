@@ -1,8 +1,8 @@
 """Corrections of records, each with its reason, and their undoing.
 
-A visit is moved to another patient or gets another day, two records of one patient become one, a visit or a record
-without visits goes into the bin. Nothing is destroyed. A visit whose patient or day changed is measured again, so that
-no report carries another patient's pseudonym.
+A visit is moved to another patient or gets another day, two records of one patient are merged, a visit or a record
+without visits is put into the bin. Nothing is destroyed. A visit whose patient or day changed is measured again, so
+that no report has another patient's pseudonym.
 """
 
 import datetime
@@ -26,7 +26,7 @@ _ORDER = ("accession", "study_uid", "referring", "procedure_id", "procedure")
 
 
 class CorrectionError(MammometryError):
-    """A record cannot be corrected so, in one sentence."""
+    """A correction is refused, with the reason in one sentence."""
 
     exit_code = 4
     code = "correction"
@@ -39,15 +39,15 @@ class CorrectionError(MammometryError):
 def move(visit: Visit, to: Patient, reason: str, by: Person | None) -> Correction:
     """Move a visit to another patient.
 
-    An order of the hospital's worklist is the former patient's, and does not go along.
+    An order from the hospital's worklist belongs to the former patient and is not moved.
 
     Raises:
-        CorrectionError: it is this patient's already, or is being measured.
+        CorrectionError: it is already this patient's, or is being measured.
         StorageError: the disk is full or refuses.
     """
     _require_idle(visit)
     if to.pk == visit.patient_id:
-        raise CorrectionError("This visit is of this patient already. Choose another one.")
+        raise CorrectionError("This visit already belongs to this patient. Choose another one.")
     former = visit.patient
     order = VisitOrder.objects.filter(visit=visit).first()
     kept = None if order is None else {name: getattr(order, name) for name in _ORDER}
@@ -72,7 +72,7 @@ def redate(visit: Visit, taken_at: datetime.datetime, note: str, reason: str, by
     before = {"taken_at": visit.taken_at.isoformat(), "note": visit.note}
     after = {"taken_at": taken_at.isoformat(), "note": note}
     if (taken_at, note) == (visit.taken_at, visit.note):
-        raise CorrectionError("Day, time and note are as before. Change what is wrong.")
+        raise CorrectionError("Day, time and note have not changed. Change what is wrong.")
     _date(visit, after, by)
     return Correction.objects.create(
         kind=Correction.Kind.DATED, visit=visit, patient=visit.patient, reason=reason, by=by, before=before, after=after
@@ -81,14 +81,14 @@ def redate(visit: Visit, taken_at: datetime.datetime, note: str, reason: str, by
 
 @transaction.atomic
 def merge(kept: Patient, other: Patient, number_of: Patient, reason: str, by: Person | None) -> Correction:
-    """Make two records of one patient one.
+    """Merge two records of one patient.
 
     Args:
         kept: keeps name, birthday and pseudonym, and gets the other's visits, operations and consents.
-        other: leads on to `kept` from then on.
-        number_of: the one of both whose record number stays in use.
-        reason: why.
-        by: who does so.
+        other: redirects to `kept` from then on.
+        number_of: the record whose number stays in use.
+        reason: of the merge.
+        by: the user.
 
     Raises:
         CorrectionError: they are the same record, or a visit of the other is being measured.
@@ -96,7 +96,7 @@ def merge(kept: Patient, other: Patient, number_of: Patient, reason: str, by: Pe
     """
     if kept.pk == other.pk:
         raise CorrectionError("This is the same record. Choose another one.")
-    for record in sorted((kept, other), key=lambda record: record.pk):  # both are saved whole, so as they are now
+    for record in sorted((kept, other), key=lambda record: record.pk):  # both are saved completely, so read them now
         record.refresh_from_db(from_queryset=Patient.everything.select_for_update())
     rows: dict[str, list[Any]] = {
         "visits": list(Visit.everything.filter(patient=other)),
@@ -152,9 +152,9 @@ def undo(correction: Correction, by: Person | None) -> None:
     """
     row = Correction.objects.select_for_update().get(pk=correction.pk)
     if row.undone_at is not None:
-        raise CorrectionError("This correction is undone already.")
+        raise CorrectionError("This correction has already been undone.")
     if row.at < oldest():
-        raise CorrectionError(f"A correction can be undone for {DAYS} days. Correct the record once more.")
+        raise CorrectionError(f"A correction can be undone for {DAYS} days. Correct the record again instead.")
     {
         Correction.Kind.MOVED: _undo_move, Correction.Kind.DATED: _undo_date,
         Correction.Kind.MERGED: _undo_merge, Correction.Kind.BINNED: _undo_bin,
@@ -163,19 +163,19 @@ def undo(correction: Correction, by: Person | None) -> None:
 
 
 def newest() -> QuerySet[Correction]:
-    """Corrections that can be undone or were undone, the newest first."""
+    """Corrections that can be undone or were undone, newest first."""
     related = ("visit__patient", "patient__merged_into", "by", "undone_by")
     return Correction.objects.filter(at__gte=oldest()).select_related(*related)
 
 
 def left_in_bin() -> list[Visit | Patient]:
-    """Records that have lain in the bin for so long that nobody can take them out."""
+    """Records that have been in the bin for too long to be restored."""
     visits = Visit.everything.filter(binned_at__lt=oldest()).select_related("patient")
     return [*visits.order_by("binned_at"), *Patient.everything.filter(binned_at__lt=oldest()).order_by("binned_at")]
 
 
 def oldest() -> datetime.datetime:
-    """Since when corrections can be undone."""
+    """Earliest time of corrections that can be undone."""
     return timezone.now() - datetime.timedelta(days=DAYS)
 
 
@@ -227,7 +227,7 @@ def _undo_bin(row: Correction, by: Person | None) -> None:
 
 
 def _give(visit: Visit, patient: Patient, by: Person | None) -> None:
-    """Let a visit be another patient's, and measure it again under that pseudonym."""
+    """Assign a visit to another patient, and measure it again under that pseudonym."""
     _forget_comparisons(visit)
     _set(visit, patient=patient)
     _remake(visit, by)
@@ -245,7 +245,7 @@ def _date(visit: Visit, values: dict[str, str], by: Person | None) -> None:
 
 
 def _remake(visit: Visit, by: Person | None) -> None:
-    """Make the report anew, under the visit's pseudonym and day."""
+    """Make the report again, with the visit's pseudonym and day."""
     queue.carry_subject(visit)
     if not visit.measurements.exists():
         return
@@ -255,7 +255,7 @@ def _remake(visit: Visit, by: Person | None) -> None:
 
 
 def _forget_comparisons(visit: Visit) -> None:
-    """Drop comparisons with the visits of one patient. They are made again where they are wanted."""
+    """Drop comparisons with the visits of one patient. They are made again when needed."""
     for other in Visit.everything.filter(patient=visit.patient_id).exclude(pk=visit.pk):
         for pair in ((visit, other), (other, visit)):
             shutil.rmtree(comparison_folder(*pair), ignore_errors=True)
@@ -264,7 +264,7 @@ def _forget_comparisons(visit: Visit) -> None:
 
 
 def _number(kept: Patient, other: Patient, numbers: list[str]) -> None:
-    """Give two records their numbers, which no two records share at any moment."""
+    """Set the numbers of two records, which are unique at any time."""
     if [kept.record_number, other.record_number] == numbers:
         return
     _set(other, record_number=str(other.pk))
@@ -273,7 +273,7 @@ def _number(kept: Patient, other: Patient, numbers: list[str]) -> None:
 
 
 def _set(row: Model | None, **values: Any) -> None:
-    """Change a row by its own save, which the audit sees."""
+    """Change a row by its own save, so that the audit records it."""
     assert row is not None
     for name, value in values.items():
         setattr(row, name, value)
@@ -292,4 +292,4 @@ def _visit(row: Correction) -> Visit:
 
 
 def _later() -> CorrectionError:
-    return CorrectionError("This record was changed again since. Undo the later correction first.")
+    return CorrectionError("This record has changed again since. Undo the later correction first.")

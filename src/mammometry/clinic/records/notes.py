@@ -1,6 +1,6 @@
-"""Earlier texts of notes about a patient.
+"""Earlier texts of notes about a patient, for people who may read notes.
 
-For those who may read notes. The audit itself holds no text.
+The audit itself has no text.
 """
 
 import datetime
@@ -17,7 +17,7 @@ class NoteLine:
     """One change of a note."""
 
     title: str
-    """Whose note: of the patient, a visit, a consent or an operation."""
+    """Subject of the note: the patient, a visit, a consent or an operation."""
     at: datetime.datetime
     who: str
     """Empty: a command."""
@@ -29,7 +29,7 @@ _TITLES = {"patient": "Note on the patient", "consent": "Remark on a consent", "
 
 
 def history(patient: Patient) -> list[NoteLine]:
-    """All changes of notes about a patient, the newest first. Those of merged records too."""
+    """All changes of notes about a patient, newest first, including merged records."""
     records = [patient, *Patient.everything.filter(merged_into=patient)]
     visits = Visit.objects.filter(patient=patient)
     changes = NoteChange.objects.filter(Q(patient__in=records) | Q(visit__in=visits)).select_related("visit")
@@ -47,7 +47,7 @@ def history(patient: Patient) -> list[NoteLine]:
 def texts_of(entry: LogEntry) -> dict[str, tuple[str, str]]:
     """Text before and after, by field, of an audit entry about a note.
 
-    Only for those who may read notes.
+    Only for people who may read notes.
     """
     return {row.field: (row.before, row.after) for row in NoteChange.objects.filter(entry=entry.pk)}
 

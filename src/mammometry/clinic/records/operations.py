@@ -1,4 +1,4 @@
-"""Operations of a patient on the time line, and what stayed of a fat graft."""
+"""Operations of a patient on the time line, and fat graft retention."""
 
 import datetime
 import math
@@ -29,9 +29,9 @@ _PHASES = {
 
 
 def phase_of(visit: Visit, operations: Sequence[Operation]) -> str:
-    """Say when a visit was by the operations: "after the second filling".
+    """Time of a visit relative to operations: "after the second filling".
 
-    Empty where no operation is entered.
+    Empty without operations.
     """
     if not operations:
         return ""
@@ -46,7 +46,7 @@ def phase_of(visit: Visit, operations: Sequence[Operation]) -> str:
 
 
 def events(operations: Sequence[Operation]) -> list[Event]:
-    """Operations as marks of the time line, one a day, the earliest first."""
+    """Operations as marks of the time line, one per day, earliest first."""
     by_day: dict[datetime.date, list[Operation]] = {}
     for operation in sorted(operations, key=lambda operation: operation.day):
         by_day.setdefault(operation.day, []).append(operation)
@@ -64,7 +64,7 @@ def _short(operation: Operation) -> str:
 
 
 def sides_of(operations: Sequence[Operation], day: datetime.date) -> str:
-    """Sides of surgery until a day, in words. Empty if none is entered."""
+    """Sides of surgery until a day, as text. Empty if none is entered."""
     sides = {operation.side for operation in operations if operation.day <= day}
     if Operation.Side.BOTH in sides or {"left", "right"} <= sides:
         return "both sides"
@@ -72,25 +72,25 @@ def sides_of(operations: Sequence[Operation], day: datetime.date) -> str:
 
 
 _COMPARED = ("measured wall", "named wall", "closed solid")
-"""Meanings of "the breast" that may be subtracted: nothing of an unseen chest is in them."""
+"""Definitions of the breast that may be subtracted, because they contain nothing of the unseen chest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Retention:
-    """Share of the injected fat that is there at a visit, or why that cannot be said."""
+    """Share of the injected fat that remains at a visit, or the reason for having no figure."""
 
     operation: Operation
     side: str
     after: Visit | None = None
     percent: float | None = None
     interval_percent: tuple[float, float] | None = None
-    """95 % interval. It does not cover how exactly the injected volume is known."""
+    """95 % interval, without the uncertainty of the injected volume."""
     why: str = ""
-    """Why there is no figure, in a sentence. Empty: there is one."""
+    """Reason for having no figure, one sentence. Empty: there is one."""
 
 
 def retentions(operations: Sequence[Operation], results: Sequence[VisitResult]) -> list[Retention]:
-    """Retention of each fat graft, the newest first: side by side and visit by visit.
+    """Retention of each fat graft, newest first, by side and visit.
 
     Args:
         operations: all of one patient.
@@ -129,7 +129,7 @@ def _of_side(
     alone = [pair for pair in after if not any(is_between(other, first, pair[0]) for other in others)]
     if not alone:
         why = (
-            "Another operation on this side lies between the visits."
+            "There was another operation on this side between the visits."
             if after
             else "There is no measured visit after it."
         )
@@ -170,7 +170,7 @@ def _comparison(before: Visit, after: Visit, side: str) -> tuple[float, tuple[fl
 
 
 def _difference(was: SideResult, now: SideResult) -> tuple[float, tuple[float, float] | None]:
-    """Difference of two volumes whose errors are taken as independent, cc."""
+    """Difference of two volumes with independent errors, cc."""
     assert was.volume_cc is not None
     assert now.volume_cc is not None
     change = now.volume_cc - was.volume_cc
@@ -182,7 +182,7 @@ def _difference(was: SideResult, now: SideResult) -> tuple[float, tuple[float, f
 
 
 def _volume(result: VisitResult, side: str) -> SideResult | None:
-    """One breast in the first meaning that may be subtracted. None: it has no such volume."""
+    """One breast in the first definition that may be subtracted. None: it has no such volume."""
     rows = [row for breast in result.sides if breast.side == side for row in (breast, *breast.others)]
     ranked = [row for name in _COMPARED for row in rows if row.definition == name and row.volume_cc is not None]
     return ranked[0] if ranked else None

@@ -1,4 +1,4 @@
-"""Results of visits as pages show them, and their reports."""
+"""Results of visits for pages, and their reports."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 Interval = tuple[float, float]
 SIDES = ("left", "right", "model")
 LEADING = ("measured wall", "flat chest", "named wall", "muscle", "closed solid", "any")
-"""Meanings of "the breast" in the order in which one leads a page (docs/decisions/0029)."""
+"""Definitions of the breast in the order of preference for a page (docs/decisions/0029)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,13 +43,13 @@ class SideResult:
     interval_cc: Interval | None
     refused: str
     basis: Basis
-    """What the volume rests on."""
+    """Basis of the volume."""
     others: tuple[SideResult, ...] = ()
-    """The same breast in the other meanings of the word."""
+    """The same breast in the other definitions."""
 
     @property
     def meaning(self) -> str:
-        """The meaning of "breast" that was measured, in words."""
+        """The measured definition of the breast, as text."""
         return MEANINGS.get(self.definition, self.definition)
 
 
@@ -64,7 +64,7 @@ class VisitResult:
 
 
 def latest(visits: Iterable[Visit]) -> list[VisitResult]:
-    """Newest measurement of each visit, in the order of the visits. Visits without one are left out."""
+    """Newest measurement of each visit, in the visits' order. Visits without one are left out."""
     results = []
     for visit in visits:
         measurement = next(iter(visit.measurements.all()), None)  # the newest first
@@ -74,7 +74,7 @@ def latest(visits: Iterable[Visit]) -> list[VisitResult]:
 
 
 def add_volumes(measurement: Measurement, volumes: Iterable[Volume]) -> None:
-    """Store the volumes of a measurement, and which of each side leads."""
+    """Store the volumes of a measurement, and the leading one of each side."""
     leaders: dict[str, Volume] = {}
     ordered = sorted(volumes, key=lambda volume: (_rank(volume), volume.definition))
     for volume in ordered:
@@ -84,9 +84,9 @@ def add_volumes(measurement: Measurement, volumes: Iterable[Volume]) -> None:
 
 
 def visit_result(visit: Visit, measurement: Measurement) -> VisitResult:
-    """One measurement as pages show it.
+    """One measurement for pages.
 
-    Without its numbers while a boundary or landmark was changed that is not measured: they are of an earlier one.
+    Without numbers if a boundary or landmark has changed since.
     """
     changed = visit.is_changed
     by_side: dict[str, list[SideResult]] = {}
@@ -105,7 +105,7 @@ def visit_result(visit: Visit, measurement: Measurement) -> VisitResult:
 def readings(results: Iterable[VisitResult]) -> list[Reading]:
     """Volumes for the time line.
 
-    One that is not comparable with the newest of its side is apart: it says why, and no line joins it to the others.
+    One that is not comparable with the newest of its side is separate, with the reason, and not joined to the others.
     """
     ordered = sorted(results, key=lambda result: result.visit.taken_at)
     measured = [(result.visit, side) for result in ordered for side in result.sides if side.volume_cc is not None]
@@ -159,12 +159,12 @@ _LARGEST = 64 << 20  # bytes of a report; ours have a few MB
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """Facts that a reader must know beside the volumes."""
+    """Warnings and notes for the volumes."""
 
     warnings: tuple[str, ...]
-    """What concerns the numbers."""
+    """Notices about the numbers."""
     notes: tuple[str, ...] = ()
-    """What concerns single photographs and how they were matched."""
+    """Notices about single photographs and their matching."""
     codes: frozenset[str] = frozenset()
     """Codes of all of them."""
 
@@ -175,7 +175,7 @@ def report_file(visit: Visit, name: str) -> Path | None:
 
 
 def readable(path: Path) -> Path | None:
-    """A file of ours that may be shown. None if there is none."""
+    """A result file that may be shown. None if there is none."""
     return path if path.is_file() and not path.is_symlink() and path.stat().st_size <= _LARGEST else None
 
 
@@ -194,7 +194,7 @@ def refusal_picture(visit: Visit, name: str) -> bytes | None:
 
 
 def facts(visit: Visit) -> Facts:
-    """Warnings of the report, without what the visit's state says."""
+    """Warnings of the report, without those shown by the visit's state."""
     path = report_file(visit, "warnings.json")
     try:
         table = {} if path is None else json.loads(path.read_text(encoding="utf-8"))
@@ -213,10 +213,7 @@ def facts(visit: Visit) -> Facts:
 
 
 def sides_doubtful(visit: Visit) -> bool:
-    """Whether left and right of a visit's scan may be exchanged.
-
-    False once a person has compared them with the patient.
-    """
+    """Whether left and right of a visit's scan may be exchanged and have not been checked."""
     return visit.is_scan and "sides-doubtful" in facts(visit).codes
 
 
@@ -231,7 +228,7 @@ def measured_job(visit: Visit) -> Job:
     """Open a visit whose newest boundaries and landmarks are measured.
 
     Raises:
-        SessionError: it was changed since, or would have to be measured again.
+        SessionError: it has changed since, or must be measured again.
         MammometryError: its folder cannot be opened.
     """
     from mammometry.api.job import open_session

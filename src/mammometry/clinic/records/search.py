@@ -1,4 +1,4 @@
-"""The one search for patients, and what may be in the clinic already."""
+"""The search for patients, and for existing records."""
 
 import datetime
 import re
@@ -20,7 +20,7 @@ _NEWEST = 8  # patients that are offered before anything is typed
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """A patient who answers a search."""
+    """A patient who matches a search."""
 
     patient: Patient
     visit_count: int
@@ -28,10 +28,10 @@ class Match:
 
 
 def search(text: str) -> QuerySet[Patient]:
-    """Patients who match every word and day that was typed.
+    """Patients who match every typed word and date.
 
-    Words are parts of names, record numbers and pseudonyms, in any order. Case, accents and hyphens do not matter.
-    A day, or a year, finds who was born or photographed on it.
+    Words are parts of names, record numbers and pseudonyms, in any order. Case, accents and hyphens do not matter. A
+    day, or a year, finds patients born or photographed then.
     """
     query = read_query(text)
     patients = Patient.objects.all()
@@ -53,14 +53,14 @@ def matches(text: str, *, leave_out: Patient | None = None) -> list[Match]:
     """The first matches by name, at most one more than `MANY`.
 
     Args:
-        text: what was typed.
-        leave_out: the patient who is not looked for.
+        text: the search.
+        leave_out: a patient to exclude.
     """
     return _with_visits(_without(search(text), leave_out)[: MANY + 1])
 
 
 def newest(*, leave_out: Patient | None = None) -> list[Match]:
-    """The patients who were entered last, offered before anything is typed."""
+    """The patients who were entered last, shown before a search."""
     return _with_visits(_without(Patient.objects.order_by("-created"), leave_out)[:_NEWEST])
 
 
@@ -94,9 +94,9 @@ class Duplicates:
     """Records that may be of the same patient."""
 
     same_number: Patient | None
-    """Has this record number, but for case, hyphens and blanks. Two records cannot."""
+    """The record with this number, apart from case, hyphens and blanks. Numbers are unique."""
     same_person: tuple[Patient, ...]
-    """Have this name, and this birthday or none."""
+    """Records with this name, and this birthday or none."""
 
     def __bool__(self) -> bool:
         """Whether there are any duplicates."""
@@ -104,7 +104,7 @@ class Duplicates:
 
 
 def duplicates(patient: Patient) -> Duplicates:
-    """Records that may be of the same patient, the bin's and merged ones too."""
+    """Records that may be of the same patient, including the bin and merged ones."""
     others = Patient.everything.exclude(pk=patient.pk)
     return Duplicates(
         same_number=next(
@@ -119,9 +119,9 @@ def duplicates(patient: Patient) -> Duplicates:
 
 
 def of_number(record_number: str) -> list[Patient]:
-    """Patients with a record number, but for case, hyphens and blanks.
+    """Patients with a record number, apart from case, hyphens and blanks.
 
-    A merged record gives the one that holds its visits.
+    A merged record gives the one with its visits.
     """
     number = plain(record_number)
     rows = Patient.everything.filter(search_words__contains=number).select_related("merged_into") if number else ()
@@ -129,7 +129,7 @@ def of_number(record_number: str) -> list[Patient]:
 
 
 def same_photographs(visit: Visit) -> list[tuple[Visit, list[str]]]:
-    """Other visits that hold the same files, with the cameras of this one."""
+    """Other visits with the same files, with the cameras of this one."""
     own = {row.sha256: row.camera for row in visit.uploads.filter(state=Upload.State.PLACED).exclude(sha256="")}
     rows = Upload.objects.filter(sha256__in=own, state=Upload.State.PLACED, visit__binned_at=None)
     cameras_of: dict[Visit, list[str]] = {}
@@ -140,14 +140,14 @@ def same_photographs(visit: Visit) -> list[tuple[Visit, list[str]]]:
 
 
 def elsewhere(other: Visit, cameras: Sequence[str]) -> str:
-    """That photographs are in another visit too, in a sentence."""
+    """Sentence on photographs that are also in another visit."""
     names = ", ".join(sorted(camera.replace("_", " ") for camera in cameras))
     which = f"the visit of {_day(other.taken_at)} of {isolated(other.patient.name)}"
-    return f"The same photograph{'s are' if len(cameras) > 1 else ' is'} in {which}, too: {names}."
+    return f"The same photograph{'s are' if len(cameras) > 1 else ' is'} also in {which}: {names}."
 
 
 def date_questions(taken_at: datetime.datetime, rig: Rig | None) -> list[str]:
-    """Questions on a visit's day, where something about it is strange."""
+    """Questions on an unusual day of a visit."""
     now = timezone.now()
     if taken_at > now + _CLOCK:
         return [f"This visit is in the future: today is {_day(now)}. Is the day right?"]

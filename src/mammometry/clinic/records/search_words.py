@@ -1,4 +1,4 @@
-"""Names, numbers and days as a search compares them."""
+"""Normalising names, numbers and days for the search."""
 
 import datetime
 import re
@@ -36,25 +36,25 @@ _DATES = tuple(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Query:
-    """A typed search, split into words and days."""
+    """A search, split into words and days."""
 
     days: tuple[tuple[frozenset[datetime.date], str], ...]
-    """Days with all their meanings (a year of two digits has two), and as a number may hold them."""
+    """Days with all their meanings (a year of two digits has two), and as they may occur in a number."""
     words: tuple[str, ...]
 
 
 def plain(text: str) -> str:
-    """Letters and digits alone, without case and accents."""
+    """Only letters and digits, without case and accents."""
     return "".join(filter(str.isalnum, _without_accents(text)))
 
 
 def plain_name(name: str) -> str:
-    """A name in which umlauts and what is written for them are alike: Müller, Mueller."""
+    """A name in which umlauts equal their spellings: Müller, Mueller."""
     return re.sub("(?<=[aou])e", "", plain(name.casefold().translate(_SPELT_OUT)))
 
 
 def words_of(texts: Iterable[str]) -> str:
-    """Everything that a search finds a record by, with blanks between.
+    """All search words of a record, separated by blanks.
 
     Args:
         texts: names and numbers.
@@ -68,7 +68,7 @@ def words_of(texts: Iterable[str]) -> str:
 
 
 def read_query(text: str) -> Query:
-    """Tell days from words in what somebody typed into a search."""
+    """Separate days and words of a search."""
     days: list[tuple[frozenset[datetime.date], str]] = []
     for form in _DATES:
         for match in form.finditer(text):

@@ -1,4 +1,4 @@
-"""Filters and tags of the clinic's pages: ways, banner, numbers and verdicts in words."""
+"""Filters and tags of the clinic's pages: navigation, banner, numbers and verdicts as text."""
 
 import datetime
 import re
@@ -59,7 +59,7 @@ def camera_words(camera: str) -> str:
 
 @register.filter
 def isolated(person: object) -> str:
-    """A person's name in the middle of a line: from right to left, it turns no date after it."""
+    """A person's name within a line, isolated so that a right-to-left name does not reorder the rest."""
     return letters.isolated(str(person))
 
 
@@ -76,33 +76,33 @@ def signed_length_mm(value: Length | None) -> str:
 
 
 def _breaking_once(words: str) -> str:
-    """On a phone the line breaks before the sign and not after it."""
+    """On a phone the line breaks before the sign, not after it."""
     return words.replace("± ", "±\u00a0")
 
 
 @register.filter
 def whole_percent(value: float) -> str:
-    """A per cent without decimals: "62 %"."""
+    """A percentage without decimals: "62 %"."""
     return f"{value:.0f} %".replace("-", "−")
 
 
 @register.simple_tag
 def change_since_the_visit_before(visit: Visit) -> Verdict | None:
-    """The verdict against the visit before. None: there is none."""
+    """The verdict against the previous visit. None: there is none."""
     pair = next((pair for pair in comparing.neighbours(visit) if pair[1] == visit), None)
     return None if pair is None else queued(comparing.verdict(*pair))
 
 
 @register.simple_tag
 def changes_of(patient: Patient) -> list[Verdict]:
-    """The verdicts from visit to visit, the newest first."""
+    """The verdicts from visit to visit, newest first."""
     visits = Visit.objects.filter(patient=patient).prefetch_related("measurements__volumes")
     return [queued(verdict) for verdict in comparing.changes(visits)]
 
 
 @register.filter
 def length_change(length: dict[str, Any]) -> SafeString:
-    """A change of a length with its 95 % half-width, in bold where it is more than the error."""
+    """A change of a length with its 95 % half-width, in bold if larger than the error."""
     words = at_95(length["change_mm"], length["sigma_mm"], sign=True)
     return format_html("<strong>{}</strong>", words) if length["beyond_error"] else format_html("{}", words)
 
@@ -114,7 +114,7 @@ def length_alone(length: dict[str, Any], date: str) -> str:
 
 
 def queued(verdict: Verdict) -> Verdict:
-    """Queue a verdict's comparison where it is due, and return the verdict."""
+    """Queue a verdict's comparison if it is due, and return the verdict."""
     if verdict.state != "busy":
         return verdict
     queue.compare(verdict.before, verdict.after, None)
@@ -123,7 +123,7 @@ def queued(verdict: Verdict) -> Verdict:
 
 @register.simple_tag
 def form_token() -> SafeString:
-    """The hidden field by which a form that is sent twice is carried out once (`web.once`)."""
+    """The hidden field that prevents a form from being processed twice (`web.once`)."""
     return format_html('<input type="hidden" name="{}" value="{}">', FIELD, uuid4())
 
 
@@ -144,9 +144,7 @@ _INSTEAD = (
 
 @register.filter(is_safe=True)
 def on_pages(sentence: str) -> str:
-    """A sentence as people say it.
-
-    The clinic's pages and fields stand in place of commands and their options.
+    """A message for the clinic's users, with pages and fields instead of commands and options.
 
     >>> on_pages("front_left.jpg: found a truncated image, expected the whole file. Copy it again.")
     'front_left.jpg: a truncated image. Expected: the whole file. Copy it again.'
@@ -164,7 +162,7 @@ _MENU = {
     Role.RESEARCHER: ("study",),
     Role.ADMINISTRATOR: ("administration", "rigs"),
 }
-"""Role → names of its pages in the menu, those first that it uses most. Somebody with several roles sees all once."""
+"""Role → names of its pages in the menu, most used first. A person with several roles sees each once."""
 _TITLES = {
     "home": "Today", "patients": "Patients", "worklist": "Worklist", "rigs": "Rigs", "jobs-page": "Jobs",
     "study": "Study", "administration": "Administration", "corrections": "Corrections", "help": "Help",
@@ -180,7 +178,7 @@ _ADMINISTRATION = (
     ("erase", "Erase"),
     ("settings", "Settings"),
 )
-"""Name → title of the administrators' pages, which are tabs of one another."""
+"""Name → title of the administrators' pages, which are tabs."""
 _CHIPS = {
     "new": ("", "photographs missing"),
     "uploading": ("", "photographs missing"),
@@ -212,7 +210,7 @@ class Place:
 
 @register.simple_tag(takes_context=True)
 def ways(context: Any) -> list[Place]:
-    """The pages that this person may open, those first that the role uses most."""
+    """The pages that this person may open, the role's most used first."""
     request: HttpRequest = context["request"]
     person: Any = request.user
     names = dict.fromkeys(name for role, pages in _MENU.items() if person.has_role(role) for name in pages)
@@ -241,14 +239,14 @@ def software() -> str:
 
 @register.inclusion_tag("clinic/chip.html")
 def chip(state: str) -> dict[str, str]:
-    """A state in a word and a colour."""
+    """A state as a word and a colour."""
     kind, words = _CHIPS.get(str(state), ("", str(state)))
     return {"kind": kind, "words": words}
 
 
 @register.filter
 def cc(value: float | None) -> str:
-    """A volume as clinics write it."""
+    """A volume as text."""
     return "–" if value is None else f"{value:.0f} cc"
 
 
@@ -260,12 +258,12 @@ def signed_cc(value: float | None) -> str:
 
 @register.simple_tag
 def rounding_note(result: VisitResult) -> str:
-    """Why the printed difference is not that of the printed volumes. Empty: it is."""
+    """Reason why the printed difference differs from that of the printed volumes. Empty: it does not."""
     values = [side.volume_cc for side in (*result.sides, result.difference) if side is not None]
     if len(values) != 3 or None in values:
         return ""
     left, right, apart = (int(f"{value:.0f}") for value in values if value is not None)
-    return "" if left - right == apart else "Of the volumes before they are rounded."
+    return "" if left - right == apart else "Difference of the unrounded volumes."
 
 
 @register.filter
@@ -290,7 +288,7 @@ def percent(fraction: float | None) -> str:
 
 @register.filter
 def size(number: float | None) -> str:
-    """Bytes as people read them."""
+    """Bytes in suitable units."""
     if number is None:
         return "–"
     for unit, name in _BYTES:
@@ -301,13 +299,13 @@ def size(number: float | None) -> str:
 
 @register.filter
 def role_names(values: list[str]) -> str:
-    """Roles in words."""
+    """Roles as text."""
     return ", ".join(Role(value).label.lower() for value in values if value in set(Role))
 
 
 @register.filter
 def day(at: datetime.datetime | datetime.date | None) -> str:
-    """A date as everybody reads it alike: 3 Nov 2026."""
+    """An unambiguous date: 3 Nov 2026."""
     if at is None:
         return "–"
     local = timezone.localtime(at) if isinstance(at, datetime.datetime) else at
@@ -316,13 +314,13 @@ def day(at: datetime.datetime | datetime.date | None) -> str:
 
 @register.filter
 def moment(at: datetime.datetime | None) -> str:
-    """Date and time of the clinic's zone."""
+    """Date and time in the clinic's time zone."""
     return "–" if at is None else f"{day(at)}, {timezone.localtime(at):%H:%M}"
 
 
 @register.inclusion_tag("clinic/time_line.html")
 def volumes_over_time(readings: list[Reading], events: list[Event], words: str) -> dict[str, Any]:
-    """Volumes with their intervals over dates, once for narrow and once for wide screens."""
+    """Volumes with their intervals over dates, for narrow and for wide screens."""
     charts = [
         ("narrow", time_line(readings, width=340, height=250, events=events)),
         ("broad", time_line(readings, width=760, height=300, events=events)),
@@ -333,7 +331,7 @@ def volumes_over_time(readings: list[Reading], events: list[Event], words: str) 
 
 
 def allowed(request: HttpRequest, address: str) -> bool:
-    """Whether the table of routes lets this person open an address."""
+    """Whether this person may open an address."""
     access = getattr(resolve(address).func, "access", None)
     if access is None:
         return False

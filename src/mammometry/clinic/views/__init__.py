@@ -1,1 +1,1 @@
-"""Pages and what pages ask for."""
+"""Pages and their requests."""

@@ -1,4 +1,4 @@
-"""Administrators' pages: what needs them now, people, the audit, backups, the disk, erasure."""
+"""Administrators' pages: overview, people, the audit, backups, the disk, erasure."""
 
 import datetime
 import uuid
@@ -36,7 +36,7 @@ _DAYS = 7  # of failed logins and refused pages
 
 
 def overview(request: HttpRequest) -> HttpResponse:
-    """People, backups, disk and what the audit shows of the last days."""
+    """People, backups, disk and recent refusals."""
     people = [person for person in Person.objects.all() if person.is_active]
     since = timezone.localdate() - datetime.timedelta(days=_DAYS - 1)
     context = {
@@ -55,7 +55,7 @@ def overview(request: HttpRequest) -> HttpResponse:
 
 
 class AuditForm(forms.Form):
-    """Which entries are shown."""
+    """Filter of the shown entries."""
 
     kind = forms.ChoiceField(
         label="What", required=False, choices=[("", "everything"), *((key, words) for key, words in KINDS.items())]
@@ -73,7 +73,7 @@ class AuditForm(forms.Form):
     until = forms.DateField(label="Until", required=False, widget=forms.DateInput(attrs={"type": "date"}))
 
     def chosen(self) -> AuditFilter:
-        """Return the filter. A form that cannot be read filters nothing."""
+        """Return the filter. An invalid form filters nothing."""
         values: dict[str, Any] = self.cleaned_data if self.is_valid() else {}
         person = values.get("person")
         return AuditFilter(
@@ -86,13 +86,13 @@ class AuditForm(forms.Form):
 
 
 def _within(day: datetime.date | None) -> datetime.date | None:
-    """A day that a clinic can have entries of."""
+    """A day within a clinic's possible dates."""
     last = timezone.localdate() + datetime.timedelta(days=1)
     return None if day is None else min(max(day, FIRST_DAY), last)
 
 
 def audit(request: HttpRequest) -> HttpResponse:
-    """Entries of the audit, the newest first."""
+    """Entries of the audit, newest first."""
     form = AuditForm(request.GET)
     before = request.GET.get("before", "")
     entries, older = audit_entries.entry_page(form.chosen(), int(before) if _is_number(before) else None)
@@ -109,13 +109,13 @@ def audit(request: HttpRequest) -> HttpResponse:
 
 
 def audit_csv(request: HttpRequest) -> HttpResponse:
-    """What is filtered, as CSV."""
+    """The filtered entries as CSV."""
     text = audit_entries.audit_csv(AuditForm(request.GET).chosen())
     return download(text, "audit.csv", "text/csv; charset=utf-8")
 
 
 def audit_entry(request: HttpRequest, entry: int) -> HttpResponse:
-    """One entry with all that it holds."""
+    """One entry with all its data."""
     row = get_object_or_404(LogEntry, pk=entry)
     names = {person.pk: str(person) for person in Person.objects.all()}
     texts = texts_of(row) if person_of(request).has_role(*CARE) else {}
@@ -127,7 +127,7 @@ def _is_number(text: str) -> bool:
 
 
 def erase(request: HttpRequest) -> HttpResponse:
-    """Ask for a pseudonym, show what goes, and erase it when the pseudonym is typed again."""
+    """Ask for a pseudonym, show what will be deleted, and erase it when the pseudonym is typed again."""
     typed = (request.POST if request.method == "POST" else request.GET).get("pseudonym", "").strip().upper()
     patient = Patient.everything.filter(pseudonym=typed, merged_into=None).first() if typed else None
     context: dict[str, Any] = {"typed": typed}
@@ -137,7 +137,7 @@ def erase(request: HttpRequest) -> HttpResponse:
         context["wrong"] = "No patient has this pseudonym."
     if request.method == "POST" and patient is not None:
         if request.POST.get("again", "").strip().upper() != typed:
-            context["wrong_again"] = "This is not the same pseudonym. Nothing was erased."
+            context["wrong_again"] = "The pseudonyms differ. Nothing was erased."
         else:
             try:
                 kept = copies(the_clinic(), patient)
@@ -149,7 +149,7 @@ def erase(request: HttpRequest) -> HttpResponse:
 
 
 def what_goes(patient: Patient) -> dict[str, Any]:
-    """What is erased with a patient, and what stays."""
+    """Deleted and remaining data of a patient."""
     remove_leftovers(the_clinic())
     rows = rows_of(patient)
     visits = [row for row in rows if isinstance(row, Visit)]
@@ -163,18 +163,18 @@ def what_goes(patient: Patient) -> dict[str, Any]:
     }
 
 
-_LINK = "invitation"  # key of the session under which a link waits until it is shown
+_LINK = "invitation"  # session key of a link until it is shown
 
 
 def people(request: HttpRequest) -> HttpResponse:
-    """Everybody, those who may log in first."""
+    """All people, those who may log in first."""
     with_factor = set(Authenticator.objects.filter(type=Authenticator.Type.TOTP).values_list("user_id", flat=True))
     rows = [(person, person.pk in with_factor) for person in Person.objects.order_by("-is_active", "username")]
     return render(request, "clinic/people.html", {"rows": rows})
 
 
 def person_new(request: HttpRequest) -> HttpResponse:
-    """Enter somebody, and lead to the page that shows the link to hand over."""
+    """Add a person, and show the page with the link."""
     form = PersonForm(request.POST or None)
     if request.method == "POST" and form.is_valid():
         person = form.save(commit=False)
@@ -185,7 +185,7 @@ def person_new(request: HttpRequest) -> HttpResponse:
 
 
 def person_edit(request: HttpRequest, person: uuid.UUID) -> HttpResponse:
-    """Change somebody's name, roles or login."""
+    """Change a person's name, roles or login."""
     shown = get_object_or_404(Person, pk=person)
     form = PersonForm(request.POST or None, instance=shown, own=shown.pk == request.user.pk)
     if request.method == "POST" and form.is_valid():
@@ -195,7 +195,7 @@ def person_edit(request: HttpRequest, person: uuid.UUID) -> HttpResponse:
     waiting = request.session.pop(_LINK, {})
     context = {
         "form": form,
-        "person": get_object_or_404(Person, pk=person),  # as saved: the form changes its own
+        "person": get_object_or_404(Person, pk=person),  # as saved, because the form changes its own
         "link": waiting.get("link") if waiting.get("person") == str(shown.pk) else None,
         "second_factor": Authenticator.objects.filter(user=shown, type=Authenticator.Type.TOTP).exists(),
     }
@@ -204,13 +204,13 @@ def person_edit(request: HttpRequest, person: uuid.UUID) -> HttpResponse:
 
 @require_POST
 def invite(request: HttpRequest, person: uuid.UUID) -> HttpResponse:
-    """Make a new link to set a password."""
+    """Make a new link for setting a password."""
     return _with_link(request, get_object_or_404(Person, pk=person))
 
 
 @require_POST
 def reset_second_factor(request: HttpRequest, person: uuid.UUID) -> HttpResponse:
-    """Forget somebody's authenticator and codes."""
+    """Remove a person's authenticator and codes."""
     shown = get_object_or_404(Person, pk=person)
     Authenticator.objects.filter(user=shown).delete()
     messages.success(request, f"{shown} sets up a second factor at the next login.")
@@ -219,7 +219,7 @@ def reset_second_factor(request: HttpRequest, person: uuid.UUID) -> HttpResponse
 
 @require_POST
 def let_in(request: HttpRequest, person: uuid.UUID) -> HttpResponse:
-    """Forget somebody's wrong passwords."""
+    """Remove the lock after wrong passwords."""
     shown = get_object_or_404(Person, pk=person)
     reset(username=shown.username)
     messages.success(request, f"{shown} may try again.")
@@ -227,19 +227,19 @@ def let_in(request: HttpRequest, person: uuid.UUID) -> HttpResponse:
 
 
 def _with_link(request: HttpRequest, person: Person) -> HttpResponse:
-    """Lead to the person's page, which shows the link once."""
+    """Redirect to the person's page, which shows the link once."""
     request.session[_LINK] = {"person": str(person.pk), "link": request.build_absolute_uri(invitation(person))}
     return redirect("person", person=person.pk)
 
 
 def settings(request: HttpRequest) -> HttpResponse:
-    """What clinic.toml says, without secrets."""
+    """Settings from clinic.toml, without secrets."""
     database = "SQLite, in the clinic's folder" if the_clinic().database == "sqlite" else "PostgreSQL"
     return render(request, "clinic/settings.html", {"clinic": the_clinic(), "database": database})
 
 
 def backup_list(request: HttpRequest) -> HttpResponse:
-    """Which backups there are, when the next is made, and whether a restore was tested."""
+    """Backups, the next one, and the last restore test."""
     clinic = the_clinic()
     return render(request, "clinic/backups.html", {"state": state_of(clinic), "clinic": clinic, "busy": _is_busy()})
 
@@ -257,13 +257,13 @@ def test_now(request: HttpRequest) -> HttpResponse:
 
 
 def disk(request: HttpRequest) -> HttpResponse:
-    """What the clinic's files take, and how long the rest will last."""
+    """Disk use of the clinic's files, and how long the free space will last."""
     return render(request, "clinic/disk.html", {"usage": cached_usage(the_clinic())})
 
 
 def _begun(request: HttpRequest, kind: Job.Kind, sentence: str) -> HttpResponse:
     if _is_busy():
-        messages.warning(request, "A backup or a test is at work already.")
+        messages.warning(request, "A backup or a test is already running.")
     else:
         queue.enqueue_upkeep(kind, person_of(request))
         messages.success(request, sentence)

@@ -1,4 +1,4 @@
-"""Pages that put records right, and the page that undoes it."""
+"""Pages for correcting records, and for undoing it."""
 
 import uuid
 from collections.abc import Callable
@@ -22,20 +22,20 @@ from mammometry.clinic.templatetags.pages import day, moment
 from mammometry.clinic.views.patients import chosen_patient, is_part, search_context
 from mammometry.clinic.views.responses import person_of, visit_or_404
 
-_NOTHING_LOST = f"Nothing is lost: for {records.DAYS} days it can be undone under “Corrections and bin”."
+_NOTHING_LOST = f"Nothing is lost: you can undo this for {records.DAYS} days under “Corrections and bin”."
 
 
 class ReasonForm(forms.Form):
-    """Why a record is corrected."""
+    """Reason of a correction."""
 
     reason = forms.CharField(
         label="Reason", max_length=500, widget=forms.Textarea(attrs={"rows": 2}),
-        help_text="Kept with the correction, for whoever asks later.",
+        help_text="Stored with the correction.",
     )  # fmt: skip
 
 
 class VisitReasonForm(RecordForm, ReasonForm):
-    """Why a visit is moved or put into the bin, as it was seen."""
+    """Reason for moving a visit or putting it into the bin, with the version seen."""
 
     watched = ("patient", "taken_at")
 
@@ -45,7 +45,7 @@ class VisitReasonForm(RecordForm, ReasonForm):
 
 
 class PatientReasonForm(RecordForm, ReasonForm):
-    """Why a patient's record is put into the bin, as it was seen."""
+    """Reason for putting a patient's record into the bin, with the version seen."""
 
     watched = ("family_name", "given_name", "born", "record_number")
 
@@ -67,16 +67,16 @@ class DateForm(RecordForm, ReasonForm):
         widgets = {"taken_at": DAY_AND_TIME, "note": forms.Textarea(attrs={"rows": 3})}  # noqa: RUF012
 
     def clean(self) -> dict[str, Any]:
-        """Ask whether a strange day is right."""
+        """Ask about an unusual day."""
         values: dict[str, Any] = super().clean() or {}
         ask_about_day(self, self.instance.rig)
         return values
 
 
 class MergeForm(PatientReasonForm):
-    """Which record number stays when two records become one."""
+    """Choice of the record number in a merge."""
 
-    number = forms.ChoiceField(label="Record number that stays", widget=forms.RadioSelect)
+    number = forms.ChoiceField(label="Record number to keep", widget=forms.RadioSelect)
 
     field_order = ("number", "reason")
 
@@ -101,12 +101,12 @@ def visit_move(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
         _NOTHING_LOST,
     ]
     if hasattr(row, "order"):
-        facts.insert(1, "The order from the worklist is the former patient’s, and does not go along.")
+        facts.insert(1, "The order from the worklist stays with the former patient.")
     warnings = []
     if row.deliveries.filter(state=Delivery.State.SENT).exists():
         warnings.append("Results were sent to an archive under the former patient. Have them deleted there.")
     if row.conclusions.exists():
-        warnings.append("The visit has a signed conclusion. Read whether it still holds.")
+        warnings.append("The visit has a signed conclusion. Check that it is still valid.")
     form = VisitReasonForm(request.POST or None, instance=row)
     context |= {
         "chosen": patient, "chosen_role": "Moves to", "facts": facts, "warnings": warnings, "act": "Move the visit",
@@ -114,15 +114,15 @@ def visit_move(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     return _carried_out(
         request, form, context,
         lambda: records.move(form.instance, patient, form.cleaned_data["reason"], person_of(request)),
-        f"The visit is {patient.name}’s now.", reverse("visit", args=[row.pk]),
+        f"The visit now belongs to {patient.name}.", reverse("visit", args=[row.pk]),
     )  # fmt: skip
 
 
 def visit_date(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     """Correct a visit's day, time and note."""
     form = DateForm(request.POST or None, instance=visit_or_404(visit))
-    unchanged = visit_or_404(visit)  # read after the form has locked the row, which it changes in memory
-    facts = ["With another day the report is made again. The numbers stay.", _NOTHING_LOST]
+    unchanged = visit_or_404(visit)  # read after the form has locked the row and changed it in memory
+    facts = ["If the day changes, the report is made again. The numbers do not change.", _NOTHING_LOST]
     context = {**_of_visit(unchanged), "heading": "Correct date and note", "facts": facts, "act": "Save"}
 
     def redate() -> None:
@@ -136,7 +136,7 @@ def visit_bin(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     """Put a visit into the bin."""
     row = visit_or_404(visit)
     form = VisitReasonForm(request.POST or None, instance=row)
-    facts = ["The visit is then on no other page, in no table and in no export.", _NOTHING_LOST]
+    facts = ["The visit then disappears from all other pages, tables and exports.", _NOTHING_LOST]
     context = {
         **_of_visit(row), "heading": "Put this visit into the bin", "facts": facts, "act": "Put into the bin",
         "grave": True,
@@ -149,16 +149,16 @@ def visit_bin(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 
 def patient_merge(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
-    """Make two records of one patient one."""
+    """Merge two records of one patient."""
     kept = get_object_or_404(Patient, pk=patient)
     other = chosen_patient(request, leave_out=kept)
     context = {**_of_patient(kept), "heading": "Merge with another record"}
     if other is None:
         return _search(request, context, "Which other record is of this patient?", leave_out=kept)
     facts = [
-        f"{kept.name}, {kept.pseudonym}, stays, and gets all visits, operations and consents of {other.name}, "
+        f"{kept.name}, {kept.pseudonym}, is kept and gets all visits, operations and consents of {other.name}, "
         f"{other.pseudonym}.",
-        "The other record’s address leads on to this one, and a search for either number finds it.",
+        "The other record’s address redirects to this one, and a search for either number finds it.",
         f"Visits that change their pseudonym are measured again ({other.visits.count()}).",
         _NOTHING_LOST,
     ]
@@ -169,12 +169,12 @@ def patient_merge(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
         records.merge(kept, other, number_of, form.cleaned_data["reason"], person_of(request))
 
     context |= {
-        "chosen": other, "chosen_role": "Goes into this record", "chosen_other": "Another record", "facts": facts,
+        "chosen": other, "chosen_role": "Merged into this record", "chosen_other": "Another record", "facts": facts,
         "act": "Merge the records",
     }  # fmt: skip
     return _carried_out(
         request, form, context, merge,
-        "The two records are one.", reverse("patient", args=[kept.pk]),
+        "The records are merged.", reverse("patient", args=[kept.pk]),
     )  # fmt: skip
 
 
@@ -195,7 +195,7 @@ def patient_bin(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
 
 
 def corrections(request: HttpRequest) -> HttpResponse:
-    """Corrections of the last days to undo, and for administrators what has lain in the bin for longer."""
+    """Recent corrections that can be undone, and for administrators older contents of the bin."""
     person = person_of(request)
     context: dict[str, Any] = {"days": records.DAYS}
     if person.has_role(*CARE):
@@ -226,7 +226,7 @@ class _Line:
 
     correction: Correction
     words: str
-    """Whose, and what it was before and after."""
+    """Subject, and value before and after."""
 
 
 def _lines(rows: list[Correction]) -> list[_Line]:
@@ -257,7 +257,7 @@ def _carried_out(
     done: str,
     goes_on: str,
 ) -> HttpResponse:
-    """Show a form; carry the correction out when it is filled in."""
+    """Show a form, and make the correction when it is filled in."""
     if request.method == "POST" and form.is_valid():
         try:
             act()

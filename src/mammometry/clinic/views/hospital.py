@@ -1,4 +1,4 @@
-"""The hospital's systems: results on their way to archives, and the worklist."""
+"""The hospital's systems: deliveries to archives, and the worklist."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _SHOWN = 100  # newest deliveries
 
 
 class DestinationForm(RecordForm):
-    """An archive, and how it is spoken to."""
+    """An archive and its connection."""
 
     class Meta:
         model = Destination
@@ -45,28 +45,28 @@ class DestinationForm(RecordForm):
             *("commitment", "promise_port", "active"),
         )
         labels = {  # noqa: RUF012
-            "kind": "Spoken to by", "own_title": "Our AE title", "encrypted": "Encrypted (TLS)",
+            "kind": "Protocol", "own_title": "Our AE title", "encrypted": "Encrypted (TLS)",
             "authorities": "File of the archive's certificates", "certificate": "File of our certificate",
-            "key": "File of its key", "commitment": "Await the promise to keep what was sent",
-            "promise_port": "Port for the promise", "active": "In use",
+            "key": "File of its key", "commitment": "Wait for the storage commitment",
+            "promise_port": "Port for the storage commitment", "active": "In use",
         }  # fmt: skip
         help_texts = {  # noqa: RUF012
             "address": "PACS@10.0.0.5:104, or https://pacs.example.org/dicom-web.",
             "authorities": "On the clinic's server, PEM. Empty: those that the system trusts.",
             "certificate": "On the clinic's server, PEM. Only if the archive asks for one.",
             "key": "PEM. Empty: in the same file.",
-            "commitment": "DICOM storage commitment. Without the promise, the results are sent again later.",
+            "commitment": "DICOM storage commitment. Without it, the results are sent again later.",
             "promise_port": "If the archive calls back. Empty: it answers on the same connection.",
         }
 
     def clean_own_title(self) -> str:
-        """Refuse what is no title of a DICOM application."""
+        """Refuse invalid titles of a DICOM application."""
         title: str = self.cleaned_data["own_title"]
         require_dicom_text(title, "AE")
         return title
 
     def clean(self) -> dict[str, Any]:
-        """Refuse addresses that are none."""
+        """Refuse invalid addresses."""
         values: dict[str, Any] = super().clean() or {}
         address = values.get("address", "")
         try:
@@ -95,15 +95,15 @@ def destinations(request: HttpRequest) -> HttpResponse:
 
 
 def destination_form(request: HttpRequest, destination: uuid.UUID | None = None) -> HttpResponse:
-    """Enter an archive, or change its entry."""
+    """Add an archive, or change its entry."""
     shown = None if destination is None else get_object_or_404(Destination, pk=destination)
     form = DestinationForm(request.POST or None, instance=shown)
-    kept, page = "The entry is kept. Test whether the archive answers.", "clinic/destination_form.html"
+    kept, page = "The entry is saved. Test whether the archive answers.", "clinic/destination_form.html"
     return form_page(request, page, form, kept, lambda _: redirect("destinations"), destination=shown)
 
 
 def destination_test(request: HttpRequest, destination: uuid.UUID) -> HttpResponse:
-    """Ask an archive whether it answers (C-ECHO)."""
+    """Check that an archive answers (C-ECHO)."""
     shown = get_object_or_404(Destination, pk=destination)
     if request.method == "POST":
         try:
@@ -116,7 +116,7 @@ def destination_test(request: HttpRequest, destination: uuid.UUID) -> HttpRespon
 
 
 def visit_send(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """Have a visit's results sent, and say what became of earlier ones."""
+    """Send a visit's results, and show earlier deliveries."""
     shown = get_object_or_404(Visit.objects.select_related("patient"), pk=visit)
     active = Destination.objects.filter(active=True).exclude(kind=Destination.Kind.WORKLIST)
     ask_for = None
@@ -135,7 +135,7 @@ def visit_send(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
             messages.error(request, CHANGED_SENTENCE)
         else:
             deliveries.enqueue(shown, chosen, person_of(request))
-            messages.success(request, f"The results are on their way to {chosen}.")
+            messages.success(request, f"The results are being sent to {chosen}.")
         if ask_for is None:
             return redirect("visit-send", visit=visit)
     context = {
@@ -151,7 +151,7 @@ def visit_send(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 
 def delivery_retry(request: HttpRequest, delivery: uuid.UUID) -> HttpResponse:
-    """Try a failed delivery again."""
+    """Retry a failed delivery."""
     shown = get_object_or_404(Delivery, pk=delivery, visit__binned_at=None)
     if request.method == "POST" and shown.state == Delivery.State.FAILED:
         queue.enqueue(shown, person_of(request))
@@ -194,7 +194,7 @@ def worklist(request: HttpRequest) -> HttpResponse:
 
 
 def _begun(request: HttpRequest) -> HttpResponse:
-    """Begin a visit out of the entry, which is asked for again. Nothing of it is taken from the page."""
+    """Start a visit from an entry, which is queried again. Nothing of it is taken from the page."""
     source = get_object_or_404(_sources(), pk=_key(request.POST.get("worklist", "")))
     rig = get_object_or_404(Rig.objects.filter(active=True), pk=_key(request.POST.get("rig", "")))
     accession, number = request.POST.get("accession", ""), request.POST.get("patient", "")
@@ -230,8 +230,8 @@ def _begun(request: HttpRequest) -> HttpResponse:
         if not _is_same(known, patient):
             messages.error(
                 request,
-                "The clinic knows this record number under another name or date of birth. Ask who is right, correct "
-                "the entry, then choose again.",
+                "In the clinic this record number has a different name or date of birth. Find out which is "
+                "right, correct the entry, then choose again.",
             )
             return redirect("worklist")
         patient = known
@@ -253,14 +253,14 @@ def _begun(request: HttpRequest) -> HttpResponse:
 
 
 def _patient(entry: Entry) -> Patient:
-    """The entry's patient, not kept yet."""
+    """The entry's patient, not saved yet."""
     family, given = _names(entry)
     listed = entry.patient
     return Patient(family_name=family, given_name=given, born=listed.born, record_number=listed.id)
 
 
 def _is_same(known: Patient, listed: Patient) -> bool:
-    """Whether the clinic knows this record number under the same name and birthday."""
+    """Whether this record number has the same name and birthday in the clinic."""
     same_day = None in (known.born, listed.born) or known.born == listed.born
     return same_day and plain_name(known.family_name) == plain_name(listed.family_name)
 

@@ -1,4 +1,4 @@
-"""Jobs: queue, cancel, try again, and follow them."""
+"""Jobs: queue, cancel, retry and follow them."""
 
 from collections.abc import AsyncIterator
 from uuid import UUID
@@ -30,7 +30,7 @@ def calibrate(request: HttpRequest, calibration: UUID) -> HttpResponseBase:
 
 @json_view("POST")
 def check(request: HttpRequest, check: UUID) -> HttpResponseBase:
-    """Judge a daily check."""
+    """Evaluate a daily check."""
     return _queued(request, get_object_or_404(DailyCheck.objects.select_related("rig", "calibration"), pk=check))
 
 
@@ -57,16 +57,16 @@ def one(request: HttpRequest, job: UUID) -> HttpResponseBase:
 
 @json_view("POST")
 def cancel(request: HttpRequest, job: UUID) -> HttpResponseBase:
-    """Take a job out of the queue, or stop it."""
+    """Remove a job from the queue, or stop it."""
     row = _find(request, job)
     if not queue.cancel(row):
-        raise Refused("This has ended already.")
+        raise Refused("This has already ended.")
     return _job_response(row)
 
 
 @json_view("POST")
 def retry(request: HttpRequest, job: UUID) -> HttpResponseBase:
-    """Queue what a job was about once more."""
+    """Queue a job's computation again."""
     row = _find(request, job)
     if row.state in queue.OPEN:
         raise Refused("This has not ended yet.")

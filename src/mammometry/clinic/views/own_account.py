@@ -1,4 +1,4 @@
-"""Pages of one's own account where the login library's own pages do not suffice."""
+"""Pages of one's own account that replace those of the login library."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from mammometry.clinic.views.responses import person_of
 def enter_code(request: HttpRequest) -> HttpResponseBase:
     """Ask for the second factor's code at the login.
 
-    A login that waits for the code of a factor that was reset meanwhile is ended, and begins again with the password.
-    The library's page would send it to the login page, which sends it back, for ever.
+    If the factor was reset in the meantime, the login starts again with the password. The library's page would redirect
+    to the login page and back for ever.
     """
     stage = LoginStageController.enter(request, AuthenticateStage.key)
     if stage is not None and not is_mfa_enabled(stage.login.user):

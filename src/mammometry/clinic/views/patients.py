@@ -1,4 +1,4 @@
-"""Patients: search, who they are, all their visits, and what people enter beside photographs."""
+"""Patients: search, identity, visits, and clinical entries."""
 
 import uuid
 from collections.abc import Callable
@@ -19,17 +19,17 @@ from mammometry.clinic.views.responses import form_page, person_of
 
 
 def is_part(request: HttpRequest) -> bool:
-    """Whether the page's script asks for its rows alone."""
+    """Whether the page's script asks only for its rows."""
     return request.headers.get("HX-Request") == "true"
 
 
 def search_context(request: HttpRequest, *, choosing: bool = False, leave_out: Patient | None = None) -> dict[str, Any]:
-    """Context of ``patient_search.html``. The audit gets the patients who are shown.
+    """Context of ``patient_search.html``. The audit records the shown patients.
 
     Args:
-        request: whose ``q`` is searched for.
-        choosing: whether a row leads back to this page with the patient; else it opens the patient's page.
-        leave_out: a patient who is not to be chosen.
+        request: with the search ``q``.
+        choosing: whether a row returns to this page with the patient; otherwise it opens the patient's page.
+        leave_out: a patient to exclude.
     """
     text = " ".join(request.GET.get("q", "")[:100].split())
     rows = search.matches(text, leave_out=leave_out) if text or not choosing else search.newest(leave_out=leave_out)
@@ -44,7 +44,7 @@ def search_context(request: HttpRequest, *, choosing: bool = False, leave_out: P
 
 
 def chosen_patient(request: HttpRequest, *, leave_out: Patient | None = None) -> Patient | None:
-    """The patient who was chosen. None: nobody yet.
+    """The chosen patient. None: not chosen yet.
 
     Raises:
         Http404: there is no such patient.
@@ -62,7 +62,7 @@ def chosen_patient(request: HttpRequest, *, leave_out: Patient | None = None) ->
 
 
 def leads_on(view: Callable[..., HttpResponseBase]) -> Callable[..., HttpResponseBase]:
-    """A page of a patient whose old address leads on after two records were merged."""
+    """A page of a patient that redirects from a merged record."""
 
     @wraps(view)
     def lead(request: HttpRequest, *args: Any, **kwargs: Any) -> HttpResponseBase:
@@ -79,7 +79,7 @@ def leads_on(view: Callable[..., HttpResponseBase]) -> Callable[..., HttpRespons
 
 
 def patients(request: HttpRequest) -> HttpResponse:
-    """All patients, or those who are searched."""
+    """All patients, or those found by a search."""
     page = "clinic/patients_rows.html" if is_part(request) else "clinic/patients.html"
     return render(request, page, search_context(request))
 
@@ -106,13 +106,13 @@ def patient(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
 
 
 def patient_notes(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
-    """What notes about a patient said before, by whom and when they were changed."""
+    """Earlier texts of notes about a patient, with author and time of each change."""
     person = get_object_or_404(Patient, pk=patient)
     return render(request, "clinic/patient_notes.html", {"patient": person, "lines": notes.history(person)})
 
 
 def patient_form(request: HttpRequest, patient: uuid.UUID | None = None) -> HttpResponse:
-    """Enter a patient, or correct who somebody is."""
+    """Add a patient, or correct the identity."""
     person = None if patient is None else get_object_or_404(Patient, pk=patient)
     form = PatientForm(request.POST or None, instance=person)
     done = "The patient is entered." if person is None else "The patient's entry is changed."
@@ -124,8 +124,8 @@ def _to_patient(row: Patient | Operation | Consent) -> HttpResponse:
 
 
 _HELP = {
-    "operation": "Enter what was done, one entry an operation. The time line shows it, and reports name it.",
-    "consent": "A consent that is withdrawn is not removed: enter the day, so that the clinic can show since when.",
+    "operation": "Make one entry for each operation. The time line and reports show it.",
+    "consent": "Do not remove a withdrawn consent: enter the day of withdrawal.",
 }
 
 

@@ -1,4 +1,4 @@
-"""Helpers that views share: the person, JSON for programs, pages for what is refused or missing."""
+"""Shared helpers of views: the person, JSON for programs, pages for errors."""
 
 import errno
 import json
@@ -32,7 +32,7 @@ from mammometry.clinic.web.security import report_policy
 
 
 class Refused(Exception):
-    """Something cannot be done. Its text is the sentence that says why."""
+    """A request is refused. Its text is the reason, one sentence."""
 
     def __init__(self, sentence: str, status: int = 409) -> None:
         super().__init__(sentence)
@@ -40,7 +40,7 @@ class Refused(Exception):
 
 
 def json_view(*methods: str) -> Callable[[Callable[..., HttpResponseBase]], Callable[..., HttpResponseBase]]:
-    """A view of these methods only, whose errors are JSON."""
+    """A view of the given methods, with errors as JSON."""
 
     def wrapped(view: Callable[..., HttpResponseBase]) -> Callable[..., HttpResponseBase]:
         @wraps(view)
@@ -62,10 +62,10 @@ def json_view(*methods: str) -> Callable[[Callable[..., HttpResponseBase]], Call
 
 
 def json_body(request: HttpRequest) -> dict[str, Any]:
-    """The request's JSON. Empty where it has none.
+    """The request's JSON. Empty if it has none.
 
     Raises:
-        Refused: it is no JSON object.
+        Refused: it is not a JSON object.
     """
     if not request.body:
         return {}
@@ -79,10 +79,10 @@ def json_body(request: HttpRequest) -> dict[str, Any]:
 
 
 def text_of(table: dict[str, Any], name: str, *, most: int = 200) -> str:
-    """A text of the request. Empty where there is none.
+    """A text of the request. Empty if there is none.
 
     Raises:
-        Refused: it is no text, or too long.
+        Refused: it is not a text, or too long.
     """
     value = table.get(name)
     if value is None:
@@ -93,10 +93,10 @@ def text_of(table: dict[str, Any], name: str, *, most: int = 200) -> str:
 
 
 def require_care(request: HttpRequest, target: object) -> None:
-    """Refuse what is of a patient to those who only keep rigs, and what lies in the bin to everybody.
+    """Refuse patients' data to people who only manage rigs, and the bin to everybody.
 
     Raises:
-        PermissionDenied: it is a visit or a comparison, and this person cares for no patients.
+        PermissionDenied: it is a visit or a comparison, and this person may not see patients.
         Http404: it is a visit in the bin.
     """
     if isinstance(target, Visit | Comparison) and not request.user.has_role(*CARE):  # type: ignore[union-attr]  # logged in
@@ -106,10 +106,10 @@ def require_care(request: HttpRequest, target: object) -> None:
 
 
 def require_photographer(request: HttpRequest, target: object) -> None:
-    """Refuse to change photographs of the board to those who do not keep rigs, and as `require_care` does.
+    """Refuse changes of the board's photographs without the role, and as `require_care` does.
 
     Raises:
-        PermissionDenied: it is of a calibration or daily check, and this person keeps no rigs.
+        PermissionDenied: it is of a calibration or daily check, and this person does not manage rigs.
         Http404: it is a visit in the bin.
     """
     require_care(request, target)
@@ -126,7 +126,7 @@ def visit_or_404(key: UUID) -> Visit:
 def form_page(
     request: HttpRequest, template: str, form: Any, done: str, goes_on: Callable[[Any], HttpResponse], **context: object
 ) -> HttpResponse:
-    """A page with the form of one row. A row that is filled in is saved, and leads on."""
+    """A page with the form of one row. A valid form is saved and redirects."""
     if request.method == "POST" and form.is_valid():
         row = form.save()
         messages.success(request, done)
@@ -135,7 +135,7 @@ def form_page(
 
 
 def stale_page(request: HttpRequest, form: RecordForm) -> HttpResponse:
-    """Answer 409: a colleague changed the record. Both versions, field by field, and what was typed."""
+    """Answer 409: somebody else changed the record. Shows both versions, field by field."""
     row: Any = form.instance
     row = getattr(row, "visit", row)  # of a conclusion
     about = {
@@ -152,7 +152,7 @@ def download(content: bytes | str, name: str, content_type: str) -> HttpResponse
 
 
 def sealed_page(page: bytes) -> HttpResponse:
-    """A report's page, sealed off from the clinic's."""
+    """A report's page, sandboxed from the clinic's."""
     headers = {"Content-Security-Policy": report_policy(page)}
     return HttpResponse(page, content_type="text/html; charset=utf-8", headers=headers)
 
@@ -174,14 +174,14 @@ def bad_request(request: HttpRequest, exception: Exception | None = None) -> Htt
 
 
 def forbidden(request: HttpRequest, exception: Exception | None = None) -> HttpResponse:
-    """403: logged in, without the role. The audit has an entry of it."""
+    """403: logged in, without the role. Recorded in the audit."""
     record_refusal(request)
     sentence = "Your role does not open this page. Ask the clinic's administrator if it should."
     return _page(request, 403, "Not for your role", sentence)
 
 
 def missing(request: HttpRequest, exception: Exception | None = None) -> HttpResponse:
-    """Page for 404: there is nothing at this address, or what it shows is in the bin."""
+    """Page for 404: the address is unknown, or its record is in the bin."""
     if _is_in_bin(request):
         sentence = "This is in the bin. For 30 days it can be taken out again, under Corrections and bin."
         return _page(request, 404, "In the bin", sentence)
@@ -189,7 +189,7 @@ def missing(request: HttpRequest, exception: Exception | None = None) -> HttpRes
 
 
 def _is_in_bin(request: HttpRequest) -> bool:
-    """Whether the address is that of a visit or patient in the bin, and this person may know it."""
+    """Whether the address is of a visit or patient in the bin, and this person may know it."""
     match = request.resolver_match
     if match is None or not request.user.is_authenticated or not request.user.has_role(*CARE):
         return False
@@ -201,7 +201,7 @@ def _is_in_bin(request: HttpRequest) -> bool:
 
 
 def not_now(request: HttpRequest, error: MammometryError) -> HttpResponse:
-    """409: the visit stands in its own way, or 503: the disk does."""
+    """409: the visit's state does not allow it, or 503: the disk refuses."""
     if _is_of_disk(error):
         _LOG.error("%s", error)
     words = on_pages(str(error).replace(f"{the_clinic().folder}/", ""))
@@ -209,7 +209,7 @@ def not_now(request: HttpRequest, error: MammometryError) -> HttpResponse:
 
 
 def _is_of_disk(error: MammometryError) -> bool:
-    """Whether the disk refuses. A session in which another run is at work is only busy."""
+    """Whether the disk refuses. A session with another run is only busy."""
     return isinstance(error, StorageError) and not isinstance(error, BusyError)
 
 
@@ -226,10 +226,10 @@ def broken(request: HttpRequest) -> HttpResponse:
     507: the disk is full.
     """
     title, status = "A defect", 500
-    sentence = "Something went wrong on our side. It is in the log. Nothing that was saved is lost."
+    sentence = "An error occurred in the program. It is in the log. Saved data are not lost."
     if _is_full(sys.exception()):
         title, status = "The disk is full", 507
-        sentence = "What you did was not saved. Tell the administrator: the disk of the clinic’s server has no room."
+        sentence = "Your entry was not saved. Tell the administrator: the disk of the clinic’s server is full."
     if is_program(request):
         return JsonResponse({"error": sentence}, status=status)
     about = {"title": title, "sentence": sentence, "clinic_name": the_clinic().name}
@@ -254,7 +254,7 @@ def forged(request: HttpRequest, reason: str = "") -> HttpResponse:
 
     It is from another site or from before the last login. A script gets a new token (`account-token`) and repeats.
     """
-    sentence = "Load the page again and repeat what you did."
+    sentence = "Reload the page and repeat your entry."
     if is_program(request):
         return JsonResponse({"error": f"This page is out of date. {sentence}", "stale": True}, status=403)
     return _page(request, 403, "This form is out of date", sentence)
@@ -264,13 +264,13 @@ def locked_out(request: HttpRequest, response: Any = None, credentials: Any = No
     """429: too many wrong passwords."""
     minutes = the_clinic().limits.wait_minutes
     sentence = (
-        f"Too many wrong passwords for this name. Wait {minutes} minutes, or ask the administrator to let you in."
+        f"Too many wrong passwords for this name. Wait {minutes} minutes, or ask the administrator to unlock you."
     )
     return _page(request, 429, "Locked out for a while", sentence)
 
 
 def person_of(request: HttpRequest) -> Person:
-    """The person who is logged in. Routes with roles let in nobody else."""
+    """The logged-in person. Routes with roles require one."""
     assert isinstance(request.user, Person)
     return request.user
 

@@ -1,4 +1,4 @@
-"""A visit's result: report, 3D view, boundaries to draw or confirm. And two dates side by side."""
+"""A visit's result: report, 3D view, boundaries to draw or confirm, comparison of two dates."""
 
 import hashlib
 import logging
@@ -40,9 +40,9 @@ _KEPT = 4  # surfaces in memory, about 300 MB each
 
 
 class ShownItems(Message):
-    """Versions of all that the page shows.
+    """Versions of all items on the page.
 
-    Name → digest (`entry_digest`), or None where nothing stands in the session.
+    Name → digest (`entry_digest`), or None if not in the session.
     """
 
     boundaries: dict[Breast, Base]
@@ -50,17 +50,17 @@ class ShownItems(Message):
 
 
 class FinishMessage(Message):
-    """Confirmation of everything that the page shows, in one step."""
+    """Confirmation of all items on the page, in one step."""
 
     curves: dict[Breast, str]
-    """Breast → digest of the measured curve that was looked at."""
+    """Breast → digest of the checked, measured curve."""
     base: ShownItems
     author: str = ""
-    """Not used: who is logged in confirms."""
+    """Not used: the logged-in person confirms."""
 
 
 class _Desks:
-    """Surfaces that are drawn on, the last few. A new measurement makes a new one."""
+    """Cache of the last few drawing surfaces. A new measurement makes a new one."""
 
     def __init__(self) -> None:
         self._held: OrderedDict[tuple[uuid.UUID, str], EditorPage] = OrderedDict()
@@ -91,7 +91,7 @@ def _opened(visit: Visit) -> Measuring:
 
 
 def report(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """The report with names, confirmation and conclusion. Sealed off from the clinic's pages."""
+    """The report with names, confirmation and conclusion, sandboxed from the clinic's pages."""
     try:
         return sealed_page(rendered_report(_measured(visit)).html)
     except MammometryError as error:
@@ -117,12 +117,12 @@ def scene(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 
 def draw(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """The page on which boundaries and landmarks are drawn. While a visit is measured, nobody draws."""
+    """The page for drawing boundaries and landmarks. Not available while a visit is measured."""
     shown = visit_or_404(visit)
     if shown.jobs.filter(state__in=queue.OPEN).exists() or not shown.measurements.exists():
         busy = shown.state == Visit.State.QUEUED
         messages.info(
-            request, "This visit is being measured. Its boundaries are shown when that is done."
+            request, "This visit is being measured. Its boundaries are shown afterwards."
             if busy else "This visit is not measured yet, so it has no boundaries.",
         )  # fmt: skip
         return redirect("visit", visit=shown.pk)
@@ -141,15 +141,15 @@ def items(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
 
 
 def measure(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
-    """Volumes of what is drawn, not kept."""
+    """Volumes of the present drawing, not stored."""
     return _session_response(visit, lambda shown, page, job: page.measure(request.body))
 
 
 def save(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
-    """Keep what was drawn, with name and time, and measure it."""
+    """Save the drawing, with name and time, and measure it."""
 
     def saved(shown: Visit, page: EditorPage, _: Job | None) -> dict[str, Any]:
-        # A measurement that ends at this moment waits for this, and then sees that it is of an earlier drawing.
+        # A measurement that ends at this moment waits, and then finds that the drawing has changed.
         locked = Visit.objects.select_for_update().get(pk=shown.pk)
         sent, changed = page.save(request.body, str(request.user))
         if changed:
@@ -162,7 +162,7 @@ def save(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
                 try:
                     queue.enqueue(locked, person_of(request))
                     _set_state(locked, Visit.State.QUEUED)
-                except StorageError as error:  # it is saved, and stays to be measured
+                except StorageError as error:  # it is saved and can be measured later
                     _LOG.error("%s", error)
         return {"saved": len(changed), **_with_visit(locked, page.items(), _newest_job(locked))}
 
@@ -186,9 +186,9 @@ def finish(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
     on_page = {(group, name): base for group, items in groups.items() for name, base in items.items() if base}
     why = confirmations.refusal(locked, {str(name): digest for name, digest in sent.curves.items()})
     if why is None and sides_doubtful(locked):
-        why = "Left and right of this scan may be exchanged. Compare them with the patient, on the visit's page, first."
+        why = "Left and right of this scan may be exchanged. First compare them with the patient, on the visit's page."
     if why is None and on_page != {item: entry_digest(entry) for item, entry in entries.items()}:
-        why = "Somebody else changed a boundary or landmark meanwhile. Load the page again and look at it."
+        why = "Somebody else has changed a boundary or landmark. Reload the page and check it."
     if why is not None:
         return JsonResponse({"error": why}, status=409)
     confirmations.confirm(locked, person_of(request))
@@ -199,7 +199,7 @@ def finish(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
 def _what_follows(following: Visit | None) -> str:
     conclude = mark_safe('Confirmed. <a href="#conclusion">Write the conclusion</a>')  # no part of it is typed
     if following is None:
-        return format_html("{}. No other visit waits to be confirmed.", conclude)
+        return format_html("{}. No other visit to confirm.", conclude)
     where = reverse("draw", args=[following.pk])
     return format_html('{} · <a href="{}">Next visit ({})</a>', conclude, where, isolated(following.patient))
 
@@ -209,7 +209,7 @@ def _newest_job(visit: Visit) -> Job | None:
 
 
 def _with_visit(visit: Visit, state: dict[str, Any], job: Job | None) -> dict[str, Any]:
-    """A page's state with what was measured of it and who confirmed it.
+    """A page's state with its measurement and confirmation.
 
     ``visit`` has the visit's state, whether its newest drawing is not measured yet (``changed``), and the digests of
     the measured boundaries (``curves``); ``job`` is its newest one, as it was before the state was read.
@@ -251,12 +251,12 @@ def _session_response(
 ) -> HttpResponseBase:
     """Answer as JSON. The sentence of a refusal is passed on."""
     shown = visit_or_404(visit)
-    job = _newest_job(shown)  # first: a page that hears of a job's end hears its numbers too, and asks no more
+    job = _newest_job(shown)  # read the job first, then its numbers
     try:
         return JsonResponse(answer(shown, _DESKS.of(shown), job))
     except (MammometryError, ValidationError) as error:
         status, words = refusal(error)
-        words["error"] = words["error"].replace(f"{the_clinic().folder}/", "")  # where it lies is nobody's business
+        words["error"] = words["error"].replace(f"{the_clinic().folder}/", "")  # do not reveal its path
         return JsonResponse(words, status=status)
 
 
@@ -272,7 +272,7 @@ Pair = tuple[Upload | None, Upload | None]
 
 
 def compare(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
-    """Choose two dates, and see what changed."""
+    """Choose two dates to compare."""
     person = get_object_or_404(Patient, pk=patient)
     visits = comparing.comparable(person.visits.select_related("rig").prefetch_related("measurements__volumes"))
     context: dict[str, object] = {"patient": person, "visits": visits}
@@ -306,7 +306,7 @@ def compare(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
 
 
 def photographs(before: Visit, after: Visit) -> list[tuple[str, Pair]]:
-    """Camera → its photograph at both dates, for the cameras that have one at either."""
+    """Camera → its photographs at both dates, for cameras with at least one."""
     of_visits = [
         {upload.camera: upload for upload in visit.uploads.filter(state=Upload.State.PLACED)}
         for visit in (before, after)
@@ -321,7 +321,7 @@ def compare_page(request: HttpRequest, patient: uuid.UUID, before: uuid.UUID, af
 
 
 def compare_scene(request: HttpRequest, patient: uuid.UUID, before: uuid.UUID, after: uuid.UUID) -> HttpResponse:
-    """Both surfaces for the 3D view, laid onto one another."""
+    """Both aligned surfaces for the 3D view."""
     page = _page(patient, before, after)
     path = readable(page.with_name(SCENE))
     # Version 1.0 wrote the scene into the page alone.
@@ -332,7 +332,7 @@ def compare_scene(request: HttpRequest, patient: uuid.UUID, before: uuid.UUID, a
 
 
 def _page(patient: uuid.UUID, before: uuid.UUID, after: uuid.UUID) -> Path:
-    """The page that a comparison of the newest measurements wrote."""
+    """The page of the comparison of the newest measurements."""
     row = get_object_or_404(
         Comparison.objects.select_related("before", "after"), before=before, after=after, after__patient=patient
     )
@@ -343,7 +343,7 @@ def _page(patient: uuid.UUID, before: uuid.UUID, after: uuid.UUID) -> Path:
 
 
 def visit_verdict(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """The verdict against the visit before, as a part of the visit's page."""
+    """The verdict against the previous visit, as a part of the visit's page."""
     return render(request, "clinic/visit_verdict.html", {"visit": get_object_or_404(Visit, pk=visit)})
 
 

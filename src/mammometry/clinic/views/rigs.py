@@ -1,4 +1,4 @@
-"""Pages of rigs. May we measure today, calibrations and their history, drift, the daily check."""
+"""Pages of rigs: readiness, calibrations and their history, drift, the daily check."""
 
 import uuid
 from typing import Any
@@ -52,7 +52,7 @@ def rig(request: HttpRequest, rig: uuid.UUID) -> HttpResponse:
 
 
 def _doubted(rig: Rig) -> Calibration | None:
-    """The calibration in use, where photographs of it stand out."""
+    """The calibration in use, with photographs that disagree."""
     calibration = rig_history.current(rig)
     return calibration if calibration is not None and left_out.doubts_of(calibration) else None
 
@@ -64,14 +64,14 @@ def rig_form(request: HttpRequest, rig: uuid.UUID | None = None) -> HttpResponse
 
     def goes_on(row: Rig) -> HttpResponse:
         if form.is_described_otherwise and rig_history.current(row) is not None:
-            messages.warning(request, "Its cameras or its board are other ones now: calibrate it again.")
+            messages.warning(request, "Its cameras or its board have changed: calibrate it again.")
         return redirect("rig", rig=row.pk)
 
     return form_page(request, "clinic/rig_form.html", form, "The rig is saved.", goes_on, rig=shown)
 
 
 def board(request: HttpRequest) -> HttpResponse:
-    """A picture of the board that is being typed, SVG."""
+    """A picture of the board being entered, SVG."""
     try:
         picture = board_svg(board_of(request.GET.dict()))
     except MammometryError as error:
@@ -116,7 +116,10 @@ def leave_out(request: HttpRequest, calibration: uuid.UUID) -> HttpResponse:
         messages.error(request, str(error))
         return redirect("calibration", calibration=shown.pk)
     queue.enqueue(made, person_of(request))
-    messages.success(request, "The rig is being calibrated without what you ticked. Until then nothing changes.")
+    messages.success(
+        request,
+        "The rig is being calibrated without the ticked photographs. The present calibration stays in use until then.",
+    )
     return redirect("calibration", calibration=made.pk)
 
 
@@ -160,10 +163,10 @@ def check(request: HttpRequest, check: uuid.UUID) -> HttpResponse:
 
 
 def check_put_right(request: HttpRequest, check: uuid.UUID) -> HttpResponse:
-    """Exchange the photographs of a check that are exchanged, and judge it again."""
+    """Correct the exchanged photographs of a check, and evaluate it again."""
     shown = get_object_or_404(DailyCheck.objects.select_related("rig", "calibration"), pk=check)
     if request.method == "POST" and shown.jobs.filter(state__in=queue.OPEN).exists():
-        messages.error(request, "This is being judged. Wait until it is done.")
+        messages.error(request, "This is being evaluated. Wait until it is done.")
     elif request.method == "POST":
         try:
             put_check_right(shown)
@@ -178,7 +181,7 @@ _SINGLE = (
     ("rms_px", "Reprojection error, RMS", "{:.2f} px"),
     ("rms_mm", "The same on the subject, RMS", "{:.2f} mm"),
     ("worst_pair_mm", "Expected error of the worst pair", "{:.2f} mm"),
-    ("volume_coverage", "Share of the measuring space that the board filled", "{:.0%}"),
+    ("volume_coverage", "Share of the working volume covered by the board", "{:.0%}"),
     ("poses", "Poses of the board", "{}"),
     ("effect_mm", "Effect of the movement on a length", "{:.2f} mm"),
     ("limit_mm", "Allowed", "{:.2f} mm"),
@@ -186,12 +189,12 @@ _SINGLE = (
 _BY_CAMERA = (
     ("rms_px_of", "Reprojection error by camera", "{:.2f} px"),
     ("expected_mm_of", "Expected error by pair", "{:.2f} mm"),
-    ("coverage_of", "Share of the picture that the board filled, by camera", "{:.0%}"),
+    ("coverage_of", "Share of the picture covered by the board, by camera", "{:.0%}"),
 )
 
 
 def _figures(figures: dict[str, Any]) -> dict[str, Any]:
-    """Figures of a calibration or check in words with their units."""
+    """Figures of a calibration or check as text, with units."""
     single = [(title, form.format(figures[key])) for key, title, form in _SINGLE if figures.get(key) is not None]
     tables = [
         (
@@ -245,7 +248,7 @@ def new_check(request: HttpRequest, rig: UUID) -> HttpResponseBase:
 
 
 _MEASURED = ("edge_mm", "edge_std_mm", "flatness_mm")
-"""Keys of a description that belong to an earlier print. The board is drawn as designed."""
+"""Keys of a description about an earlier print. The board is drawn in its nominal size."""
 
 
 def target(request: HttpRequest, rig: uuid.UUID) -> HttpResponse:
@@ -266,7 +269,7 @@ def target(request: HttpRequest, rig: uuid.UUID) -> HttpResponse:
 
 
 def _on_smallest_page(target: Target) -> bytes:
-    """The board on the smallest of the usual pages that holds it, or on one of its own size."""
+    """The board on the smallest usual page that fits, or on a page of its own size."""
     from mammometry.calibration.targets.pdf import target_pdf
 
     for page in ("A4", "A3", "A2", "A1", "A0"):

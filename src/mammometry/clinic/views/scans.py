@@ -29,7 +29,7 @@ from mammometry.io.meshes.scans import Scan as ScanFacts
 from mammometry.io.outputs import write_outputs
 
 BODY_BYTES = 520 * 10**6
-"""Largest request: the largest `scan_mb` that a clinic may set, and the form."""
+"""Largest request: the largest possible `scan_mb`, and the form."""
 _SCRATCH = re.compile(r"uploads/scan-[^/]+/(?:first|second)/")  # into which the sent files are unpacked
 _AXIS_WORDS = {axis: f"{'minus ' if axis.startswith('-') else ''}{axis.strip('-').upper()}" for axis in AXES}
 
@@ -50,7 +50,7 @@ class _FilesField(forms.FileField):
 
 
 class ScanForm(RecordForm):
-    """Whose scan, of which device, in which unit."""
+    """Patient, device and unit of a scan."""
 
     scanner = forms.CharField(max_length=100, label="Device", help_text="Such as Vectra M5, 3dMD or Artec Leo.")
     sent = _FilesField(
@@ -59,18 +59,18 @@ class ScanForm(RecordForm):
     )
     second = _FilesField(
         label="Another scan of the same visit", required=False,
-        help_text="Such as from below, where the fold is hidden. In the same posture. Both are merged into one.",
+        help_text="In the same posture, such as from below if the fold is hidden. Both are merged.",
     )  # fmt: skip
     units = forms.ChoiceField(
-        label="Unit of the mesh", required=False, help_text="The device’s export settings say it.",
-        choices=[("", "As the body’s size shows"), *((unit, words.title()) for unit, words in UNIT_TITLES.items())],
+        label="Unit of the mesh", required=False, help_text="See the device’s export settings.",
+        choices=[("", "From the body’s size"), *((unit, words.title()) for unit, words in UNIT_TITLES.items())],
     )  # fmt: skip
     head = forms.ChoiceField(
         label="Axis towards the head", required=False, help_text="Y with nearly all devices.",
         choices=[("", "Y, or Z where the mesh faces along Y"), *_AXIS_WORDS.items()],
     )  # fmt: skip
     ahead = forms.ChoiceField(
-        label="Axis straight ahead", required=False, help_text="Needed where the whole body was scanned all around.",
+        label="Axis straight ahead", required=False, help_text="Needed if the whole body was scanned all around.",
         choices=[("", "Where the open mesh faces"), *_AXIS_WORDS.items()],
     )  # fmt: skip
     shape_alone = forms.BooleanField(label="Without the picture of the skin", required=False)
@@ -103,7 +103,7 @@ class ScanForm(RecordForm):
 
 
 def scan_new(request: HttpRequest) -> HttpResponse:
-    """Begin a visit with a scan of a patient, who is searched for first, and have it measured."""
+    """Start a visit with a scan of a chosen patient, and measure it."""
     patient = chosen_patient(request)
     if patient is None:
         page = "clinic/patients_rows.html" if is_part(request) else "clinic/scan_new.html"
@@ -124,7 +124,7 @@ def scan_new(request: HttpRequest) -> HttpResponse:
 
 
 def scan_sides(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """Record that left and right of a scan were compared with the patient, and make its report again."""
+    """Record that the sides of a scan were compared with the patient, and make its report again."""
     shown = get_object_or_404(Visit.objects.select_for_update(), pk=visit)
     if request.method != "POST":
         return redirect("visit", visit=visit)
@@ -150,7 +150,7 @@ def _entered(request: HttpRequest, form: ScanForm, about: ScanFacts) -> Visit:
     visit: Visit = form.save(commit=False)
     visit.created_by, visit.state = person_of(request), Visit.State.READY
     visit.folder.mkdir(mode=0o700, parents=True)
-    write_outputs(visit.folder, made, command="import mesh")  # files first: a row without them would mislead
+    write_outputs(visit.folder, made, command="import mesh")  # files first, so that no row is without them
     facts = read_scan(visit.folder)
     with transaction.atomic():
         visit.save()

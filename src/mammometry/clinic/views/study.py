@@ -1,4 +1,4 @@
-"""Pooled figures under pseudonyms, and results as files: DICOM, FHIR, REDCap, tables."""
+"""Study statistics by pseudonym, and results as files: DICOM, FHIR, REDCap, tables."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def study(request: HttpRequest) -> HttpResponse:
     everything = pooled(visits)
     repeated = repeats(visits)
     figures = None
-    patients = tuple(pair.pseudonym for pair in repeated.pairs)  # both breasts of one are not independent
+    patients = tuple(pair.pseudonym for pair in repeated.pairs)  # both breasts of one patient are not independent
     if len(set(patients)) >= LEAST_SUBJECTS:
         figures = agreement(
             PairedMeasurements(
@@ -128,12 +128,12 @@ def _day(text: str) -> datetime.date | None:
         day = datetime.date.fromisoformat(text)
     except ValueError:
         return None
-    return min(max(day, FIRST_DAY), timezone.localdate() + datetime.timedelta(days=1))  # others hold no visits
+    return min(max(day, FIRST_DAY), timezone.localdate() + datetime.timedelta(days=1))  # others have no visits
 
 
 _RELEASES: Mapping[str, Release] = {"r4": "R4", "r5": "R5"}
 _LEFT_OUT, _ZIP = "left-out.csv", "application/zip"
-_ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest a zip can hold: the same results are the same bytes
+_ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest time of a zip, so that the same results are the same bytes
 
 
 def visit_dicom(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
@@ -147,7 +147,7 @@ def visit_dicom(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     except MammometryError as error:
         messages.error(request, str(error))
         return redirect("visit-send", visit=visit)
-    # What is for others says neither pseudonym nor day in its name.
+    # File names for others contain neither pseudonym nor day.
     return download(_zipped(made), "dicom-deidentified.zip" if deidentify else _named(shown, "dicom.zip"), _ZIP)
 
 
@@ -185,7 +185,7 @@ def study_table(request: HttpRequest) -> HttpResponse:
 
 
 def _study(request: HttpRequest, tables: Callable[[Any], dict[str, bytes]], kind: str) -> HttpResponse:
-    """Numbers of all visits that were asked for. Which are left out, and why, stands beside them."""
+    """Numbers of the requested visits, and those left out with the reason."""
     config, sessions, omitted = the_clinic(), [], []
     visits = _asked(request)
     apart = {(row.pseudonym, row.day, row.side): row.apart for row in study_rows(visits, pooled(visits).reference)}
@@ -198,7 +198,7 @@ def _study(request: HttpRequest, tables: Callable[[Any], dict[str, bytes]], kind
             omitted.append((pseudonym, day.isoformat(), error.found))
     without, patients = left_out(visits)
     if without:
-        omitted.append(("", "", f"no consent to research holds: {without} visits of {patients} patients"))
+        omitted.append(("", "", f"no consent to research: {without} visits of {patients} patients"))
     try:
         made = tables(sessions)
     except MammometryError as error:
@@ -221,7 +221,7 @@ def _named(visit: Visit, ending: str) -> str:
 
 
 def _zipped(files: Mapping[str, bytes]) -> bytes:
-    """Files as one, not packed: pictures and models hardly shrink."""
+    """Files as one zip, uncompressed, because pictures and models hardly shrink."""
     made = io.BytesIO()
     with zipfile.ZipFile(made, "w") as archive:
         for name, content in sorted(files.items()):

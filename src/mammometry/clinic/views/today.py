@@ -1,4 +1,4 @@
-"""The first page: what there is to do today, the first day of a fresh clinic, help."""
+"""The first page: today's work, the first day of a new clinic, help."""
 
 import datetime
 from dataclasses import dataclass
@@ -26,13 +26,13 @@ class Step(NamedTuple):
     done: bool
     button: str
     address: str
-    """Where the button leads."""
+    """Target of the button."""
     roles: frozenset[Role]
-    """Who may do it."""
+    """Role for the step."""
 
     @property
     def role_words(self) -> str:
-        """Who may do it, in words."""
+        """Role for the step, as text."""
         return " or ".join(role.label.lower() for role in Role if role in self.roles)
 
 
@@ -48,24 +48,24 @@ def steps() -> list[Step]:
     rig_page = reverse("rigs") if rig is None else reverse("rig", args=[rig.pk])
     return [
         Step(
-            "People", "Enter at least one technician or clinician, and hand over the link to set a password.",
+            "People", "Add at least one technician or clinician, and give them the link for setting a password.",
             staff, "Add a person", reverse("person-new"), ADMINISTRATOR,
         ),
         Step(
-            "Rig", "Enter the cameras that stand together, and the board they are calibrated with.",
+            "Rig", "Enter the rig's cameras, and the board for calibrating them.",
             rig is not None, "Enter the rig", reverse("rig-new"), RIGS,
         ),
         Step(
-            "Board to print", "Print it at 100 %, fix it on something flat and stiff, and measure the ruler below it.",
+            "Board to print", "Print it at 100 %, fix it to a flat, stiff plate, and measure the ruler below it.",
             rig is not None and printed, "Open the board as PDF",
             rig_page if rig is None else reverse("rig-target", args=[rig.pk]), RIGS,
         ),
         Step(
-            "Calibration", "Photograph the board in about twelve poses with all cameras, and let them be calibrated.",
+            "Calibration", "Photograph the board in about twelve poses with all cameras, and calibrate them.",
             calibrated, "To the rig", rig_page, RIGS,
         ),
         Step(
-            "First patient", "Enter a patient, begin a visit, and add its photographs.",
+            "First patient", "Add a patient, start a visit, and add its photographs.",
             has_patient, "Enter a patient", reverse("patient-new"), CARE,
         ),
     ]  # fmt: skip
@@ -73,7 +73,7 @@ def steps() -> list[Step]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FirstDay:
-    """The steps as one person sees them."""
+    """The steps for one person."""
 
     steps: list[Step]
     next_step: Step
@@ -82,7 +82,7 @@ class FirstDay:
 
 
 def first_day_of(person: Person) -> FirstDay | None:
-    """Return the first day as this person sees it, or None when it is over."""
+    """Return the first day for this person, or None when it is over."""
     all_steps = steps()
     waiting = [step for step in all_steps if not step.done]
     if not waiting:
@@ -90,13 +90,13 @@ def first_day_of(person: Person) -> FirstDay | None:
     return FirstDay(steps=all_steps, next_step=waiting[0], may_do=person.has_role(*waiting[0].roles))
 
 
-_MANY = 50  # rows that a page shows before it becomes a search
+_MANY = 50  # rows of a page before it becomes a search
 
 
 def today(request: HttpRequest) -> HttpResponse:
-    """Rigs, visits of the day, and what waits, to be confirmed first for clinicians.
+    """Rigs, today's visits, and waiting ones, with those to confirm first for clinicians.
 
-    People without patients are led to their own first page.
+    People who see no patients get their own first page.
     """
     person = person_of(request)
     if CARE.isdisjoint(person.roles):
@@ -131,7 +131,7 @@ def today(request: HttpRequest) -> HttpResponse:
 
 
 def alive(request: HttpRequest) -> HttpResponse:
-    """Say that the server runs, for whoever watches it."""
+    """Report that the server is running, for monitoring."""
     return HttpResponse("ok\n", content_type="text/plain")
 
 

@@ -1,4 +1,4 @@
-"""Uploads: begin, go on, place, set aside, bring back, look."""
+"""Uploads: start, continue, assign, set aside, restore, view."""
 
 from typing import Any
 from uuid import UUID
@@ -38,7 +38,7 @@ def as_json(table: dict[str, Any]) -> dict[str, Any]:
 
 @json_view("POST")
 def new(request: HttpRequest) -> HttpResponseBase:
-    """Begin an upload."""
+    """Start an upload."""
     table = json_body(request)
     model = _TARGETS.get(text_of(table, "for"))
     try:
@@ -46,7 +46,7 @@ def new(request: HttpRequest) -> HttpResponseBase:
     except ValueError:
         model = None
     if model is None:
-        raise Refused("Say what it is for: visit, calibration or check, and its id.", 400)
+        raise Refused("State the target: visit, calibration or check, and its id.", 400)
     target = get_object_or_404(model, pk=key)
     require_photographer(request, target)
     size = table.get("size_bytes")
@@ -73,7 +73,7 @@ def new(request: HttpRequest) -> HttpResponseBase:
 
 @json_view("GET", "PATCH", "DELETE")
 def one(request: HttpRequest, upload: UUID) -> HttpResponseBase:
-    """Ask where to go on. Send the next piece. Set it aside."""
+    """Get the offset, send the next piece, or set the upload aside."""
     row = _find(request, upload)
     if request.method == "DELETE":
         uploads.remove(row)
@@ -94,25 +94,25 @@ def one(request: HttpRequest, upload: UUID) -> HttpResponseBase:
 
 @json_view("POST")
 def place(request: HttpRequest, upload: UUID) -> HttpResponseBase:
-    """Say whose photograph it is."""
+    """Choose the camera of a photograph."""
     row = uploads.place(_find(request, upload), text_of(json_body(request), "camera"))
     return JsonResponse(as_json(uploads.table_of(row)))
 
 
 @json_view("POST")
 def put_right(request: HttpRequest, visit: UUID) -> HttpResponseBase:
-    """Give exchanged photographs to the cameras that took them."""
+    """Assign exchanged photographs to the right cameras."""
     row = visit_or_404(visit)
     exchanged = json_body(request).get("exchanged")
     if not isinstance(exchanged, dict):
-        raise Refused("Say which photographs are exchanged.", 400)
+        raise Refused("State which photographs are exchanged.", 400)
     uploads.put_right(row, exchanged)
     return _state(row)
 
 
 @json_view("POST")
 def back(request: HttpRequest, upload: UUID) -> HttpResponseBase:
-    """Bring a photograph back that was set aside."""
+    """Restore a photograph that was set aside."""
     row = _find(request, upload)
     uploads.bring_back(row)
     return JsonResponse(as_json(uploads.table_of(row)))

@@ -1,4 +1,4 @@
-"""Visits: begun, photographed by the rig's cameras, and looked at."""
+"""Visits: starting, photographing with the rig's cameras, and viewing."""
 
 import uuid
 from typing import Any
@@ -47,7 +47,7 @@ OPEN = ("queued", "running")
 
 
 def visit_new(request: HttpRequest) -> HttpResponse:
-    """Begin a visit of a patient, who is searched for first."""
+    """Start a visit of a chosen patient."""
     patient = chosen_patient(request)
     if patient is None:
         page = "clinic/patients_rows.html" if is_part(request) else "clinic/visit_new.html"
@@ -70,13 +70,13 @@ def visit_page(
     conclusion: ConclusionForm | None = None,
     circumstances: CircumstancesForm | None = None,
 ) -> HttpResponse:
-    """One visit, as far as it is: photographs, progress or result.
+    """One visit by its state: photographs, progress or result.
 
     Args:
-        request: whose.
+        request: the page's.
         visit: its key.
-        conclusion: one that could not be signed, to be shown again.
-        circumstances: those that could not be saved, to be shown again.
+        conclusion: one that could not be signed, to show again.
+        circumstances: those that could not be saved, to show again.
     """
     shown = visit_or_404(visit)
     job = shown.jobs.order_by("-created").first()
@@ -116,7 +116,7 @@ def visit_page(
 
 
 def refused_picture(request: HttpRequest, visit: uuid.UUID, name: str) -> HttpResponse:
-    """A picture of what a refused measurement saw."""
+    """A picture of a refused measurement."""
     picture = refusal_picture(get_object_or_404(Visit, pk=visit), name)
     if picture is None:
         raise Http404
@@ -124,7 +124,7 @@ def refused_picture(request: HttpRequest, visit: uuid.UUID, name: str) -> HttpRe
 
 
 def circumstances(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """Change why the patient came and how she held herself."""
+    """Change occasion and posture."""
     shown = get_object_or_404(Visit, pk=visit)
     if request.method == "POST":
         form = CircumstancesForm(request.POST, instance=shown)
@@ -138,7 +138,7 @@ def circumstances(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 
 def conclude(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """Sign a conclusion on the newest result of a visit. What cannot be signed is shown again."""
+    """Sign a conclusion on the newest result of a visit. A refused one is shown again."""
     if request.method != "POST":
         return redirect("visit", visit=visit)
     shown = get_object_or_404(Visit.objects.select_for_update(), pk=visit)  # two people sign one after the other
@@ -147,13 +147,13 @@ def conclude(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     if measurement is None:
         messages.error(request, "This visit is not measured yet. Measure it first.")
     elif request.POST.get("measurement") != str(measurement.pk):
-        messages.error(request, "The visit was measured again meanwhile. Look at the new result, then sign.")
+        messages.error(request, "The visit has been measured again. Read the new result, then sign.")
     elif shown.is_changed:
         messages.error(request, CHANGED_SENTENCE)
     elif not form.is_valid():
-        messages.error(request, "Write the conclusion first, in up to 4,000 characters.")
+        messages.error(request, "First write the conclusion, in up to 4,000 characters.")
     elif newest is not None and (newest.text, newest.measurement_id) == (form.cleaned_data["text"], measurement.pk):
-        messages.info(request, "This conclusion is signed already. Nothing was changed.")
+        messages.info(request, "This conclusion is already signed. Nothing was changed.")
     else:
         text = form.cleaned_data["text"]
         Conclusion.objects.create(visit=shown, measurement=measurement, text=text, by=person_of(request))
@@ -168,7 +168,7 @@ def _conclusion_form(data: Any, visit: Visit, newest: Conclusion | None) -> Conc
 
 
 def jobs(request: HttpRequest) -> HttpResponse:
-    """Page of running, waiting and recently ended computations."""
+    """Page of running, waiting and recently ended jobs."""
     all_jobs = queue.of_visits_in_use().select_related(
         "visit__patient", "comparison__before", "comparison__after__patient", "calibration__rig", "check_of_day__rig"
     )
@@ -180,14 +180,14 @@ def jobs(request: HttpRequest) -> HttpResponse:
 
 
 def take_in(visit: Visit, fired: CaptureResult, by: Person | None) -> None:
-    """Enter an accepted firing as the visit's photographs.
+    """Store an accepted firing as the visit's photographs.
 
-    They take the place of an earlier firing's, which are set aside.
+    Those of an earlier firing are set aside.
 
     Args:
-        visit: whose session folder it was fired into.
+        visit: with the session folder of the firing.
         fired: accepted.
-        by: who fired.
+        by: the user.
     """
     record: dict[str, Any] = last_record(visit.folder) or {}
     with transaction.atomic():
@@ -220,13 +220,13 @@ def take_in(visit: Visit, fired: CaptureResult, by: Person | None) -> None:
 def _checks(fired: CaptureResult, camera: str, about: dict[str, Any]) -> list[dict[str, Any]]:
     own = [finding for who, finding in fired.verdict.findings if who == camera]
     fact = Finding("camera", "ok", "Taken by the rig, from this page.")
-    # Times are the verdict's matter, whose clocks are better than EXIF's.
+    # Times are checked by the verdict, whose clocks are better than EXIF's.
     shared = {"serial": about["serial"], "taken_s": None, "named": None}
     return [{**finding.as_table(), **shared} for finding in (fact, *own)]
 
 
 def visit_capture(request: HttpRequest, visit: UUID) -> HttpResponse:
-    """The page on which a visit is photographed."""
+    """The page for photographing a visit."""
     shown = get_object_or_404(Visit.objects.select_related("patient", "rig").exclude(rig=None), pk=visit)
     return render(request, "clinic/capture.html", {
         "visit": shown, "patient": shown.patient, "rig_verdict": today(rig_of(shown)),
@@ -236,7 +236,7 @@ def visit_capture(request: HttpRequest, visit: UUID) -> HttpResponse:
 
 @json_view("GET")
 def visit_state(request: HttpRequest, visit: UUID) -> HttpResponseBase:
-    """The rig before anything is fired."""
+    """State of the rig before firing."""
     row = visit_or_404(visit)
     rig = rig_of(row)
     return JsonResponse(cameras.stand_of(rig, row.calibration).state(rig.name, row.folder))
@@ -252,7 +252,7 @@ def visit_look(request: HttpRequest, visit: UUID) -> HttpResponseBase:
 
 @json_view("POST")
 def visit_fire(request: HttpRequest, visit: UUID) -> HttpResponseBase:
-    """Fire. Pictures that may be measured are the visit's from then on."""
+    """Fire. Pictures that may be measured are added to the visit."""
     row = visit_or_404(visit)
     uploads.require_open(row)
     stand = cameras.stand_of(rig_of(row), row.calibration)
@@ -260,7 +260,7 @@ def visit_fire(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     try:
         require_replaceable(row.folder)
     except SessionError:
-        raise Refused("This visit has photographs that were sent. Set them aside first, then fire.") from None
+        raise Refused("This visit has uploaded photographs. Set them aside first, then fire.") from None
     fired = stand.fire(row.folder, subject_id=row.patient.pseudonym)
     if fired.accepted:
         take_in(row, fired, person_of(request))

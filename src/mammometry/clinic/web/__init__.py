@@ -1,1 +1,1 @@
-"""Requests: who may send which, how many, and the server that takes them."""
+"""Requests: access, limits, and the server."""

@@ -1,8 +1,8 @@
 """Access to pages. A view is mounted with its roles, or not at all.
 
-`guarded` wraps a view: it refuses who may not, requires the second factor, makes each change and its audit entry one
-transaction, carries out a form once even if it is sent twice, answers a form whose record a colleague changed,
-and enters into the audit who saw which patient's, visit's or rig's page.
+`guarded` wraps a view: it checks the role and the second factor, makes each change and its audit entry one transaction,
+processes a form once even if it is sent twice, answers a form whose record has changed, and records in the audit who
+saw the page of which patient, visit or rig.
 """
 
 from collections.abc import Awaitable, Callable
@@ -19,7 +19,7 @@ from django.urls import URLPattern, path, re_path, reverse
 from mammometry.clinic.roles import Role
 
 BODY_BYTES = 256 * 1024
-"""Largest body of a request where a route says nothing else."""
+"""Default for the largest body of a request."""
 _SAFE = ("GET", "HEAD", "OPTIONS")
 View = Callable[..., HttpResponseBase] | Callable[..., Awaitable[HttpResponseBase]]
 
@@ -29,22 +29,22 @@ class Access:
     """A route's conditions and grants."""
 
     roles: frozenset[Role] | None
-    """Who may open it; None: anyone, logged in or not."""
+    """Allowed roles; None: anyone, logged in or not."""
     body_bytes: int = BODY_BYTES
     """Largest body of a request, bytes."""
     atomic: bool = True
-    """A change is one transaction with its audit entry. False for long reads of a body, which would hold the lock."""
+    """Whether a change is one transaction with its audit entry. False for long bodies, which would hold the lock."""
     audited: bool = True
-    """Opening it is an entry of the audit."""
+    """Whether opening it is recorded in the audit."""
     first_factor: bool = False
-    """Open before the second factor is set up."""
+    """Whether it can be opened before the second factor is set up."""
 
 
 def route(where: str, view: View, name: str, roles: frozenset[Role] | None, **others: Any) -> URLPattern:
     """A line of the table of routes.
 
     Args:
-        where: path as Django writes it, such as ``visits/<uuid:visit>/``; with a leading ``^`` a regular expression.
+        where: path in Django's notation, such as ``visits/<uuid:visit>/``; with a leading ``^`` a regular expression.
             Parameters named patient, visit, rig, calibration, check, job, upload, measurement or person are what the
             audit's entry is about.
         view: function or coroutine function.
@@ -58,7 +58,7 @@ def route(where: str, view: View, name: str, roles: frozenset[Role] | None, **ot
 
 
 def guarded(view: View, access: Access) -> View:
-    """A view that refuses whoever may not open it. ``view.access`` says who may."""
+    """A view that checks access, which is in ``view.access``."""
     from mammometry.clinic.audit import record_view
     from mammometry.clinic.record_form import StaleRecord
     from mammometry.clinic.views.responses import stale_page
@@ -91,7 +91,7 @@ def guarded(view: View, access: Access) -> View:
         else:
             try:
                 response = once(request, lambda: act(request, *args, **kwargs), atomic=access.atomic)
-            except StaleRecord as stale:  # nothing was saved: it has left the transaction
+            except StaleRecord as stale:  # nothing was saved, because it has left the transaction
                 response = stale_page(request, stale.form)
         if access.audited:
             record_view(request, response, kwargs)
@@ -102,10 +102,10 @@ def guarded(view: View, access: Access) -> View:
 
 
 def refused(request: HttpRequest, access: Access) -> HttpResponseBase | None:
-    """Answer to somebody who may not: a login page, the second factor's page, 401 for a program.
+    """Answer without access: a login page, the second factor's page, 401 for a program.
 
     Raises:
-        PermissionDenied: logged in, without a role that may.
+        PermissionDenied: logged in, without the role.
     """
     if access.roles is None:
         return None
@@ -124,7 +124,7 @@ def refused(request: HttpRequest, access: Access) -> HttpResponseBase | None:
 
 
 def is_program(request: HttpRequest) -> bool:
-    """Whether a page's script asks: it is answered in JSON, never by a page or the login.
+    """Whether a page's script asks, which is answered in JSON, never by a page or the login.
 
     All scripts send this header (``viewer/src/clinic/request.ts``).
     """

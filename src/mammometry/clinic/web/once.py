@@ -1,8 +1,8 @@
-"""A form that is sent twice is carried out once.
+"""Processing a form once, even if it is sent twice.
 
-Each form carries a random token (`form_token` of the pages' tags). The first request with it is carried out, and its
-answer kept; every other one gets the same answer. Two at the same time wait for one another. Where the form is shown
-again, because something in it is not right, the token can be sent again.
+Each form has a random token (`form_token` of the pages' tags). The first request with it is processed, and its answer
+stored; all others get the same answer. Two at the same time wait for each other. If the form is shown again because of
+an error, the token can be sent again.
 """
 
 import time
@@ -19,23 +19,23 @@ from django.utils import timezone
 from mammometry.clinic.models import FormToken
 
 FIELD, HEADER = "form_token", "Form-Token"
-"""Where a page and a script put the token."""
+"""Names of the token in pages and scripts."""
 ACCEPTED = "accepted_forms"
-"""Key of the session under which the newest tokens are that were accepted: pages forget what was typed with them."""
+"""Session key of the newest accepted tokens, so that pages delete their drafts."""
 _ACCEPTED_MOST = 20  # forms of one session whose drafts may still be in a tab
 _KEPT = timedelta(days=2)  # longer than any session lasts
-_CLEARED = 200  # old tokens a request, so that none waits long
+_CLEARED = 200  # old tokens per request, so that none waits long
 _WAIT_S, _LOOK_S = 30.0, 0.2  # for an answer that another request is making
-_ABANDONED = timedelta(minutes=15)  # a request without an answer for so long has died
+_ABANDONED = timedelta(minutes=15)  # a request without an answer for this long has died
 
 
 def once(request: HttpRequest, act: Callable[[], HttpResponseBase], *, atomic: bool) -> HttpResponseBase:
-    """Carry a request out, or answer as the first of the same form was answered.
+    """Process a request, or repeat the first answer to the same form.
 
     Args:
-        request: one that changes something, of somebody who is logged in or not.
-        act: carries it out.
-        atomic: whether it is one transaction with what it changes. Otherwise the token is taken first.
+        request: one that changes data, with or without login.
+        act: processes it.
+        atomic: whether token and change are one transaction. Otherwise the token is stored first.
     """
     token = _token_of(request)
     if token is None or not request.user.is_authenticated:
@@ -101,7 +101,7 @@ def _take(request: HttpRequest, token: UUID) -> FormToken | None:
 
 
 def _keep(request: HttpRequest, row: FormToken, response: HttpResponseBase) -> None:
-    """Keep an answer to give it again. One that shows the form again gives the token back."""
+    """Store an answer for repetition. If it shows the form again, the token is released."""
     if isinstance(response, HttpResponseRedirect):
         row.answer = {"location": response.url}
     elif isinstance(response, JsonResponse) and response.status_code < 300:
@@ -117,7 +117,7 @@ def _keep(request: HttpRequest, row: FormToken, response: HttpResponseBase) -> N
 
 
 def _repeated(request: HttpRequest, row: FormToken) -> HttpResponseBase:
-    request.session.modified = False  # the first request has kept it, with what this one does not know
+    request.session.modified = False  # the first request has stored it
     answer: dict[str, Any] = row.answer
     if "location" in answer:
         return HttpResponseRedirect(answer["location"])
@@ -125,4 +125,4 @@ def _repeated(request: HttpRequest, row: FormToken) -> HttpResponseBase:
 
 
 def _busy() -> HttpResponseBase:
-    return HttpResponse("This form is being sent already. Wait, and look whether it has arrived.", status=409)
+    return HttpResponse("This form is already being sent. Wait, and check whether it has arrived.", status=409)

@@ -27,26 +27,26 @@ Receive = Callable[[], Awaitable[Mapping[str, Any]]]
 Send = Callable[[Mapping[str, Any]], Awaitable[None]]
 _BURST_S = 10.0  # seconds' worth of requests that may come at once
 _ADDRESSES = 10_000  # remembered at most
-_READ_AWAY_BYTES = 1024 * 1024  # of a refused body; who sends more sees a connection that ends
-_ANYBODYS_BYTES = 8 << 20  # more than a piece of a photograph: only logged-in people may fill the disk
-_BYTES_PER_S = 10_000  # slowest line that is waited for: a tenth of a weak telephone network's
+_READ_AWAY_BYTES = 1024 * 1024  # of a refused body; more ends the connection
+_ANYBODYS_BYTES = 8 << 20  # more than a piece of a photograph, which only logged-in people may send
+_BYTES_PER_S = 10_000  # slowest allowed line: a tenth of a weak telephone network's
 _PROXY_HEADERS = (b"x-forwarded-for", b"x-forwarded-port", b"x-forwarded-host", b"forwarded")
-"""Anybody can send them. What a trusted proxy says is in the scope already, put there by the server."""
+"""Headers that anybody can send. The server has already put those of a trusted proxy into the scope."""
 
 
 class TooLarge(Exception):
-    """A body is longer than its route grants."""
+    """A body is longer than its route allows."""
 
 
 class TooSlow(Exception):
-    """A body takes longer to come than is waited for."""
+    """A body arrives too slowly."""
 
 
 class Limited:
     """An ASGI application behind limits.
 
     Args:
-        application: what is behind them.
+        application: the limited one.
         limits: the clinic's.
         clock: seconds.
     """
@@ -92,7 +92,7 @@ class Limited:
         return None
 
     def _may_ask(self, address: str) -> bool:
-        """Whether an address may ask now, by a token bucket. It fills with time. Each request takes one."""
+        """Whether an address may send a request now, by a token bucket."""
         now = self._clock()
         if len(self._spent) > _ADDRESSES:
             self._spent = {key: spent for key, spent in self._spent.items() if now - spent[1] < _BURST_S}
@@ -112,7 +112,7 @@ def _granted(path: str) -> int:
 
 
 def _is_logged_in(headers: Any) -> bool:
-    """Whether a request comes from somebody's session. What he or she may do is asked later."""
+    """Whether a request has a login session. Its rights are checked later."""
     held = parse_cookie(dict(headers).get(b"cookie", b"").decode("latin-1")).get(settings.SESSION_COOKIE_NAME)
     if held is None:
         return False
@@ -124,12 +124,12 @@ def _is_logged_in(headers: Any) -> bool:
 
 
 class _Body:
-    """A request's body, counted and timed while it comes.
+    """A request's body, counted and timed while it is received.
 
     Args:
         receive: the server's.
-        most: bytes that are granted.
-        seconds: in which it must be here, besides those that its bytes take on a slow line.
+        most: allowed bytes.
+        seconds: allowed time, in addition to that of its bytes on a slow line.
     """
 
     def __init__(self, receive: Receive, most: int, seconds: float) -> None:
@@ -141,11 +141,11 @@ class _Body:
         self._whole = False
 
     async def receive(self) -> Mapping[str, Any]:
-        """Hand on the next message.
+        """Pass on the next message.
 
         Raises:
-            TooLarge: more came than is granted.
-            TooSlow: it did not come in time.
+            TooLarge: more than allowed.
+            TooSlow: not received in time.
         """
         message = await self._next()
         if self._read > self._most:
@@ -153,9 +153,9 @@ class _Body:
         return message
 
     async def read_away(self) -> None:
-        """Read on for a while and keep nothing.
+        """Read on for a while and discard.
 
-        Who closes a connection with unread bytes resets it, and the other side never sees the answer.
+        Closing a connection with unread bytes resets it, and the other side never sees the answer.
         """
         enough = self._read + _READ_AWAY_BYTES
         try:
@@ -166,7 +166,7 @@ class _Body:
 
     async def _next(self) -> Mapping[str, Any]:
         if self._whole:
-            return await self._receive()  # waits until the other side is gone
+            return await self._receive()  # waits until the other side has closed
         left_s = self._begun_s + self._seconds + self._read / _BYTES_PER_S - time.monotonic()
         try:
             message = await asyncio.wait_for(self._receive(), max(left_s, 0.0))
@@ -192,11 +192,13 @@ async def _refuse(send: Send, status: int, sentence: str, as_json: bool, retry_a
 
 
 _THREADS = 16
-"""Requests that are answered at once: each may wait for a disk or hold a photograph, and they share the interpreter."""
+"""Number of requests answered in parallel: each may wait for a disk or hold a photograph, and they share the
+interpreter.
+"""
 
 
 class Threaded(ASGIHandler):
-    """Answers synchronous views, each in a thread that stays."""
+    """Runs synchronous views in permanent threads."""
 
     def __init__(self) -> None:
         BaseHandler.__init__(self)
@@ -204,10 +206,10 @@ class Threaded(ASGIHandler):
         self._threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="clinic")
 
     async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request. Its whole body is read first, so a slow line holds no thread."""
+        """Answer one request. Its body is read first, so that a slow line blocks no thread."""
         try:
             body = await self.read_body(receive)
-        except RequestAborted:  # the browser has gone
+        except RequestAborted:  # the browser has disconnected
             return
         with body:
             response = await self._within(self._answer, scope, body)
@@ -229,7 +231,7 @@ class Threaded(ASGIHandler):
         if isinstance(response, FileResponse):
             response.block_size = self.chunk_size
         if not response.streaming:
-            response.close()  # its content stays; the database is free before a slow line has taken it
+            response.close()  # its content remains; the database is released before a slow line has received it
         return response
 
     async def _parts(self, content: Iterator[bytes]) -> AsyncIterator[bytes]:
@@ -246,7 +248,7 @@ class Dispatcher:
     def __init__(self) -> None:
         self._threaded = Threaded()
         self._asynchronous = ASGIHandler()
-        # Its threads end with their requests, and would leave their connections behind.
+        # Its threads end with their requests, and would leak their connections.
         signals.request_finished.connect(_close_all, sender=ASGIHandler)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

@@ -1,4 +1,4 @@
-"""The one table of routes. Each line says who may open it: `access.route`."""
+"""The table of routes, with the roles that may open each: `access.route`."""
 
 from allauth.account import views as account
 from allauth.mfa.base import views as mfa
@@ -179,7 +179,7 @@ ACCOUNTS = [
 HOME = [route("alive/", today.alive, "alive", ANYONE)]
 
 PHOTOGRAPHS = CARE | RIGS
-"""Who sends photographs: of patients, or of a board."""
+"""Roles that send photographs, of patients or of a board."""
 WORK = [
     route("uploads/", uploads.new, "upload-new", PHOTOGRAPHS),
     route(
@@ -195,7 +195,7 @@ WORK = [
     route("uploads/<uuid:upload>/back/", uploads.back, "upload-back", PHOTOGRAPHS, atomic=False),
     route(
         "uploads/<uuid:upload>/thumbnail/", uploads.thumbnail, "upload-thumbnail", PHOTOGRAPHS, audited=False
-    ),  # the page that shows it is an entry
+    ),  # the page that shows it is recorded
     route("uploads/<uuid:upload>/screen/", uploads.screen, "upload-screen", CARE),
     route("visits/<uuid:visit>/put-right/", uploads.put_right, "visit-put-right", CARE, atomic=False),
     route("visits/<uuid:visit>/uploads/", uploads.of_visit, "visit-uploads", CARE, audited=False),

@@ -1,7 +1,4 @@
-"""Middleware for safety.
-
-Headers of every answer, sessions that end, and nothing open that the table does not name.
-"""
+"""Security middleware: headers, expiry of sessions, and refusal of views without roles."""
 
 import base64
 import hashlib
@@ -40,9 +37,9 @@ def page_policy() -> str:
 
 
 def report_policy(page: bytes) -> str:
-    """Policy of a report. It is one file with its own scripts: these, by their digests, and no others.
+    """Policy of a report. It is one file with its own scripts, which are allowed by their digests.
 
-    It is sandboxed: whatever a report holds, it has no cookies and cannot call the clinic.
+    It is sandboxed: it has no cookies and cannot call the clinic.
     """
     digests = [base64.b64encode(hashlib.sha256(script).digest()).decode() for script in _SCRIPT.findall(page)]
     scripts = " ".join(f"'sha256-{digest}'" for digest in digests) or "'none'"
@@ -55,7 +52,7 @@ def report_policy(page: bytes) -> str:
 
 @sync_and_async_middleware
 def Headers(get_response: Any) -> Any:  # named like the other middleware
-    """Every answer's headers. A view sets its own Content-Security-Policy where it answers with a report."""
+    """Headers of every answer. Views that answer with a report set their own Content-Security-Policy."""
 
     def put(response: HttpResponseBase) -> HttpResponseBase:
         response.headers.setdefault("Content-Security-Policy", page_policy())
@@ -66,7 +63,7 @@ def Headers(get_response: Any) -> Any:  # named like the other middleware
         response.headers.setdefault("X-Frame-Options", "SAMEORIGIN")
         response.headers.setdefault("X-Robots-Tag", "noindex")
         if not response.headers.get("Cache-Control"):
-            response.headers["Cache-Control"] = "no-store"  # a shared computer keeps no patient's page
+            response.headers["Cache-Control"] = "no-store"  # so that a shared computer stores no patient's page
         return response
 
     if iscoroutinefunction(get_response):
@@ -91,7 +88,7 @@ class Expiry:
         self._get_response = get_response
 
     def __call__(self, request: HttpRequest) -> HttpResponseBase:
-        """Answer a request, after its session was judged."""
+        """Answer a request after checking its session."""
         if request.user.is_authenticated:
             limits, now = the_clinic().limits, int(time.time())
             begun = request.session.setdefault("begun_s", now)
@@ -104,7 +101,7 @@ class Expiry:
 
 
 class DeniedByDefault:
-    """Refuses whatever was mounted without saying who may open it."""
+    """Refuses views without an access rule."""
 
     sync_capable, async_capable = True, False
 
@@ -127,7 +124,7 @@ class DeniedByDefault:
 
 
 def for_all_pages(request: HttpRequest) -> dict[str, Any]:
-    """Values for every template: the clinic's name, and what the person may do."""
+    """Values for every template: the clinic's name and the person's roles."""
     person = getattr(request, "user", None)
     roles = list(person.roles) if person is not None and person.is_authenticated else []
     accepted = request.session.get(ACCEPTED, ()) if roles else ()

@@ -1,4 +1,4 @@
-"""The server's process, uvicorn in front of the application, and the runner's beside it."""
+"""The server's process, with uvicorn and the application, and the runner's process."""
 
 import asyncio
 import errno
@@ -20,16 +20,16 @@ from mammometry.clinic.config import ClinicConfig, ClinicError, host_and_port, r
 from mammometry.clinic.site import application
 from mammometry.hospital.peers import is_loopback
 
-_AGAIN_S = 5.0  # until a process beside the server that has ended is started again
-_END_S = 15.0  # for a runner to give its jobs back
+_AGAIN_S = 5.0  # until a helper process that has ended is restarted
+_END_S = 15.0  # for a runner to return its jobs
 _LOG = logging.getLogger(__name__)
 
 
 def closing_silent(seconds: float) -> type[asyncio.Protocol]:
-    """Limit how long the head of a request may take.
+    """Limit the time for a request's head.
 
-    HTTP is as uvicorn speaks it. uvicorn closes a connection that rests after an answer, and waits without end for the
-    first request and for the rest of a begun one. How long bodies take is counted by `mammometry.clinic.web.requests`.
+    uvicorn closes idle connections after an answer, but waits without limit for the first request and for the rest of a
+    started one. Bodies are timed by `mammometry.clinic.web.requests`.
 
     Args:
         seconds: from the connection, or the first byte of a later request, to the end of a request's head.
@@ -69,9 +69,9 @@ def closing_silent(seconds: float) -> type[asyncio.Protocol]:
 
 
 def migrate(config: ClinicConfig) -> list[str]:
-    """Bring the database's tables to what this version needs. Return the migrations that were applied.
+    """Upgrade the database's tables to this version. Returns the applied migrations.
 
-    Each migration is one transaction, so a killed one leaves nothing, and the same command goes on.
+    Each migration is one transaction, so a killed one leaves nothing, and the same command continues.
     """
     from django.core.management import call_command
     from django.db import connection
@@ -96,7 +96,7 @@ def migrate(config: ClinicConfig) -> list[str]:
 
 
 def require_current(config: ClinicConfig) -> None:
-    """Refuse a database of another version. Or one whose audit can be changed.
+    """Refuse a database of another version, or one whose audit can be changed.
 
     Raises:
         ClinicError: migrations are waiting, the database is newer, or the audit's triggers are gone.
@@ -120,7 +120,7 @@ def require_current(config: ClinicConfig) -> None:
         raise ClinicError(
             "the database", found="tables of another version of mammometry",
             expected=f"those of this version, {mammometry.__version__}",
-            remedy="Serve the clinic with the version that served it last",
+            remedy="Serve the clinic with the version that was used last",
         )  # fmt: skip
     if executor.migration_plan(executor.loader.graph.leaf_nodes()):
         remedy = f"Make a backup with that version, then run `mammometry clinic upgrade {config.folder}`"
@@ -128,7 +128,7 @@ def require_current(config: ClinicConfig) -> None:
         raise ClinicError("the database", found="tables of an older version", expected=expected, remedy=remedy)
     if not audit.is_sealed():
         raise ClinicError(
-            "the audit", found="no triggers that refuse changes, or others", expected="ours in the database",
+            "the audit", found="missing or different triggers for refusing changes", expected="ours in the database",
             remedy=f"Find out who removed them, then run `mammometry clinic upgrade {config.folder}`",
         )  # fmt: skip
 
@@ -138,10 +138,10 @@ def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
 
     Args:
         config: the clinic's.
-        jobs: whether to measure, too, by a process beside this one.
+        jobs: whether to measure, too, in a second process.
 
     Raises:
-        ClinicError: other machines could call it without encryption, or a certificate's file is missing.
+        ClinicError: other machines could reach it without encryption, or a certificate's file is missing.
     """
     import uvicorn
     from django.core.management import call_command
@@ -150,7 +150,7 @@ def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
     tls = config.tls
     if not tls.certificate and not is_loopback(host):
         remedy = "Give --tls-certificate and --tls-key, or listen on 127.0.0.1 behind a proxy that speaks TLS"
-        expected = "encryption, as other machines can call it"
+        expected = "encryption, because other machines can reach it"
         raise ClinicError(f"address {config.address}", found="no certificate", expected=expected, remedy=remedy)
     for name in filter(None, (tls.certificate, tls.key)):
         if not Path(name).is_file():
@@ -168,7 +168,7 @@ def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
             forwarded_allow_ips="127.0.0.1,::1",
             server_header=False,
             date_header=True,
-            access_log=False,  # a query may hold a name; the audit says who opened what
+            access_log=False,  # a query may contain a name; the audit records who opened what
             log_config=None,
             lifespan="off",
             timeout_keep_alive=15,
@@ -201,12 +201,12 @@ def work(folder: Path) -> None:
 
 @contextmanager
 def beside(task: Callable[[Path], None], folder: Path, *, again: bool = True) -> Iterator[None]:
-    """Keep a process at work beside the server.
+    """Run a process in parallel with the server.
 
     Args:
-        task: what it runs.
+        task: of the process.
         folder: the clinic's, its argument.
-        again: start it again when it has ended.
+        again: restart it when it has ended.
     """
     ended = threading.Event()
     processes: list[subprocess.Popen[bytes]] = []
@@ -219,7 +219,7 @@ def beside(task: Callable[[Path], None], folder: Path, *, again: bool = True) ->
             if not again:
                 return
             if not ended.is_set():
-                _LOG.warning("The runner ended and is started again.")
+                _LOG.warning("The runner ended and is being restarted.")
                 ended.wait(_AGAIN_S)
 
     keeper = threading.Thread(target=keep, daemon=True)
@@ -229,17 +229,17 @@ def beside(task: Callable[[Path], None], folder: Path, *, again: bool = True) ->
     finally:
         ended.set()
         for process in processes:
-            process.terminate()  # a runner gives its jobs back
+            process.terminate()  # a runner returns its jobs
         keeper.join(_END_S)
         for process in processes:
             process.kill()
 
 
 def require_free(address: str) -> None:
-    """Refuse an address on which the server cannot listen, before anything is started for it.
+    """Refuse an address on which the server cannot listen, before starting anything.
 
     Raises:
-        ClinicError: another program listens there, the port is the system's, or the host is no address of this machine.
+        ClinicError: another program listens there, the port is reserved, or the host is not an address of this machine.
     """
     host, port = host_and_port(address)
     remedy = "Name another address with --address HOST:PORT, or in clinic.toml"
@@ -248,14 +248,16 @@ def require_free(address: str) -> None:
             raise OSError(errno.EADDRNOTAVAIL, "no such port")  # bind raises OverflowError
         family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind, protocol) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the server: ended connections do not count
+            probe.setsockopt(
+                socket.SOL_SOCKET, socket.SO_REUSEADDR, 1
+            )  # as the server does: closed connections do not count
             probe.bind(place)
     except OSError as error:
-        found = "an address or port that this machine does not have"
+        found = "an address or port that does not exist on this machine"
         if error.errno == errno.EADDRINUSE:
             found = "another program that listens there"
             remedy = f"Stop that program, perhaps another server of this clinic. Or: {remedy[0].lower()}{remedy[1:]}"
         elif error.errno == errno.EACCES:
-            found = "a port that only the system may use"
+            found = "a port reserved for the system"
         expected = "an address on which the clinic can listen"
         raise ClinicError(f"address {address}", found=found, expected=expected, remedy=remedy) from None
