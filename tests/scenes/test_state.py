@@ -142,5 +142,5 @@ def test_a_check_refuses_photographs_older_than_the_calibration(tiny: Path, tmp_
         if is_later:
             assert len(require_later(folder, files, seen, known, ())) == len(files)
         else:
-            with pytest.raises(SessionError, match="no newer than the calibration's"):
+            with pytest.raises(SessionError, match="not newer than the calibration's"):
                 require_later(folder, files, seen, known, ())

@@ -84,7 +84,7 @@ class Capture {
     this.root.replaceChildren(tools, this.verdict, this.all, this.cameras);
     for (const name of state.cameras) this.add(name);
     const warnings = Object.entries(state.faults).map(([name, fault]) => `${name}: ${fault}`);
-    if (!state.calibrated && !state.posing) warnings.push("The rig is not calibrated: names are not compared.");
+    if (!state.calibrated && !state.posing) warnings.push("The rig is not calibrated: camera names are not checked.");
     if (state.next) warnings.push(`Next: ${state.next}`);
     this.outlines = state.outlines ?? {};
     if (warnings.length > 0) this.tell("Before you fire", "care", warnings);
@@ -140,10 +140,10 @@ class Capture {
     }
   }
 
-  /** One line for all views: is the subject whole in every one? */
+  /** One line for all views: is the subject complete in each? */
   private summarise(cameras: Record<string, Seen>, calibrating: boolean): void {
     const names = Object.entries(cameras).filter(([, one]) => "fault" in one || (calibrating ? !one.target : !one.is_whole)).map(([name]) => name);
-    const what = calibrating ? "The board is seen" : "The subject is whole";
+    const what = calibrating ? "The board is visible" : "The subject is complete";
     const said = names.length === 0 ? `✓ ${what} in every view.` : `✕ ${what} in ${this.shown.size - names.length} of ${this.shown.size} views. Look at: ${names.join(", ")}.`;
     if (this.all.textContent !== said) this.all.textContent = said;
     this.all.className = `cap-all ${names.length === 0 ? "cap-good" : "cap-bad"}`;
@@ -164,7 +164,7 @@ class Capture {
     this.draw(own, name, one, calibrating);
     histogram(own.bars, one);
     const said = calibrating
-      ? [one.target ? `${one.target} points of the board.` : "No board.", `${wanted} of ${one.covered.flat().length} regions still wanted.`]
+      ? [one.target ? `${one.target} points of the board.` : "No board.", `${wanted} of ${one.covered.flat().length} regions still needed.`]
       : [one.whole];
     if (one.saturated > TOO_BRIGHT) said.push(`${(100 * one.saturated).toFixed(0)} % too bright.`);
     own.said.textContent = said.join(" ");
@@ -214,7 +214,7 @@ class Capture {
       const fired = await this.asked<Fired>("fire", {});
       this.outlines = fired.outlines ?? {};
       const lines = fired.next ? [...fired.said, `Next: ${fired.next}`] : fired.said;
-      const title = this.posing ? "The pose is taken." : "The pictures may be measured.";
+      const title = this.posing ? "The pose is stored." : "The pictures may be measured.";
       this.tell(fired.accepted ? title : "Do not measure these pictures.", fired.accepted ? "good" : "bad", lines);
       if (fired.accepted && this.root.dataset.go) this.offer(this.root.dataset.go);
     } catch (error) {

@@ -26,9 +26,9 @@ const PAUSE_MS = 120;
 const POLL_MS = 1500;
 const FROM: Record<string, Vector> = { left: [0.5, 0.1, 0.85], right: [-0.5, 0.1, 0.85], model: [0, 0.3, 1] };
 const AHEAD: Vector = [0, 0.05, 1];
-const LOOK = "Does the line run around the breast where it ends? Turn the surface to look at all of it.";
-const DRAW = "Drag a point to move it. Click the surface to add one. Drag beside the points to turn the surface.";
-const MARK = "Choose a landmark, then click its place on the surface. None of them is required. Those with a question mark are proposed where a point is shown. To confirm accepts them as they are: if one is wrong, choose it and click its place.";
+const LOOK = "Does the line follow the edge of the breast? Turn the surface to see all of it.";
+const DRAW = "Drag a point to move it. Click the surface to add one. Drag elsewhere to turn the surface.";
+const MARK = "Choose a landmark, then click its place on the surface. None of them is required. Those with a question mark are proposals. Confirming accepts them as they are: if one is wrong, choose it and click its place.";
 
 const root = document.getElementById("mm-editor")!;
 
@@ -102,10 +102,10 @@ class Editor {
     label.hidden = page.signed;
     this.acts = {
       edit: button(acts, "Change the line", "Show the line's points and change them", () => this.edit(!this.editing)),
-      save: button(acts, "Save", "Keep what was changed (Ctrl+S)", () => void this.save()),
-      measure: button(acts, "Measure", "Measure with what was saved", () => void this.measure()),
+      save: button(acts, "Save", "Save the changes (Ctrl+S)", () => void this.save()),
+      measure: button(acts, "Measure", "Measure with the saved changes", () => void this.measure()),
       right: button(acts, "Looks right", "Go on to the next step", () => this.approve()),
-      finish: button(acts, "Confirm and finish", "Say that you looked at every line and found it right", () => void this.finish()),
+      finish: button(acts, "Confirm and finish", "Record that you checked every line and that they are right", () => void this.finish()),
     };
     this.readout = element(bar, "p", "mm-readout");
     this.readout.setAttribute("role", "status");
@@ -184,7 +184,7 @@ class Editor {
     const curve = breast === null ? [] : this.curve(breast.name).map((point) => this.seen(point));
     if (!this.stage.isInWindow(curve)) {
       this.show3d();
-      this.say("It was not wholly in view. Look at it now, then press “Looks right” again.");
+      this.say("It was not completely in view. Check it now, then press “Looks right” again.");
       return;
     }
     if (breast !== null) this.right.set(breast.name, this.stored(breast.name).of ?? "");
@@ -201,9 +201,9 @@ class Editor {
     if (changed.length > 0) return `Save first: ${changed.map(({ title }) => title.toLowerCase()).join(", ")}.`;
     const unseen = this.steps.filter(({ breast }) => breast !== null && !this.isRight(breast.name));
     if (unseen.length > 0) return `Look at this first: ${unseen.map(({ title }) => title.toLowerCase()).join(", ")}.`;
-    if (this.isMeasuring) return "What was changed is being measured. You can confirm when that is done.";
+    if (this.isMeasuring) return "Your changes are being measured. You can confirm afterwards.";
     const open = state.breasts.filter((name) => !this.isMeasured(name));
-    if (open.length > 0) return "What was changed has to be measured first.";
+    if (open.length > 0) return "Your changes must be measured first.";
     return state.breasts.every((name) => this.stored(name).of === undefined) ? "There is no line to confirm." : "";
   }
 
@@ -440,7 +440,7 @@ class Editor {
     this.say("Measuring. This takes a minute or more.");
     await this.act("Not measured", async () => {
       this.hear(await ask<State>("run", {}));
-      this.say("Measured. Look at the lines again.");
+      this.say("Measured. Check the lines again.");
     });
   }
 
@@ -474,7 +474,7 @@ class Editor {
           this.hear(state);
           const job = state.job;
           if (!this.isMeasuring && job != null)
-            this.say(job.state === "done" ? "It is measured. Look at the new volumes, then confirm." : `It could not be measured. ${job.message}`);
+            this.say(job.state === "done" ? "Measured. Check the new volumes, then confirm." : `It could not be measured. ${job.message}`);
           this.poll();
         },
         () => this.poll(),
@@ -493,13 +493,13 @@ class Editor {
         this.say(`Not loaded: ${words(error)}`);
       }
     };
-    button(this.late, "Load theirs", "Show what the other has saved; yours is kept", () => {
+    button(this.late, "Load theirs", "Show the other version; yours is kept", () => {
       void answer((state) => {
         this.hear(state, items);
         this.say("Theirs is shown now.");
       });
     });
-    button(this.late, "Replace it by mine", "Save yours in its place; theirs is kept", () => {
+    button(this.late, "Replace it by mine", "Save yours instead; theirs is kept", () => {
       void answer((state) => {
         for (const item of items) this.drawing.stored(item).base = this.drawing.stored(item, state).base;
         void this.save();
@@ -510,7 +510,7 @@ class Editor {
   private named(): string | null {
     const name = this.author.value.trim();
     if (name !== "") return name;
-    this.say("Type your name first: it is kept beside what you draw and confirm.");
+    this.say("First enter your name: it is stored with your drawings and confirmations.");
     this.author.focus();
     return null;
   }

@@ -216,7 +216,7 @@ export class Viewer {
       stage.mark(points, true, way?.points);
       this.say(
         way === null
-          ? `${straight}; no way over the surface joins these points.`
+          ? `${straight}; no path on the surface joins these points.`
           : `${straight}; along the skin: ${number(way.length)} mm (at most 0.5 % too long).`,
       );
     }, 30);

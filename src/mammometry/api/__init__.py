@@ -1,1 +1,1 @@
-"""Everything one can do from Python."""
+"""The Python interface."""

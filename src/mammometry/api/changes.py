@@ -30,32 +30,32 @@ FILES: Mapping[str, str] = {
     "mesh": "the mesh, its unit or its axes",
     "scale": "the uncertainty of the scale",
 }
-"""Input as keys call it → where it is found. Photographs, masks and tables are called by their paths."""
-_LENS = "intrinsics-"  # before the camera, in the name of what was seen for its lens
+"""Name of an input in keys → its place. Photographs, masks and tables have their paths."""
+_LENS = "intrinsics-"  # prefix of the camera in the name of lens photographs
 _OF_PAGES = {"identity.name": "the folder's name", "identity.subject": "subject.id", "identity.date": "date"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Changes:
-    """Differences of one or more results from what would be made now. Those of their own sources only."""
+    """Differences of one or more results from those that would be made now, in their own sources."""
 
     inputs: tuple[str, ...] = ()
-    """Files and parts of the manifest with other content than the results were made from."""
+    """Files and parts of the manifest that have changed since the results were made."""
     absent: tuple[str, ...] = ()
-    """Photographs that the results were made from and that are not there."""
+    """Photographs of the results that are missing."""
     settings: tuple[str, ...] = ()
-    """Dotted names of settings with other values, and what else a page shows: the folder's name, the day."""
+    """Dotted names of changed settings, and other content of a page: the folder's name, the day."""
     subject: bool = False
     """Whether the subject's identifier differs."""
     software: bool = False
-    """Whether another version of mammometry made them."""
+    """Whether a different version of mammometry made them."""
 
     @property
     def words(self) -> tuple[str, ...]:
-        """Each difference in words. Empty: only an earlier result differs."""
+        """Each difference as text. Empty: only an earlier result differs."""
         return (
             *self.inputs,
-            *(f"{name} is not there" for name in self.absent),
+            *(f"{name} is missing" for name in self.absent),
             *(f"setting {name}" if "." in name else name for name in self.settings),
             *(["subject.id"] if self.subject else []),
             *(["the version of mammometry"] if self.software else []),
@@ -67,8 +67,8 @@ def changes(store: Store, plan: Plan, keys: Iterable[Key]) -> Changes:
 
     Args:
         store: with the records.
-        plan: of the session or scan, to tell its own files from its results.
-        keys: of the results as they would be made now.
+        plan: of the session or scan, to distinguish its files from its results.
+        keys: of the results that would be made now.
     """
     made = [product.key for products in plan.bound.values() for product in products.values()]
     results = {key.product for key in made}
@@ -101,7 +101,7 @@ def changes(store: Store, plan: Plan, keys: Iterable[Key]) -> Changes:
 def source_of(key: Key, name: str) -> str:
     """Name in `Inputs.digests` of an input of a key.
 
-    Products of what was seen of a target name their photographs without the folder.
+    Products of target detections name their photographs without the folder.
     """
     kind, _, item = key.product.partition("/")
     if kind != "observations" or name.startswith("points/"):

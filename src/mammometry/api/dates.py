@@ -33,14 +33,14 @@ if TYPE_CHECKING:
     from mammometry.report.privacy import Privacy
 
 DOUBT_DEG = 15.0
-"""Difference in lean above which there is a warning, degrees. The intervals were not measured for more."""
+"""Difference in lean above which there is a warning, degrees. The intervals were not tested for more."""
 FOLDER = "compare"
 _COMMAND = "compare"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Comparison:
-    """Result of comparing two dates, and the files that hold it."""
+    """Result of comparing two dates, and its files."""
 
     before: Path
     """The earlier session."""
@@ -49,9 +49,9 @@ class Comparison:
     change: Change
     """Fit of the trunk, and changes of volumes, lengths and skin. World frame of the earlier session."""
     notices: tuple[Notice, ...]
-    """What a reader must know before the numbers, the gravest first; last, how the comparison was made."""
+    """Warnings, worst first, then remarks on the comparison."""
     folder: Path
-    """Where the page lies, with its numbers and pictures."""
+    """The page, in a folder with its numbers and pictures."""
     page: Path
     """compare.html."""
     table: dict[str, Any]
@@ -59,12 +59,12 @@ class Comparison:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """The warnings in words."""
+        """The warnings as text."""
         return tuple(words_at("warning", self.notices))
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """How the comparison was made, in words."""
+        """Remarks on the comparison, as text."""
         return tuple(words_at("note", self.notices))
 
 
@@ -81,22 +81,22 @@ def compare(
 ) -> Comparison:
     """Compare two sessions of one patient.
 
-    What is not measured yet, or with other settings, is measured first.
+    Results that are missing or have different settings are made first.
 
     Args:
-        before: the earlier session; where both manifests have a date, that decides.
+        before: the earlier session; if both manifests have a date, the dates decide.
         after: the later session.
-        settings: of all stages, for both; None for the recommended ones.
+        settings: of all stages, for both; None for the defaults.
         out: folder to write; None: ``results/compare/<earlier session>`` in the later one.
         privacy: what to leave out of the page; None: nothing.
         watches: called for every product that is made, for each session.
         progress: called with the fraction of the comparison itself.
 
     Raises:
-        SessionError: a session is missing or not as documented, both are the same, one is not of a torso, or they
-            tell two different subjects or postures.
-        MeasureError: no breast has a volume at both dates, or the trunks are not one body's.
-        StorageError: the page cannot be written, or somebody else's file is in its way.
+        SessionError: a session is missing or invalid, both are the same, one is not of a torso, or they have different
+            subjects or postures.
+        MeasureError: no breast has a volume at both dates, or the trunks are not of one body.
+        StorageError: the page cannot be written, or another file is in its place.
     """
     from mammometry.report.privacy import Privacy
 
@@ -123,8 +123,8 @@ def compare_visits(
 ) -> Comparison:
     """Compare two measured visits of a clinic.
 
-    Its database knows that both are one patient's, in this order, in which postures, and who confirmed which boundary:
-    the manifests are not asked, and the page says nothing of postures and confirmations.
+    Patient, order, postures and confirmations come from its database, not from the manifests, and the page does not
+    mention postures and confirmations.
 
     Args:
         before: folder of the earlier visit.
@@ -151,11 +151,11 @@ class _Request:
     out: Path | None
     privacy: Privacy
     subject: str | None = None
-    """Identifier that both sessions tell."""
+    """Identifier in both sessions."""
     remarks: Sequence[Notice] = ()
-    """On how the dates were put in order."""
+    """Notices on the order of the dates."""
     in_clinic: bool = False
-    """Whether confirmations and the posture come from elsewhere, such as a clinic's visit."""
+    """Whether confirmations and posture come from another source, such as a clinic's visit."""
 
 
 def _compare(jobs: list[Job], request: _Request, progress: Progress) -> Comparison:
@@ -219,12 +219,12 @@ _WHICH = ("earlier", "later")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Heading:
-    """Identities whose dates the page shows: its names and dates come from here only."""
+    """Identities on the page: the only source of its names and dates."""
 
     title: str
     subtitle: str
     subject: str | None
-    """Identifier that both sessions tell."""
+    """Identifier in both sessions."""
 
 
 def _heading(jobs: list[Job], dates: list[datetime.date | None], subject: str | None, deidentify: bool) -> _Heading:
@@ -244,7 +244,7 @@ def _check(jobs: list[Job]) -> None:
         kind = job.inputs.subject_kind
         if kind != "torso":
             remedy = "Compare casts by their volumes: `mammometry run` on each"
-            expected = "'torso' in both sessions: dates are registered on the body beside the breasts"
+            expected = "'torso' in both sessions: dates are registered on the body around the breasts"
             raise SessionError(f"{job.folder}: subject.kind", found=repr(kind), expected=expected, remedy=remedy)
     first, second = jobs
     same = first.folder.resolve() == second.folder.resolve()
@@ -258,7 +258,7 @@ def _check(jobs: list[Job]) -> None:
 
 
 def _one_subject(jobs: list[Job]) -> str | None:
-    """Return the subject that the manifests name, or refuse two subjects."""
+    """Return the subject in the manifests, or refuse different ones."""
     return one_subject(
         [(f"{job.folder}: subject.id", job.identity.subject) for job in jobs],
         remedy="Name two sessions of one subject, or correct subject.id in the one that is wrong",
@@ -268,7 +268,7 @@ def _one_subject(jobs: list[Job]) -> str | None:
 def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[VolumeMeasurement, ...]], list[Notice]]:
     """Volumes of both dates by the same protocol.
 
-    They are measured again where boundaries or walls were made in different ways.
+    They are measured again if boundaries or walls were made in different ways.
     """
     from mammometry.measure.wall.registry import TORSO_WALLS, in_order
 
@@ -314,7 +314,7 @@ def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[Volum
 
 
 def _at_one_date(measured: Sequence[tuple[VolumeMeasurement, ...]]) -> dict[str, str]:
-    """Breast → the date at which alone it has a volume."""
+    """Breast → the only date with a volume."""
     names = [{volume.name for volume in volumes} for volumes in measured]
     return {
         name: _WHICH[number] for number in (0, 1) for name in sorted(names[number]) if name not in names[1 - number]
@@ -329,8 +329,8 @@ def _measured_again(
     Args:
         job: the date.
         boundaries: of the breasts.
-        wall: kind of chest wall; None: as the settings say.
-        back: the measured wall, where there is one at both dates.
+        wall: kind of chest wall; None: from the settings.
+        back: the measured wall, if there is one at both dates.
         progress: called with the fraction done.
     """
     from mammometry.measure.volume.volumes import measure_volumes
@@ -344,7 +344,7 @@ def _measured_again(
 
 
 def _evidence(job: Job) -> Evidence:
-    """Collect the errors that the earlier stages state, as input of a volume's interval."""
+    """Collect the errors of earlier stages for a volume's interval."""
     return job.plan[measure.evidence]()
 
 
@@ -382,7 +382,7 @@ def _visit(job: Job, volumes: tuple[VolumeMeasurement, ...]) -> Visit:
 
 
 def _common_scale(jobs: list[Job]) -> bool:
-    """Whether both were calibrated with one target, as it was measured once."""
+    """Whether both were calibrated with the same target and its measured size."""
     if not all(job.has_own_scale for job in jobs):
         return False
     first, second = (job.inputs.digests["target"] for job in jobs)
@@ -406,7 +406,7 @@ def _unconfirmed(change: Change) -> Iterator[Notice]:
 def _folder_name(before: Job, privacy: Privacy) -> str:
     name = before.folder.resolve().name
     if privacy.deidentify:
-        return "deidentified"  # a folder's name is a name too
+        return "deidentified"  # a folder's name may be a patient's
     return f"{name}-geometry-only" if privacy.geometry_only else name
 
 

@@ -1,4 +1,4 @@
-"""Whether an exposure of the target is a later one, so that it can show a movement."""
+"""Checks that an exposure of the target is a later one, so that it can show a movement."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -24,7 +24,7 @@ def require_later(
 ) -> dict[str, str]:
     """Require photographs that are newer than the calibration and all known ones.
 
-    Checking one exposure again is no fault: an earlier check of the same folder counts for nothing.
+    Checking one exposure again is allowed: an earlier check of the same folder is ignored.
 
     Args:
         image_set: folder of the exposure.
@@ -75,7 +75,7 @@ def _require_newer(path: Path, camera: str, calibrated: Mapping[Shot, Path]) -> 
     moments = (read_exposure(other).taken_s for shot, other in calibrated.items() if shot[1] == camera)
     newest_s = max((moment for moment in moments if moment is not None), default=None)
     if newest_s is not None and taken_s <= newest_s:
-        raise _refusal(path, "a photograph that is no newer than the calibration's, by the camera's own clock")
+        raise _refusal(path, "a photograph that is not newer than the calibration's, by the camera's own clock")
 
 
 def _refusal(path: Path, found: str) -> SessionError:

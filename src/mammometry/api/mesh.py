@@ -75,14 +75,14 @@ T = TypeVar("T")
 _NAMES = ("model", "left", "right")
 _COMMAND = "measure"
 _LOG = logging.getLogger(__name__)
-_LEAST_FACES = 10_000  # from which a second process that draws, one processor second to begin, is worth it
-_DENSE = 300_000  # faces, from which the colours of vertices are as fine as a page shows them
+_LEAST_FACES = 10_000  # from which a second process for drawing, one processor second to start, is worth it
+_DENSE = 300_000  # faces, above which vertex colours are as fine as a page needs
 _DARK, _LIGHT = 70.0, 160.0  # 8-bit grey of a colourless mesh in shade, and what full light adds; chosen by eye
 WORLD = "The mesh file's own frame, in mm."
 
 
 class MeshJob(Job):
-    """The job on a mesh, whose surface is given. What is in the folder and current is not done again."""
+    """The job on a mesh, whose surface is given. Current results in the folder are not computed again."""
 
     stages = ("measure", "report")
     world = WORLD
@@ -99,7 +99,7 @@ class MeshJob(Job):
         method: Method = method,
         given: Given = NONE_GIVEN,
     ) -> None:
-        """Read the mesh and the files that belong to it.
+        """Read the mesh and its files.
 
         Args:
             files: the mesh and what was drawn on it.
@@ -144,7 +144,7 @@ class MeshJob(Job):
         self._assumed = foreign.assumed if files.scan is None else unit_remark(files.scan.units, imported=True)
         if files.boundary is None and files.landmarks is None and not files.automatic:
             remedy = "Add --boundary b.json, or --landmarks l.json with the protocol's landmarks, or --automatic"
-            expected = "where the breast ends on this mesh"
+            expected = "the boundary of the breast on this mesh"
             raise SessionError(
                 str(files.mesh), found="neither a boundary nor landmarks", expected=expected, remedy=remedy
             )
@@ -176,7 +176,7 @@ class MeshJob(Job):
             raise SessionError(
                 f"{files.boundary}: {drawn.automatic[0]}",
                 found="a boundary to be found automatically",
-                expected="the points of each boundary: on a mesh nothing is found automatically",
+                expected="the points of each boundary: nothing is found automatically on a mesh",
                 remedy="Draw it, or take it out of the file",
             )
         curves = drawn.curves
@@ -210,7 +210,7 @@ class MeshJob(Job):
         scan = scanned.finer_scan(scan, near)
         repaired, fine = scanned.as_scanned(scan.mesh, scan.invented), scan.mesh
         for name, curve in curves.items():
-            if self.kind == "torso":  # a cast is cut by its base, not along the curve
+            if self.kind == "torso":  # a cast is cut at its base, not along the curve
                 scanned.check_cut(name, curve, fine)
         if frame is None:
             frame = scanned.viewing_frame(repaired, curves, places)
@@ -253,7 +253,7 @@ class MeshJob(Job):
         Args:
             repaired: the surface to be measured.
             foreign: the mesh with its colours.
-            by_drawing: digests of the drawing, where it decides the viewer's place.
+            by_drawing: digests of the drawing, if it determines the viewer's position.
         """
         from mammometry.measure.trunk.body import rig_frame
         from mammometry.surface.texture.texture import TexturedMesh
@@ -264,7 +264,9 @@ class MeshJob(Job):
         colours = np.einsum("nk,nkj->nj", weights, foreign.colours[faces]).round().clip(0, 255).astype(np.uint8)
         if self.files.scan is not None and len(foreign.mesh.faces) < _DENSE:
             colours = skin_colours(self.files.mesh.parent, self.files.scan, repaired.mesh.vertices, colours)
-        if not np.ptp(foreign.colours, axis=0).any():  # one colour shows no shape: shaded as by a lamp at the viewer's
+        if not np.ptp(
+            foreign.colours, axis=0
+        ).any():  # a single colour shows no shape, so shade it with a lamp at the viewer
             facing = np.abs(repaired.mesh.vertex_normals() @ rig_frame(self._rig)[2])
             colours = np.repeat((_DARK + _LIGHT * facing[:, None]).astype(np.uint8), 3, axis=1)
         textured = TexturedMesh(mesh=repaired.mesh, colours=colours)
@@ -296,7 +298,7 @@ class MeshJob(Job):
             )  # fmt: skip
 
     def ensure(self, stage: Stage, *, drawn: bool = True) -> None:
-        """Measure, and write the report, where they are not current.
+        """Measure, and write the report, if they are not current.
 
         Args:
             stage: ``measure`` or ``report``.
@@ -343,10 +345,10 @@ class MeshJob(Job):
 
     @contextmanager
     def _drawing_beside(self) -> Iterator[Callable[[], Callable[[], Mapping[str, Picture]]]]:
-        """Begin a second process that draws.
+        """Start a second process for drawing.
 
         Yields:
-            A function that begins to draw, once the breasts are measured, and returns one that waits for the pictures.
+            A function that starts drawing, once the breasts are measured, and returns one that waits for the pictures.
         """
         from mammometry.report.gather import drawn_mesh, mesh_result
 
@@ -375,7 +377,7 @@ class MeshJob(Job):
             yield begin
 
     def _refused(self) -> Mapping[str, bytes]:
-        """Pictures for the page of a refusal: the mesh, and the boundaries where they were found."""
+        """Pictures for the page of a refusal: the mesh, and the boundaries that were found."""
         from mammometry.measure.trunk.body import rig_frame
         from mammometry.report.figures.refused import surface_seen
 
@@ -441,7 +443,7 @@ class MeshJob(Job):
 
 
 def _drawn(inputs: Inputs) -> dict[str, str]:
-    """Inputs beside the mesh that decide where the viewer stands."""
+    """Inputs other than the mesh that determine the viewer's position."""
     return {name: inputs.digests[name] for name in ("boundaries", "landmarks")}
 
 

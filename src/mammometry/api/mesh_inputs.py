@@ -1,4 +1,4 @@
-"""What a job on a mesh is given, as inputs with their digests."""
+"""Inputs of a job on a mesh, with their digests."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from mammometry.job.inputs import Inputs, SubjectKind
 def inputs_of(
     files: MeshFiles, kind: SubjectKind, drawn: DrawnBoundaries, places: dict[str, Float64[Array, "k 3"]]
 ) -> Inputs:
-    """Inputs of the measurement: what was drawn on the mesh, in mm, and what was said about it."""
+    """Inputs of the measurement: drawings on the mesh, in mm, and its description."""
     back: TriangleMesh | None = None if files.back is None else read_foreign(files.back, files.units).mesh
     return Inputs(
         rig_name="none",

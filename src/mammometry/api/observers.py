@@ -45,27 +45,27 @@ _NOT_NAMES = frozenset(
      "operator", "investigator", "student", "annotator", "clinician", "resident", "registrar", "consultant", "trainee",
      "participant", "beobachter", "untersucher", "auswerter", "dr", "obs", "r", "o", "p")
 )  # fmt: skip
-"""What a person is called by a number: ``rater-2`` is another person than ``rater-1``."""
+"""Words that name a person by a number: ``rater-2`` and ``rater-1`` are different people."""
 _NUMBERED = re.compile(r"(.*[^\W\d_])[ _]?(\d{1,3})")
 """A name and a number without a hyphen."""
 _COPY = re.compile(r"\(\d+\)$|[\s_-](copy|kopie|copie|copia)([\s_-]?\(?\d+\)?)?$|^(copy of|kopie von) ", re.IGNORECASE)
-"""How browsers and desktops name a copy: ``anna-1 (1)``, ``anna-1 copy 2``, ``Copy of anna-1``."""
-_SAME_MM = 1e-3  # curves nearer than this are copies: files hold a thousandth of a millimetre, and no hand draws so
-_COLUMNS = "columns mesh, boundary and observer, and repeat where somebody drew twice"
+"""Names of copies by browsers and desktops: ``anna-1 (1)``, ``anna-1 copy 2``, ``Copy of anna-1``."""
+_SAME_MM = 1e-3  # curves nearer than this are copies: files have a resolution of 0.001 mm, which no hand repeats
+_COLUMNS = "columns mesh, boundary and observer, and repeat if a person drew twice"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DrawnBy:
-    """One file of boundaries that one person drew."""
+    """One file of boundaries by one person."""
 
     mesh: Path
-    """The surface that it was drawn on."""
+    """The surface of the drawing."""
     boundary: Path
     """The boundaries.json."""
     observer: str
     """Who drew."""
     repeat: str
-    """Which of that person's drawings of this surface."""
+    """Number of that person's drawing of this surface."""
 
 
 def read_drawn_by(curves: Path, mesh: Path | None = None) -> tuple[DrawnBy, ...]:
@@ -82,7 +82,7 @@ def read_drawn_by(curves: Path, mesh: Path | None = None) -> tuple[DrawnBy, ...]
     """
     drawn = _of_folder(curves, mesh) if curves.is_dir() else _of_table(curves, mesh)
     if len(drawn) < 2:
-        remedy = "Let another person draw, or draw again"
+        remedy = "Ask another person to draw, or draw again"
         expected = "two or more of one surface"
         raise SessionError(str(curves), found=f"{len(drawn)} drawings", expected=expected, remedy=remedy)
     return drawn
@@ -193,7 +193,7 @@ def measure_drawings(
     settings: MeasureSettings | None = None,
     progress: Progress = no_progress,
 ) -> MeasuredDrawings:
-    """Cut and close every drawing alike: same wall, same mesh.
+    """Measure every drawing in the same way: same wall, same mesh.
 
     Args:
         drawn: who drew what.
@@ -237,7 +237,7 @@ def _on_one(
     for drawing in drawn:
         curves = boundaries_in(drawing.boundary, _SIDES).curves
         if not curves:
-            remedy = "Let this person draw, or take the file out"
+            remedy = "Ask this person to draw, or remove the file"
             expected = "a curve around a breast, left or right"
             raise SessionError(str(drawing.boundary), found="no points", expected=expected, remedy=remedy)
         files.append({name: scanned.in_mesh_unit(one, scan.mesh, foreign.mm_per_unit) for name, one in curves.items()})
@@ -272,9 +272,9 @@ def _on_one(
 
 
 def _require_no_copies(drawn: Sequence[DrawnBy], files: Sequence[Mapping[str, Float64[Array, "n 3"]]]) -> None:
-    """Refuse one curve in two files: persons who agree to a thousandth of a millimetre did not both draw.
+    """Refuse one curve in two files: two people never agree to a thousandth of a millimetre.
 
-    Where a curve begins, and in which direction it runs, makes no difference.
+    Start and direction of a curve do not matter.
     """
     seen: list[tuple[DrawnBy, str, Float64[Array, "n 3"]]] = []
     for drawing, curves in zip(drawn, files, strict=True):
@@ -286,7 +286,7 @@ def _require_no_copies(drawn: Sequence[DrawnBy], files: Sequence[Mapping[str, Fl
                         str(drawing.boundary),
                         found=f"the {side} curve of {shown_name(other.boundary)}",
                         expected="curves that were drawn independently",
-                        remedy="Remove the copy, or the side that was taken over and not drawn",
+                        remedy="Remove the copy, or the side that was copied and not drawn",
                     )
             seen.append((drawing, side, curve))
 

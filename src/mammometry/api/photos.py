@@ -38,15 +38,15 @@ from mammometry.walk.stations import TELEPHONE, find_stations
 
 BOARD = "board.toml"
 WALK = "walk.json"
-_VERSION = 2  # raise it when the same photographs give another session
+_VERSION = 2  # raise it when the same photographs give a different session
 PRINT_STD = 0.01
 """Relative standard uncertainty of a board that was not measured: printers may scale a page by a few per cent."""
-_MARGIN_PX = 32  # kept around the region's picture, for windows at its edge
+_MARGIN_PX = 32  # margin around the region's picture, for windows at its edge
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PreparedWalk:
-    """Facts about a walk's photographs, as walk.json of its session holds them."""
+    """Facts about a walk's photographs, stored in walk.json of its session."""
 
     source: str
     """Digest of the photographs and the board's description."""
@@ -55,7 +55,7 @@ class PreparedWalk:
     used: Sequence[str]
     """Numbers of those in pairs, as `walk_files` counts them."""
     left_out: Mapping[str, str]
-    """Number of a photograph → why it is not used."""
+    """Number of a photograph → reason why it is not used."""
     board_rms_px: float
     """RMS reprojection error of the board's corners, pixels."""
     board_bow_mm: float
@@ -65,7 +65,7 @@ class PreparedWalk:
     scale_std: float
     """Relative standard uncertainty of all lengths."""
     point_std_mm: float
-    """Standard uncertainty of a reconstructed point from the telephone's places and lens, mm."""
+    """Standard uncertainty of a reconstructed point, from the telephone's positions and lens, mm."""
 
 
 def prepare_walk(
@@ -76,10 +76,10 @@ def prepare_walk(
     subject: str | None = None,
     progress: Progress = no_progress,
 ) -> PreparedWalk:
-    """Write a session of a walk: the telephone's places, pairs, and the photographs cropped to the body.
+    """Write a session of a walk: camera positions, pairs, and the photographs cropped to the body.
 
     The photographs are stored by number, without their names, which may be a patient's, and without EXIF data. A
-    session that was made of the same photographs is left as it is.
+    session of the same photographs is not changed.
 
     Args:
         folder: the photographs, and ``board.toml`` where the board is another than ours.
@@ -206,7 +206,7 @@ def _write(
         rows, columns = _box(mask)
         cameras[name] = _cropped(camera, rows, columns)
         pixels = np.ascontiguousarray(photographs[name].pixels[rows, columns])
-        if pixels.dtype == np.uint16:  # PNG holds colours of 8 bits here, and telephones give no more
+        if pixels.dtype == np.uint16:  # 8 bits per colour, as from telephones
             pixels = (pixels >> 8).astype(np.uint8)
         Image.fromarray(pixels).save(capture / f"{name}.png", compress_level=1)
         Image.fromarray(mask[rows, columns]).save(masks / f"{name}.png")

@@ -1,4 +1,4 @@
-"""Postures of two dates: volumes of different ones are not to be compared."""
+"""Postures of two dates: volumes in different postures must not be compared."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ def check_posture(before: Job, after: Job) -> None:
         raise SessionError(
             f"{before.folder}, {after.folder}",
             found=f"the patient {before.posture} at one date and {after.posture} at the other",
-            expected="one posture, since volumes of different ones are not to be compared",
+            expected="one posture, because volumes in different postures must not be compared",
             remedy="Compare dates of one posture, or add --set compare.other_posture=true",
         )
 
 
 def posture_warnings(before: Job, after: Job) -> Iterator[Notice]:
-    """Yield a warning where the postures differ, or one alone is known."""
+    """Yield a warning if the postures differ, or only one is known."""
     if before.posture != after.posture:
         earlier, later = (posture or "in a posture that was not given" for posture in (before.posture, after.posture))
         yield Notice(code="postures-differ", values={"before": earlier, "after": later})

@@ -1,7 +1,7 @@
 """Previews of a job's stages.
 
-Where there are cores, a second process draws them beside the next stage's work, from the results on disk. What it
-cannot draw is drawn here, so that whatever stands in the way is said in the same words.
+If there are free cores, a second process draws them in parallel with the next stage, from the results on disk. If it
+fails, they are drawn here, so that errors are reported in the same way.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from mammometry.settings import Settings
 
 _LOG = logging.getLogger(__name__)
-_LEAST_MEGAPIXELS = 5.0  # photographs from which a second process, two processor seconds to begin, is worth it
+_LEAST_MEGAPIXELS = 5.0  # photographs from which a second process, two processor seconds to start, is worth it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -62,20 +62,21 @@ class Previews:
                 raise StorageError(
                     f"{stage}/{name}.png",
                     found=f"a picture that cannot be read back ({error_text(error)})",
-                    expected="the file as it was written",
+                    expected="the unchanged file",
                     remedy="Remove it and run the command again: it will be made again",
                 ) from None
         return pictures
 
     @contextmanager
     def drawing(self, stages: Sequence[Stage]) -> Iterator[Drawing]:
-        """Draw pictures as their stages are made. All are there when the block ends.
+        """Draw pictures as their stages are made. All are complete at the end of the block.
 
         Args:
-            stages: what will be made, in order. Without pictures to draw beside a later one there is no second process.
+            stages: to be made, in order. Without pictures to draw in parallel with a later one there is no second
+                process.
         """
         missing = any(not self.store.has(previews_key(stage, self.plan)) for stage in stages[:-1])
-        usual = self.plan.method is method and not self.plan.given  # other functions are known in this process only
+        usual = self.plan.method is method and not self.plan.given  # replaced functions exist only in this process
         if not missing or not usual or available_cores() < 2 or self._megapixels() < _LEAST_MEGAPIXELS:
             yield Drawing(self._ensure, None)
             return
@@ -123,7 +124,7 @@ class Previews:
 
 
 class Drawing:
-    """Pictures that are being drawn, here or beside."""
+    """Pictures that are being drawn, here or in the second process."""
 
     def __init__(self, ensure: Callable[[Stage], Facts], pool: ThreadPoolExecutor | None) -> None:
         self._ensure = ensure
@@ -141,20 +142,20 @@ class Drawing:
 
     @property
     def waiting(self) -> bool:
-        """Whether pictures that were begun are still being drawn."""
+        """Whether started pictures are still being drawn."""
         return not all(future.done() for future in self._begun.values())
 
     def facts(self) -> dict[Stage, Facts]:
-        """Wait for all pictures that were begun. Returns what the report says of their stages.
+        """Wait for all started pictures. Returns the report's facts of their stages.
 
         Raises:
-            MammometryError: whatever stood in the way, in one sentence.
+            MammometryError: a picture cannot be drawn.
         """
         return {stage: future.result() for stage, future in self._begun.items()}
 
 
 def load() -> None:
-    """Import, in the second process, what draws: by drawing something."""
+    """Import the drawing libraries in the second process, by drawing something."""
     import numpy as np
 
     from mammometry.geometry import TriangleMesh

@@ -38,18 +38,17 @@ class Results:
     peak_memory_mb: float | None
     """Peak memory of the process or a child, MB. None if the system does not report it (Windows)."""
     world: str
-    """Which frame the results are in, in words."""
+    """Frame of the results, as text."""
     folder: Path
-    """Where the results lie."""
+    """Folder of the results."""
     report: Path | None
-    """The report's page. None if it was not wanted."""
+    """The report's page. None if it was not requested."""
     no_breast: Mapping[str, str] = field(default_factory=dict)
     """Side of a torso without a breast → the evidence for that."""
     notices: tuple[Notice, ...] = ()
-    """What was changed in a scanner's mesh, what was assumed, what makes a torso's volumes doubtful, and the posture
-    that they belong to."""
+    """Notices: changes of a scanner's mesh, assumptions, doubts about a torso's volumes, and the posture."""
     lacking: Mapping[str, VolumeDeficit] = field(default_factory=dict)
-    """Side of a torso → what it lacks compared with the mirrored other side."""
+    """Side of a torso → its lacking volume compared with the mirrored other side."""
     merged: tuple[Mapping[str, Any], ...] = ()
     """Further scans that were merged with the first one, as `AlsoScan.as_table`."""
     made: tuple[str, ...] = ()
@@ -59,7 +58,7 @@ class Results:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """The notices in words, one sentence each."""
+        """The notices as text, one sentence each."""
         from mammometry.report.words.notices import words_of
 
         return tuple(map(words_of, self.notices))
@@ -71,7 +70,7 @@ class Results:
 
     @property
     def words(self) -> dict[str, str]:
-        """Name → volume and interval in words, rounded by it: "284 ± 55 cc (95 %: 230 to 339 cc)"."""
+        """Name → volume and interval as text, rounded accordingly: "284 ± 55 cc (95 %: 230 to 339 cc)"."""
         from mammometry.report.words.volumes import measured_words
 
         return {
@@ -81,12 +80,12 @@ class Results:
 
     @property
     def intervals_cc(self) -> dict[str, tuple[float, float] | None]:
-        """Name → 95 % interval, cc. None where none is known."""
+        """Name → 95 % interval, cc. None if unknown."""
         return {name: measured.interval_cc for name, measured in self.measurements.items()}
 
     @property
     def difference(self) -> VolumeDifference | None:
-        """Volume of the left breast less that of the right one, with its own interval. None without both."""
+        """Volume of the left breast minus that of the right one, with its own interval. None without both."""
         from mammometry.measure.volume.difference import difference
 
         if not {"left", "right"} <= self.measurements.keys():
@@ -94,7 +93,7 @@ class Results:
         return difference(self.measurements["left"], self.measurements["right"], "sides")
 
     def as_table(self) -> dict[str, Any]:
-        """All of it as plain data for JSON, as ``--json`` prints it."""
+        """All results as plain data for JSON, as printed by ``--json``."""
         apart = self.difference
         interval_cc = None if apart is None else apart.difference_interval_cc
         return {
@@ -144,19 +143,19 @@ class Results:
 
 _LOG = logging.getLogger(__name__)
 FOLDER, PAGE = "refused", "refused.html"
-"""Where the page lies, in the results. Its pictures lie beside it, for the clinic."""
+"""Folder of the page, in the results, with its pictures for the clinic."""
 Pictures = Mapping[str, bytes]
 """Name → PNG with its caption."""
 
 
 def show_refusal(results: Path, identity: Identity, error: MammometryError, draw: Callable[[], Pictures]) -> None:
-    """Write a page of what was seen and its pictures, and set `error.page`.
+    """Write a page with pictures of a refusal, and set `error.page`.
 
     If the page fails, the refusal itself is still reported.
 
     Args:
         results: folder of the session's results.
-        identity: whose photographs they are.
+        identity: of the subject.
         error: the refusal; its `page` is set.
         draw: makes the pictures.
     """
@@ -167,12 +166,12 @@ def show_refusal(results: Path, identity: Identity, error: MammometryError, draw
         files = {PAGE: refusal_page(identity, error, pictures).encode()}
         write_outputs(results / FOLDER, files | {f"{name}.png": png for name, png in pictures.items()}, command="run")
         error.page = results / FOLDER / PAGE
-    except Exception as trouble:  # whatever hinders the page must not hide why there is no volume
+    except Exception as trouble:  # a failure of the page must not hide the refusal
         _LOG.warning("what was seen could not be drawn: %s", error_text(trouble))
 
 
 def is_refusal_shown(results: Path) -> bool:
-    """Whether the page of a refusal is there."""
+    """Whether there is a page of a refusal."""
     return (results / FOLDER / PAGE).is_file()
 
 
@@ -185,14 +184,14 @@ def withdraw_refusal(results: Path) -> None:
 def seen(
     stage: Stage, error: MammometryError, plan: Plan, inputs: Inputs, previews: Callable[[Stage], Pictures]
 ) -> Pictures:
-    """Pictures of a refused stage: its inputs and what it found.
+    """Pictures of a refused stage: its inputs and findings.
 
     Args:
-        stage: that refused: calibrate, match, surface or measure.
+        stage: the refused one: calibrate, match, surface or measure.
         error: the refusal.
         plan: the whole job.
-        inputs: what the session brought.
-        previews: pictures of a stage that was made.
+        inputs: of the session.
+        previews: pictures of a completed stage.
     """
     from mammometry.calibration.judge.suspects import SuspectPhotographsError
     from mammometry.report.figures import refused

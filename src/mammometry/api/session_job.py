@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from mammometry.report.words.stage_facts import Facts
 
 _DRAWN = STAGES[:-1]  # stages with previews
-_HEAD = 4096  # characters of a page that hold its key: it stands first in the head
+_HEAD = 4096  # first characters of a page, which contain its key
 _PAGE_KEY = re.compile(r'<meta name="mammometry-key" content="([0-9a-f,]+)">')
 
 
@@ -68,9 +68,9 @@ class Job(Reported):
     stages: tuple[Stage, ...] = STAGES
     """Stages that are made, in order."""
     world = ""
-    """Which frame a given surface is in, in words. Empty: as the cameras say."""
+    """Frame of a given surface, as text. Empty: that of the cameras."""
     notices: tuple[Notice, ...] = ()
-    """What was changed in a scanner's mesh or taken for granted, one sentence each."""
+    """Changes of a scanner's mesh and assumptions, one sentence each."""
     merged: tuple[Mapping[str, Any], ...] = ()
     """Further scans that were merged with the first one, as `AlsoScan.as_table`."""
     posture: str
@@ -114,7 +114,7 @@ class Job(Reported):
 
     @property
     def rig(self) -> Rig:
-        """The cameras in their places at the exposures, or the viewer of a scan."""
+        """The cameras at their positions during the exposures, or the viewer of a scan."""
         return self.plan[calibrate.cameras]().rig
 
     @property
@@ -142,14 +142,14 @@ class Job(Reported):
         """
 
     def ensure(self, stage: Stage, *, drawn: bool = True) -> None:
-        """Make a stage and those before it, where they are not current.
+        """Make a stage and those before it, unless they are current.
 
         Args:
             stage: the last one.
-            drawn: whether their previews are made, too, and pictures of what a stage refuses. The report needs them.
+            drawn: whether to draw their previews, and pictures of a refusal. The report needs them.
 
         Raises:
-            MammometryError: whatever stands in the way, in one sentence.
+            MammometryError: a stage refuses.
         """
         self.session.require(stage)
         stages = STAGES[: STAGES.index(stage) + 1]
@@ -192,16 +192,16 @@ class Job(Reported):
             drawing.begin(stage)
 
     def _seen(self, stage: Stage, error: MammometryError, drawing: Drawing) -> Mapping[str, bytes]:
-        drawing.facts()  # all pictures that were begun are there then
+        drawing.facts()  # all started pictures are then complete
         return seen(stage, error, self.plan, self.inputs, self.previews)
 
     def calibrate(self) -> CameraSet:
-        """Calibrate the rig, or take the ready-made cameras."""
+        """Calibrate the rig, or use the given cameras."""
         self.ensure("calibrate")
         return self.plan[calibrate.cameras]()
 
     def calibration(self) -> Calibration | None:
-        """Residuals, covariance and target placements. None where the cameras came ready-made."""
+        """Residuals, covariance and target placements. None for given cameras."""
         self.ensure("calibrate")
         return self.plan.value(calibrate.calibration)
 
@@ -238,7 +238,7 @@ class Job(Reported):
         earlier = (entry for entry in drift.read_history(self.session.path).entries if entry.calibration == digest)
         calibrated = self.session.calibration_files() if self.inputs.calibrates else {}
         paths = self.session.image_set_files(Path(image_set))
-        files = {shot: path for shot, path in paths.items() if shot not in measured}  # else the table is what counts
+        files = {shot: path for shot, path in paths.items() if shot not in measured}  # otherwise the table counts
         pixels = require_later(Path(image_set), files, photographs, calibrated, earlier)
         calibration = self.calibration()
         reference = (
@@ -295,13 +295,13 @@ class Job(Reported):
         return self.page
 
     def run(self, *, report: bool = True) -> Results:
-        """Calibrate, match, build the surface, measure, report. What is current is not done again.
+        """Calibrate, match, build the surface, measure, report. Current results are not computed again.
 
         Args:
-            report: whether to write the report too.
+            report: whether to write the report.
 
         Raises:
-            MammometryError: whatever stands in the way, in one sentence.
+            MammometryError: a stage refuses.
         """
         begun, before = time.monotonic(), len(self.store.made)
         self.stage_seconds.clear()
@@ -363,7 +363,7 @@ class Job(Reported):
     def keys(self, stage: Stage) -> tuple[Key, ...]:
         """Keys of a stage's products and pictures, or of the report's content.
 
-        A confirmation changes no content: the report is rendered again with it, and nothing is stale.
+        A confirmation changes no content: the report is only rendered again.
         """
         if stage == "report":
             return (self.content_key,)
@@ -377,15 +377,15 @@ class Job(Reported):
     def share(self, folder: Path, privacy: Privacy) -> Path:
         """Write a report for others into a folder, and return its page.
 
-        The session's own report stays as it is. What an earlier call wrote there is replaced; other files in the way
-        are refused before anything is computed.
+        The session's own report does not change. Files of an earlier call are replaced; other files in the way are
+        refused before anything is computed.
 
         Args:
             folder: for report.html and report.pdf.
             privacy: what to leave out.
 
         Raises:
-            MammometryError: whatever stands in the way, in one sentence.
+            MammometryError: a stage refuses.
         """
 
         def gather() -> ReportContent:
@@ -430,7 +430,7 @@ class Job(Reported):
         )
 
     def _all_seconds(self) -> dict[str, float]:
-        """Seconds that each stage took, in this run or an earlier one."""
+        """Seconds of each stage, in this run or an earlier one."""
         seconds: dict[str, float] = {}
         for stage in _DRAWN:
             records = [self.store.record(key) for key in self.keys(stage)]
@@ -441,7 +441,7 @@ class Job(Reported):
         """PNG previews of a finished stage: name → file content.
 
         Raises:
-            StorageError: one is not as it was written, or no picture.
+            StorageError: one is damaged or not a picture.
         """
         return self._previews.files(stage)
 

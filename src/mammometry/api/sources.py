@@ -19,19 +19,19 @@ from mammometry.settings import Settings
 
 _WHOLE = {"cameras": "cameras.json", "prior": "prior.json", "wall": "wall.ply"}  # input → its file
 _BY_VALUE = (MANIFEST, ABOUT, MESH, BOUNDARIES, LANDMARK_FILE)
-"""Files that are always compared: all that they say is in the key of a result. Comments in them are not."""
+"""Files that are always compared, because keys of results contain all their content except comments."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sources:
-    """Photographs, drawings and settings beside the results that were made from others, or from them."""
+    """Comparison of photographs, drawings and settings with those of the results."""
 
     wanted: frozenset[str]
     """``stage/product`` of all results that belong to the session now."""
     changed: Changes
-    """What differs from what the stored results were made from."""
+    """Differences from the sources of the stored results."""
     not_compared: tuple[str, ...]
-    """Files that no result was made from. A folder of such files ends with ``/`` and their number."""
+    """Files without any result. A folder of such files ends with ``/`` and their number."""
 
 
 def sources(folder: Path, settings: Settings, recorded: frozenset[str]) -> Sources:

@@ -1,4 +1,4 @@
-"""The report in a results folder: its content as one file, and what is rendered of it."""
+"""The report in a results folder: its content as one file, and its rendered pages."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ class Reported(ABC):
     plan: Plan
     """Its products, those of the measurement at least."""
     identity: Identity
-    """Whose photographs and results these are: what pages call them."""
+    """Identity of the subject on pages."""
     folder: Path
-    """Where boundaries.json and landmarks.json lie."""
+    """Folder of boundaries.json and landmarks.json."""
 
     @abstractmethod
     def run(self) -> object:
@@ -61,7 +61,7 @@ class Reported(ABC):
     @property
     @abstractmethod
     def _page_inputs(self) -> PageInputs:
-        """Content of a report that stands in no product."""
+        """Content of a report that is in no product."""
 
     def _photographs(self) -> Mapping[str, str]:
         """Photographs that the report's page may link: name → address from there. None of a mesh."""
@@ -82,7 +82,7 @@ class Reported(ABC):
 
     @property
     def content_key(self) -> Key:
-        """Key of the report's content: every product, and all else that it shows."""
+        """Key of the report's content: every product, and its other content."""
         return self._page_key(self._page_inputs)
 
     @property
@@ -96,9 +96,9 @@ class Reported(ABC):
         return self._page_key(replace(page, identity=NAMELESS) if deidentify else page).digest
 
     def rendered(self, clinical: Clinical) -> RenderedReport:
-        """The report with what a clinic knows of the visit, from stored results.
+        """The report with a clinic's data on the visit, from stored results.
 
-        It is not stored. What is not current is made first.
+        It is not stored. Stale results are made first.
 
         Args:
             clinical: names, operations, the confirmation, the conclusion.
@@ -111,12 +111,12 @@ class Reported(ABC):
         return self._render(clinical)
 
     def render_report(self) -> None:
-        """Render the report again with who drew and confirmed the boundaries by now.
+        """Render the report again with the present authors and confirmations.
 
-        Nothing is measured. Where the report's content is not current, nothing happens.
+        Nothing is measured. If the report's content is not current, nothing happens.
 
         Raises:
-            MammometryError: another run is at work, or boundaries.json is not as documented.
+            MammometryError: another run is in progress, or boundaries.json is invalid.
         """
         drawn = read_boundaries(self.folder, self.inputs.subject_kind, self.store.subject)
         self.inputs = replace(self.inputs, attributions=drawn.attributions)
@@ -124,9 +124,9 @@ class Reported(ABC):
             self._write_pages()
 
     def _write_report(self, gather: Callable[[Progress], ReportContent]) -> None:
-        """Make the content, then the report, where they are not current.
+        """Make the content, then the report, if they are not current.
 
-        A confirmation alone makes nothing anew but the rendering.
+        A confirmation alone only renders again.
         """
 
         def content() -> Callable[[Path, Progress], None]:
@@ -183,10 +183,10 @@ class Reported(ABC):
         self.store.write_folder(self.report_key, report)
 
     def _render(self, clinical: Clinical | None) -> RenderedReport:
-        """Render the stored content. Without what a clinic knows, the reader has the command line.
+        """Render the stored content. Without a clinic's data, the reader uses the command line.
 
         Raises:
-            StorageError: the content is not as it was written.
+            StorageError: the content is damaged.
         """
         from mammometry.report.documents.rendering import render
 
@@ -249,7 +249,7 @@ def unpacked(data: bytes) -> ReportContent:
                 }
                 for stage, drawn in content.pictures.items()
             }
-            scene = archive.read(SCENE).decode().replace("<", "\\u003c")  # safe inside a page, whoever wrote it
+            scene = archive.read(SCENE).decode().replace("<", "\\u003c")  # safe inside a page, from any source
     except (OSError, ValueError, LookupError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
         remedy = "Run the command again: it will be made again"
         expected = "the file as it was written"

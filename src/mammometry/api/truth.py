@@ -43,8 +43,7 @@ def evaluate_session(
 ) -> tuple[Evaluation, Path]:
     """Compare a session's current results with its truth.
 
-    The comparison is written to ``SESSION/evaluation/``. Nothing is computed that is not there: stages without current
-    results are left out.
+    The comparison is written to ``SESSION/evaluation/``. Stages without current results are left out.
 
     Args:
         job: the session, with the settings its results were made with.
@@ -55,8 +54,8 @@ def evaluate_session(
         The evaluation, and the folder with evaluation.json, evaluation.md and error-map.png.
 
     Raises:
-        SessionError: there is no truth, there are no results, or they are results of another rig or subject.
-        StorageError: the evaluation cannot be written, or somebody else's file is in its way.
+        SessionError: there is no truth, there are no results, or they are of another rig or subject. StorageError: the
+            evaluation cannot be written, or another file is in its place.
     """
     folder = job.session.path / FOLDER
     truth_folder = truth_folder or job.session.path / "truth"
@@ -85,7 +84,7 @@ def evaluate_session(
 
 
 def current_results(job: Job) -> SessionResults:
-    """Load what of a session's results is there and current.
+    """Load a session's current results.
 
     Raises:
         SessionError: there are no cameras yet.
@@ -154,9 +153,9 @@ def measure_phantoms(
     settings: Settings | None = None,
     map_tasks: MapTasks = map_in_sequence,
 ) -> tuple[PhantomResult, ...]:
-    """Simulate, calibrate and measure each model. What is there already is not made again.
+    """Simulate, calibrate and measure each model. Existing results are not made again.
 
-    A refused model does not end the study. A refused calibration does: all models have the same.
+    A refused model does not end the study. A refused calibration does, because all models share it.
 
     Args:
         out: folder of the study, with one session a model.
@@ -281,7 +280,7 @@ def _take(out: Path, wanted: dict[str, float]) -> None:
                 str(out),
                 found=f"a study with {_worded(volumes)}" if volumes else f"a {_RECORD} of something else",
                 expected=_worded(wanted),
-                remedy="Go on with those, or choose another folder",
+                remedy="Continue with those, or choose another folder",
             )
         return
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -296,7 +295,7 @@ def _worded(values: dict[str, float]) -> str:
 
 
 def _share_calibration(first: Path, session: Path) -> None:
-    """Copy the first session's calibration. The memo takes it only if the photographs are the very same."""
+    """Copy the first session's calibration. It is used only if the photographs are the same."""
     made, wanted = first / "results" / "calibrate", session / "results" / "calibrate"
     if session == first or wanted.exists() or not made.is_dir():
         return

@@ -354,7 +354,7 @@ def test_who_does_not_log_in_keeps_the_text_on_the_page(clinic_served: Served) -
     expect(page.get_by_role("button", name="Save")).to_be_enabled()
     page.context.set_offline(True)
     page.get_by_role("button", name="Save").click()
-    expect(page.get_by_text("The clinic cannot be reached. What you typed is kept.")).to_be_visible()
+    expect(page.get_by_text("The clinic cannot be reached. Your entries are kept.")).to_be_visible()
     expect(page.get_by_role("button", name="Save")).to_be_enabled()
 
 
@@ -370,7 +370,7 @@ def test_a_draft_is_offered_after_a_reload_and_a_login(clinic_served: Served, ro
     page.get_by_label("Name").fill(f"{role}-1")
     page.get_by_label("Password").fill(PASSWORD)
     page.get_by_role("button", name="Log in").click()
-    expect(page.get_by_text("What you typed here was not saved.")).to_be_visible()
+    expect(page.get_by_text("Your entries here were not saved.")).to_be_visible()
     expect(page.get_by_label("Note")).not_to_have_value(f"typed by the {role}")
     require_accessible(page)
     require_fitting(page)
@@ -381,14 +381,14 @@ def test_a_draft_is_offered_after_a_reload_and_a_login(clinic_served: Served, ro
     expect(page.get_by_text("The patient's entry is changed.")).to_be_visible()
     page.goto(address)
     expect(page.get_by_label("Note")).to_have_value(f"typed by the {role}")
-    expect(page.get_by_text("What you typed here was not saved.")).to_be_hidden()
+    expect(page.get_by_text("Your entries here were not saved.")).to_be_hidden()
     # Discarded, it is not offered again.
     page.get_by_label("Note").fill("a slip")
     page.reload()
     page.get_by_role("button", name="Discard it").click()
     page.reload()
     expect(page.get_by_label("Note")).to_have_value(f"typed by the {role}")
-    expect(page.get_by_text("What you typed here was not saved.")).to_be_hidden()
+    expect(page.get_by_text("Your entries here were not saved.")).to_be_hidden()
 
 
 @pytest.mark.requirement("R-KEEP-9")
@@ -445,7 +445,7 @@ def test_a_draft_is_nobody_elses(clinic_served: Served) -> None:
     log_in(page, "clinician-1")
     expect(page.get_by_label("Note")).to_be_visible()
     assert "a secret" not in kept(page)
-    expect(page.get_by_text("What you typed here was not saved.")).to_be_hidden()
+    expect(page.get_by_text("Your entries here were not saved.")).to_be_hidden()
 
     typed(page)
     tab = page.context.new_page()
@@ -465,7 +465,7 @@ def test_a_draft_is_nobody_elses(clinic_served: Served) -> None:
     tab.goto(address)
     log_in(tab, "clinician-1")
     expect(tab.get_by_label("Note")).to_be_visible()
-    expect(tab.get_by_text("What you typed here was not saved.")).to_be_hidden()
+    expect(tab.get_by_text("Your entries here were not saved.")).to_be_hidden()
 
 
 # --- a double click

@@ -113,7 +113,7 @@ def test_a_checks_exchanged_photographs_are_put_right_by_clicks(rigs: Rigs) -> N
     page.goto("/rigs/")
     expect(page.get_by_text("No: photographs of the last check are exchanged.")).to_be_visible()
     page.goto(f"/checks/{rigs.check}/")
-    for name in ("Front left now", "Front left after it is put right"):
+    for name in ("Front left now", "Front left after the correction"):
         expect(page.get_by_role("img", name=name)).to_be_visible()
     picture(page, "check-exchanged")
     require_accessible(page)
@@ -196,7 +196,7 @@ def test_exchanged_photographs_are_put_right_by_clicks(rigs: Rigs, taken: dict[s
     page.get_by_label("Choose photographs").set_input_files(files)
     expect(page.get_by_role("button", name="Put them right")).to_be_visible()
     expect(page.get_by_text("photographs that seem to be exchanged")).to_be_visible()
-    for name in ("Front left now", "Front left after it is put right", "Right left now"):
+    for name in ("Front left now", "Front left after the correction", "Right left now"):
         expect(page.get_by_role("img", name=name)).to_be_visible()
     expect(page.get_by_role("button", name="Measure", exact=True)).to_be_disabled()
     picture(page, "exchanged")

@@ -57,7 +57,7 @@ def test_poses_go_on_and_nothing_is_replaced_unasked(page: Page, tmp_path: Path)
 
     number.fill("01")
     choose.set_input_files(pose(tmp_path / "two", 2))
-    dialog = page.get_by_role("dialog", name="These photographs are there already")
+    dialog = page.get_by_role("dialog", name="These photographs are already there")
     expect(dialog).to_be_visible()
     picture(page, "occupied")
     require_accessible(page)

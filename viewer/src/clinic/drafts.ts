@@ -121,7 +121,7 @@ function offer(form: HTMLFormElement): void {
   said.className = "said care draft";
   said.setAttribute("role", "status");
   const strong = document.createElement("strong");
-  strong.textContent = "What you typed here was not saved.";
+  strong.textContent = "Your entries here were not saved.";
   const when = document.createElement("p");
   const time = new Date(draft.at).toLocaleTimeString("en-GB", { hour: "2-digit", minute: "2-digit" });
   when.textContent = `It is from ${time}.`;

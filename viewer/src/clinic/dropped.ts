@@ -59,7 +59,7 @@ async function opened(dropped: Dropped[]): Promise<Gathered> {
         refused.push(`${file.name}: ${error instanceof Error ? error.message : String(error)}`);
       }
     } else if (PICTURE.test(file.name)) files.push(one);
-    else if (folders.length === 0) refused.push(`${file.name}: This file is no photograph. Send the JPEG, PNG or TIFF as the camera wrote it.`);
+    else if (folders.length === 0) refused.push(`${file.name}: This file is not a photograph. Send the original JPEG, PNG or TIFF of the camera.`);
   }
   return { files, refused };
 }

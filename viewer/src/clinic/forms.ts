@@ -3,7 +3,7 @@
 import { forgetEverywhere, keep } from "./drafts";
 import { loggedIn } from "./login";
 
-const UNREACHABLE = "The clinic cannot be reached. What you typed is kept. Try again in a moment.";
+const UNREACHABLE = "The clinic cannot be reached. Your entries are kept. Try again in a moment.";
 const held = new Set<() => void>();
 
 export function sendForms(): void {

@@ -8,7 +8,7 @@ interface Session {
 const LOGIN = "/account/login/";
 const CODE = "/account/code/";
 const TOKEN = "/account/token/";
-const ENDED = "Your session has ended. Enter your password to go on. Nothing on this page is lost.";
+const ENDED = "Your session has ended. Enter your password to continue. Nothing on this page is lost.";
 
 let asking: Promise<boolean> | null = null;
 
@@ -122,7 +122,7 @@ class LoginDialog {
       return "Enter the code of your second factor.";
     }
     if (reply.error !== undefined) return reply.error;
-    return this.place === LOGIN ? "This password is not right. Try again." : "This code is not right. Try again.";
+    return this.place === LOGIN ? "Wrong password. Try again." : "Wrong code. Try again.";
   }
 
   private askFor(place: string): void {

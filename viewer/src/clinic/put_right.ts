@@ -42,7 +42,7 @@ export function exchangedPart(exchanged: Record<string, string>, shots: Record<s
       element("p", "small faint", "Now"),
       shot(shots[camera], `${named(camera)} now`),
       element("p", "small faint", "After"),
-      shot(shots[exchanged[camera]!], `${named(camera)} after it is put right`),
+      shot(shots[exchanged[camera]!], `${named(camera)} after the correction`),
     );
     list.append(item);
   }
@@ -61,6 +61,6 @@ export function suggestedForAll(unplaced: { id: string; url: string }[], told: R
   const put = Object.fromEntries(unplaced.flatMap(({ id, url }) => (told[id] === undefined ? [] : [[url, told[id]]])));
   if (Object.keys(put).length < 2) return [];
   const item = element("li", "place");
-  item.append(element("p", "", "The calibration tells which camera took each photograph."), pressed("Put all in their places", "put", put));
+  item.append(element("p", "", "The calibration shows which camera took each photograph."), pressed("Put all in their places", "put", put));
   return [item];
 }

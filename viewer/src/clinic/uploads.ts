@@ -1,4 +1,4 @@
-/** Photographs on their way to the clinic: in pieces, so that a cut line goes on where it was cut. */
+/** Uploads of photographs, in pieces, so that a lost connection continues where it stopped. */
 
 import { type Dropped, type Gathered, ofDrop, ofFiles } from "./dropped";
 import { post } from "./post";
@@ -210,7 +210,7 @@ class Photographs {
     const next = this.nextPose();
     const another = this.poseInput !== null && occupied.every(({ ofFolder }) => !ofFolder);
     const choices = { ...(another ? { next: `They are of pose ${next}` } : {}), leave: "Keep those that are there", replace: "Replace them" };
-    const chosen = await choose(occupied.length === 1 ? "This photograph is there already" : "These photographs are there already", `There are other photographs in the places of ${listed}.`, choices);
+    const chosen = await choose(occupied.length === 1 ? "This photograph is already there" : "These photographs are already there", `There are other photographs in the places of ${listed}.`, choices);
     if (chosen === "replace") this.enqueue(...occupied.map((one) => ({ ...one, replace: true })));
     else if (chosen === "next") {
       this.poseInput!.value = next;
@@ -249,7 +249,7 @@ class Photographs {
       } catch (error) {
         if (error instanceof Refused && error.status === 409 && "offset" in error.reply) return error.reply as Reply & Upload;
         if ((error instanceof Refused && error.status < 500) || attempt > 40) throw error;
-        this.say("The connection is gone. The photograph goes on by itself when it is back.");
+        this.say("The connection is lost. The upload continues by itself when it is back.");
         await new Promise((done) => setTimeout(done, PATIENCE_MS[Math.min(attempt, PATIENCE_MS.length - 1)]));
       }
     }

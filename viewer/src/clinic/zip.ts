@@ -14,7 +14,7 @@ export async function unzipped(zip: File): Promise<Dropped[]> {
   while (at >= 0 && tail.getUint32(at, true) !== 0x06054b50) at -= 1;
   if (at < 0) throw new Error(UNREADABLE);
   const [count, length, start] = [tail.getUint16(at + 10, true), tail.getUint32(at + 12, true), tail.getUint32(at + 16, true)];
-  if (count > MOST_FILES) throw new Error(`The ZIP holds more than ${MOST_FILES} files. Pack the photographs alone.`);
+  if (count > MOST_FILES) throw new Error(`The ZIP contains more than ${MOST_FILES} files. Pack only the photographs.`);
   const directory = new DataView(await zip.slice(start, start + length).arrayBuffer());
   const found: Dropped[] = [];
   for (let entry = 0, place = 0; entry < count; entry += 1) {
@@ -24,7 +24,7 @@ export async function unzipped(zip: File): Promise<Dropped[]> {
     const name = new TextDecoder().decode(new Uint8Array(directory.buffer, place + 46, named)).replaceAll("\\", "/");
     place += 46 + named + extra + comment;
     if (name.endsWith("/")) continue;
-    if (flags & 1) throw new Error("The ZIP is locked by a password. Pack it without one.");
+    if (flags & 1) throw new Error("The ZIP has a password. Pack it without one.");
     const header = new DataView(await zip.slice(offset, offset + 30).arrayBuffer());
     if (header.byteLength < 30 || header.getUint32(0, true) !== 0x04034b50) throw new Error(UNREADABLE);
     const begin = offset + 30 + header.getUint16(26, true) + header.getUint16(28, true);
