@@ -74,3 +74,8 @@ def filled(client: Client, page: str, action: str = "", **values: Any) -> dict[s
     fields: dict[str, Any] = {**fields_of(answer.content.decode(), action), **values}
     fields.pop("described_by", None)
     return {name: value for name, value in fields.items() if value is not None}
+
+
+def refused(answer: Any) -> dict[str, str]:
+    """Fields of a form that was not taken, with what is wrong; those of the whole form are under "__all__"."""
+    return {field: " ".join(map(str, errors)) for field, errors in answer.context["form"].errors.items()}

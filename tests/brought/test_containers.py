@@ -85,7 +85,7 @@ def test_nodes_in_a_circle_and_joints_outside_the_scene_are_refused(tmp_path: Pa
     inner = glb.node(mesh=glb.mesh(), children=[1])
     glb.node(children=[inner])
     (tmp_path / "a.glb").write_bytes(glb.content(1))
-    with pytest.raises(SessionError, match="nodes form a cycle"):
+    with pytest.raises(SessionError, match="cycle"):
         read_foreign(tmp_path / "a.glb")
 
 
@@ -93,7 +93,7 @@ def test_one_mesh_placed_a_million_times_is_not_copied(tmp_path: Path) -> None:
     glb = Glb()
     extension = {"EXT_mesh_gpu_instancing": {"attributes": {"SCALE": glb.accessor(np.ones((5000, 3)))}}}
     (tmp_path / "a.glb").write_bytes(glb.content(glb.node(mesh=glb.mesh(), extensions=extension)))
-    with pytest.raises(SessionError, match=r"1280000 triangles from \d+ bytes"):
+    with pytest.raises(SessionError, match=r"1280000 triangles .*\d+ bytes"):
         read_foreign(tmp_path / "a.glb")
 
 

@@ -179,13 +179,13 @@ def test_a_raw_picture_is_named_by_its_content(tmp_path: Path) -> None:
     with tifffile.TiffWriter(tmp_path / "a.tif") as tiff:
         tiff.write(SMALL, photometric="rgb", subfiletype=1, metadata=None, subifds=1)
         tiff.write(picture(0)[..., 0].astype(np.uint16), photometric="cfa", metadata=None)
-    with pytest.raises(ImageError, match="a camera's raw image"):
+    with pytest.raises(ImageError, match="DNG"):
         read_header(tmp_path / "a.tif", "a")
 
 
 @pytest.mark.requirement("R-IN-18")
 def test_a_tiff_of_several_photographs_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ImageError, match="2 pages of the same size"):
+    with pytest.raises(ImageError, match=r"^a: .*\b2 pages"):
         read_header(pages(tmp_path / "a.tif", (picture(0), 0), (picture(1), 0)), "a")
-    with pytest.raises(ImageError, match="only reduced copies"):
+    with pytest.raises(ImageError, match=r"^b: .*copies"):
         read_header(pages(tmp_path / "b.tif", (SMALL, 1), (SMALL, 1)), "b")

@@ -26,39 +26,44 @@ LATIN_1 = b"M\xfcller".decode("utf-8", "surrogateescape")
 """As Python hands over an argument whose bytes are not UTF-8."""
 
 REFUSED = [
-    ("--patient-name", "Muster\\Anna", "the patient's name: found a backslash at position 7"),
-    ("--patient-name", "M" * 77, "the patient's name: found 77 letters"),
-    ("--patient-name", LATIN_1, "the patient's name: found a byte at position 2 that is not valid UTF-8"),
-    ("--patient-name", "A=B=C=D", "the patient's name: found 4 groups"),
-    ("--patient-name", "A^B^C^D^E^F", "the patient's name: found 6 parts in a group"),
-    ("--patient-name", "Anna\x1b[31m", "the patient's name: found a control character at position 5"),
-    ("--patient-id", "4711\\4712", "the patient's id: found a backslash at place 5"),
-    ("--patient-id", "4" * 72, "the patient's id: found 72 letters"),
-    ("--patient-id", "a\nb", "the patient's id: found a control character at position 2"),
-    ("--accession", "A" * 17, "the accession number: found 17 letters"),
-    ("--study-uid", "1.2.03", "the study's UID: found no unique identifier"),
-    ("--study-uid", ".".join(["1"] * 33), "the study's UID: found 65 letters"),
+    ("--patient-name", "Muster\\Anna", "the patient's name: ", "backslash"),
+    ("--patient-name", "M" * 77, "the patient's name: ", "77 letters"),
+    ("--patient-name", LATIN_1, "the patient's name: ", "position 2"),
+    ("--patient-name", "A=B=C=D", "the patient's name: ", "4 groups"),
+    ("--patient-name", "A^B^C^D^E^F", "the patient's name: ", "6 parts"),
+    ("--patient-name", "Anna\x1b[31m", "the patient's name: ", "control"),
+    ("--patient-id", "4711\\4712", "the patient's id: ", "backslash"),
+    ("--patient-id", "4" * 72, "the patient's id: ", "72 letters"),
+    ("--patient-id", "a\nb", "the patient's id: ", "control"),
+    ("--accession", "A" * 17, "the accession number: ", "17 letters"),
+    ("--study-uid", "1.2.03", "the study's UID: ", "identifier"),
+    ("--study-uid", ".".join(["1"] * 33), "the study's UID: ", "65 letters"),
     (
         "--patient-name",
         "Moser\u202e^Anna",
-        "the patient's name: found the format character U+202E RIGHT-TO-LEFT OVERRIDE",
+        "the patient's name: ",
+        "U+202E",
     ),
-    ("--referring", "House\\Gregory", "the referring physician's name: found a backslash"),
-    ("--own-title", "MÜHLE", "--own-title: found letters beyond ASCII"),
-    ("--own-title", "A" * 17, "--own-title: found 17 letters"),
+    ("--referring", "House\\Gregory", "the referring physician's name: ", "backslash"),
+    ("--own-title", "MÜHLE", "--own-title: ", "ASCII"),
+    ("--own-title", "A" * 17, "--own-title: ", "17 letters"),
 ]
 
 
-@pytest.mark.parametrize(("option", "text", "sentence"), REFUSED, ids=[f"{o} {ascii(t)[:20]}" for o, t, _ in REFUSED])
+IDS = [f"{option} {ascii(text)[:20]}" for option, text, *_ in REFUSED]
+
+
+@pytest.mark.parametrize(("option", "text", "subject", "value"), REFUSED, ids=IDS)
 @pytest.mark.requirement("R-IN-5")
 def test_the_command_line_refuses_before_anything_is_made(
-    tmp_path: Path, option: str, text: str, sentence: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, option: str, text: str, subject: str, value: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "session").mkdir()
     code = main.run(["export", "dicom", str(tmp_path / "session"), "--out", str(tmp_path / "out"), option, text])
     error = capsys.readouterr().err
     assert (code, error.count("\n")) == (3, 1)
-    assert f"mammometry: {sentence}" in error
+    assert error.startswith(f"mammometry: {subject}")
+    assert value in error.partition(", expected ")[0]
     assert ", expected " in error
     assert text not in error  # it may be a name
     assert not (tmp_path / "out").exists()
@@ -69,7 +74,7 @@ def test_a_fhir_bundle_refuses_the_same(tmp_path: Path, capsys: pytest.CaptureFi
     out = tmp_path / "out"
     code = main.run(["export", "fhir", str(tmp_path / "session"), "--out", str(out), "--patient-id", LATIN_1])
     assert code == 3
-    assert "the patient's id: found a byte at position 2" in capsys.readouterr().err
+    assert "position 2" in capsys.readouterr().err
     assert not out.exists()
 
 
@@ -114,10 +119,10 @@ def signed(by: str, text: str = "") -> Signed:
 @pytest.mark.parametrize(
     ("changed", "sentence"),
     [
-        ({"organization": "A\\B"}, "the organization's name: found a backslash"),
-        ({"organization": "A" * 65}, "the organization's name: found 65 letters"),
-        ({"clinical": Clinical(confirmed=signed("A" * 64))}, "who confirmed the boundaries: found 65 letters"),
-        ({"clinical": Clinical(conclusions=(signed("Anna", "well\x07"),))}, "conclusion: found a control character"),
+        ({"organization": "A\\B"}, r"name: .*backslash"),
+        ({"organization": "A" * 65}, r"name: .*65 letters"),
+        ({"clinical": Clinical(confirmed=signed("A" * 64))}, r"boundaries: .*65 letters"),
+        ({"clinical": Clinical(conclusions=(signed("Anna", "well\x07"),))}, r"conclusion: .*control"),
     ],
 )
 def test_what_the_clinic_says_is_checked_too(tmp_path: Path, changed: dict[str, object], sentence: str) -> None:
@@ -159,11 +164,11 @@ PEER = Peer(title="RIS", host="h", port=104)
 @pytest.mark.parametrize(
     ("texts", "sentence"),
     [
-        ({"PatientID": "1\\2"}, "entry A1: found the patient's id with a backslash at position 2"),
-        ({"PatientName": "A\\B"}, "entry A1: found the patient's name with a backslash"),
-        ({"PatientID": "1" * 65}, "the patient's id with 65 letters"),
-        ({"PatientName": "M\ufffdller"}, "the patient's name with a byte at position 2 that is not valid"),
-        ({"AccessionNumber": "A" * 20}, "entry without an accession number: found the accession number with 20"),
+        ({"PatientID": "1\\2"}, r"entry A1: .*\bid .*backslash .*\b2"),
+        ({"PatientName": "A\\B"}, r"entry A1: .*name .*backslash"),
+        ({"PatientID": "1" * 65}, r"\bid .*65 letters"),
+        ({"PatientName": "M\ufffdller"}, r"name .*byte .*\b2"),
+        ({"AccessionNumber": "A" * 20}, r"number: .*\b20"),
     ],
 )
 def test_an_entry_that_cannot_be_used_is_set_aside_and_named(texts: dict[str, str], sentence: str) -> None:
@@ -190,7 +195,7 @@ def test_long_words_of_a_procedure_are_cut() -> None:
 
 
 def test_patient_and_order_check_themselves() -> None:
-    with pytest.raises(SettingsError, match="procedure's id: found 17 letters"):
+    with pytest.raises(SettingsError, match=r"id: .*17 letters"):
         Order(procedure_id="P" * 17)
-    with pytest.raises(SettingsError, match="id: found a backslash at position 3"):
+    with pytest.raises(SettingsError, match=r"id: .*backslash .*\b3"):
         Patient(id="ab\\c")

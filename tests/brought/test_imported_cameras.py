@@ -124,10 +124,10 @@ def opaque(name: bytes, kind: bytes) -> bytes:
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
-        (b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512, b"\0"), r"version 7\.3, expected version 7.*'-v7'"),
+        (b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512, b"\0"), r"7\.3, .*7.*'-v7'"),
         (opaque(b"stereoParams", b"stereoParameters"), r"found MATLAB's objects, .*toStruct\(stereoParams\)"),
-        (b"\0" * 10, "found an invalid MAT-file"),
-        (b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM" + b"\x0f" * 40, "rig.mat: found an invalid MAT-file"),
+        (b"\0" * 10, "MAT-file"),
+        (b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM" + b"\x0f" * 40, r"rig\.mat: .*MAT-file"),
     ],
     ids=["7.3", "objects", "short", "damaged"],
 )
@@ -140,11 +140,11 @@ def test_what_matlab_alone_can_read_is_named(tmp_path: Path, content: bytes, sen
 @pytest.mark.parametrize(
     ("variables", "sentence"),
     [
-        ({"s": matlab_pair(WorldUnits="furlongs")}, "lengths in 'furlongs'"),
+        ({"s": matlab_pair(WorldUnits="furlongs")}, "'furlongs'"),
         ({"s": matlab_pair(ImageSize=[])}, "no ImageSize"),
-        ({"s": matlab_pair(RadialDistortion=[1.0])}, "1 radial coefficients"),
-        ({"s": matlab_pair(IntrinsicMatrix=[[FX, 0, 0], [5, FY, 0], [U0, V0, 1]])}, "skew|an invalid camera"),
-        ({"p": matlab_lens()}, "one camera without its pose in the rig"),
+        ({"s": matlab_pair(RadialDistortion=[1.0])}, r"\b1 radial"),
+        ({"s": matlab_pair(IntrinsicMatrix=[[FX, 0, 0], [5, FY, 0], [U0, V0, 1]])}, r"skew|camera"),
+        ({"p": matlab_lens()}, "pose"),
         ({"x": 3.0}, "variables x"),
     ],
 )
@@ -219,12 +219,12 @@ def test_a_chunk_that_lies_elsewhere_in_its_world(tmp_path: Path) -> None:
     [
         (agisoft(extra="<b2>0.3</b2>"), r"b2 = 0\.3, skew"),
         (agisoft(extra="<k4>0.01</k4>"), r"k4 = 0\.01"),
-        (agisoft(scale=0), "no scale of its chunk"),
-        (agisoft(sensor_type="fisheye"), "a lens of type fisheye"),
-        (agisoft(labels=("front_left.jpg", "front_left/2.jpg")), "a second image of camera front_left"),
-        (agisoft(scale=6378.0, moved_m=(6.4e6, 0, 0)), "mm from the origin"),
-        (agisoft().replace("<cx>", "<cx>1,5 "), "an invalid value"),
-        ("<?xml version='1.0'?><document><chunk/></document>", "0 chunks with cameras"),
+        (agisoft(scale=0), "scale"),
+        (agisoft(sensor_type="fisheye"), "fisheye"),
+        (agisoft(labels=("front_left.jpg", "front_left/2.jpg")), "front_left"),
+        (agisoft(scale=6378.0, moved_m=(6.4e6, 0, 0)), "origin"),
+        (agisoft().replace("<cx>", "<cx>1,5 "), "invalid"),
+        ("<?xml version='1.0'?><document><chunk/></document>", r"\b0 chunks"),
         ("<?xml version='1.0'?><!DOCTYPE a><document/>", "a declaration"),
     ],
 )
@@ -314,17 +314,15 @@ def test_every_pose_of_halcon_is_turned_as_it_says(tmp_path: Path, code: int) ->
 
 def test_a_lens_that_browns_does_not_fit_is_refused(tmp_path: Path) -> None:
     paths = [halcon(tmp_path / f"{name}.cal", **STRONG) for name in PAIR["front"]]
-    with pytest.raises(
-        SessionError, match=r"front_left.cal.*a lens that Brown's model fits with an error of 0\.\d+ pixels"
-    ):
+    with pytest.raises(SessionError, match=r"^front_left\.cal: .*0\.\d+ pixels"):
         import_cameras([*paths, halcon_pose(tmp_path / "relpose.dat")], PAIR)
 
 
 def test_unfit_files_of_halcon_are_named(tmp_path: Path) -> None:
     left, right = (halcon(tmp_path / f"{name}.cal", Kappa=0.0) for name in PAIR["front"])
-    with pytest.raises(SessionError, match="the pose of front_left, front_right: found poses of no camera"):
+    with pytest.raises(SessionError, match="of front_left, front_right: "):
         import_cameras([left, right], PAIR)
-    with pytest.raises(SessionError, match="a pose of type 8, expected type 0, 2 or 4"):
+    with pytest.raises(SessionError, match=r"^a_pose\.dat: .*\b8, .*0, 2 or 4"):
         import_cameras([left, right, halcon_pose(tmp_path / "a_pose.dat", 8)], PAIR)
     pose = halcon_pose(tmp_path / "relpose.dat")
     for before, after, sentence in (
@@ -366,7 +364,7 @@ def test_images_of_colmap_in_a_folder_for_each_camera(tmp_path: Path, images: tu
 
 
 def test_a_second_image_of_one_camera_is_named(tmp_path: Path) -> None:
-    with pytest.raises(SessionError, match="a second image called front_left; a rig has one per camera"):
+    with pytest.raises(SessionError, match=r"^images\.txt, line 3: .*\bfront_left"):
         import_cameras(colmap(tmp_path, ("front_left/0001.jpg", "front_left/0002.jpg")), PAIR)
 
 
@@ -390,5 +388,5 @@ def test_topics_of_kalibr_may_begin_with_the_rig(tmp_path: Path, form: str) -> N
 
 
 def test_topics_that_name_no_camera_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(SessionError, match="by /rig/right/image_raw, expected a rostopic with a camera's name: "):
+    with pytest.raises(SessionError, match=r"^camchain\.yaml, cam1: .*/rig/right/image_raw"):
         import_cameras(camchain(tmp_path, ("/rig/left/image_raw", "/rig/right/image_raw")), PAIR)

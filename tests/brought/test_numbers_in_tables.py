@@ -81,7 +81,7 @@ def test_every_reader_of_a_table_does_the_same(tmp_path: Path) -> None:
     (tmp_path / "a" / "session.toml").write_text("")
     table = tmp_path / "study.csv"
     table.write_text("session;reference_cc\na;1,860\n")
-    with pytest.raises(TableError, match=r"which may mean 1860 or 1\.86"):
+    with pytest.raises(TableError, match=r"1860 or 1\.86"):
         find_entries([str(table)])
     table.write_text("session;reference_left_cc;reference_right_cc\na;1,860.5;\n")
     (entry,) = find_entries([str(table)])
@@ -93,5 +93,5 @@ def test_every_reader_of_a_table_does_the_same(tmp_path: Path) -> None:
         "m;a_cc;b_cc\n1;1860.5;1.860\n2;364.2;1.354\n3;434;1.422\n",  # the other column shows a decimal point
     ):
         table.write_text(text)
-        with pytest.raises(TableError, match=r"which may mean 1860 or 1\.86"):
+        with pytest.raises(TableError, match=r"1860 or 1\.86"):
             read_pairs(table, reference="a_cc", measured="b_cc")

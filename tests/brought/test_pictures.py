@@ -147,9 +147,9 @@ def test_a_palette_within_a_tiff_is_read_as_rgb(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("pixels", "options", "said"),
     [
-        (scene(8, 3), {"photometric": "cielab"}, "colours coded as CIELAB"),
-        (scene(16, 1).astype(np.int16), {}, "pixels that are not unsigned integers"),
-        (scene(16, 1).astype(np.float16), {}, "pixels that are not unsigned integers"),
+        (scene(8, 3), {"photometric": "cielab"}, "CIELAB"),
+        (scene(16, 1).astype(np.int16), {}, "integers"),
+        (scene(16, 1).astype(np.float16), {}, "integers"),
         (scene(8, 1)[None].repeat(3, axis=0), {"volumetric": True, "photometric": "minisblack"}, "3 layers"),
     ],
 )
@@ -171,7 +171,7 @@ def test_a_sensors_bits_in_the_lower_part_of_sixteen_are_named(
     if factor is None:
         assert read_photograph(tmp_path / f"a.{ending}", "a").pixels.dtype == np.uint16
         return
-    with pytest.raises(ImageError, match=f"{bits} bits that were not scaled to 16.* multiplied by {factor}"):
+    with pytest.raises(ImageError, match=rf"{bits} bits .*\b{factor}\b"):
         read_photograph(tmp_path / f"a.{ending}", "a")
 
 

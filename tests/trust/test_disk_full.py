@@ -10,7 +10,7 @@ import pytest
 from recorded_disk import FullDisk
 from small_products import NAMES, contents, key, make
 
-from mammometry.base.errors import StorageError
+from mammometry.base.errors import FullDiskError
 from mammometry.io.results.store import Store
 from mammometry.io.results.verify import verify
 
@@ -35,13 +35,12 @@ def test_the_disk_is_full_after_any_step(tmp_path: Path) -> None:
         results = tmp_path / f"{step}"
         filled(results, 1)
         before = contents(results)
+        said = ""
         with FullDisk(step).below(results) as disk:
-            said = "no room to write"
             try:
                 filled(results, 2)
-            except StorageError as error:  # the last one succeeds
+            except FullDiskError as error:  # the last one succeeds
                 said = str(error)
-        assert "no room to write" in said
         assert "\n" not in said
         refused = disk.refused > 0
         store = Store(results)
@@ -96,7 +95,7 @@ def test_a_disk_that_is_really_full(tmp_path: Path, size: str) -> None:
     command = f"{sys.executable} {HERE / 'small_products.py'} {tmp_path / 'results'} 1"
     code, said = on_a_small_disk(tmp_path / "results", size, command, tmp_path / "out")
     assert code == 1
-    assert "no room to write" in said.splitlines()[-1]
+    assert "FullDiskError" in said.splitlines()[-1]
     assert not verify(tmp_path / "out" / "left").damaged
     filled(tmp_path / "wanted", 1)
     assert contents(tmp_path / "out" / "results") == contents(tmp_path / "wanted")
@@ -116,7 +115,7 @@ def test_a_disk_that_is_full_in_each_stage(
     command = f"{sys.executable} -m mammometry run {session} --settings {tiny_settings} --json"
     code, said = on_a_small_disk(session / "results", f"{room}k", command, tmp_path / "out")
     assert code == 9, said
-    assert "no room" in json.loads(said.splitlines()[-1])["error"]
+    assert json.loads(said.splitlines()[-1])["code"] == FullDiskError.code
     assert not verify(tmp_path / "out" / "left").damaged
     made = {name: data for name, data in contents(tmp_path / "out" / "results").items() if "report/" not in name}
     assert made == {name: data for name, data in contents(whole).items() if "report/" not in name}

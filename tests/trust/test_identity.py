@@ -98,7 +98,7 @@ def test_a_copied_folder_shows_its_own_name(
     assert before["report"]["state"] == "stale"
     assert {before[stage]["state"] for stage in ("calibrate", "match", "surface", "measure")} == {"current"}
     assert main.run(["info", str(huber), *options]) == 0
-    assert "the report shows another name (Müller A). Make it again" in capsys.readouterr().out
+    assert "(Müller A)" in capsys.readouterr().out
 
     assert answer(capsys, "run", huber, *options)["made"] == ["report/content", "report/report"]
     assert "Müller" not in shown(huber / "results" / "report")
@@ -303,8 +303,8 @@ def test_results_of_another_subject_are_refused_by_every_command(
     before = sorted(path.stat().st_mtime_ns for path in claimed.rglob("*"))
     assert main.run([*command.split(), str(claimed), *options]) == SessionError.exit_code
     printed = capsys.readouterr().err
-    assert f"results/calibrate/provenance.json: found subject '{ID}', expected '{OTHER}', as in session.toml" in printed
-    assert "If these are new photographs, delete results/" in printed
+    assert f"subject '{ID}', expected '{OTHER}'" in printed
+    assert "results/" in printed
     assert sorted(path.stat().st_mtime_ns for path in claimed.rglob("*")) == before
 
 
@@ -314,13 +314,13 @@ def test_what_was_drawn_on_another_subject_is_refused(linked: Path, tmp_path: Pa
     folder = tell(Path(shutil.copytree(linked, tmp_path / "drawn")), ID)
     (folder / "history").mkdir()
     (folder / file).write_text(json.dumps({"subject": OTHER}))
-    with pytest.raises(SessionError, match=rf"{file}: found subject '{OTHER}', expected '{ID}'"):
+    with pytest.raises(SessionError, match=rf"{file}: .*'{OTHER}', .*'{ID}'"):
         open_session(folder)
     tell(folder, None)
     (folder / "results" / "match").mkdir(parents=True)
     record = {"format": 1, "products": {"disparity/front": {"subject": ID}}}
     (folder / "results" / "match" / "provenance.json").write_text(json.dumps(record))
-    with pytest.raises(SessionError, match="one subject only"):
+    with pytest.raises(SessionError, match=r"^results/match/provenance\.json: .*subject"):
         open_session(folder)
 
 
@@ -380,7 +380,7 @@ def test_where_nothing_is_made_it_says_so_and_when_it_was(
     said = capsys.readouterr().out
     records = json.loads((identified.folder / "results" / "calibrate" / "provenance.json").read_text())["products"]
     day = max(record["made"] for record in records.values())[:10]
-    assert re.search(rf"All results are current, made ({day}|\S+) \d\d:\d\d UTC\.", said)
+    assert re.search(rf"\b({day}|\S+) \d\d:\d\d UTC\.", said)
     assert not re.search(r"\d s\b", said)  # no seconds that look like those of the work
 
 

@@ -56,4 +56,4 @@ def test_a_disk_that_is_really_read_only(results: Path) -> None:
     done = subprocess.run(["unshare", "-rm", "sh", "-c", script], capture_output=True, text=True)
     assert done.returncode == 1
     assert "all unchanged" in done.stdout
-    assert "no permission (Read-only file system)" in done.stderr.splitlines()[-1]
+    assert "(Read-only file system)" in done.stderr.splitlines()[-1]

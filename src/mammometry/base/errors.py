@@ -167,8 +167,13 @@ class StorageError(MammometryError):
 
     exit_code = 9
     code = "storage"
-    is_full = False
-    """Whether the disk is full."""
+
+
+class FullDiskError(StorageError):
+    """The disk has no room. Finished results are kept."""
+
+    code = "disk-full"
+    kind = "StorageError"
 
 
 class BusyError(StorageError):

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import typer
 
-from mammometry.base.errors import MammometryError, StorageError
+from mammometry.base.errors import FullDiskError, MammometryError
 from mammometry.cli import batch, clinic, doctor, export, mesh, photos, rig, sessions, simulation, stages, state, study
 from mammometry.cli.common import Answer, silently, start_logging
 
@@ -136,7 +136,7 @@ def run(arguments: Sequence[str]) -> int:
     except Exception as error:
         if isinstance(error, OSError) and error.errno in _DISK_FULL:
             sentence = f"No space on the disk ({error.strerror}). Free some space and run the same command again."
-            return _fail(sentence, StorageError.exit_code, as_json, kind="StorageError")
+            return _fail(sentence, FullDiskError.exit_code, as_json, code=FullDiskError.code, kind=FullDiskError.kind)
         if verbose:
             import traceback
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from pydantic import ValidationError
 
 from mammometry.api.stored_report import stored_scene
-from mammometry.base.errors import MammometryError, StorageError
+from mammometry.base.errors import FullDiskError, MammometryError, StorageError
 from mammometry.editor.messages import Finish, Measure, Message, Save, sentence
 from mammometry.editor.session import Desk
 from mammometry.io.drawn import LateError
@@ -114,7 +114,7 @@ def refusal(error: MammometryError | ValidationError) -> tuple[int, dict[str, An
         return 409, {"error": error.on_page, "late": [list(item) for item in error.items]}
     if isinstance(error, StorageError):
         _LOG.error("%s", error)
-        return (507 if error.is_full else 503), {"error": str(error)}
+        return (507 if isinstance(error, FullDiskError) else 503), {"error": str(error)}
     return 422, {"error": str(error)}
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from mammometry.base.errors import StorageError
+from mammometry.base.errors import FullDiskError, StorageError
 from mammometry.base.machine import system
 
 _NOT_FOR_FOLDERS = (errno.EINVAL, errno.ENOTSUP, errno.EBADF)  # errors of network drives for fsync of a folder
@@ -69,20 +69,19 @@ def disk_errors(path: Path) -> Iterator[None]:
     """Turn disk errors into `StorageError`.
 
     Raises:
-        StorageError: for every OSError inside; names the file of the error, or `path`.
+        FullDiskError: no room.
+        StorageError: for every other OSError inside; names the file that the system names, else `path`.
     """
     try:
         yield
     except OSError as error:
-        if error.errno in _FULL or (error.errno is None and "requested and" in str(error)):  # NumPy's errors
-            full = StorageError(
+        if error.errno in _FULL or (error.errno is None and "requested and" in str(error)):  # NumPy's has no number
+            raise FullDiskError(
                 str(path),
                 found=f"no room to write ({error.strerror or error})",
                 expected=f"free disk space; {_free_mb(path)} MB are left",
                 remedy="Make room and run the same command again: finished results are kept",
-            )
-            full.is_full = True
-            raise full from None
+            ) from None
         if error.errno in _DENIED:
             remedy = "Change its permissions, or copy the session to another disk"
             expected = "a writable folder"

@@ -1,5 +1,6 @@
 """Whole calibrations of a virtual rig: against its truth, against its own standard deviations, and with faults."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -37,7 +38,7 @@ def test_without_noise_the_truth_comes_out() -> None:
     calibration = calibrate(observe(CAMERAS, POSES, noise_px=0.0), PAIRS, "virtual")
     assert worst_projection_px(calibration) < 1e-5
     assert calibration.rms_px < 1e-5
-    assert calibration.world == "frame of the chessboard board in pose 00, mm"
+    assert re.search(r"chessboard .*pose 00, mm$", calibration.world)
     np.testing.assert_allclose(calibration.world_from_target["00"].matrix, np.eye(4), atol=1e-12)
     for pose, placement in POSES.items():
         expected = POSES["00"].inverse() @ placement
@@ -244,7 +245,7 @@ def test_one_view_of_a_surveyed_target_with_separate_intrinsics() -> None:
     placement = placements(1, target=target, seed=4)
     observations = observe(CAMERAS, placement, target=target)
     calibration = calibrate(observations, PAIRS, "virtual", intrinsics_observations=separate_photographs())
-    assert calibration.world == "frame of the surveyed points target in pose 00, mm"
+    assert re.search(r"points .*pose 00, mm$", calibration.world)
     assert list(calibration.world_from_target) == ["00"]
     world_from_rig = placement["00"].inverse()
     for name, camera in CAMERAS.items():

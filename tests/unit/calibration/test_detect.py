@@ -121,7 +121,7 @@ def test_a_table_of_points_becomes_a_detection():
         ([2, 2], [[1, 1], [2, 2]], 0.2, "id 2 twice"),
         ([0, 1], [[1, 1], [240, 2]], 0.2, "point 1 at u 240, v 2"),
         ([0, 1], [[1, float("nan")], [24, 2]], 0.2, "point 0"),
-        ([0, 1], [[1, 1], [24, 2]], [0.2, 0.0], "not positive"),
+        ([0, 1], [[1, 1], [24, 2]], [0.2, 0.0], "positive"),
     ],
 )
 def test_a_wrong_table_is_one_clear_sentence(ids, uv, std_px, words):

@@ -1,5 +1,6 @@
 """Bad photographs of a board: used where they can be, otherwise named with what they show and what to do."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -209,17 +210,16 @@ def test_one_picture_under_two_cameras_names_is_believed_of_neither(rig_views):
     rig_views["01", "b"] = rig_views["01", "a"] + 0.02
     seen = set_duplicates_aside(observed(rig_views))
     assert left(seen) == rig_views.keys() - {("01", "a"), ("01", "b")}
-    assert [str(view) for view in seen.missed] == [
-        "pose 01, a: the same image as 01/b. Copy the right photograph again, or remove the pose",
-        "pose 01, b: the same image as 01/a. Copy the right photograph again, or remove the pose",
-    ]
+    one, other = map(str, seen.missed)
+    assert re.search("^pose 01, a: .*01/b", one)
+    assert re.search("^pose 01, b: .*01/a", other)
 
 
 def test_one_cameras_picture_in_two_poses_is_believed_in_neither(rig_views):
     rig_views["02", "c"] = rig_views["00", "c"]
     seen = set_duplicates_aside(observed(rig_views))
     assert left(seen) == rig_views.keys() - {("00", "c"), ("02", "c")}
-    assert "pose 02, c: the same image as 00/c" in str(seen.missed[1])
+    assert re.search("^pose 02, c: .*00/c", str(seen.missed[1]))
 
 
 def test_a_pose_that_was_copied_counts_once(rig_views):

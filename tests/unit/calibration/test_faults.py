@@ -3,6 +3,7 @@
 Corners are measured to 0.02 px, as real ones are at a quarter of the reference size (0.4 mm a pixel at 0.8 m).
 """
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
@@ -68,8 +69,7 @@ def test_camera_that_moved_between_poses(camera: str, change: Callable[[Camera],
     assert found.effect_mm == pytest.approx(effect_mm, rel=0.25)
     assert all(one.cameras == (camera,) for one in quality.movements)
     assert quality.verdict == ("refuse" if effect_mm > 0.05 else "warn")
-    assert quality.reasons[0].startswith(f"{camera} moved before pose {LATE[0]}")
-    assert "mm off" in quality.reasons[0]
+    assert re.search(rf"^{camera} .*pose {LATE[0]}.*\d mm", quality.reasons[0])
 
 
 @pytest.mark.slow
@@ -107,17 +107,14 @@ def test_pair_not_exposed_together_with_the_others_in_one_pose() -> None:
     found = quality.movements[0]
     assert found.cameras in PAIRS.values()  # of two pairs, either: only motion between them shows
     assert (found.first, found.only) == ("04", True)
-    assert "or the target moved between" in quality.reasons[0]
+    assert "pose 04" in quality.reasons[0]
 
 
 @pytest.mark.slow
 def test_picture_of_another_pose_is_recognised() -> None:
     quality = judged(exchanged({("floor_left", "03"): ("floor_left", "05")}))
     assert quality.verdict == "warn"
-    assert quality.reasons[0] == (
-        "pose 03: the picture of floor_left does not fit the others. It is the one of floor_left in pose 05. It was "
-        "set aside"
-    )
+    assert re.search("^pose 03: .*floor_left .*floor_left in pose 05", quality.reasons[0])
 
 
 @pytest.mark.slow
@@ -125,9 +122,7 @@ def test_left_and_right_swapped_in_one_pose() -> None:
     left, right = ("front_left", "02"), ("front_right", "02")
     quality = judged(exchanged({left: right, right: left}))
     assert quality.verdict == "warn"
-    assert quality.reasons[0] == (
-        "pose 02: the pictures of front_left and front_right are exchanged. They were set aside"
-    )
+    assert re.search("^pose 02: .*front_left and front_right .*exchanged", quality.reasons[0])
     assert "exchanged" not in " ".join(quality.reasons[1:])
 
 
@@ -180,16 +175,13 @@ def test_board_of_another_print_scale_shows_in_no_residual_and_is_asked_for() ->
 
     measured = replace(BOARD, edge_std_mm=0.06)  # of 300 mm: 0.02 %
     reasons = assess(calibrate(observe(CAMERAS, poses, target=measured), PAIRS, "virtual")).reasons
-    assert reasons[-1] == "the target was measured: sizes are known to 0.020 %, volumes to 0.06 %"
+    assert re.search(r"0\.020 %, .* 0\.06 %", reasons[-1])
 
 
 @pytest.mark.slow
 def test_one_camera_s_picture_under_another_s_name_in_one_pose() -> None:
     quality = judged(exchanged({("front_right", "02"): ("front_left", "02")}))
-    assert quality.reasons[0].startswith(
-        "pose 02: the picture of front_right does not fit the others. It is the one of"
-    )
-    assert "pose 02" in quality.reasons[0]
+    assert re.search("^pose 02: .*front_right .*front_left in pose 02", quality.reasons[0])
 
 
 @pytest.mark.slow
@@ -199,10 +191,8 @@ def test_pictures_of_two_pairs_cameras_swapped_in_one_pose(pose: str) -> None:
     one, other = ("front_left", pose), ("floor_right", pose)
     quality = judged(exchanged({one: other, other: one}))
     assert quality.verdict == "warn"
-    assert quality.reasons[0] == (
-        f"pose {pose}: the pictures of front_left and floor_right are exchanged. They were set aside"
-    )
-    assert "set aside" not in " ".join(quality.reasons[1:])
+    assert re.search(f"^pose {pose}: .*front_left and floor_right .*exchanged", quality.reasons[0])
+    assert "aside" not in " ".join(quality.reasons[1:])
 
 
 def mirrored(seen: Detection) -> Detection:
@@ -220,8 +210,7 @@ def test_mirrored_picture_of_a_chessboard_is_set_aside() -> None:
     clean = observe(CAMERAS, POSES)
     quality = judged(with_views(clean, lambda d: mirrored(d) if (d.camera, d.pose) == ("floor_left", "03") else d))
     assert quality.verdict == "warn"
-    assert quality.reasons[0].startswith("pose 03: the picture of floor_left does not fit the others")
-    assert "set aside" in quality.reasons[0]
+    assert re.search("^pose 03: .*floor_left .*aside", quality.reasons[0])
     assert quality.rms_px == pytest.approx(0.028, abs=0.002)
 
 

@@ -131,7 +131,7 @@ def test_more_columns_than_labels_are_said():
     ("target", "page", "words"),
     [
         (CHARUCO, "A5", "'A5'"),
-        (CharucoTarget(squares=(14, 10), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250"), "A4", "at least"),
+        (CharucoTarget(squares=(14, 10), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250"), "A4", "least"),
         (PointsTarget(points_mm=tuple(map(tuple, np.eye(4, 3).tolist()))), "A4", "'points'"),
     ],
 )

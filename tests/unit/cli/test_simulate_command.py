@@ -13,12 +13,12 @@ from mammometry.simulate.subjects.registry import SUBJECTS
     ("options", "said"),
     [
         (["--disturb", "nonsense"], "nonsense"),
-        (["--disturb", "drift=9"], "drift must lie between 0 and 0.5"),
+        (["--disturb", "drift=9"], "0 and 0.5"),
         (["--disturb", "removed=both"], "left, right"),
-        (["--disturb", "rail,rail=3"], "each once"),
-        (["--clinic", "4", "--disturb", "skin=skin"], "each once"),  # every patient drawn has a skin already
-        (["--clinic", "4", "--subject", "torso_2"], "--clinic chooses subject and seed"),
-        (["--disturb", "removed=left"], "only torsos"),
+        (["--disturb", "rail,rail=3"], "once"),
+        (["--clinic", "4", "--disturb", "skin=skin"], "once"),  # every patient drawn has a skin already
+        (["--clinic", "4", "--subject", "torso_2"], "--clinic"),
+        (["--disturb", "removed=left"], "torsos"),
     ],
 )
 def test_disturbances_that_mean_nothing_are_refused(
@@ -35,10 +35,10 @@ def test_disturbances_that_mean_nothing_are_refused(
         (
             ["simulate"],
             ["--scale", "0.12", "--poses", "6"],
-            "--poses is 10 or more for the reference rig at scale 0.12",
+            "--poses is 10",
         ),
-        (["simulate"], ["--scale", "0.1", "--poses", "30"], "--scale is 0.12 or more for the reference rig"),
-        (["simulate"], ["--scale", "0.25", "--poses", "5"], "--poses is 6 or more"),
+        (["simulate"], ["--scale", "0.1", "--poses", "30"], "--scale is 0.12"),
+        (["simulate"], ["--scale", "0.25", "--poses", "5"], "--poses is 6"),
         (["study", "phantoms"], ["--scale", "0.12"], "0.15"),
     ],
 )

@@ -97,7 +97,7 @@ def test_a_folder_of_something_else_is_no_study(tmp_path: Path, capsys: pytest.C
     (study / "study.json").write_text('["mine"]')
     code, answer = answered(capsys, "study", "phantoms", str(study))
     assert code == 3
-    assert "a study.json of something else" in answer["error"]
+    assert "study.json" in answer["error"]
     assert [path.name for path in study.iterdir()] == ["study.json"]
 
 

@@ -3,6 +3,7 @@
 import datetime
 import html
 import os
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -13,6 +14,7 @@ from django.core.cache import cache
 from django.test import Client
 from django.urls import reverse
 from pytest_django import Settings
+from tests.clinic_forms import refused
 from tests.clinic_seed import DEFINITION
 
 from mammometry.clinic.config import ClinicConfig
@@ -49,16 +51,16 @@ def test_a_person_is_entered_and_the_link_is_shown_once(client_of: Callable[...,
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "field"),
     [
-        ({"roles": []}, "Tick at least one role"),
-        ({"username": "administrator"}, "This name is already taken"),
-        ({"username": "anna anna"}, "Enter a valid username"),
+        ({"roles": []}, "roles"),
+        ({"username": "administrator"}, "username"),
+        ({"username": "anna anna"}, "username"),
     ],
 )
-def test_what_cannot_be_entered(client_of: Callable[..., Client], changed: dict[str, object], said: str) -> None:
+def test_what_cannot_be_entered(client_of: Callable[..., Client], changed: dict[str, object], field: str) -> None:
     page = client_of(Role.ADMINISTRATOR).post(reverse("person-new"), {**NEW, **changed})
-    assert said in html.unescape(page.content.decode())
+    assert set(refused(page)) == {field}
     assert not Person.objects.filter(full_name="Anna Ahorn").exists()
 
 
@@ -67,7 +69,7 @@ def test_a_person_is_let_in_again(client_of: Callable[..., Client], person_of: C
     person.set_password("three grey herons wade")
     person.save()
     Authenticator.objects.create(user=person, type=Authenticator.Type.TOTP, data={})
-    assert "Reset the second factor" in text_of(client, reverse("person", args=[person.pk]))
+    assert reverse("person-factor", args=[person.pk]) in text_of(client, reverse("person", args=[person.pk]))
     client.post(reverse("person-factor", args=[person.pk]))
     assert not Authenticator.objects.exists()
     guest = Client()
@@ -91,9 +93,9 @@ def test_the_overview_says_what_needs_an_administrator(
     invited.save()
     Client().post(reverse("account_login"), {"login": "nobody", "password": "wrong"})
     page = text_of(client_of(Role.ADMINISTRATOR), "/")
-    assert "No password yet" in page
-    assert "<strong>1</strong> failed login " in page
-    assert "No restore was tested yet" in page
+    assert reverse("person", args=[invited.pk]) in page
+    assert re.search("<strong>1</strong> .*login", page)
+    assert reverse("backups") in page
 
 
 # --- backups ---
@@ -114,7 +116,7 @@ def test_a_backup_and_a_restore_test_are_queued(clinic: ClinicConfig, client_of:
     Job.objects.all().delete()
     with backups.exclusive(clinic):
         page = client.post(reverse("backup-make"), follow=True)
-    assert "already running" in page.content.decode()
+    assert [message.level_tag for message in page.context["messages"]][-1] == "warning"
     assert not Job.objects.exists()
 
 
@@ -127,7 +129,6 @@ def test_the_newest_backups_are_kept(clinic: ClinicConfig, client_of: Callable[.
     assert names == [made.name, "clinic-20260105-023000.tar", "clinic-20260104-023000.tar"]
     assert (clinic.backups / "before-upgrade.tar").exists()
     page = text_of(client_of(Role.ADMINISTRATOR), reverse("backups"))
-    assert "Less than a day old" in page
     assert made.name in page
 
 
@@ -140,7 +141,7 @@ def test_a_backup_without_room_is_refused_and_said(
     with pytest.raises(backups.ClinicError, match="GB free"):
         backups.make_kept_backup(clinic)
     assert len(backups.backup_files(clinic)) == 1
-    assert "The last attempt failed" in text_of(client_of(Role.ADMINISTRATOR), reverse("backups"))
+    assert "failed" in text_of(client_of(Role.ADMINISTRATOR), reverse("backups"))
 
 
 def test_a_backup_is_due_once_a_day_in_the_clinics_zone(clinic: ClinicConfig) -> None:
@@ -205,13 +206,13 @@ def test_a_patient_is_erased_by_the_pseudonym_typed_twice(
     pseudonym = visit.patient.pseudonym
     Upload.objects.create(visit=visit, camera="front_left", size_bytes=9, state="placed")
     page = text_of(client, reverse("erase"), pseudonym=pseudonym.lower())
-    assert "Deleted with" in page
+    assert pseudonym in page
     assert "Zypernkatze" not in page
     for again in ("", "P-AAAAAA"):
         client.post(reverse("erase"), {"pseudonym": pseudonym, "again": again})
         assert Patient.objects.exists()
     done = client.post(reverse("erase"), {"pseudonym": pseudonym, "again": pseudonym})
-    assert f"{pseudonym} is erased" in done.content.decode()
+    assert pseudonym in done.content.decode()
     assert not Patient.objects.exists()
     entry = LogEntry.objects.get(additional_data__page="command erase")
     assert entry.actor == person_of(Role.ADMINISTRATOR)
@@ -224,7 +225,7 @@ def test_a_patient_who_is_being_measured_stays(client_of: Callable[..., Client],
     Job.objects.create(visit=visit, kind=Job.Kind.MEASURE, state=Job.State.RUNNING, lease_until=until)
     pseudonym = visit.patient.pseudonym
     page = client_of(Role.ADMINISTRATOR).post(reverse("erase"), {"pseudonym": pseudonym, "again": pseudonym})
-    assert "being measured" in html.unescape(page.content.decode())
+    assert "measured" in html.unescape(page.content.decode())
     assert Patient.objects.exists()
 
 
@@ -242,7 +243,7 @@ def test_the_first_day_goes_step_by_step_and_ends_by_itself(
         return None if day is None else (day.next_step.title, day.may_do)
 
     assert next_step() == ("People", True)
-    assert "Add a person" in text_of(client, "/")
+    assert reverse("person-new") in text_of(client, "/")
     technician = client_of(Role.TECHNICIAN)
     assert next_step() == ("Rig", True)
     rig = Rig.objects.create(name="Room 1", definition=DEFINITION)
@@ -255,8 +256,8 @@ def test_the_first_day_goes_step_by_step_and_ends_by_itself(
     calibration.state, calibration.current = "done", True
     calibration.save()
     assert next_step() == ("First patient", False)
-    assert "A technician or clinician does this." in text_of(client, "/")
-    assert "Enter a patient" in text_of(technician, "/")
+    assert reverse("patient-new") not in text_of(client, "/")
+    assert reverse("patient-new") in text_of(technician, "/")
     Patient.objects.create(family_name="Meier", given_name="Eva", record_number="1")
     assert next_step() is None
     assert steps() == []
@@ -266,7 +267,7 @@ def test_the_first_day_goes_step_by_step_and_ends_by_itself(
 def test_a_rig_without_a_board_says_so(client_of: Callable[..., Client]) -> None:
     rig = Rig.objects.create(name="Room 1", definition={"target": {"kind": "none of these"}})
     page = client_of(Role.ADMINISTRATOR).get(reverse("rig-target", args=[rig.pk]), follow=True)
-    assert "The board cannot be drawn" in page.content.decode()
+    assert [message.level_tag for message in page.context["messages"]] == ["error"]
 
 
 # --- menus ---

@@ -33,7 +33,7 @@ from mammometry.clinic.roles import Role
 def test_the_database_refuses_to_change_it(visit: Visit, statement: str) -> None:
     before = LogEntry.objects.count()
     assert before > 0
-    with pytest.raises(DatabaseError, match="only added to"), transaction.atomic(), connection.cursor() as cursor:
+    with pytest.raises(DatabaseError, match="audit"), transaction.atomic(), connection.cursor() as cursor:
         cursor.execute(statement.format(audit.TABLE))
     assert LogEntry.objects.count() == before
 
@@ -47,7 +47,7 @@ def test_sqlite_refuses_to_replace_an_entry(visit: Visit, table: str) -> None:
     audit_chain.extend()
     with connection.cursor() as cursor:
         cursor.execute("PRAGMA recursive_triggers=OFF")  # as another program has it
-    with pytest.raises(DatabaseError, match="only added to"), transaction.atomic(), connection.cursor() as cursor:
+    with pytest.raises(DatabaseError, match="audit"), transaction.atomic(), connection.cursor() as cursor:
         cursor.execute(f"INSERT OR REPLACE INTO {table} SELECT * FROM {table} LIMIT 1")
 
 
@@ -106,7 +106,7 @@ def test_a_changed_entry_breaks_the_chain(visit: Visit, statement: str) -> None:
     with unsealed() as cursor:
         cursor.execute(statement.format(audit.TABLE, audit.LINKS, chosen))
     assert audit.is_sealed()
-    with pytest.raises(ClinicError, match="the audit"):
+    with pytest.raises(ClinicError, match=r"audit: .*\b[12]\b"):
         audit_chain.verify()
 
 
@@ -119,7 +119,7 @@ def test_a_new_chain_is_noticed_by_the_end_that_a_backup_holds(visit: Visit) -> 
         cursor.execute(f"UPDATE {audit.TABLE} SET object_repr = 'x'")
     again = audit_chain.extend()
     assert audit_chain.verify() == again
-    with pytest.raises(ClinicError, match="a different chain"):
+    with pytest.raises(ClinicError, match=r"audit: .*chain"):
         audit_chain.verify(end)
 
 
@@ -141,7 +141,7 @@ def test_doctor_verifies_the_chain(visit: Visit, clinic: ClinicConfig, monkeypat
         cursor.execute(f"UPDATE {audit.TABLE} SET object_repr = 'x'")
     check = doctor._audit(clinic)
     assert check.state == "wrong"
-    assert "newest backup" in check.words
+    assert "backup" in check.words
 
 
 def test_postgresql_refuses_to_empty_it(visit: Visit) -> None:
@@ -149,7 +149,7 @@ def test_postgresql_refuses_to_empty_it(visit: Visit) -> None:
         pytest.skip("SQLite has no TRUNCATE")
     with connection.cursor() as cursor:
         cursor.execute("SET CONSTRAINTS ALL IMMEDIATE")
-    with pytest.raises(DatabaseError, match="only added to"), transaction.atomic(), connection.cursor() as cursor:
+    with pytest.raises(DatabaseError, match="audit"), transaction.atomic(), connection.cursor() as cursor:
         cursor.execute(f"TRUNCATE {audit.TABLE} CASCADE")
 
 
@@ -251,9 +251,10 @@ def test_it_is_filtered(client_of: Callable[..., Client], person_of: Callable[..
         return [entry.title for entry in reversed(rows_on(administrator, **query))]
 
     who = str(person_of(Role.TECHNICIAN).pk)
-    assert pages(person=who) == ["Login", "Visit", "Patients", "Rigs", "People", "Wrong name or password"]
+    failed = pages(kind="failed login")
+    assert len(failed) == 1
+    assert pages(person=who) == ["Login", "Visit", "Patients", "Rigs", "People", *failed]
     assert pages(kind="refused") == ["People"]
-    assert pages(kind="failed login") == ["Wrong name or password"]
     assert pages(kind="login") == ["Login", "Login"]
     assert "Visit changed" in pages(kind="changed")
     about = pages(patient=visit.patient.pseudonym.lower())

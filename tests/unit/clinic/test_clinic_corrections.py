@@ -140,7 +140,7 @@ def test_a_moved_visit_carries_the_right_pseudonym_everywhere_and_is_measured_ag
     assert visit.patient == anna
     names_nobody_else(visit)
     assert VisitOrder.objects.get().referring == "Dr. Who"
-    with pytest.raises(CorrectionError, match="already been undone"):
+    with pytest.raises(CorrectionError, match="undone"):
         corrections.undo(done, None)
 
 
@@ -153,7 +153,7 @@ def test_what_is_being_measured_is_not_corrected(anna: Patient, berta: Patient, 
         lambda: corrections.put_into_bin(visit, "x", None),
         lambda: corrections.merge(berta, anna, berta, "x", None),
     ):
-        with pytest.raises(CorrectionError, match="being measured"):
+        with pytest.raises(CorrectionError, match="measured"):
             act()
     assert not Correction.objects.exists()
 
@@ -165,7 +165,7 @@ def test_a_later_correction_is_undone_first(anna: Patient, berta: Patient, rig: 
     Job.objects.all().delete()
     second = corrections.move(visit, clara, "y", None)
     Job.objects.all().delete()
-    with pytest.raises(CorrectionError, match="later correction first"):
+    with pytest.raises(CorrectionError, match="later"):
         corrections.undo(first, None)
     corrections.undo(second, None)
     Job.objects.all().delete()
@@ -188,7 +188,7 @@ def test_a_corrected_day_stands_in_the_session_and_the_numbers_stay(anna: Patien
     visit.refresh_from_db()
     assert (visit.taken_at, visit.note) == (NOON, "Zypernkatze called")
     Job.objects.all().delete()
-    with pytest.raises(CorrectionError, match="have not changed"):
+    with pytest.raises(CorrectionError, match=r"^Day, "):
         corrections.redate(visit, NOON, visit.note, "x", None)
 
 
@@ -302,12 +302,12 @@ def test_what_is_in_the_bin_is_nowhere_else(
 
 def test_a_record_with_visits_stays_out_of_the_bin(anna: Patient, rig: Rig) -> None:
     visit = measured(anna, rig)
-    with pytest.raises(CorrectionError, match="has visits"):
+    with pytest.raises(CorrectionError, match="visits"):
         corrections.put_into_bin(anna, "x", None)
     of_visit = corrections.put_into_bin(visit, "x", None)
     of_patient = corrections.put_into_bin(anna, "x", None)
     assert not search("KIS-1").exists()
-    with pytest.raises(CorrectionError, match="not in use"):
+    with pytest.raises(CorrectionError, match="bin"):
         corrections.undo(of_visit, None)
     corrections.undo(of_patient, None)
     corrections.undo(of_visit, None)
@@ -388,7 +388,7 @@ def test_a_day_in_the_future_is_asked_about_in_a_correction_too(
     client = client_of(Role.TECHNICIAN)
     tomorrow = f"{timezone.localtime() + datetime.timedelta(days=1):%Y-%m-%dT%H:%M}"
     sent = filled(client, f"/visits/{visit.pk}/date/", taken_at=tomorrow, reason="x")
-    assert "in the future" in client.post(f"/visits/{visit.pk}/date/", sent).content.decode()
+    assert client.post(f"/visits/{visit.pk}/date/", sent).context["form"].errors
     assert client.post(f"/visits/{visit.pk}/date/", {**sent, "anyway": "1"}).status_code == 302
 
 

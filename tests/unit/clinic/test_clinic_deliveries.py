@@ -284,7 +284,7 @@ def test_a_clinician_sends_and_the_audit_says_so(
 ) -> None:
     client = client_of(Role.CLINICIAN)
     address = reverse("visit-send", args=[visit.pk])
-    assert "Send to PACS" in client.get(address).content.decode()
+    assert f'name="destination" value="{archive.pk}"' in client.get(address).content.decode()
     answer = client.post(address, {"destination": str(archive.pk)}, follow=True)
     assert "The boundaries of this visit are not confirmed" in answer.content.decode()
     assert not Delivery.objects.exists()  # one press alone sends nothing that nobody confirmed

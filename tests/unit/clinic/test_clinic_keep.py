@@ -127,7 +127,7 @@ def test_a_restore_is_tested_and_the_page_says_so(
         tar.addfile(entry, io.BytesIO(manifest))
     assert run(["clinic", "test-restore", str(clinic.folder)]) == ClinicError.exit_code
     page = client_of(Role.ADMINISTRATOR).get("/backups/").content.decode()
-    assert "not a complete backup" in page
+    assert f"✗ {made.name}" in page
     assert not list(clinic.backups.glob("restore-test-*"))
 
 
@@ -136,9 +136,9 @@ def test_rows_that_differ_are_named() -> None:
     same = digests_of(lines)
     assert same == digests_of(reversed(lines))
     require_same(same, digests_of(lines))
-    with pytest.raises(ClinicError, match=r"clinic\.rig: 1 lost, such as 2"):
+    with pytest.raises(ClinicError, match=r"clinic: .*clinic\.rig: 1 lost, .*\b2\b"):
         require_same(same, digests_of(lines[:1]))
-    with pytest.raises(ClinicError, match="1 changed, such as 2"):
+    with pytest.raises(ClinicError, match=r"clinic: .*\b1 changed, .*\b2\b"):
         require_same(same, digests_of([lines[0], lines[1].replace(b"{}", b'{"name": "x"}')]))
 
 
@@ -308,10 +308,10 @@ def test_a_damaged_backup_is_refused(clinic: ClinicConfig, full: Visit, tmp_path
     run(["clinic", "backup", str(clinic.folder), "--to", str(archive)])
     content = archive.read_bytes()
     archive.write_bytes(content.replace(MARK, MARK.upper()))
-    with pytest.raises(ClinicError, match="1 damaged files"):
+    with pytest.raises(ClinicError, match=r"^clinic\.tar: .*\b1 damaged"):
         unpack(archive, tmp_path / "restored")
     archive.write_bytes(content[: len(content) // 2])
-    with pytest.raises(ClinicError, match="not a complete backup"):
+    with pytest.raises(ClinicError, match=r"^clinic\.tar: .*backup"):
         unpack(archive, tmp_path / "restored")
     assert not (tmp_path / "restored").exists()
 
@@ -321,7 +321,7 @@ def test_a_backup_cannot_leave_its_folder(tmp_path: Path) -> None:
     (tmp_path / "payload").write_text("x")
     with tarfile.open(archive, "w") as tar:
         tar.add(tmp_path / "payload", arcname="../../escaped")
-    with pytest.raises(ClinicError, match="not a complete backup"):
+    with pytest.raises(ClinicError, match=r"^evil\.tar: .*backup"):
         unpack(archive, tmp_path / "deep" / "restored")
     assert not (tmp_path / "escaped").exists()
 
@@ -330,7 +330,7 @@ def test_a_backup_cannot_leave_its_folder(tmp_path: Path) -> None:
 def test_restore_replaces_nothing(clinic: ClinicConfig, tmp_path: Path) -> None:
     (tmp_path / "used").mkdir()
     (tmp_path / "used" / "file").write_text("mine")
-    with pytest.raises(ClinicError, match="a new or empty folder"):
+    with pytest.raises(ClinicError, match="folder"):
         unpack(tmp_path / "any.tar", tmp_path / "used")
     assert (tmp_path / "used" / "file").read_text() == "mine"
 

@@ -249,7 +249,7 @@ def test_what_a_calibration_and_a_check_come_to_is_told_by_the_rig():
     assert "front_left moved by 2 mm." in answer.reasons
     (row,) = rig_history.drift_rows(rig)
     assert row["moved"] == ["front_left"]
-    assert "has moved" in rig_history.may_queue(visit)
+    assert "moved" in rig_history.may_queue(visit)
 
 
 def test_the_bar_grows_from_stage_to_stage():

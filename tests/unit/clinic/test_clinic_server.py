@@ -75,7 +75,7 @@ def test_a_new_clinic_is_served_with_tls(tmp_path: Path) -> None:
 
 def test_without_tls_other_machines_are_kept_out(tmp_path: Path) -> None:
     config = new_clinic(tmp_path / "clinic", name="Clinic").model_copy(update={"address": "0.0.0.0:8000"})
-    with pytest.raises(ClinicError, match="no certificate"):
+    with pytest.raises(ClinicError, match=r"^address 0\.0\.0\.0:8000: .*certificate"):
         serve(config)
 
 
@@ -89,7 +89,7 @@ def test_a_certificate_that_is_not_there_is_named(tmp_path: Path) -> None:
 def test_a_clinic_whose_audit_was_unsealed_is_not_served(clinic: ClinicConfig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("mammometry.clinic.audit.is_sealed", lambda: False)
     monkeypatch.setattr("django.db.migrations.executor.MigrationExecutor.migration_plan", lambda *_: [])
-    with pytest.raises(ClinicError, match="missing or different triggers"):
+    with pytest.raises(ClinicError, match=r"audit: .*triggers"):
         require_current(clinic)
 
 
@@ -98,7 +98,7 @@ def test_a_database_that_waits_for_migrations_is_not_served(
     clinic: ClinicConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("django.db.migrations.executor.MigrationExecutor.migration_plan", lambda *_: ["one"])
-    with pytest.raises(ClinicError, match="older version"):
+    with pytest.raises(ClinicError, match=r"database: .*older"):
         require_current(clinic)
 
 
@@ -107,7 +107,7 @@ def test_a_database_with_migrations_that_this_version_lacks_is_not_served(
 ) -> None:
     applied = {("clinic", "0003_deliveries"): None}
     monkeypatch.setattr("django.db.migrations.recorder.MigrationRecorder.applied_migrations", lambda _: applied)
-    with pytest.raises(ClinicError, match="tables of another version of mammometry"):
+    with pytest.raises(ClinicError, match=r"database: .*another"):
         require_current(clinic)
 
 
@@ -162,7 +162,7 @@ def test_an_address_that_is_not_free_is_refused_before_anything_is_started(tmp_p
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         address = f"127.0.0.1:{taken.getsockname()[1]}"
-        with pytest.raises(ClinicError, match=f"address {address}: found another program that listens there"):
+        with pytest.raises(ClinicError, match=rf"^address {address}: .*listens"):
             require_free(address)
         folder = tmp_path / "clinic"
         done = subprocess.run(
@@ -170,7 +170,7 @@ def test_an_address_that_is_not_free_is_refused_before_anything_is_started(tmp_p
             capture_output=True, text=True, check=False, timeout=60,
         )  # fmt: skip
     assert done.returncode == 3
-    assert "another program that listens there" in done.stderr
+    assert "listens" in done.stderr
     assert not folder.exists()
     require_free(address)
 
@@ -179,13 +179,13 @@ def test_an_address_that_is_not_free_is_refused_before_anything_is_started(tmp_p
 def test_an_address_of_another_machine_is_named(address: str) -> None:
     from mammometry.clinic.web.server import require_free
 
-    with pytest.raises(ClinicError, match=f"address {address}: found an address or port that does not exist"):
+    with pytest.raises(ClinicError, match=rf"^address {address}: .*port"):
         require_free(address)
 
 
 def test_settings_that_change_while_a_clinic_is_open_make_no_other_clinic(clinic: ClinicConfig, tmp_path: Path) -> None:
     configure(clinic.model_copy(update={"cameras": {"Room 9": "cameras/rig.toml"}, "address": "127.0.0.1:9"}))
-    with pytest.raises(ClinicError, match="another open clinic"):
+    with pytest.raises(ClinicError, match="another"):
         configure(clinic.model_copy(update={"folder": tmp_path}))
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from django.test import Client
 from django.urls import reverse
+from tests.clinic_forms import refused
 
 from mammometry.base.errors import SettingsError
 from mammometry.clinic.accounts import add_person
@@ -19,17 +20,17 @@ ANNA = {"family_name": "Größe", "given_name": "Åse", "born": "1971-05-04", "r
 @pytest.mark.parametrize(
     ("changed", "sentence"),
     [
-        ({"record_number": "1\\2"}, "Found a backslash at position 2."),
-        ({"record_number": "1\x1b2"}, "Found a control character at position 2."),
-        ({"family_name": "A\\B"}, "Found a backslash at position 2."),
-        ({"family_name": "A^B"}, "A name cannot contain ^ or ="),
-        ({"given_name": "A=B"}, "A name cannot contain ^ or ="),
+        ({"record_number": "1\\2"}, "backslash"),
+        ({"record_number": "1\x1b2"}, "control character"),
+        ({"family_name": "A\\B"}, "backslash"),
+        ({"family_name": "A^B"}, "^"),
+        ({"given_name": "A=B"}, "^"),
         ({"family_name": "M" * 65}, "Found 65 letters."),
-        ({"family_name": "M" * 40, "given_name": "A" * 30}, "Both names have 70 letters together."),
-        ({"family_name": "Moser\u202e"}, "Found the format character U+202E RIGHT-TO-LEFT OVERRIDE at position 6."),
-        ({"given_name": "A\ue000"}, "Found a character for private use, U+E000 at position 2."),
-        ({"record_number": "1\u200b2"}, "Found the format character U+200B ZERO WIDTH SPACE at position 2."),
-        ({"family_name": "M\ufffdller"}, "Found a byte at position 2 that is not valid"),
+        ({"family_name": "M" * 40, "given_name": "A" * 30}, "70 letters"),
+        ({"family_name": "Moser\u202e"}, "U+202E RIGHT-TO-LEFT OVERRIDE"),
+        ({"given_name": "A\ue000"}, "U+E000"),
+        ({"record_number": "1\u200b2"}, "U+200B ZERO WIDTH SPACE"),
+        ({"family_name": "M\ufffdller"}, "position 2"),
     ],
 )
 @pytest.mark.requirement("R-IN-5")
@@ -37,8 +38,9 @@ def test_a_patient_is_entered_as_dicom_allows(
     client_of: Callable[..., Client], changed: dict[str, str], sentence: str
 ) -> None:
     client = client_of(Role.TECHNICIAN)
-    page = client.post(reverse("patient-new"), {**ANNA, **changed}).content.decode()
-    assert sentence in page
+    wrong = refused(client.post(reverse("patient-new"), {**ANNA, **changed}))
+    assert set(wrong) & {*changed, "__all__"}
+    assert sentence in " ".join(wrong.values())
     assert not Patient.objects.exists()
     client.post(reverse("patient-new"), ANNA)
     assert Patient.objects.get().name == "Größe, Åse"
@@ -48,12 +50,12 @@ def test_who_confirms_has_a_name_that_dicom_allows(client_of: Callable[..., Clie
     client = client_of(Role.ADMINISTRATOR)
     for name, sentence in (
         ("A" * 70, "Found 70 letters."),
-        ("A\\B", "Found a backslash at position 2."),
-        ("Dr. \u202eB", "Found the format character U+202E"),
+        ("A\\B", "backslash"),
+        ("Dr. \u202eB", "U+202E"),
     ):
         table = {"username": "eva", "full_name": name, "roles": [Role.CLINICIAN.value], "is_active": "on"}
-        assert sentence in client.post(reverse("person-new"), table).content.decode()
-    with pytest.raises(ClinicError, match="the full name: found 71 letters"):
+        assert sentence in refused(client.post(reverse("person-new"), table))["full_name"]
+    with pytest.raises(ClinicError, match=r"name: .*71 letters"):
         add_person("eva", [Role.CLINICIAN], full_name="A" * 70)
     assert not Person.objects.filter(username="eva").exists()
 
@@ -69,7 +71,7 @@ def test_an_archive_knows_us_by_a_title_that_dicom_allows(client_of: Callable[..
 
 @pytest.mark.parametrize("name", ["A\\B", "A" * 65, "A\x07"])
 def test_a_clinic_has_a_name_that_dicom_allows(tmp_path: Path, name: str) -> None:
-    with pytest.raises(SettingsError, match="the clinic's name: found"):
+    with pytest.raises(SettingsError, match=r"name: .*backslash"):
         new_clinic(tmp_path / "clinic", name=name)
     assert not (tmp_path / "clinic").exists()
 
@@ -78,5 +80,5 @@ def test_a_clinics_name_is_checked_where_it_was_edited(tmp_path: Path) -> None:
     new_clinic(tmp_path / "clinic", name="Clinic")
     file = tmp_path / "clinic" / "clinic.toml"
     file.write_text(file.read_text().replace('"Clinic"', f'"{"A" * 65}"'))
-    with pytest.raises(SettingsError, match=r"clinic.toml, name: .*at most 64 letters"):
+    with pytest.raises(SettingsError, match=r"^clinic\.toml, name: .*64 letters"):
         read_config(tmp_path / "clinic")

@@ -3,6 +3,7 @@
 import hashlib
 import io
 import json
+import re
 import threading
 
 import numpy as np
@@ -360,11 +361,11 @@ def test_a_second_photograph_replaces_the_first_only_where_that_is_said(sender, 
     sender.send(first)
     answer = sender.begin(second)
     assert (answer.status_code, answer.json()["occupied"]) == (409, True)
-    assert answer.json()["error"] == "This has another photograph of front_left already."
+    assert "front_left" in answer.json()["error"]
     # by its serial number: it is asked which camera took it
     table = sender.send(photograph(3, serial="A1"), name="IMG_0001.jpg")
     assert (table["state"], table["camera"]) == ("checked", None)
-    assert "which has another photograph" in table["checks"][-1]["sentence"]
+    assert "front_left" in table["checks"][-1]["sentence"]
     assert (rig_visit.folder / "capture" / "front_left.jpg").read_bytes() == first
     assert sender.send(second, replace=True)["state"] == "placed"
     assert (rig_visit.folder / "capture" / "front_left.jpg").read_bytes() == second
@@ -379,10 +380,11 @@ def test_a_calibration_says_how_many_poses_it_still_needs(client_of, rig_visit):
             sender.send(photograph(10 * pose + len(camera)), name=f"{camera}.jpg", pose=f"{pose:02d}")
     state = sender.state()
     assert (state["ready"], state["missing"], state["known"]) == (False, [], ["front_left", "front_right"])
-    assert state["needed"].startswith("Add one more pose of the board: each camera must see it 3 times")
+    assert re.search("one more pose.* 3 times", state["needed"])
     assert may_queue(sender.target) == state["needed"]
     occupied = sender.begin(photograph(9), pose="02").json()
-    assert occupied["error"] == "Pose 02 has another photograph of front_left already."
+    assert occupied["occupied"]
+    assert re.search("Pose 02 .*front_left", occupied["error"])
     for camera in ("front_left", "front_right"):
         sender.send(photograph(30 + len(camera)), name=f"{camera}.jpg", pose="03")
     assert sender.state()["ready"]
@@ -402,6 +404,6 @@ def test_exchanged_photographs_are_named_before_they_are_measured(sender, rig_vi
     photographs._checked.cache_clear()
     for seed, camera in enumerate(both):
         sender.send(photograph(seed), name=f"{camera}.jpg")
-    assert "front_left and front_right: photographs that seem to be exchanged" in may_queue(rig_visit)
+    assert "front_left and front_right: " in may_queue(rig_visit)
     assert not sender.state()["ready"]
     photographs._checked.cache_clear()

@@ -90,7 +90,7 @@ def test_an_archive_that_dies_half_way_gets_the_rest_later(made: list[Dataset], 
 
         with pytest.raises(ArchiveError, match=r"after 5 of 12 objects.*[Rr]un"):
             deliver(die)
-        with pytest.raises(ArchiveError, match="no answer"):
+        with pytest.raises(ArchiveError, match="answers"):
             deliver()
         archive.start()
         came = deliver()
@@ -203,7 +203,7 @@ def archive(handler: Any, made: list[Dataset], context: ssl.SSLContext | None = 
         server.shutdown()
 
 
-@pytest.mark.parametrize(("status", "words"), [(0xA700, "a full archive"), (0xC000, "a refused object")])
+@pytest.mark.parametrize(("status", "words"), [(0xA700, "room"), (0xC000, "refused")])
 def test_a_full_or_refusing_archive_says_after_how_many(made: list[Dataset], status: int, words: str) -> None:
     came: list[str] = []
 
@@ -213,7 +213,7 @@ def test_a_full_or_refusing_archive_says_after_how_many(made: list[Dataset], sta
         came.append(event.request.AffectedSOPInstanceUID)
         return 0x0000
 
-    with archive(stored, made) as peer, pytest.raises(ArchiveError, match=f"{words} after 3 of 12 objects"):
+    with archive(stored, made) as peer, pytest.raises(ArchiveError, match=f"{words}.* 3 of 12 objects"):
         send(made, peer)
 
 
@@ -237,9 +237,9 @@ def test_an_archive_without_promises_is_no_error(made: list[Dataset]) -> None:
 
 
 def test_nobody_answers(made: list[Dataset]) -> None:
-    with pytest.raises(ArchiveError, match="no answer"):
+    with pytest.raises(ArchiveError, match="answers"):
         send(made, Peer(title="PACS", host="127.0.0.1", port=orthanc.free_port()))
-    with pytest.raises(ArchiveError, match="no answer"):
+    with pytest.raises(ArchiveError, match="answers"):
         stow(made, f"http://127.0.0.1:{orthanc.free_port()}/dicom-web")
 
 

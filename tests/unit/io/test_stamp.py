@@ -55,7 +55,7 @@ def test_a_mesh_keeps_its_bytes_behind_the_header(tmp_path: Path) -> None:
     before = read_ply(tmp_path / "first.ply")[0]
     stamp_folder(tmp_path, ID)
     after, _, comments = read_ply(tmp_path / "first.ply")
-    assert comments == (f"subject {ID}", "mm, world")
+    assert comments == (f"subject {ID}", "mm, world frame")
     assert np.array_equal(after.vertices, before.vertices)
 
 

@@ -34,7 +34,7 @@ def test_subjects_without_names_are_numbered_and_a_strange_ending_is_no_unit(tmp
     path = written(tmp_path, "mini_one,wright_one\n1,2\n3,4\n5,7\n")
     found = read_pairs(path, reference="wright_one", measured="mini_one")
     assert found.names == ("1", "2", "3")
-    assert (found.reference_name, found.unit) == ("wright", "")
+    assert (found.reference_name, found.unit) == ("wright one", "")
 
 
 @pytest.mark.parametrize(

@@ -78,7 +78,7 @@ def test_what_both_share_falls_out() -> None:
     relative = 0.36**2 * 2 * (1 - WALL_CORRELATION) + 0.05**2 * 2 * (1 - BOUNDARY_CORRELATION)  # the scale's is nothing
     log_half = np.sqrt(relative)
     assert found.ratio_interval == pytest.approx((4 / 3 * np.exp(-log_half), 4 / 3 * np.exp(log_half)))
-    assert found.note.endswith("What both volumes share of chest wall, boundary, scale cancels out.")
+    assert found.note.endswith("chest wall, boundary, scale cancels out.")
 
 
 @pytest.mark.requirement("R-VOL-4")

@@ -30,10 +30,10 @@ def test_a_breast_under_a_hand_is_not_measured_unless_somebody_confirmed_that_it
     results = MeshJob(files, tmp_path / "out").run()
     assert set(results.volumes_cc) == {"right"}
     why = results.no_breast["left"]
-    assert "something on it, such as a hand" in why
+    assert "hand" in why
     assert results.report is not None
     page = unescape(results.report.read_text(encoding="utf-8")).replace("\u00a0", " ")
-    assert "something on it, such as a hand" in page
+    assert why in page
     confirmed = Settings(measure=MeasureSettings(bare_confirmed=True))
     results = MeshJob(files, tmp_path / "sure", confirmed).run(report=False)
     assert results.volumes_cc["left"] > 1.2 * bare.volumes_cc["left"]  # what the refusal is for

