@@ -1,1 +1,1 @@
-"""Commands that measure what we claim: accuracy against truth, and speed against peers in the same run."""
+"""Commands that measure our claims: accuracy against truth, and speed against other programs."""

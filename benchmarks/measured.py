@@ -1,9 +1,8 @@
-"""Make the figures of the documentation again, and write their tables.
+"""Compute the figures of the documentation, and write their tables.
 
-    python -m benchmarks.measured                      everything that is not there yet; some hours, resumable
-    python -m benchmarks.measured plate dents-casts    these alone
-    python -m benchmarks.measured --minutes 6          what takes at most six minutes
-    python -m benchmarks.measured --write              no run: write what is there into the pages
+    python -m benchmarks.measured                      all missing ones; some hours, resumable python -m
+    benchmarks.measured plate dents-casts    only these python -m benchmarks.measured --minutes 6          what takes
+    at most six minutes python -m benchmarks.measured --write              only write existing results into the pages
 
 `measured.toml` says which commands make which table. Each result is kept in build/measured/COMMIT/NAME.json, where
 COMMIT is the last one that changed the program or a benchmark; what is there is not made again. OUT in a command is a
@@ -36,28 +35,28 @@ _BLOCK = re.compile(r"<!-- measured: ([\w-]+) -->\n(.*?)<!-- end -->", re.DOTALL
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """One table of the documentation and the commands that make it."""
+    """One table of the documentation and its commands."""
 
     name: str
     commands: tuple[str, ...] = ()
     minutes: float = 0.0
-    """What the commands take on two quiet cores."""
+    """Minutes of the commands on two quiet cores."""
     of: str = ""
-    """Table whose output this one shows in another form; it has no commands of its own."""
+    """Table whose output this one shows in another form, without own commands."""
     page: str = "docs/measured.md"
     form: str = "markdown"
-    """How the output becomes a table: a key of `FORMS`."""
+    """Form of the output: a key of `FORMS`."""
     file: str = ""
-    """File that the commands write, taken as one more output."""
+    """File written by the commands, used as one more output."""
     needs: str = ""
-    """Folder beside the repository without which the commands cannot run."""
+    """Folder next to the repository that the commands need."""
     kept: str = ""
-    """Commit or day of a table that this runner has not made yet. Removed when it has."""
+    """Commit or day of a table that was not made by this runner. Removed once it is."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """What the commands printed, and by which program."""
+    """Output of the commands, and version of the program."""
 
     commit: str
     day: str
@@ -79,7 +78,7 @@ def commit() -> str:
     """Last commit that changed the program or a benchmark.
 
     Raises:
-        SystemExit: something of theirs is changed and not committed.
+        SystemExit: there are uncommitted changes.
     """
     changed = _git("status", "--porcelain", "--", *_CHANGES_FIGURES)
     if changed:
@@ -88,7 +87,7 @@ def commit() -> str:
 
 
 def make(entry: Entry, by: str, folder: Path) -> Result:
-    """Run an entry's commands, one after another, in the repository. Those that ended are not run again.
+    """Run an entry's commands in sequence in the repository. Finished ones are not run again.
 
     Raises:
         subprocess.CalledProcessError: a command failed.
@@ -111,22 +110,22 @@ def make(entry: Entry, by: str, folder: Path) -> Result:
 
 
 def with_minus(text: str) -> str:
-    """Negative numbers with a minus sign, as the pages have it."""
+    """Negative numbers with a minus sign, as on the pages."""
     return re.sub(r"(?<=[ |])-(?=[\d.])", "−", text)
 
 
 def markdown(outputs: Sequence[str]) -> str:
-    """Tables and sentences as the benchmarks print them."""
+    """Tables and sentences as printed."""
     return with_minus("\n\n".join(output.strip() for output in outputs if output.strip()))
 
 
 def from_first_table(outputs: Sequence[str]) -> str:
-    """Tables and sentences, without what is printed before them while a benchmark runs."""
+    """Tables and sentences, without progress output before them."""
     return markdown([output[max(output.find("| "), 0) :] for output in outputs])
 
 
 def first_table(outputs: Sequence[str]) -> str:
-    """The first table of each output, under one heading, without what else is printed."""
+    """Only the first table of each output, under one heading."""
     rows: list[str] = []
     for output in outputs:
         lines = output.splitlines()
@@ -138,7 +137,7 @@ def first_table(outputs: Sequence[str]) -> str:
 
 
 def demo(outputs: Sequence[str]) -> str:
-    """Volume and interval of the demo beside the truth."""
+    """Volume and interval of the demo, with the truth."""
     answer = json.loads(outputs[-1])
     (name,) = answer["volumes_cc"]
     low, high = answer["intervals_cc"][name]
@@ -149,7 +148,7 @@ def demo(outputs: Sequence[str]) -> str:
 
 
 def casts(outputs: Sequence[str]) -> str:
-    """Nine casts, each beside its truth, and how they agree."""
+    """Nine casts with their truth, and their agreement."""
     models = list(csv.DictReader(outputs[-1].splitlines()))
     lines = ["| cast | true cc | measured cc | error cc | error % | 95 % interval cc | holds |", "| --- " * 7 + "|"]
     errors_cc = []
@@ -165,7 +164,7 @@ def casts(outputs: Sequence[str]) -> str:
 
 
 def paper_depth(outputs: Sequence[str]) -> str:
-    """Depth on a tilted plate beside the printed figure."""
+    """Depth on a tilted plate, with the printed figure."""
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in outputs[0].splitlines() if "|" in line]
     worst = max(float(row[5]) for row in rows[2:])
     rms = max(float(row[3]) for row in rows[2:])
@@ -176,7 +175,7 @@ def paper_depth(outputs: Sequence[str]) -> str:
 
 
 def paper_table(outputs: Sequence[str]) -> str:
-    """Table 1: nine models, and how the methods agree, as printed and here."""
+    """Table 1: nine models and the agreement of the methods, as printed and here."""
     from benchmarks.paper import table_1
 
     return with_minus(table_1(outputs[-1]))
@@ -204,14 +203,14 @@ FORMS: Mapping[str, Callable[[Sequence[str]], str]] = {
 
 
 def block(entry: Entry, result: Result) -> str:
-    """What stands between the markers."""
+    """Text between the markers."""
     commands = "\n".join(f"$ {command}" for command in entry.commands)
     table = FORMS[entry.form](result.outputs)
     return f"```console\n{commands}\n```\n\n{table}\n\n*By commit {result.commit}, {result.day}.*\n"
 
 
 def write(entries: Mapping[str, Entry], results: Mapping[str, Result]) -> None:
-    """Put the tables of all results into their pages; what was made is not marked as kept any more."""
+    """Write the tables of all results into their pages, and remove their `kept` marks."""
     for page in {entry.page for entry in entries.values()}:
         path = ROOT / page
         before = path.read_text(encoding="utf-8")
@@ -232,12 +231,12 @@ def write(entries: Mapping[str, Entry], results: Mapping[str, Result]) -> None:
 
 
 def blocks(text: str) -> dict[str, str]:
-    """Name → what stands between its markers, of a page."""
+    """Name → text between its markers on a page."""
     return dict(_BLOCK.findall(text))
 
 
 def main() -> None:
-    """Make what lacks, then write the pages."""
+    """Make missing tables, then write the pages."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help="tables to make; without names all")
     parser.add_argument("--minutes", type=float, default=float("inf"), help="leave out what takes longer")

@@ -1,4 +1,4 @@
-"""Rectified pairs of a capture and what is true of them, by true cameras or by those that its calibration gives."""
+"""Rectified pairs of a capture and their truth, with true or calibrated cameras."""
 
 from __future__ import annotations
 

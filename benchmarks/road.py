@@ -17,7 +17,7 @@ def each_as_it_ends(
     megapixels: float,
     scheduler: str | None = None,
 ) -> Iterator[tuple[str, Any]]:
-    """Call a function for each capture, on all cores of this machine or on a cluster, and yield what it returns.
+    """Call a function for each capture, on all cores or on a cluster, and yield its results.
 
     Args:
         function: called with `(progress, *arguments)`, returns plain JSON data; of a module that other processes can

@@ -1,4 +1,4 @@
-"""Make the generated pages of the dossier: requirements and their tests, third-party software, its list for machines.
+"""Make the generated pages of the dossier: requirements with tests, third-party software, its SBOM.
 
     python -m tools.dossier          write docs/dossier/{requirements,third-party}.md and sbom.cdx.json
     python -m tools.dossier --check  write nothing

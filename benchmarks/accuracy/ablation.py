@@ -1,4 +1,4 @@
-"""What each rule of merging views does where surfaces hide one another: nearest, furthest, TSDF, Poisson, ours.
+"""Rules for merging views on self-occluding surfaces: nearest, furthest, TSDF, Poisson, ours.
 
     python -m benchmarks.accuracy.ablation --out build/ablation
 

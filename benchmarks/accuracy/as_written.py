@@ -1,4 +1,4 @@
-"""The paper's method as printed beside the default, end to end: photographs in, disparities, surface and volume out.
+"""The paper's method as printed and the default, from photographs to disparities, surface and volume.
 
     python -m benchmarks.accuracy.as_written --captures ../shared/data/rendered [--subject plaster_a]
     python -m benchmarks.accuracy.as_written --seeds 1 2

@@ -1,4 +1,4 @@
-"""How near the matcher comes to what its pictures hold: the least error of a linear filter beside what is reached.
+"""The matcher's error against the least error of a linear filter on the same pictures.
 
     python -m benchmarks.accuracy.bound CAPTURES [--subject plaster_a] [--pair left]
 

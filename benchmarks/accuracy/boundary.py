@@ -1,4 +1,4 @@
-"""The automatic boundary on torsos whose true one is known: the crease's outer flank, beside the level rule before it.
+"""The automatic boundary on torsos with a known one, compared with the earlier level rule.
 
     python -m benchmarks.accuracy.boundary
 

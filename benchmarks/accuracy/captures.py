@@ -1,4 +1,4 @@
-"""Sixty simulated captures, of all that a rig may meet: made once, from photographs to the repaired surface.
+"""Sixty varied simulated captures, made once, from photographs to the repaired surface.
 
 Each rig is calibrated once and takes five captures, as a rig is used. Rigs, their errors and their photographs of the
 target differ, some lack a pair or two, so that much of a cast stays unseen; casts have flat and curved backs, breasts

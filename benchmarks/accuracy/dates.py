@@ -1,4 +1,4 @@
-"""Two dates of one torso: how well the trunk finds itself again, what the change of volume is worth, who is refused.
+"""Two dates of one torso: alignment of the trunk, error of the change, refusals.
 
     python -m benchmarks.accuracy.dates --torsos 24
 

@@ -1,4 +1,4 @@
-"""The paper's fifteen cases: whether the dented range data are removed, case by case, with its Fig. 5 of each.
+"""The paper's fifteen cases: removal of dented range data, with its Fig. 5 of each.
 
     python -m benchmarks.accuracy.dents --out build/dents
     python -m benchmarks.accuracy.dents --subjects plaster_3 face.ply

@@ -1,4 +1,4 @@
-"""What the errors of both breasts of one capture share, on virtual women: of the wall, and of a found boundary.
+"""Shared errors of both breasts on virtual women: of the wall, and of a found boundary.
 
     python -m benchmarks.accuracy.differences --women 8 --first 500
 

@@ -1,4 +1,4 @@
-"""Doubts about a torso: wrong scales that are refused or warned of, hands on a breast, and false alarms.
+"""Doubts about a torso: wrong scales, hands on a breast, and false alarms.
 
     python -m benchmarks.accuracy.doubts --bodies ../shared/data/scans --women 8001-8008
     python -m benchmarks.accuracy.doubts --women 8101-8112 --any-hand

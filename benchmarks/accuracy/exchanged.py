@@ -1,4 +1,4 @@
-"""Photographs of a capture exchanged, or of another exposure or rig: which are named, and what is refused wrongly.
+"""Exchanged photographs, and those of another exposure or rig: named, missed and false refusals.
 
     python -m benchmarks.accuracy.exchanged CAPTURES [--simulate]
 

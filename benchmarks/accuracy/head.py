@@ -1,4 +1,4 @@
-"""Which end is the head's: upright bodies must not be refused, and those turned over must not be measured unawares.
+"""Direction of the head: upright bodies must be measured, and inverted ones noticed.
 
     python -m benchmarks.accuracy.head --seeds 100-189
     python -m benchmarks.accuracy.head --seeds 300-344 --mounds

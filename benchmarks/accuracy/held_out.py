@@ -1,4 +1,4 @@
-"""The matcher on captures that chose none of its constants: six subjects, three rigs, contrasts, noises, skins.
+"""The matcher on held-out captures: six subjects, three rigs, contrasts, noises, skins.
 
     python -m benchmarks.accuracy.held_out --out FOLDER [--json FILE]
 

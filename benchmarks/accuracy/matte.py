@@ -1,4 +1,4 @@
-"""Matte casts before seven pairs 41 to 45° apart that stood still: what is taken for motion, and what is corrected.
+"""Matte casts and seven fixed pairs 41 to 45° apart: false motions and corrections.
 
     python -m benchmarks.accuracy.matte OUT [--seeds 5 6] [--scale 0.142] [--contrast 0.005 0.003]
 

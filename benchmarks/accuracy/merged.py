@@ -1,4 +1,4 @@
-"""Hanging breasts scanned from the front, from below, and both scans merged, against the clean mesh's volume.
+"""Ptotic breasts scanned from the front, from below, and merged, against the clean mesh's volume.
 
     python -m benchmarks.accuracy.merged --out rows --women 9600-9611
     python -m benchmarks.accuracy.merged --out rows --women 9600-9611 --refusals

@@ -1,4 +1,4 @@
-"""Skin that some pair could see, but that is not there: which pair could have measured it, and what it lost it by.
+"""Visible skin that was not measured: the pair that came furthest, and the step that lost it.
 
     python -m benchmarks.accuracy.missing CAPTURES [--subject torso_rail] [--scale 0.25]
 

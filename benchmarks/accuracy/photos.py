@@ -1,4 +1,4 @@
-"""Walks with one telephone around virtual women, by another renderer: surface and volumes against the truth.
+"""Walks with one telephone around virtual women (another renderer): surface and volumes against truth.
 
     python -m benchmarks.accuracy.photos --walks ../shared/data/photos --out OUT
 

@@ -1,4 +1,4 @@
-"""Captures as they come from outside clinics, measured with default settings: heads, casts and small figures.
+"""Other subjects and rooms with default settings: heads, casts and small figures.
 
     python -m benchmarks.accuracy.rooms --seeds 1-30 --out build/rooms
     python -m benchmarks.accuracy.rooms --held-out --seeds 1-90 --out build/rooms

@@ -1,4 +1,4 @@
-"""Scans of virtual women, standing, leaning and lying: what is measured, refused and missed, and how it repeats.
+"""Scans of standing, leaning and lying virtual women: errors, refusals and repeatability.
 
     python -m benchmarks.accuracy.scans --out rows --bodies ../shared/data/scans
     python -m benchmarks.accuracy.scans --out rows --one-posture

@@ -1,4 +1,4 @@
-"""One body as many files: with lids, open ends, unequal arms, turned, and cut elsewhere. One volume, or a question.
+"""One body as many files: with lids, open ends, unequal arms, turned, and cut differently.
 
     python -m benchmarks.accuracy.variants --women 9700-9702 --bodies ../shared/data/scans
 

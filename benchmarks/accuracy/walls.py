@@ -1,4 +1,4 @@
-"""Every chest wall on torsos of exactly known volume: what each makes of the same skin and the same boundary.
+"""Every chest wall on torsos of known volume, with the same skin and boundary.
 
     python -m benchmarks.accuracy.walls
     python -m benchmarks.accuracy.walls --families woman leaning-woman --bodies 9 --first 1000

@@ -1,4 +1,4 @@
-"""Photographs in, volume out: the whole main job on the independent renderer's captures, against their truth.
+"""The whole job on the independent renderer's captures, against their truth.
 
     python -m benchmarks.accuracy.whole_job ../shared/data/rendered --out build/whole_job
 

@@ -1,4 +1,4 @@
-"""Every chest wall on virtual women drawn from real ones' statistics, seen as open fronts; automatic boundaries too.
+"""Every chest wall on open fronts of virtual women with real statistics, and automatic boundaries.
 
     python -m benchmarks.accuracy.women --women 40 --first 1000
 

@@ -1,4 +1,4 @@
-"""How long a firing of eight 13.5 megapixel cameras takes, and how many live pictures a second there are.
+"""Time of a firing of eight 13.5 megapixel cameras, and live pictures per second.
 
     python -m benchmarks.speed.capture [FOLDER]
 

@@ -1,4 +1,4 @@
-"""Hundreds of simulated workers for Dask's real scheduler: their tasks only wait, for durations that are drawn.
+"""Hundreds of simulated workers for Dask's real scheduler, whose tasks wait for random durations.
 
     python -m benchmarks.speed.crowd ADDRESS --workers 1000 --cores 2
 

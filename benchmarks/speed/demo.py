@@ -1,4 +1,4 @@
-"""Seconds of the demo, first and second, of a run with nothing to do and of ``--help``, beside the reference work.
+"""Time of the first and second demo, of a run with nothing to do and of ``--help``.
 
     python -m benchmarks.speed.demo --out build/demo [--only first second run help]
 

@@ -1,4 +1,4 @@
-"""Time and peak memory of matching whole pairs, from the photographs to the disparities, beside OpenCV's SGBM.
+"""Time and peak memory of matching, from photographs to disparities, compared with OpenCV's SGBM.
 
     python -m benchmarks.speed.matching --out build/matching
     python -m benchmarks.speed.matching SESSION [SESSION …]

@@ -1,4 +1,4 @@
-"""Seconds, memory and surface error from photographs and their cameras to a mesh: ours beside SGBM with TSDF fusion.
+"""Time, memory and surface error from photographs to a mesh: ours and SGBM with TSDF fusion.
 
     python -m benchmarks.speed.peers --out build/peers [--scale 1] [SESSION …]
 

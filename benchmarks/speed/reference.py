@@ -1,4 +1,4 @@
-"""A fixed piece of work to measure a machine by, so that times of different machines and loads can be compared.
+"""A fixed piece of work as unit of time, to compare machines and loads.
 
     python -m benchmarks.speed.reference
 

@@ -1,4 +1,4 @@
-"""How long the built-in renderer takes: eight full-size pictures of a capture, and the demo's whole session.
+"""Time of the built-in renderer: eight full-size pictures, and the demo's session.
 
     python -m benchmarks.speed.simulate
 

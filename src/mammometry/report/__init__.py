@@ -1,1 +1,1 @@
-"""The report: its words, figures and documents."""
+"""The report: its text, figures and documents."""

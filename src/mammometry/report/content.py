@@ -28,12 +28,12 @@ class Picture:
     webp: bytes
     """For the page."""
     jpeg: bytes = b""
-    """For paper. Empty where paper does not show it."""
+    """For the PDF. Empty if it is not in the PDF."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fact:
-    """One line of a list: what, and its value in words."""
+    """One line of a list: label, and its value as text."""
 
     label: str
     value: str
@@ -49,30 +49,30 @@ class LargeNumber:
     interval: str = ""
     """"95 %: 300 to 410 cc"."""
     note: str = ""
-    """What the number means."""
+    """Meaning of the number."""
     colour: str = ""
-    """Of its boundary in the pictures, #rrggbb. Empty: it has none."""
+    """Colour of its boundary in the pictures, #rrggbb. Empty: none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Meaning:
-    """One meaning of the breast with its volumes."""
+    """One definition of the breast with its volumes."""
 
     title: str
     sentences: str
-    """What is counted, for a patient."""
+    """Explanation for a patient."""
     volumes: tuple[Fact, ...]
     """Breast → volume, interval, weight."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BreastReport:
-    """One measured breast, in words."""
+    """One measured breast, as text."""
 
     name: str
     """model, left, right."""
     title: str
-    """What to call it."""
+    """Its title."""
     number: LargeNumber
     """Its volume, on the first page."""
     interval_note: str
@@ -83,15 +83,15 @@ class BreastReport:
     wall: str
     """Name and definition of the wall."""
     boundary: str
-    """How the boundary was found or drawn. Of a side that was not measured: why."""
+    """Origin of the boundary, or reason why a side was not measured."""
     boundary_remarks: tuple[BoundaryRemark, ...] = ()
-    """Facts about the boundary by which the report decides."""
+    """Facts about the boundary used by the report."""
     curve: str = ""
     """Digest of the measured boundary. Empty for a side that was not measured."""
     unmeasured: Literal["", "none", "unclear", "refused"] = ""
-    """Why there is no volume. Empty where there is one."""
+    """Reason for having no volume. Empty if there is one."""
     tables: tuple[Table, ...] = ()
-    """What the interval is made of, and the volume with other walls."""
+    """Terms of the interval, and the volume with other walls."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,48 +106,47 @@ class StageReport:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReportContent:
-    """All words, pictures and models of a report."""
+    """All text, pictures and models of a report."""
 
     identity: Identity
-    """Whose results these are. The only names on the page."""
+    """Identity of the subject: the only names on the page."""
     created: str
-    """When the report was made, in words."""
+    """Time of the report, as text."""
     subject: str
-    """What was photographed, in words."""
+    """The subject, as text."""
     world: str
-    """What the world frame is."""
+    """Definition of the world frame."""
     warnings: tuple[Notice, ...]
-    """Of what the volumes rest on, the gravest first. Those of boundaries follow when the report is rendered."""
+    """Warnings about the volumes, worst first. Those of boundaries are added when the report is rendered."""
     concerns: tuple[Notice, ...] = ()
     """Warnings of calibration and matching."""
     calibration_doubts: tuple[Notice, ...] = ()
-    """Warnings of single photographs of the calibration: for who keeps the rig, last of all. A clinic's reports omit
-    them."""
+    """Warnings about single photographs of the calibration, last. A clinic's reports omit them."""
     breasts: tuple[BreastReport, ...]
     comparison: tuple[Fact, ...]
-    """Differences between both sides. Empty where neither was measured."""
+    """Differences between both sides. Empty if neither was measured."""
     difference: LargeNumber | None = None
     """Difference of both volumes. None without two."""
     meanings: tuple[Meaning, ...] = ()
-    """The volumes in every meaning of the breast, the leading one first. Empty for a cast."""
+    """The volumes in every definition of the breast, the leading one first. Empty for a cast."""
     lengths: Table | None = None
-    """Lengths that surgeons plan with. None: none was measured."""
+    """Surgical lengths. None: not measured."""
     lengths_note: str = ""
-    """What the table leaves out."""
+    """Lengths missing in the table."""
     stages: tuple[StageReport, ...]
     timings: tuple[Fact, ...]
     changed_settings: tuple[Fact, ...]
-    """Those that differ from the recommended ones."""
+    """Settings that differ from the defaults."""
     all_settings: tuple[Fact, ...]
     versions: tuple[Fact, ...]
     pictures: Mapping[str, Mapping[str, Picture]] = field(default_factory=dict)
     """Stage → name → picture."""
     scene: str = ""
-    """What the 3D viewer shows, as `scene.to_json` writes it. Empty leaves it out."""
+    """Scene of the 3D viewer, from `scene.to_json`. Empty: no viewer."""
     key: str = ""
-    """Digest of everything that the page shows, to tell later whether it is current."""
+    """Digest of the page's content, to check later whether it is current."""
     contains: str = "photographs of the subject, and no name except those in its heading"
-    """What the report reveals of the subject."""
+    """Personal data in the report."""
 
     @property
     def about(self) -> str:
@@ -158,7 +157,7 @@ class ReportContent:
 def sentence(text: str, *, capital: bool = True) -> str:
     """The text with a full stop at its end.
 
-    Its first letter is made a capital unless it continues a sentence.
+    Its first letter becomes a capital unless it continues a sentence.
     """
     text = text.strip().rstrip(".")
     return f"{text[:1].upper() if capital else text[:1]}{text[1:]}." if text else ""
@@ -166,7 +165,7 @@ def sentence(text: str, *, capital: bool = True) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Signed:
-    """Something that somebody said, with name and time."""
+    """A person's statement, with name and time."""
 
     by: str
     at: datetime.datetime
@@ -177,7 +176,7 @@ class Signed:
 class Clinical:
     """The patient, earlier operations, and the clinician's conclusion.
 
-    A report is rendered with it and never stored with it: names stand in the clinic's database alone.
+    A report is rendered with it but never stored with it: names are only in the clinic's database.
     """
 
     patient: str = ""
@@ -186,16 +185,16 @@ class Clinical:
     record: str = ""
     """Number of the patient's record."""
     taken: datetime.datetime | None = None
-    """When the photographs or the scan were taken, local time."""
+    """Time of the photographs or the scan, local time."""
     occasion: str = ""
-    """Why the patient came: "6 weeks after"."""
+    """Occasion of the visit: "6 weeks after"."""
     posture: str = ""
-    """ "leaning forward", "standing", "lying"; empty: nobody said."""
+    """ "leaning forward", "standing", "lying"; empty: unknown."""
     operations: tuple[str, ...] = ()
     """One sentence each, the newest first: "Implant inserted, left, 2026-03-02, 300 cc"."""
     change: tuple[str, ...] = ()
-    """The verdict against the visit before, a sentence a breast. Empty: there is none."""
+    """The verdict against the previous visit, one sentence per breast. Empty: none."""
     confirmed: Signed | None = None
-    """Who looked at the measured boundaries and found them right. None: nobody yet."""
+    """Confirmation of the measured boundaries. None: not confirmed."""
     conclusions: tuple[Signed, ...] = ()
-    """The newest first; the others were amended by it."""
+    """Newest first; it amends the others."""

@@ -1,4 +1,4 @@
-"""The first page of a report, for a surgeon in thirty seconds: in the browser and on paper."""
+"""The first page of a report, for a surgeon in thirty seconds: in the browser and in the PDF."""
 
 import datetime
 from collections.abc import Mapping, Sequence
@@ -22,38 +22,38 @@ class FirstPage:
     """The first page before layout."""
 
     title: str
-    """Who: the patient's name, else the session's title."""
+    """The patient's name, or the session's title."""
     who: str
-    """Birth date, record number; else what the session tells beside its title."""
+    """Birth date and record number, or the session's other facts."""
     when: str
     """Day, occasion, posture."""
     operations: tuple[str, ...]
     numbers: tuple[LargeNumber, ...]
     """Both volumes and their difference."""
     cautions: tuple[str, ...]
-    """What changes the meaning of these numbers, one line each."""
+    """Cautions about these numbers, one line each."""
     pictures: tuple[Picture, ...]
     """The front view, then both oblique ones."""
     change: tuple[str, ...]
-    """Against the visit before."""
+    """Change since the previous visit."""
     confirmation: str
-    """Who found the boundaries right, and when. Empty where nothing was measured."""
+    """Confirmation of the boundaries, with name and time. Empty if nothing was measured."""
     is_confirmed: bool
     conclusion: Signed | None
     amended: str
-    """Which earlier conclusion the newest one replaces. Empty: none."""
+    """Earlier conclusion that the newest one replaces. Empty: none."""
 
 
 def first_page(
     content: ReportContent, attributions: Mapping[str, Attribution], clinical: Clinical | None, *, named: bool
 ) -> FirstPage:
-    """Put the first page together.
+    """Make the first page.
 
     Args:
-        content: what was measured.
-        attributions: breast → who confirmed its boundary.
-        clinical: what a clinic knows, whose confirmation then stands for all boundaries.
-        named: whether names and dates are said.
+        content: of the report.
+        attributions: breast → confirmation of its boundary.
+        clinical: a clinic's data; its confirmation then applies to all boundaries.
+        named: whether names and dates are included.
     """
     known = clinical or Clinical()
     measured = [breast for breast in content.breasts if not breast.unmeasured]
@@ -84,7 +84,7 @@ def signature(signed: Signed) -> str:
 
 
 def moment_words(moment: datetime.datetime) -> str:
-    """A moment in words, to the minute: "22 November 2026, 10:30"."""
+    """A time as text, to the minute: "22 November 2026, 10:30"."""
     return f"{date_words(moment)}, {moment:%H:%M}"
 
 
@@ -98,11 +98,11 @@ def _birth_words(born: datetime.date, taken: datetime.datetime | None) -> str:
 def _confirmation(
     measured: Sequence[BreastReport], attributions: Mapping[str, Attribution], clinical: Clinical | None, *, named: bool
 ) -> tuple[str, bool]:
-    """Who confirmed the boundaries, in words, and whether all are confirmed."""
+    """Confirmation of the boundaries, as text, and whether all are confirmed."""
     signed = None if clinical is None else clinical.confirmed
     if signed is not None and measured:
         return f"confirmed by {signature(signed)}", True
-    if all(breast.name == "model" for breast in measured):  # its base needs nobody's eye
+    if all(breast.name == "model" for breast in measured):  # its base needs no confirmation
         return "", True
     if clinical is not None:
         return NOT_CONFIRMED, False
@@ -128,7 +128,7 @@ def _volumes(breasts: Sequence[BreastReport]) -> list[LargeNumber]:
 
 
 def _cautions(measured: Sequence[BreastReport], notices: Sequence[Notice]) -> tuple[str, ...]:
-    """What changes the meaning of the volumes: of all breasts, or with the breast's name before it."""
+    """Cautions about the volumes: for all breasts, or with the breast's name."""
     lines = []
     for notice in notices:
         of = [breast.number.title for breast in measured if concerns(notice, breast.name)]

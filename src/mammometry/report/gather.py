@@ -1,7 +1,4 @@
-"""Collect the report of a session's job, or of a scanner's mesh, stage by stage.
-
-So little is held in memory.
-"""
+"""Collect the report of a session's job, or of a scanner's mesh, stage by stage, to save memory."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
@@ -65,13 +62,13 @@ def gather(
 
     Args:
         plan: the whole job.
-        inputs: what the session brought; photographs are read one at a time.
-        page: what the report shows beside products. All of it is part of the report's key.
-        shown: previews, and what was found with them; the rest is found here. Previews of the surface are drawn again
-            where colours are left out.
-        created: moment of the report; now by default.
+        inputs: of the session; photographs are read one at a time.
+        page: content other than products, all of it part of the report's key.
+        shown: previews and their facts; missing ones are made here. Previews of the surface are drawn again if colours
+            are left out.
+        created: time of the report; now by default.
         privacy: what to leave out.
-        progress: gets the fraction done.
+        progress: called with the fraction done.
     """
     settings = page.settings
     page = replace(page, identity=NAMELESS) if privacy.deidentify else page
@@ -179,7 +176,7 @@ def _scene(plan: Plan, measurements: tuple[VolumeMeasurement, ...], textured: Te
         textured,
         measurements,
         symmetry=plan.value(measure.symmetry),
-        # Where colours are left out, so are the photographs themselves.
+        # If colours are left out, so are the photographs.
         atlas=plan[surface.model]() if textured is finished.textured else None,
     )
     sizes = plan.value(measure.dimensions) if measurements else None
@@ -200,12 +197,12 @@ def gather_mesh(
 
     Args:
         plan: of its measurement.
-        viewer: who looks at it in the pictures.
-        page: what the report shows beside products, all of it part of the report's key.
-        origin: what is known of the mesh beside its shape.
-        drawn: waits for the pictures where they are drawn elsewhere, in all colours.
+        viewer: camera of the pictures.
+        page: content other than products, all of it part of the report's key.
+        origin: facts about the mesh other than its shape.
+        drawn: waits for pictures that are drawn elsewhere, in all colours.
         privacy: what to leave out. None: nothing.
-        progress: gets the fraction done.
+        progress: called with the fraction done.
     """
     finished = plan[surface.mesh]()
     measurements = plan.value(measure.measurements) or ()
@@ -268,13 +265,13 @@ def gather_mesh(
 def mesh_result(
     plan: Plan, viewer: Rig, textured: TexturedMesh, sources: UInt8[Array, " n"] | None = None
 ) -> MeasureResult:
-    """Result that the pictures of a measured mesh are drawn from.
+    """Result for drawing the pictures of a measured mesh.
 
     Args:
         plan: of its measurement.
-        viewer: who looks at it in the pictures.
+        viewer: camera of the pictures.
         textured: the mesh in the colours to be shown.
-        sources: scans that show each vertex, as bits, where several were merged.
+        sources: scans that show each vertex, as bits, if several were merged.
     """
     return MeasureResult(
         rig=viewer,

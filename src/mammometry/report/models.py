@@ -1,6 +1,6 @@
 """Models of the 3D viewer from the job's products.
 
-They are thinned for viewing and have every layer that can be drawn.
+They are simplified for viewing and have every layer that can be drawn.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Seen = Callable[[Float64[Array, "n 3"]], Float64[Array, "n 3"]]
 
 _TEXTURE_PX = 2560  # longer side of the photographs on the 3D surface, px: keeps the page small; chosen by eye
 TRIANGLES = 200_000
-"""Most triangles of a model: more cannot be seen on a screen and make the page heavy."""
+"""Most triangles of a model: more are not visible on a screen and make the page large."""
 
 
 def viewer_scene(
@@ -57,10 +57,10 @@ def viewer_scene(
         frame: right, up and towards the viewer of the front view, as rows, world frame.
         repaired: the surface, world frame, mm.
         textured: the same mesh with its colours.
-        measurements: one a breast.
-        symmetry: lays the mirrored right breast onto the left one; without it, it is mirrored as it lies.
-        atlas: the same surface, thinned and covered with its photographs at full resolution.
-        triangles: of the whole surface at most; it is thinned for the viewer only.
+        measurements: one per breast.
+        symmetry: aligns the mirrored right breast with the left one; without it, it is only mirrored.
+        atlas: the same surface, simplified and textured with its photographs at full resolution.
+        triangles: of the whole surface at most; it is simplified only for the viewer.
     """
     centre = repaired.mesh.vertices.mean(axis=0)
 
@@ -135,8 +135,10 @@ def _change_layer(change_mm: Float64[Array, " n"], limit_mm: float) -> Layer:
     return Layer(
         name="change",
         title="Change between the dates",
-        help="How far the later skin stands out of the earlier one, the trunks laid on one another: orange where "
-        "there is more now, blue where there is less; grey where either date did not see the skin.",
+        help=(
+            "Distance of the later skin from the earlier one, with the trunks aligned: orange where it is in front, "
+            "blue where it is behind; grey where the skin was not seen at both dates."
+        ),
         values=change_mm.astype(np.float32),
         kind="diverging",
         unit="mm",
@@ -159,7 +161,7 @@ class _ShownSurface:
     measurements: Sequence[VolumeMeasurement]
     """One a breast."""
     atlas: Atlas | None = None
-    """The same surface covered with its photographs."""
+    """The same surface textured with its photographs."""
 
 
 def _whole(
@@ -173,10 +175,10 @@ def _whole(
     """A whole surface with its layers, boundaries and walls.
 
     Args:
-        surface: what is shown.
+        surface: the surface.
         seen: world frame to viewing frame.
         own: frame of the measurements to the world frame.
-        first: layers that come before those that every surface has; a value a vertex.
+        first: layers before those of every surface, one value per vertex.
         triangles: at most.
     """
     repaired, atlas, measurements = surface.repaired, surface.atlas, surface.measurements
@@ -227,7 +229,7 @@ def thinned(mesh: TriangleMesh, triangles: int) -> tuple[TriangleMesh, Array]:
 def _covered(atlas: Atlas, mesh: TriangleMesh) -> tuple[TriangleMesh, Array]:
     """The atlas's mesh, and the nearest full-mesh vertex of each vertex.
 
-    The mesh has one vertex for each place in its picture.
+    The mesh has one vertex for each place in its texture.
     """
     origin, faces, _ = atlas.unwelded()
     return TriangleMesh(vertices=atlas.mesh.vertices[origin], faces=faces), _nearest(mesh, atlas.mesh)[origin]
@@ -257,8 +259,10 @@ def _layers(repaired: RepairedSurface, origin: Array) -> tuple[Layer, ...]:
         Layer(
             name="provenance",
             title="Where it comes from",
-            help="Measured parts were drawn to range data, repaired ones lie right beside them, bridged ones were "
-            "closed between or beyond them, and invented ones were seen by no pair of cameras.",
+            help=(
+                "Measured parts were fitted to range data, repaired ones are next to them, bridged ones were closed "
+                "between or beyond them, and invented ones were not seen by any pair of cameras."
+            ),
             values=repaired.provenance[origin].astype(np.float32),
             kind="category",
             categories=tuple((meaning, colour) for colour, meaning in colours),
@@ -266,7 +270,7 @@ def _layers(repaired: RepairedSurface, origin: Array) -> tuple[Layer, ...]:
         Layer(
             name="error",
             title="Expected error",
-            help="Expected standard deviation of the surface along its normal, where it was measured.",
+            help="Expected standard deviation of the measured surface along its normal.",
             values=sigma_mm,
             kind="sequential",
             unit="mm",
@@ -283,7 +287,7 @@ def _breast(
     symmetry: Symmetry | None,
     triangles: int,
 ) -> Model:
-    """One breast's skin and wall. The left one is unchanged, the right one mirrored and laid onto it."""
+    """One breast's skin and wall. The left one is unchanged, the right one mirrored and aligned with it."""
     mirrored = measured.name == "right"
     skin, _ = thinned(measured.skin, triangles)
     origin = _nearest(repaired.mesh, skin)
@@ -310,7 +314,7 @@ def _breast(
 
 
 def _symmetry_layer(symmetry: Symmetry | None, measured: VolumeMeasurement, skin: TriangleMesh) -> tuple[Layer, ...]:
-    """Distance by which this breast stands out of the mirrored other. Both breasts share one scale."""
+    """Distance of this breast from the mirrored other one. Both breasts share one scale."""
     if symmetry is None:
         return ()
     out_mm = symmetry.right_mm if measured.name == "right" else symmetry.left_mm
@@ -319,8 +323,10 @@ def _symmetry_layer(symmetry: Symmetry | None, measured: VolumeMeasurement, skin
         Layer(
             name="symmetry",
             title="Difference in shape",
-            help="How far this breast stands out of the other one, after that was mirrored and laid onto it: orange "
-            "where this one is fuller, blue where the other one is.",
+            help=(
+                "Distance of this breast from the other one, mirrored and aligned: orange where this one is fuller, "
+                "blue where the other one is."
+            ),
             values=out_mm[_nearest(measured.closed, skin)].astype(np.float32),
             kind="diverging",
             unit="mm",

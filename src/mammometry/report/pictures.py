@@ -1,4 +1,4 @@
-"""Pictures of a report as its page and its paper show them, each encoded once."""
+"""Pictures of a report for its page and PDF, each encoded once."""
 
 import io
 from collections.abc import Mapping
@@ -11,15 +11,15 @@ from mammometry.report.content import Picture
 from mammometry.report.figures.canvas import caption_in
 from mammometry.report.figures.catalogue import is_on_paper
 
-_PAPER_PX = 1400  # longer side of a picture on paper: about 190 dpi over the text width of A4
+_PAPER_PX = 1400  # longer side of a picture in the PDF: about 190 dpi over the text width of A4
 _QUALITY = 88  # of WebP and JPEG, 0 to 100: a photograph as WebP then takes a third of a JPEG; chosen by eye
 _WEBP_EFFORT = 2  # of its encoder, 0 to 6: half the time of 4 for 4 % more bytes
 _SMALL_BYTES = 60_000
-"""Smaller lossless pictures stay lossless, bytes: their lines and text are sharper."""
+"""Lossless pictures below this size, bytes, stay lossless, because lines and text are sharper."""
 
 
 def encoded(png: bytes, *, on_paper: bool = True) -> Picture:
-    """Encode a PNG with its caption for the page, and for paper."""
+    """Encode a PNG with its caption for the page and the PDF."""
     with Image.open(io.BytesIO(png), formats=("PNG",)) as image:
         caption, (width, height) = caption_in(image), image.size  # the picture is read once for all
         bare = Image.fromarray(np.asarray(image.convert("RGB")))  # without any metadata
@@ -34,9 +34,9 @@ def encoded(png: bytes, *, on_paper: bool = True) -> Picture:
 
 
 def all_encoded(pictures: Mapping[str, Mapping[str, bytes]]) -> dict[str, dict[str, Picture]]:
-    """Stage → name → picture, from PNGs. Paper gets those of the measurement and those meant for it.
+    """Stage → name → picture, from PNGs. The PDF gets those of the measurement and those meant for it.
 
-    Where nothing was measured, the surface's views take the measurement's place on the first page.
+    If nothing was measured, views of the surface are on the first page.
     """
     first = "measure" if pictures.get("measure") else "surface"
     names = [(stage, name) for stage, drawn in pictures.items() for name in drawn]
@@ -52,8 +52,8 @@ def all_encoded(pictures: Mapping[str, Mapping[str, bytes]]) -> dict[str, dict[s
 
 
 def webp_of(image: Image.Image, png_bytes: int) -> bytes:
-    """WebP of a picture: lossless where that is small. A photograph takes a third of its JPEG size."""
-    # Without loss a picture shrinks to half its PNG at the best: what cannot become small is not tried.
+    """WebP of a picture: lossless if that is small. A photograph takes a third of its JPEG size."""
+    # Lossless WebP is at best half the PNG, so larger ones are not tried.
     data = _webp(image, lossless=True, quality=60) if png_bytes <= 2 * _SMALL_BYTES else None
     if data is None or len(data) > _SMALL_BYTES:
         data = _webp(image, quality=_QUALITY, use_sharp_yuv=True)

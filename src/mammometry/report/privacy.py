@@ -1,7 +1,7 @@
 """Choice of how much a report reveals of the subject.
 
 De-identified: no name of the session, no identifier of the subject, no date, no photograph; photographic colours only
-below the sternal notch, so that no face shows. Geometry only: no photographic colours at all.
+below the sternal notch, so that no face is visible. Geometry only: no photographic colours at all.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from mammometry.surface.texture.texture import TexturedMesh
 
 WHOLE = "photographs of the subject, and no name except those in its heading"
 """What a full report contains."""
-_GREY = 176  # level of grey (0–255) in place of a colour; chosen by eye
+_GREY = 176  # level of grey (0–255) instead of a colour; chosen by eye
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,7 +41,7 @@ class Guarded:
 
     textured: TexturedMesh
     contains: str
-    """What the report contains, in words for its reader."""
+    """Content of the report, as text for its reader."""
 
 
 def guard(

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:  # The command line takes its defaults from here, and must not wait for NumPy.
+if TYPE_CHECKING:  # The command line uses these defaults, and must not import NumPy.
     from mammometry.simulate.subjects.user_mesh import MeshFile
 
 
@@ -55,7 +55,7 @@ def parse_situation(text: str) -> Situation:
     """Read ``rail,drift=0.02``.
 
     Raises:
-        ValueError: a part has no name, or a name stands there twice.
+        ValueError: a part has no name, or a name occurs twice.
     """
     found: dict[str, Disturbance] = {}
     for part in filter(None, (part.strip() for part in text.split(","))):

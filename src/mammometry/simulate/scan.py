@@ -1,7 +1,7 @@
-"""Scans of a virtual body: its clean front, and what a telephone carried around it makes of it.
+"""Scans of a virtual body: its clean front, and a scan by a telephone.
 
-Chosen so that fused scans look like those of telephones: noise that neighbouring pixels share, folds that are bridged
-since a pixel sees the mean of its surroundings, and rims that are lost raggedly where skin is seen at a slant.
+Fused scans resemble those of telephones: neighbouring pixels share noise, folds are bridged because a pixel sees the
+mean of its surroundings, and rims at flat angles are ragged.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def depth_pictures(
         noise_mm: standard deviation of one pixel's depth at half a metre.
         width_px: of a picture; its height is three quarters.
         rng: of noise, places and lost pixels.
-        walk: where the telephone is carried.
+        walk: path of the telephone.
     """
     for azimuth, elevation in _WALKS[walk]:
         a, e = np.radians(np.array([azimuth, elevation]) + rng.normal(0.0, 3.0, 2))
@@ -232,7 +232,7 @@ def add_picture(
 
 
 _LIGHT, _AMBIENT = 1.5, 0.45  # of the room's lamp, and the share of it that comes from all sides; chosen by eye
-_LAMP = np.array([0.25, 0.55, 0.8])  # where it hangs: above, before her
+_LAMP = np.array([0.25, 0.55, 0.8])  # camera positions: above, in front
 _ASIDE_MM, _BELOW_MM, _ABOVE_MM, _BACK_MM = 235.0, 235.0, 190.0, 150.0  # scanned around the chest's middle
 
 

@@ -1,8 +1,8 @@
-"""Write a whole session of a virtual rig.
+"""Write a complete session of a virtual rig.
 
-Manifest, calibration and capture pictures, and the truth. The folder is what a real rig would give, in the documented
-format, plus ``truth/``, which only ``mammometry evaluate`` reads. The same arguments give the same bytes, whatever the
-number of threads.
+Manifest, calibration and capture pictures, and the truth. The folder is as from a real rig, in the documented format,
+plus ``truth/``, which only ``mammometry evaluate`` reads. The same arguments give the same bytes, whatever the number
+of threads.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class SimulatedSession:
     rig_from_board: Mapping[str, Transform]
     """Pose → rig from board. The first pose's board is the world of results."""
     scene: Scene
-    """The subject where it stood, rig frame."""
+    """The subject in the rig frame."""
     true_volumes_cc: Mapping[str, float]
     """Name ("model", or "left" and "right") → exact volume, cc. Empty if the subject's mesh is open."""
 
@@ -69,7 +69,7 @@ def write_session(
 ) -> SimulatedSession:
     """Render a virtual rig's session, with truth, into a new folder.
 
-    Everything is made in a temporary folder beside `out` and renamed at the end: `out` is whole, or is not there.
+    Everything is made in a temporary folder next to `out` and renamed at the end, so `out` is complete or missing.
 
     Args:
         out: the session folder to make; it must not exist, or be empty.
@@ -79,8 +79,7 @@ def write_session(
         progress: fraction of the pictures that are written.
 
     Raises:
-        SessionError: `out` holds something already, or an argument names nothing that exists.
-        StorageError: the disk is full or may not be written.
+        SessionError: `out` is not empty, or an argument is unknown. StorageError: the disk is full or read-only.
     """
     require_new(out)
     seed = recipe.seed

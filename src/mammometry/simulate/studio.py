@@ -38,13 +38,13 @@ class Arrangement:
     lights: Float64[Array, "l 4"]
     """Each calibration flash: position, and irradiance × mm² at distance 1."""
     rig_from_target: Mapping[str, Transform]
-    """Pose → where the calibration target is held."""
+    """Pose → placement of the calibration target."""
     solid: Solid
     """The subject, in its own frame."""
     rig_from_solid: Transform
-    """Where the subject stands."""
+    """Pose of the subject."""
     things: tuple[Thing, ...] = ()
-    """What else stands about."""
+    """Other objects in the scene."""
 
     @property
     def rig(self) -> Rig:
@@ -56,14 +56,14 @@ _SKIN, _FILM = Skin(), Film()
 _BACKGROUNDS = ("dark", "clutter")
 _IMAGE_FORMATS = ("jpg", "png", "tif")
 _WORKERS_AT_MOST = 8
-"""Threads: each holds a picture's radiance, 160 MB at full size."""
+"""Threads: each stores a picture's radiance, 160 MB at full size."""
 _MEASURED_PX = 0.03
 """Standard deviation of a dotted frame's points, as if measured by another program, px. Chosen by eye."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Studio:
-    """The taking of a session's pictures, whatever stands before the cameras."""
+    """How a session's pictures are taken, for any scene."""
 
     target: Target = BOARD
     """What is photographed for calibration."""
@@ -116,7 +116,7 @@ def photograph(
 
     Args:
         folder: the session, which exists.
-        arrangement: what stands where.
+        arrangement: of the scene.
         studio: how pictures are taken.
         seed: of paint and noise.
         progress: fraction of the pictures that are written.

@@ -29,8 +29,8 @@ _STEPS_PER_MM = 1024.0  # depths are rounded to a micrometre, so that the file c
 def true_depth(scene: Scene, camera: Camera) -> Float32[Array, "h w"]:
     """Depth z of the subject along every pixel's ray, camera's frame, mm.
 
-    Not a number where the subject is not seen. Rounded to 1/1024 mm, a twentieth of what a ray in float32 can tell, so
-    that it packs well.
+    NaN where the subject is not seen. Rounded to 1/1024 mm, a twentieth of the precision of a float32 ray, so that it
+    compresses well.
     """
     depth = np.full(camera.shape_hw, np.nan, dtype=np.float32)
     top, bottom, left, right = picture_window(camera, scene.mesh.vertices[: scene.subject_vertices : 7], margin_px=8)

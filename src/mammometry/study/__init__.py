@@ -1,1 +1,1 @@
-"""Agreement and accuracy: is the instrument right?"""
+"""Agreement and accuracy of the instrument."""

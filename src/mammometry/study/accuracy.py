@@ -1,8 +1,8 @@
 """A measured surface, volume or rig against a capture's truth.
 
-The capture is simulated or rendered. For studies and tests only: nothing that measures may import it. Cameras know no
-absolute frame, so they are first moved rigidly onto the true ones, such that they see the working volume as nearly
-alike as they can; what is left is the calibration's error.
+The capture is simulated or rendered. For studies and tests only: nothing that measures may import it. Cameras have no
+absolute frame, so they are first aligned rigidly with the true ones over the working volume. The remaining difference
+is the calibration's error.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class SurfaceAccuracy:
     points: int
     """Number of true points compared."""
     claimed_percent: float = 100.0
-    """Share of the true area that the measurement claims to know. The other figures are of this part."""
+    """Share of the true area that the measurement claims. The other figures are of this part."""
 
 
 @value(eq=False)
@@ -59,23 +59,23 @@ class ErrorMap:
     signed_mm: Float64[Array, " n"]
     """Distance of each measured vertex from the true surface, mm. Positive outside, NaN where not judged."""
     judged: Bool[Array, " n"]
-    """Vertices whose closest true vertex ought to have been measured."""
+    """Vertices whose closest true vertex should have been measured."""
     stray_percent: float
     """Share of the judged vertices that lie farther than `COMPLETE_MM` from the truth."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VolumeAccuracy:
-    """A measured volume beside the true one."""
+    """A measured volume and the true one."""
 
     measured_cc: float
     true_cc: float
     covered: bool | None
-    """Whether the 95 % interval holds the truth. None without an interval."""
+    """Whether the 95 % interval contains the truth. None without an interval."""
 
     @property
     def error_cc(self) -> float:
-        """Measured less true, cc."""
+        """Measured minus true, cc."""
         return self.measured_cc - self.true_cc
 
     @property
@@ -99,14 +99,14 @@ def compare_surfaces(
     truth_from_measured: Transform | None = None,
     claimed: Bool[Array, " n"] | None = None,
 ) -> SurfaceAccuracy:
-    """Judge a measured surface at points of the true one.
+    """Compare a measured surface with points of the true one.
 
     Args:
         measured: the surface under test, mm.
         truth: the true surface, its faces counter-clockwise seen from outside.
-        at: vertices of `truth` that ought to be there (for example those that two cameras see); None for all.
-        truth_from_measured: where the measured surface belongs; None if both are in one frame.
-        claimed: vertices of the measured surface that are said to be skin. True points nearest to others are left out.
+        at: vertices of `truth` that should be measured (for example those that two cameras see); None for all.
+        truth_from_measured: pose of the measured surface; None if both are in one frame.
+        claimed: vertices of the measured surface that count as skin. True points nearest to others are left out.
 
     Raises:
         ValueError: nothing is left to compare.
@@ -165,7 +165,7 @@ def align_surfaces(measured: TriangleMesh, truth: TriangleMesh, at: Int64[Array,
         weight = np.minimum(1.0, 2.0 * scale / np.maximum(np.abs(gap), 1e-12))
         origin = measured_from_truth.apply(middle)
         design = np.concatenate([np.cross(here - origin, facing), facing], axis=1)
-        # The pseudo-inverse leaves alone what nothing determines: a sphere's rotation, a plane's drift.
+        # The pseudo-inverse keeps undetermined motions at zero: a sphere's rotation, a plane's drift.
         step = np.linalg.pinv(design.T @ (weight[:, None] * design), rcond=1e-9) @ (design.T @ (weight * gap))
         turn = Transform.from_rotation_vector(step[:3], np.zeros(3))
         about = Transform(rotation=turn.rotation.copy(), translation_mm=origin - turn.rotate(origin) + step[3:])

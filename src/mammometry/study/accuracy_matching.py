@@ -1,8 +1,8 @@
 """Disparities, ranges and silhouettes against the true surface, pixel by pixel.
 
-What is true of a pixel does not depend on how well the cameras are known: the photograph's pixel is carried through the
-*true* camera to the true surface and back into the other photograph, and only there the calibrated cameras say which
-rectified pixel that is. So the matcher's error is separate from the calibration's.
+The truth of a pixel does not depend on the calibration: the photograph's pixel is projected through the *true* camera
+onto the true surface and back into the other photograph, and only there the calibrated cameras give the rectified
+pixel. So the matcher's error is separate from the calibration's.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class MatchingAccuracy:
     all_accepted_beyond_1_px_percent: float
     """Share of *all* matched pixels that meet the surface, judged or not, that are off by more than 1 px."""
     error_over_sigma: float
-    """Robust standard deviation of error / σ: 1 where σ is honest."""
+    """Robust standard deviation of error / σ: ideally 1."""
     beyond_3_sigma_percent: float
     """Share of errors beyond 3 σ."""
     d_v_median_px: float

@@ -1,8 +1,8 @@
 """Agreement of a method of measurement with a reference (paper 2.7).
 
 Both are applied once to the same subjects: Bland and Altman, Lancet 327 (1986) 307 and Statistical Methods in Medical
-Research 8 (1999) 135; exact intervals of the limits after Carkeet, Optometry and Vision Science 92 (2015) e71. Where a
-subject has several pairs, such as both breasts of a woman, the form for multiple observations per individual is taken
+Research 8 (1999) 135; exact intervals of the limits after Carkeet, Optometry and Vision Science 92 (2015) e71. If a
+subject has several pairs, such as both breasts of a woman, the form for multiple observations per individual is used
 (`study.repeated`).
 """
 
@@ -22,7 +22,7 @@ from mammometry.study.icc import IntraclassCorrelation, intraclass_correlations
 from mammometry.study.repeated import repeated_differences
 
 LEAST_SUBJECTS = 3
-"""With fewer there is no regression and no interval worth the name."""
+"""With fewer there is no useful regression or interval."""
 _Z95 = float(scipy.special.ndtri(0.975))
 _ROUNDING = 1e-12  # of the largest measurement; a spread below it is rounding of equal differences
 
@@ -38,7 +38,7 @@ class PairedMeasurements:
     names: tuple[str, ...]
     """Of the pairs."""
     reference: Float64[Array, " n"]
-    """By the method compared with."""
+    """By the reference method."""
     measured: Float64[Array, " n"]
     """By the method under test."""
     reference_name: str
@@ -46,7 +46,7 @@ class PairedMeasurements:
     unit: str
     """Unit of both. It may be empty."""
     subjects: tuple[str, ...] = ()
-    """Whose each pair is. Pairs of one subject are not independent. Empty: each pair is another subject's."""
+    """Subject of each pair. Pairs of one subject are not independent. Empty: all are of different subjects."""
     notices: tuple[Notice, ...] = ()
     """Warnings about the table that they are from."""
 
@@ -61,7 +61,7 @@ class PairedMeasurements:
 
     @property
     def differences(self) -> Float64[Array, " n"]:
-        """Measured less reference."""
+        """Measured minus reference."""
         return self.measured - self.reference
 
     @property
@@ -124,13 +124,13 @@ class Agreement:
     trend: Trend
     """Regression of the differences on the means of both methods: proportional bias."""
     trend_on_reference: Trend
-    """Regression on the reference: the right one where the reference is exact."""
+    """Regression on the reference: the right one if the reference is exact."""
     sem_of_measurement: Estimate
     """Standard error of measurement, SD / √2: the error of one measurement if both methods were equally exact."""
     mdc: Estimate
     """Minimal (smallest) detectable change at 95 %: 1.96 √2 times the standard error of measurement, so 1.96 SD."""
     mdc_of_mean: float
-    """1.96 √2 times the standard error of the *mean*: not a detectable change, but what the paper's text leads to."""
+    """1.96 √2 times the standard error of the *mean*: not a detectable change, but the paper's figure."""
     icc: tuple[IntraclassCorrelation, ...]
     """All forms. With several pairs of a subject without intervals and tests, which take independent rows."""
     normality_p: float
@@ -176,7 +176,7 @@ class PublishedFigure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckedFigure:
-    """A published figure beside the recomputed one."""
+    """A published figure and the recomputed one."""
 
     published: PublishedFigure
     recomputed: float
@@ -185,7 +185,7 @@ class CheckedFigure:
 
 
 def agreement(data: PairedMeasurements) -> Agreement:
-    """Work out everything about the agreement of two methods."""
+    """Compute all statistics of the agreement of two methods."""
     clusters = data.clusters
     pairs, subjects = len(clusters), int(clusters.max()) + 1
     if pairs > subjects:
@@ -257,7 +257,7 @@ def _assembled(
     limits: tuple[float, float, float, float],
     icc: tuple[IntraclassCorrelation, ...],
 ) -> Agreement:
-    """What follows from mean, standard error and spread.
+    """Statistics from mean, standard error and spread.
 
     Args:
         data: all pairs.
@@ -298,10 +298,10 @@ def _assembled(
 
 
 def check_published(found: Agreement, published: Sequence[PublishedFigure]) -> tuple[CheckedFigure, ...]:
-    """Put published figures beside the recomputed ones.
+    """Compare published figures with the recomputed ones.
 
     Raises:
-        ValueError: a name that is none of `Agreement.figures`, or a published value that is no number.
+        ValueError: a name that is not in `Agreement.figures`, or a published value that is not a number.
     """
     figures = found.figures()
     checked = []

@@ -1,4 +1,4 @@
-"""An agreement study in sentences, in tables for page and terminal, and as JSON."""
+"""An agreement study as sentences, tables for page and terminal, and JSON."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def summary(data: PairedMeasurements, found: Agreement) -> list[str]:
     repeated = found.pairs > found.subjects
     count = f"{found.pairs} pairs of {found.subjects} subjects" if repeated else f"{found.subjects} subjects"
     lines = [
-        f"{data.measured_name} less {data.reference_name}, {count}: mean difference "
+        f"{data.measured_name} minus {data.reference_name}, {count}: mean difference "
         f"{number(bias.value, '+.2f')}{unit} ({_interval(bias, '+.2f')}), standard deviation "
         f"{number(found.sd.value, '.2f')}{unit}. "
         f"The mean {differs} from zero (t = {number(found.t, '.4f')}, {p_words(found.p)}).",
@@ -38,18 +38,18 @@ def summary(data: PairedMeasurements, found: Agreement) -> list[str]:
     if found.trend.p < 0.05:
         lines.append(
             f"The difference depends on the size: slope {number(slope.value, '+.4f')} ({_interval(slope, '+.4f')}), "
-            f"{p_words(found.trend.p)}. One bias for all sizes is then not the whole story."
+            f"{p_words(found.trend.p)}. One bias for all sizes is then not sufficient."
         )
     if found.normality_p < 0.05:
         lines.append(
             f"The differences do not look normally distributed (Shapiro–Wilk {p_words(found.normality_p)}): "
-            "take the limits with caution."
+            "use the limits with caution."
         )
     return lines
 
 
 def agreement_tables(data: PairedMeasurements, found: Agreement, checked: Sequence[CheckedFigure] = ()) -> list[Table]:
-    """Figures, intraclass correlations, published figures where there are any, and the data."""
+    """Figures, intraclass correlations, published figures if any, and the data."""
     unit = f", {data.unit}" if data.unit else ""
     slope, on_reference = found.trend, found.trend_on_reference
     repeated = found.pairs > found.subjects

@@ -52,16 +52,16 @@ class Truth:
     rig: Rig
     """The cameras that took the photographs, and their pairs."""
     rig_from_target: Mapping[str, Transform]
-    """Pose → where the calibration target was. Empty where it is not known."""
+    """Pose → placement of the calibration target. Empty if unknown."""
     mesh: TriangleMesh
-    """The subject as it stood."""
+    """The subject in its pose."""
     volumes_cc: Mapping[str, float]
-    """``model``, or the patient's ``left`` and ``right`` → true volume, cc. Empty where a volume means nothing."""
+    """``model``, or the patient's ``left`` and ``right`` → true volume, cc. Empty if it has none."""
     boundaries: Mapping[str, Float64[Array, "n 3"]]
-    """The same names → true closed boundary curve. Empty where there is none."""
+    """The same names → true closed boundary curve. Empty if there is none."""
 
 
-_STEP_MM = 0.1  # between points of a curve that is compared: far below any error of it
+_STEP_MM = 0.1  # between points of a compared curve: far below its errors
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,8 +75,9 @@ class BoundaryAccuracy:
     worst_mm: float
     """Largest distance of either curve from the other (Hausdorff's)."""
     height_bias_mm: float
-    """How far the measured curve lies in front of the true one, along the normal of the true curve's best plane towards
-    the subject's front, mean, mm: for a cast a cc or so a tenth of a millimetre."""
+    """Mean distance of the measured curve in front of the true one, along the normal of the true curve's best plane,
+    mm: for a cast 0.1 mm is about 1 cc.
+    """
 
 
 def compare_boundaries(

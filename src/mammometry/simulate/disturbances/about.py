@@ -1,4 +1,4 @@
-"""A subject where it stands, and the things about it."""
+"""A placed subject and the objects around it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Colour = tuple[float, float, float]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Surroundings:
-    """A subject where it stands, and the things about it."""
+    """A placed subject and the objects around it."""
 
     solid: Solid
     """The subject, in its own frame."""
@@ -49,7 +49,7 @@ class Surroundings:
     def plus(
         self, found: Props, *colours: Colour, smooth: float = 0.5, curved: bool = False, glow: float = 0.0
     ) -> Surroundings:
-        """Add a thing that stands still, its mesh in the rig's frame."""
+        """Add a fixed object, with its mesh in the rig's frame."""
         thing = Thing(props=found, colours=np.array(colours), smooth=smooth, curved=curved, glow=glow)
         return replace(self, things=(*self.things, thing))
 

@@ -199,7 +199,7 @@ def _grown(shape: TorsoShape, breast: BreastShape, volume_cc: float) -> BreastSh
     )
 
 
-@disturbance("arms", "patient", "where the arms are", Word(usual="raised", words=("raised", "sides", "frame")))
+@disturbance("arms", "patient", "position of the arms", Word(usual="raised", words=("raised", "sides", "frame")))
 def _arms(shape: TorsoShape, where: str, rng: np.random.Generator) -> TorsoShape:
     out_deg, back_deg = {"raised": (128.0, 5.0), "sides": (14.0, 6.0), "frame": (62.0, -32.0)}[where]
     out, back = (math.radians(angle + rng.uniform(-5.0, 5.0)) for angle in (out_deg, back_deg))
@@ -223,7 +223,7 @@ _POSTURES = ("leaning", "standing", "lying")
 _SPREAD = (1.06, 0.8)  # growth of a lying breast's base, and what is left of its fall; chosen by eye
 
 
-@disturbance("posture", "patient", "how she holds herself", Word(usual="standing", words=_POSTURES), turn=-1)
+@disturbance("posture", "patient", "posture of the patient", Word(usual="standing", words=_POSTURES), turn=-1)
 def _posture(shape: TorsoShape, posture: str, rng: np.random.Generator) -> TorsoShape:
     if posture == "leaning":
         return shape

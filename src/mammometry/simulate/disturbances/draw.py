@@ -33,14 +33,14 @@ def is_held_out(seed: int) -> bool:
 
 
 def draw(seed: int, difficulty: int) -> Situation:
-    """Draw a situation for the torso of a seed.
+    """Choose a random situation for the torso of a seed.
 
     Args:
-        seed: of the patient, and of what is about it.
+        seed: of the patient and the disturbances.
         difficulty: 0 to 3.
 
     Raises:
-        ValueError: there is no such difficulty.
+        ValueError: an unknown difficulty.
     """
     if not 0 <= difficulty <= HARDEST:
         raise UnknownWordError(f"the difficulty must lie between 0 and {HARDEST}", difficulty)

@@ -1,8 +1,8 @@
 """Rigs and cameras: drift, moments, mounting, films, flashes.
 
-Angles of drift are of mounts that warm up or are leant on. Speeds of sway and breath are a few mm a second, as of
-people who stand still; they are chosen by eye. What a lens does is a share of the picture, whatever its size. What a
-sensor and its software do (mosaic, sharpening, JPEG, noise) happens to pixels, of small pictures as of large ones.
+Angles of drift are those of mounts that warm up or are leant on. Sway and breath are a few mm a second, as in people
+who stand still; chosen by eye. Lens effects scale with the picture. Effects of sensor and software (mosaic, sharpening,
+JPEG, noise) act on pixels at any size.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ def _mounted(exposure: Exposure, how: str, rng: np.random.Generator) -> Exposure
     rig, capture = (
         with_cameras(rig, lambda camera: turned(camera, roll)) for rig in (exposure.rig, exposure.capture_rig)
     )
-    if how == "upside-down":  # what was to the left in the pictures now is to the right: the pairs are named rightly
+    if how == "upside-down":  # left and right in the pictures are exchanged, and so are the names within pairs
         names = {pair: (right, left) for pair, (left, right) in rig.pair_names.items()}
         rig, capture = (Rig(name=chosen.name, cameras=chosen.cameras, pair_names=names) for chosen in (rig, capture))
     return replace(exposure, rig=rig, capture_rig=capture)

@@ -29,11 +29,11 @@ class Number:
     """A size that is a number."""
 
     usual: float
-    """Its size where none is given."""
+    """Default size."""
     within: tuple[float, float]
     """Smallest and largest."""
     likely: tuple[float, float] | None = None
-    """Range that `drawn` takes. None for all of `within`."""
+    """Range for random sizes. None for all of `within`."""
     unit: str = ""
     whole: bool = False
     """Whether only whole numbers mean something."""

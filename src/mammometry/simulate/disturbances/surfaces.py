@@ -27,7 +27,7 @@ def bar(line: Float64[Array, "j 3"], radius_mm: float | Sequence[float], sides: 
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     across = np.cross(along[0], [0.31, 0.52, 0.79])
     frames = []
-    for direction in along:  # carried along without twist
+    for direction in along:  # transported without twist
         across = across - across @ direction * direction
         across = across / np.linalg.norm(across)
         frames.append((across, np.cross(direction, across)))
@@ -103,7 +103,7 @@ def merged(pieces: Sequence[Props]) -> TriangleMesh:
 
 
 class Outside:
-    """The skin of a body, y up, as cloth lies on it."""
+    """The skin of a body as covered by cloth, y up."""
 
     def __init__(self, mesh: TriangleMesh) -> None:
         self.mesh = mesh

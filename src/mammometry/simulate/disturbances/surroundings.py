@@ -33,9 +33,9 @@ _WALL_Z_MM = -600.0
 _DAYLIGHT = 8.0
 """Brightness of a window relative to the room's light on a white wall."""
 _ABOVE_TABLE_MM = 1.6
-"""Gap below a cast, in which the dark board of a flat back lies."""
+"""Gap below a cast for the dark board of a flat back."""
 _BOARD_HALF_MM, _BOARD_CELL_MM = 210.0, 3.0
-"""Half the side of a board on which a cast lies, and the side of the smallest patch of its texture."""
+"""Half the side of a board below a cast, and the side of the smallest patch of its texture."""
 _UNDER_CAST_MM = 0.4
 """Gap below a cast on a board, before the dark board of a flat back."""
 _CHECK_CELLS = 5

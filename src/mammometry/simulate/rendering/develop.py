@@ -31,7 +31,7 @@ _ACROSS = (
 
 
 def arriving(radiance: Float32[Array, "h w c"], film: Film) -> Float32[Array, "h w c"]:
-    """Light on the sensor after chromatic aberration and exposure, in three colours where they differ."""
+    """Light on the sensor after chromatic aberration and exposure, in three colours if they differ."""
     image = radiance
     if image.shape[2] == 1 and (any(film.aberration) or len(set(film.gain_rgb)) > 1):
         image = np.repeat(image, 3, axis=2)

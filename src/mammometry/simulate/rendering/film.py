@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from mammometry.base.errors import UnknownWordError
 
-if TYPE_CHECKING:  # The command line takes its defaults from here, and must not wait for NumPy.
+if TYPE_CHECKING:  # The command line uses these defaults, and must not import NumPy.
     from mammometry.geometry.camera import Camera
     from mammometry.simulate.rendering.sampling import Aperture
 
@@ -33,8 +33,7 @@ class Film:
     f_number: float | None = None
     """Focal length over the opening's diameter. None for all depths sharp."""
     focus_mm: float | None = None
-    """Depth of the sharp plane, if there is an f-number. None for each camera's own depth of the middle of the rig,
-    where the subject stands."""
+    """Depth of the sharp plane, if there is an f-number. None for each camera's depth of the rig's centre."""
     sensor_width_mm: float = 22.3
     """Width of the sensor (APS-C), from which the focal length in mm follows."""
     jpeg_quality: int = 95

@@ -1,9 +1,8 @@
 """Physically based pictures by Mitsuba 3 (optional extra ``sim``).
 
-Scene and lens are the built-in renderer's. Mitsuba has no sensor with lens distortion: it is given the built-in
-renderer's own rays, one by one, and follows each through the scene (path tracing: light that goes from surface to
-surface, area lights, a microfacet sheen). The scalar variant needs no LLVM library. A picture of a quarter of the size
-takes about a minute.
+Scene and lens are the built-in renderer's. Mitsuba has no sensor with lens distortion, so it gets the rays of the
+built-in renderer and follows each through the scene (path tracing with interreflection, area lights, a microfacet
+sheen). The scalar variant needs no LLVM library. A picture of a quarter of the size takes about a minute.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from mammometry.simulate.rendering.skin import Skin
 _VARIANT = "scalar_rgb"
 _BOUNCES = 4  # of light between surfaces; skin of reflectance 0.6 keeps a tenth after as many
 _SAMPLES = 8
-"""Samples of a pixel and a light. Twice as many where an edge crosses it."""
+"""Samples per pixel and light; twice as many at edges."""
 _PIXELS_AT_ONCE = 4096  # traced at a time, so that memory stays small
 _LOCK = Lock()
 
@@ -144,7 +143,7 @@ def _world(scene: Scene, skin: Skin, seed: int) -> Any:
 
 
 def _painted_subject(scene: Scene, skin: Skin, seed: int, bsdf: Any) -> Any:
-    """The subject with faces cut in four, whose vertices carry the paint. Its surface stays."""
+    """The subject with each face divided into four, with the paint at the vertices. The surface does not change."""
     mesh = TriangleMesh(
         vertices=scene.mesh.vertices[: scene.subject_vertices], faces=scene.mesh.faces[: scene.subject_faces]
     )
@@ -159,7 +158,7 @@ def _painted_subject(scene: Scene, skin: Skin, seed: int, bsdf: Any) -> Any:
         ]
     )
     values, faces = _quartered(values, mesh.faces)
-    # What is finer than the faces cannot be carried by their corners, and would alias.
+    # Details finer than the faces would alias.
     sides = values[faces[:, 0], :3] - values[faces[:, 1], :3]
     footprint_mm = 2.0 * float(np.sqrt((sides**2).sum(axis=1).mean()))
     colours = paint_at(

@@ -1,4 +1,4 @@
-"""Things besides the subject, in plain colours: a dark board, a cluttered room, hair."""
+"""Objects other than the subject, in plain colours: a dark board, a cluttered room, hair."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mammometry.geometry import Array, Float32, Float64, Int32, TriangleMesh, UI
 
 BOARD_MM = (270.0, 290.0)
 """Width and height of the dark board behind a flat back."""
-_BOARD_STEP_MM = 3.0  # between the board's vertices, which carry its shadows
+_BOARD_STEP_MM = 3.0  # between the board's vertices, which store its shadows
 _OBJECTS = 240  # boxes of the clutter, the room itself among them; chosen by eye
 _ROOM_MM = (1150.0, 1600.0)
 """Range of the clutter's distance from the middle of the rig, mm: beyond all cameras and flashes."""
@@ -34,7 +34,7 @@ class Props:
 
 
 def board(z: float) -> Props:
-    """Return a board in the plane z, centred, facing +z. It is fine enough to carry shadows."""
+    """Return a board in the plane z, centred, facing +z. It is fine enough for shadows."""
     columns, rows = (math.ceil(side / _BOARD_STEP_MM) for side in BOARD_MM)
     x, y = np.meshgrid(
         np.linspace(-0.5, 0.5, columns + 1) * BOARD_MM[0], np.linspace(-0.5, 0.5, rows + 1) * BOARD_MM[1]

@@ -24,7 +24,7 @@ from mammometry.simulate.rendering.sampling import (
 from mammometry.simulate.rendering.scene import Scene
 from mammometry.simulate.rendering.skin import Skin
 
-_NOTHING = -1  # number of a face where a ray hits none
+_NOTHING = -1  # face number of a ray without a hit
 _PLAIN_SAMPLES = 4  # rays for a pixel within the subject, through a pinhole
 _EDGE_SAMPLES = 16  # and for one on an edge
 _UNSHARP_PLAIN_SAMPLES = 16  # the same through a lens's opening

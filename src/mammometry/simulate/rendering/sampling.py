@@ -95,9 +95,9 @@ def net_offsets(count: int) -> Float64[Array, "n 2"]:
 def picture_window(
     camera: Camera, points_world: Float64[Array, "n 3"], margin_px: int = 4
 ) -> tuple[int, int, int, int]:
-    """Part of a picture that some points can touch.
+    """Part of a picture that some points can cover: rows from and to, columns from and to.
 
-    Rows from and to, columns from and to. Empty if none. A point behind the camera gives the whole picture.
+    Empty if none. A point behind the camera gives the whole picture.
     """
     height, width = camera.shape_hw
     uv = camera.project(points_world)

@@ -123,12 +123,12 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Room:
-    """Things that stand about the subject, or lie on its skin."""
+    """Objects around the subject or on its skin."""
 
     backdrop: bool = False
-    """Whether a dark board of 270 × 290 mm stands 0.8 mm behind the lowest point of the solid's back."""
+    """Whether there is a dark board of 270 × 290 mm, 0.8 mm behind the lowest point of the solid's back."""
     clutter: bool = False
-    """Whether the rig stands in a room full of things."""
+    """Whether the rig is in a cluttered room."""
     things: Sequence[Thing] = ()
     """Whatever else there is, rig frame."""
 
@@ -142,13 +142,13 @@ def light_scene(
     skin: Skin = Skin(),
     seed: int = 0,
 ) -> Scene:
-    """Put a solid into the rig and bake the light.
+    """Place a solid in the rig and bake the light.
 
     Args:
         solid: the subject.
-        rig_from_solid: where it stands. The mesh in the rig's frame is rounded to float32, as the rays see it.
+        rig_from_solid: its pose. The mesh in the rig's frame is rounded to float32, as the rays see it.
         lights: position, rig frame, mm, and irradiance × mm² at distance 1.
-        room: what else casts shadows and takes them.
+        room: other objects that cast and receive shadows.
         skin: for its softness and its hair.
         seed: of the hair and of the room.
     """
@@ -360,7 +360,7 @@ def _visibility(
 
 
 def _free(rays: EmbreeScene, origins: Array, directions: Array) -> Array:
-    """Whether nothing stands in the way of each ray."""
+    """Whether each ray is unobstructed."""
     if not len(origins):
         return np.zeros(0, dtype=bool)
     return rays.run(origins, np.ascontiguousarray(directions), query="OCCLUDED") == -1

@@ -29,7 +29,7 @@ INKS = (0.032, 0.72)
 _UNSHARP_EDGE_SAMPLES = 64
 """Rays for a pixel on an edge, through a lens's opening."""
 _LIGHT_STEP_MM = 10.0
-"""Spacing of the places where light is computed, mm. Linear interpolation is right to a ten-thousandth."""
+"""Spacing of the points where light is computed, mm. Linear interpolation is accurate to 1e-4."""
 _RIM_STEPS = 21
 """Points along each edge of the paper, so that a bent edge stays inside the picture's window."""
 _GRIDS = {"squares": 0.0, "circles": 1.0, "staggered": 2.0}

@@ -1,1 +1,1 @@
-"""Virtual rigs, and where their targets are held."""
+"""Virtual rigs, and poses of their targets."""

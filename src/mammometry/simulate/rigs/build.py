@@ -1,4 +1,4 @@
-"""Virtual rigs: plans of where cameras and flashes stand, and rigs built with small errors."""
+"""Virtual rigs: planned positions of cameras and flashes, and rigs built with small errors."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class LensPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraPlan:
-    """One camera, by where it stands."""
+    """One camera, by its position."""
 
     name: str
     centre_mm: Triple
@@ -51,7 +51,7 @@ class CameraPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairPlan:
-    """A convergent pair, by where its middle stands. Directions in the rig frame."""
+    """A convergent pair, by the position of its centre. Directions in the rig frame."""
 
     name: str
     """Its cameras are called NAME_left and NAME_right."""
@@ -90,7 +90,7 @@ class RigErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigPlan:
-    """All that stands around the subject: cameras and flashes."""
+    """The cameras and flashes around the subject."""
 
     name: str
     stations: tuple[PairPlan | CameraPlan, ...]
@@ -138,7 +138,7 @@ def build_rig(plan: RigPlan, scale: float, seed: int) -> Rig:
     """Build a rig from its plan, with small realistic random errors.
 
     Args:
-        plan: where everything should stand.
+        plan: nominal positions.
         scale: of the full-size images; 0.25 of 4504 × 3000 gives 1126 × 750.
         seed: of the errors; one seed gives the same rig at every scale.
 
@@ -196,7 +196,7 @@ def flashes(brightness: float = 1.0, plan: RigPlan = REFERENCE) -> Float64[Array
     facing = positions @ np.array(plan.facing)
     total = float((strengths * np.clip(facing, 0.0, None) / distances**3).sum())
     if not total > 0.0:
-        raise ValueError(f"no flash of rig {plan.name} stands on the side that its cameras see")
+        raise ValueError(f"no flash of rig {plan.name} is on the side that its cameras see")
     return np.column_stack([positions, strengths * (brightness / total)])
 
 

@@ -63,11 +63,11 @@ class BodyShape:
     rib_mm: float = 0.3
     """Height of the ribs' waves below and beside the breasts."""
     clavicle_mm: float = 4.0
-    """How far the collar-bones stand out."""
+    """Height of the collar-bones above the chest."""
     unevenness_mm: float = 1.0
     """Amplitude of the shape's random unevenness."""
     belly_mm: float = 0.0
-    """How far the belly stands out."""
+    """Height of the belly above the trunk."""
     seed: int = 0
     """Of the unevenness."""
 

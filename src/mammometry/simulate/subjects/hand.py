@@ -1,6 +1,6 @@
-"""A hand with its forearm that lies on a breast, as a part of a virtual body.
+"""A hand with its forearm on a breast, as a part of a virtual body.
 
-A scan of both makes one skin of them. The volumes of the body are those of the bare breasts.
+A scan joins both into one surface. The volumes of the body are those of the bare breasts.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ class Mark:
     """One mark: a line with a width, a spot (a line of one point), or a field (a closed line)."""
 
     side: str
-    """Of the breast in whose plane it lies: "left" or "right"."""
+    """Side of the breast with its plane: "left" or "right"."""
     line_mm: tuple[Point, ...]
     """Points along it."""
     half_width_mm: float
@@ -34,9 +34,9 @@ class Mark:
     colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Factors of the skin's red, green and blue."""
     height_mm: float = 0.0
-    """How far it stands out. Negative for a groove."""
+    """Height above the skin. Negative for a groove."""
     slope_mm: float = 4.0
-    """Distance beside it over which the relief runs out (standard deviation)."""
+    """Distance over which the relief fades (standard deviation)."""
     filled: bool = False
     """Whether the line is closed and all within it is marked."""
 

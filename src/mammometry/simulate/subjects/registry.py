@@ -104,9 +104,9 @@ def make_subject(
     Args:
         name: of a subject in one of the families of `SUBJECTS`, or the path of a mesh.
         seed: of a drawn shape.
-        edge_mm: about the longest edges wanted.
+        edge_mm: approximate longest edges.
         mesh_file: how to read a mesh; its unit has no default.
-        reshape: changes a torso's shape that was drawn, before it is made.
+        reshape: changes a torso's random shape before it is made.
 
     Raises:
         ValueError: there is no subject of that name, or it cannot be reshaped.

@@ -50,7 +50,7 @@ class Breast:
     skin_faces: Int32[Array, " f"]
     """Faces of the solid's mesh between boundary and nipple, by index."""
     boundary: Int32[Array, " b"]
-    """Vertices of the solid's mesh in order around the breast, where skin and chest wall part."""
+    """Vertices of the solid's mesh in order around the breast, where skin and chest wall meet."""
 
 
 @value(eq=False)
@@ -69,7 +69,7 @@ class Solid:
     base_boundary: Float64[Array, "b 3"] | None
     """Closed curve between front and back in order, solid's frame, mm. None if there is no base."""
     facts: Mapping[str, object]
-    """What the truth file says about it beside volumes and landmarks."""
+    """Further facts for the truth file."""
     wall_vertices: Float64[Array, "n 3"] | None = None
     """A torso's vertices without breasts, solid's frame, mm: they differ only in the breasts."""
     breasts: Mapping[str, Breast] = field(default_factory=dict)
@@ -85,7 +85,7 @@ class Solid:
 
     @property
     def volume_cc(self) -> float:
-        """Volume of the mesh, cc. Exact where it is closed."""
+        """Volume of the mesh, cc. Exact if it is closed."""
         return self.mesh.volume_mm3() / 1000.0
 
     @property

@@ -50,7 +50,7 @@ class BreastShape:
     bare: bool = False
     """Whether it lacks areola and nipple."""
     removed: bool = False
-    """Whether it is removed: its measures then say where it was."""
+    """Whether it is removed: its measures then give its former place."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,9 +61,9 @@ class TorsoShape:
     breasts: Mapping[str, BreastShape]
     """"left" and "right", the patient's own."""
     lean_rad: float = math.radians(35.0)
-    """How far it leans forward: 0 stands, −π/2 lies on the back."""
+    """Lean forward: 0 standing, −π/2 lying on the back."""
     marks: tuple[Mark, ...] = ()
-    """Scars, folds, tattoos and whatever else is on its skin."""
+    """Scars, folds, tattoos and other marks on its skin."""
 
 
 def torso_shape(name: str, seed: int) -> TorsoShape:

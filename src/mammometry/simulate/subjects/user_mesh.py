@@ -18,7 +18,7 @@ from mammometry.simulate.subjects.registry import SubjectRequest, add_subject
 from mammometry.simulate.subjects.solid import Solid, rounded_mesh
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl")
-_SMALLEST_MM, _LARGEST_MM = 5.0, 3000.0  # longest side of what can stand in a rig; chosen by eye
+_SMALLEST_MM, _LARGEST_MM = 5.0, 3000.0  # longest side of a subject in a rig; chosen by eye
 _FACES_AT_MOST = 1_500_000  # long edges are split no further: the light is computed at every vertex
 
 

@@ -42,7 +42,7 @@ _SHOW_MM = 2.5  # edges away from the breasts, in edges on them
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Woman:
-    """A solid and what lies behind its breasts."""
+    """A solid and the anatomy behind its breasts."""
 
     solid: Solid
     """The closed body. Its walls are the flat chest."""
@@ -66,7 +66,7 @@ class Woman:
         closed = TriangleMesh(vertices=both, faces=np.concatenate([faces, faces[:, ::-1] + count, around]))
         closed = closed.submesh(np.arange(len(closed.faces)))
         if not closed.is_watertight():
-            raise ValueError(f"{self.solid.name}: what lies before the muscle is not closed")
+            raise ValueError(f"{self.solid.name}: the volume in front of the muscle is not closed")
         return closed.volume_mm3() / 1000
 
     def layer_mm(self, side: str) -> dict[str, float]:

@@ -55,7 +55,7 @@ _TYPICAL_MM = 33.0  # mean height of a typical breast before its flat chest, mm
 _LAYER_LEAST_MM = 4.0  # thinner layers that are drawn are made this thick
 _MIDLINE_MM = (8.0, 2.5)  # distance of a boundary's medial end from the midline; chosen so that planes tilt by 7.7°
 _MIDLINE_LEAST_MM = 4.0  # smaller distances that are drawn are made this large
-_MUSCLE_LAYER_R = 0.85  # a muscle that lies deep carries a thick layer laterally; chosen so that planes tilt by ± 3.4°
+_MUSCLE_LAYER_R = 0.85  # a deep muscle has a thick lateral layer; chosen so that planes tilt by ± 3.4°
 _SLOPE_MORE_DEG = 1.2  # the muscle falls back more than the boundary's plane; chosen so that this tilts by 6.6°
 _ROUGH_MM = 1.6  # amplitude of the muscle's waves beyond its smooth form
 
@@ -120,12 +120,12 @@ class WomanShape:
 
 
 def woman_shape(number: int, seed: int, pose: Pose = "prone", *, wide: bool = False) -> WomanShape:
-    """Draw a woman.
+    """Make a random woman.
 
     Args:
-        number: which of the family.
-        seed: of everything drawn.
-        pose: how she holds herself.
+        number: in the family.
+        seed: of the random values.
+        pose: posture.
         wide: volumes of 100 to 1500 cc, evenly in their logarithm, instead of those of the real women.
     """
     rng = np.random.default_rng([seed, number, 91, SIDES.index("left") if pose == "prone" else 1])
