@@ -127,7 +127,7 @@ CASES = [
     (unknown_dictionary, 3, "DICT_5X5_251"),
     (swapped_pair, 5, "front"),
     (exchanged_photographs, 6, "capture, front_left and front_right: found photographs that seem to be exchanged"),
-    (nothing_in_the_picture, 6, "a photograph of one even tone"),
+    (nothing_in_the_picture, 6, "a uniform photograph"),
 ]
 
 

@@ -12,17 +12,14 @@ class BundleSettings:
 
     model: Literal["brown", "paper"] = "brown"
     """Camera model. ``brown``: fx, fy, principal point, k1, k2, p1, p2. ``paper``: one focal length and two radial
-    terms
-    (paper 2.2), which leaves 0.03–0.17 px for real lenses with decentring."""
+    terms (paper 2.2), which leaves 0.03–0.17 px for real lenses with decentring."""
     k3: Literal["auto", "zero", "free"] = "auto"
     """Whether ``brown``'s sixth-order radial term k3 is adjusted too. ``auto``: for cameras whose photographs agree
-    that it
-    is not zero. Ordinary lenses do not need it."""
+    that it is not zero. Ordinary lenses do not need it."""
     free_target: Literal["auto", "never", "always"] = "auto"
     """Whether a target's points are adjusted too, with the priors below. No printed board is quite flat: a bow of 0.5
-    mm
-    causes an error of 0.19 mm in 3D if it is ignored. ``auto``: boards with at least 6 placements. Surveyed targets are
-    never adjusted."""
+    mm causes an error of 0.19 mm in 3D if it is ignored. ``auto``: boards with at least 6 placements. Surveyed targets
+    are never adjusted."""
     target_prior_mm: tuple[float, float, float] = (0.1, 0.1, 0.3)
     """Standard deviation of the target's points in its own x, y, z, mm, if adjusted: print and bow."""
 
@@ -39,10 +36,10 @@ class QualitySettings:
 
     focal_std_refuse: float = 5e-4
     """Largest relative standard deviation of a focal length. At this limit the camera's depths would be off by 0.4 mm
-    at
-    0.8 m. Three poses with corners measured to 0.05 px reach 3–5e-4, blurred ones (0.2 px) 7e-4 and more. Errors of a
-    photograph's points are correlated, so the true error is up to three times as large. Usually the camera is then also
-    placed farther away in proportion, and points keep their positions. The expected error contains both effects."""
+    at 0.8 m. Three poses with corners measured to 0.05 px reach 3–5e-4, blurred ones (0.2 px) 7e-4 and more. Errors of
+    a photograph's points are correlated, so the true error is up to three times as large. Usually the camera is then
+    also placed farther away in proportion, and points keep their positions. The expected error contains both
+    effects."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

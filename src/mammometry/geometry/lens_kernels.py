@@ -1,8 +1,7 @@
 """The lens model and the camera's projection for compiled code.
 
 The arithmetic is that of `lens`. `coefficients` is a tuple or an array of five. Slice it once per row of pixels: a
-slice
-for every pixel takes longer than the lens model itself.
+slice for every pixel takes longer than the lens model itself.
 """
 
 import numpy as np

@@ -34,8 +34,8 @@ def closest_on_mesh(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> Closes
     """Find the closest point of the mesh to each query point.
 
     Exact, in the mesh's frame, mm. Boxes farther away than the best face so far are skipped, and nearer boxes are
-    tested
-    first. The search begins with the previous query's face, which is quick if consecutive queries are near each other.
+    tested first. The search begins with the previous query's face, which is quick if consecutive queries are near each
+    other.
 
     Raises:
         ValueError: the mesh has no faces.

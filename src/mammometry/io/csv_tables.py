@@ -52,17 +52,14 @@ def decimal_mark(columns: Iterable[Sequence[str]], *, separator: str = ";", alik
     """Find a table's number format from all cells of some columns.
 
     A cell such as ``1,860`` or ``1.860`` is ambiguous. Another cell may prove what the mark means. Otherwise it is read
-    as
-    three decimals only if commas separate the cells and the column has no whole number: then a program wrote it.
+    as three decimals only if commas separate the cells and the column has no whole number: then a program wrote it.
 
     Args:
         columns: cells of each column.
         separator: between the cells.
         alike: whether all columns contain the same quantity by different methods. A whole number in one column then
-            counts
-            for the others; three decimals are accepted only from hundreds on, such as ``412.125``; and a column with
-            whole
-            numbers must prove its decimal mark itself.
+            counts for the others; three decimals are accepted only from hundreds on, such as ``412.125``; and a column
+            with whole numbers must prove its decimal mark itself.
     """
     marks: list[str] = []
     shown_in: set[int] = set()

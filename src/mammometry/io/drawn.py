@@ -92,8 +92,7 @@ def boundaries_in(path: Path, allowed: tuple[str, ...], subject: str | None = No
 
     Raises:
         SessionError: the file is missing or not as documented, is of another subject, or names a breast that the
-            subject
-            cannot have.
+            subject cannot have.
     """
     entries = read_table(path, "boundaries", subject)["boundaries"]
     curves: dict[str, Float64[Array, "n 3"]] = {}
@@ -121,8 +120,7 @@ def landmarks_in(path: Path, kind: SubjectKind, subject: str | None = None) -> d
 
     Raises:
         SessionError: the file is missing or not as documented, is of another subject, or names a landmark that the
-            subject
-            cannot have.
+            subject cannot have.
     """
     kinds = {landmark.name: landmark.kind for landmark in LANDMARKS[kind]}
     places = {}

@@ -236,8 +236,7 @@ kind = "{subject}"    # "model": a cast, one closed solid; "torso": both breasts
 # rim_radius_mm = 0.0   # for a cast: radius of its rounded rim, if measured; 0 for a sharp edge
 
 # Optional: lenses from separate photographs of a board, one folder per camera (intrinsics/<camera>/*.jpg)
-# [intrinsics]
-# target = {{ kind = "chessboard", squares = [10, 7], square_mm = 25.0 }}
+# [intrinsics] target = {{ kind = "chessboard", squares = [10, 7], square_mm = 25.0 }}
 """
 
 TARGETS = {

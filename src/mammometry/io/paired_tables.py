@@ -39,8 +39,7 @@ def read_pairs(path: Path, *, reference: str, measured: str) -> PairedMeasuremen
     Raises:
         TableError: it cannot be read, a column is missing, both columns are the same, or their units are of different
             kinds; a value (named by row and column) is missing, invalid, ambiguous, or a code for a missing value; a
-            row
-            is a summary or repeats another; there are fewer than three subjects.
+            row is a summary or repeats another; there are fewer than three subjects.
     """
     from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements
 

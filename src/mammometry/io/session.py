@@ -5,8 +5,8 @@
     SESSION/session.toml
         SESSION/calibration/<pose>/<camera>.<ext>    all cameras that saw the target in that pose
         SESSION/calibration/<pose>/<camera>.csv      optional: the target's points in it (id,u,v), measured elsewhere
-        SESSION/capture/<camera>.<ext>
-        SESSION/intrinsics/<camera>/*.<ext>          optional: unsynchronised photographs of the [intrinsics] target
+        SESSION/capture/<camera>.<ext> SESSION/intrinsics/<camera>/*.<ext>          optional: unsynchronised photographs
+        of the [intrinsics] target
     SESSION/cameras.json                         optional: ready-made cameras (`mammometry import-cameras`)
     SESSION/prior.json                           optional: the rig's last cameras.json: prior for the lenses
     SESSION/masks/<camera>.png                   optional: white where the subject is
@@ -79,8 +79,7 @@ class Session:
 
         Raises:
             SessionError: no folder, no manifest, an invalid manifest, or drawings or results of a subject that is not
-                the
-                manifest's.
+                the manifest's.
         """
         folder = Path(path)
         manifest = read_manifest(folder / MANIFEST)

@@ -1,8 +1,8 @@
-"""Coarse stereo of whole photographs: what is near, what is behind.
+"""Coarse stereo of whole photographs: what is near, what is in the background.
 
-Before the subject is known, both photographs of a pair are made small, rectified and matched all over, from well before
-the place where the calibration target was held to far behind it. Where both directions agree, the depth says whether a
-block lies in the working volume or behind it, whatever its brightness. What is dark or smooth says nothing.
+Before the subject is known, both photographs of a pair are reduced, rectified and matched completely, from well in
+front of the calibration target's position to far behind it. Where both directions agree, the depth shows whether a
+block is in the working volume or behind it, whatever its brightness. Dark or smooth areas remain unknown.
 """
 
 from __future__ import annotations
@@ -33,46 +33,46 @@ from mammometry.matching.support import (
     reciprocal_depth,
 )
 
-# Where no other source is named: chosen on the simulated captures of docs/decisions/0028.
-_SPAN_PX = 270  # longer side of the small photographs, about: a trunk is a hundred pixels wide
-_NEAREST, _FARTHEST = 0.6, 4.0  # depths searched, of that of the working volume's centre
-_NEAR, _FAR = 1.25, 1.4  # nearer than the one is in the volume, beyond the other behind it; in between is not known
-_AGREEMENT_PX = 1.0  # of both directions, small pixels
-_AROUND_PX, _TEXTURE = 9, 4.0  # variance over noise, around a pixel: a black room has 1 to 4, skin 7 to 60
-_SMALLEST_FAR = 0.015  # of the picture: beside the frame, where the partner's ends, small parts match by chance
-_POINTS = 1500  # of a pair that the silhouettes are compared with
-_LEAST_COMMON = 0.25  # of the pictures' width, at the nearest depth searched where no target was seen; by eye
+# Without another source: chosen on the simulated captures of docs/decisions/0028.
+_SPAN_PX = 270  # approximate longer side of the reduced photographs: a trunk is 100 pixels wide
+_NEAREST, _FARTHEST = 0.6, 4.0  # range of depths searched, relative to the working volume's centre
+_NEAR, _FAR = 1.25, 1.4  # largest relative depth in the volume, and smallest behind it; in between is unknown
+_AGREEMENT_PX = 1.0  # largest difference between both directions, reduced pixels
+_AROUND_PX, _TEXTURE = 9, 4.0  # neighbourhood, and its variance over noise: a black room has 1 to 4, skin 7 to 60
+_SMALLEST_FAR = 0.015  # smallest far part, as a share of the image: smaller ones near the border may match by chance
+_POINTS = 1500  # points of a pair that are compared with the silhouettes
+_LEAST_COMMON = 0.25  # share of the width that both images show at the nearest depth, if no target was seen
 _LEAST_THING, _GAP, _DEPTHS_TRIED = 0.05, 0.1, 60  # of what is known: nearest things, the gap behind them; by eye
 _CALM, _LEAST_SURFACE = 0.06, 0.003  # relative change of depth within 3 × 3 pixels; of the picture; by eye
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CoarseDepths:
-    """Depths all over both photographs of a pair, made small."""
+    """Depths over both reduced photographs of a pair."""
 
     step: int
-    """Pixels of the photographs to one of these."""
+    """Photograph pixels per pixel of these."""
     cameras: tuple[Camera, Camera]
-    """The photographs' own, made small."""
+    """The reduced photographs' cameras."""
     ideal: tuple[Camera, Camera]
-    """Rectified."""
+    """The rectified cameras."""
     depth_mm: tuple[Float32[Array, "h w"], Float32[Array, "h w"]]
-    """z of each pixel of the rectified pictures. NaN where both directions do not agree."""
+    """z of each pixel of the rectified images. NaN where the two directions disagree."""
     textured: Bool[Array, "h w"]
-    """Where the left rectified picture shows more than noise: in black, matches agree by chance."""
+    """Where the left rectified image shows more than noise: black areas match by chance."""
 
     def middle_mm(self, middle_world: Float64[Array, 3]) -> float:
-        """Depth of a point in the rectified pictures."""
+        """Depth of a point in the rectified images."""
         return float(self.ideal[0].camera_from_world.apply(middle_world[None])[0, 2])
 
 
 def coarse_depths(rig: Rig, pair_name: str, photographs: tuple[Photograph, Photograph]) -> CoarseDepths | None:
     """Match a pair coarsely.
 
-    None where the photographs have not their cameras' sizes or cannot be rectified: matching then says why.
+    None if the photographs do not have their cameras' sizes or cannot be rectified: matching then gives the error.
 
     Args:
-        rig: calibrated cameras.
+        rig: the calibrated cameras.
         pair_name: one of its pairs.
         photographs: its left and right ones.
     """
@@ -103,10 +103,10 @@ def coarse_depths(rig: Rig, pair_name: str, photographs: tuple[Photograph, Photo
 
 
 def subject_middle(rig: Rig, depths: Sequence[CoarseDepths]) -> Float64[Array, 3] | None:
-    """Point about which the subject stands, world frame, mm.
+    """Point near the subject's centre, world frame, mm.
 
-    It is where the calibration target was held. Where no target was seen, or nothing is near its places, it is in the
-    middle of the nearest things that the pairs see. None where they see none.
+    It is the mean position of the calibration target. If no target was seen, or nothing is near it, it is the centre of
+    the nearest objects that the pairs see. None if they see none.
     """
     held = rig.target_middle_world
     if held is not None and any(np.mean(_is_near(one, held)[0]) >= LEAST_SHARE for one in depths):
@@ -116,7 +116,7 @@ def subject_middle(rig: Rig, depths: Sequence[CoarseDepths]) -> Float64[Array, 3
 
 
 def _nearest_things(depths: CoarseDepths) -> Float64[Array, 3] | None:
-    """Median point of the nearest things with a gap in depth behind them, else of all, world frame, mm."""
+    """Median point of the nearest objects with a gap in depth behind them, or of all, world frame, mm."""
     depth = _of_surfaces(depths.depth_mm[0])
     known = np.sort(depth[np.isfinite(depth)])
     if len(known) < LEAST_SHARE * depth.size:
@@ -129,7 +129,7 @@ def _nearest_things(depths: CoarseDepths) -> Float64[Array, 3] | None:
 
 
 def _of_surfaces(depth: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
-    """The depths that go on from pixel to pixel over a part of the picture. NaN elsewhere, where chance matched."""
+    """Depths that are continuous over a part of the image. NaN elsewhere, where matches are random."""
     logs = np.log(depth)
     known = np.isfinite(logs)
     highest = ndimage.maximum_filter(np.where(known, logs, np.inf), 3)
@@ -152,17 +152,17 @@ class SortedDepths:
 
     depths: CoarseDepths
     sides: tuple[tuple[Bool[Array, "h w"], Bool[Array, "h w"]], tuple[Bool[Array, "h w"], Bool[Array, "h w"]]]
-    """Near and far pixels of both rectified pictures. What lies on a support is far."""
+    """Near and far pixels of both rectified images. A support is far."""
     supported: bool
-    """Whether the subject lies on a board or table."""
+    """Whether the subject is on a board or table."""
 
 
 def sort_depths(depths: Sequence[CoarseDepths], middle_world: Float64[Array, 3]) -> list[SortedDepths]:
-    """Sort all pairs' pixels by depth: near, far, and the support under the subject.
+    """Classify all pairs' pixels by depth: near, far, and the support under the subject.
 
     Args:
         depths: of all pairs.
-        middle_world: about which the subject stands, mm.
+        middle_world: point near the subject's centre, mm.
     """
     nears = [_is_near(one, middle_world) for one in depths]
     supports = find_supports(
@@ -185,7 +185,7 @@ def sort_depths(depths: Sequence[CoarseDepths], middle_world: Float64[Array, 3])
 def _side(
     depth: Float32[Array, "h w"], near: Bool[Array, "h w"], far_mm: float, plane: Float64[Array, 3] | None
 ) -> tuple[Bool[Array, "h w"], Bool[Array, "h w"]]:
-    """Near and far pixels of one picture."""
+    """Near and far pixels of one image."""
     far = depth > far_mm
     if plane is not None:
         near, lying = parted(depth, near, plane)
@@ -197,7 +197,7 @@ def depth_seeds(found: SortedDepths) -> tuple[DepthSeeds, ...]:
     """Near and far blocks of a pair's photographs.
 
     Returns:
-        For the left and for the right camera. Nothing where too little is near for depth to tell.
+        For the left and the right camera. Empty if too little is near for a decision by depth.
     """
     depths = found.depths
     seeds = []
@@ -211,14 +211,14 @@ def depth_seeds(found: SortedDepths) -> tuple[DepthSeeds, ...]:
 
 
 def near_points(found: SortedDepths) -> Float64[Array, "n 3"]:
-    """Some of the points in the working volume that a pair sees for certain, world frame, mm."""
+    """Some of the points in the working volume that a pair sees reliably, world frame, mm."""
     depths = found.depths
     near = found.sides[0][0] & np.isfinite(depths.depth_mm[0]) & depths.textured
     return _points_world(depths, near)[:: max(1, int(np.count_nonzero(near) / _POINTS))]
 
 
 def _points_world(depths: CoarseDepths, chosen: Bool[Array, "h w"]) -> Float64[Array, "n 3"]:
-    """Points of chosen pixels of the left rectified picture."""
+    """Points of chosen pixels of the left rectified image."""
     rows, columns = np.nonzero(chosen)
     camera = depths.ideal[0]
     rays = camera.rays_world(np.stack([columns, rows], axis=1).astype(np.float64))
@@ -228,7 +228,7 @@ def _points_world(depths: CoarseDepths, chosen: Bool[Array, "h w"]) -> Float64[A
 
 
 def smaller_camera(camera: Camera, step: int) -> Camera:
-    """The camera whose pixels are whole blocks of step × step pixels."""
+    """The camera whose pixels are blocks of step × step pixels."""
     matrix = camera.matrix.copy()
     matrix[:2, :2] /= step
     matrix[:2, 2] = (matrix[:2, 2] + 0.5) / step - 0.5
@@ -242,22 +242,21 @@ def _smaller(photograph: Photograph, step: int) -> Photograph:
     largest = np.iinfo(pixels.dtype).max
     levels = np.linspace(0, 65535, largest + 1, dtype=np.float32)
     means = block_means(read_only(pixels[:height, :width].copy()), levels, step)
-    made = np.rint(means).astype(np.uint16)  # 16 bits keep what the means gained over the noise
+    made = np.rint(means).astype(np.uint16)  # 16 bits keep the precision of the means
     return replace(photograph, pixels=made[..., 0] if made.shape[2] == 1 else made)
 
 
 def _depths(
     rectified: RectifiedPair, middle_world: Float64[Array, 3] | None
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
-    """Depth z of each pixel of both rectified pictures, mm.
+    """Depth z of each pixel of both rectified images, mm. NaN where the two directions disagree.
 
-    NaN where both directions do not agree. Without a middle all depths are searched at which the pictures share a
-    quarter of their width.
+    Without a middle, all depths at which the images share a quarter of their width are searched.
     """
     left, right = rectified.left, rectified.right
     focal = float(left.matrix[0, 0])
     base = float(np.linalg.norm(right.centre_world - left.centre_world))
-    columns = float(left.matrix[0, 2] - right.matrix[0, 2])  # the disparity of what is infinitely far
+    columns = float(left.matrix[0, 2] - right.matrix[0, 2])  # the disparity at infinite distance
     if middle_world is None:
         nearest, farthest = (1 - _LEAST_COMMON) * left.size_wh[0], columns
     else:
@@ -265,7 +264,7 @@ def _depths(
         nearest, farthest = (focal * base / (share * middle) + columns for share in (_NEAREST, _FARTHEST))
     lowest, count = int(np.floor(-nearest)), int(np.ceil(nearest - farthest)) + 2
     levels = [
-        Level(image=image.copy(), mask=mask.copy())  # as the matching has them: one type for each kernel
+        Level(image=image.copy(), mask=mask.copy())  # same types as in matching, so that kernels compile once
         for image, mask in ((rectified.left_image, rectified.left_mask), (rectified.right_image, rectified.right_mask))
     ]
     here, there = both_ways(levels[0], levels[1], lowest, count)
@@ -281,7 +280,7 @@ def _depths(
 
 
 def _textured(image: Float32[Array, "h w"]) -> Bool[Array, "h w"]:
-    """Where a picture varies by more than its noise does, which its checkerboard pattern shows."""
+    """Where an image varies by more than its noise, which is estimated from its checkerboard pattern."""
     mean, square, noise = (
         ndimage.uniform_filter(values, _AROUND_PX)
         for values in (image, image**2, checkerboard_residual(image).astype(np.float32) ** 2)

@@ -1,8 +1,7 @@
-"""Compiled kernels of the correlation.
+"""Compiled kernels of the correlation, used by `match`.
 
-`match` composes them. Each has a plain NumPy twin in the tests. All work on C-contiguous float32 arrays of one pyramid
-level and release the interpreter's lock, so that several may run at once in threads. A GPU implementation can stand
-beside this module behind the same names.
+All work on C-contiguous float32 arrays of one pyramid level and release the GIL, so that several run in threads. NumPy
+versions are in the tests. A GPU implementation can have the same interface.
 """
 
 import numpy as np
@@ -10,12 +9,12 @@ import numpy as np
 from mammometry.base.machine.compiled import fast_kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, Shaped
 
-_TILE_ROWS, _TILE_COLUMNS = 32, 128  # pixels; a tile's sums fit a processor's second cache
-_LEAST_STRETCH = 0.5  # of a row from one image to the other, and 1 / this at most; chosen by eye
-LEAST_DETERMINED = np.float32(1e-3)  # of a slope², left by the other unknowns
-LEAST_GAIN, LARGEST_GAIN = np.float32(0.1), np.float32(10.0)  # between the pictures
+_TILE_ROWS, _TILE_COLUMNS = 32, 128  # pixels; a tile's sums fit into the L2 cache
+_LEAST_STRETCH = 0.5  # smallest stretch of a row between the images; the largest is 1 / this
+LEAST_DETERMINED = np.float32(1e-3)  # smallest share of a slope² that the other unknowns do not explain
+LEAST_GAIN, LARGEST_GAIN = np.float32(0.1), np.float32(10.0)  # between the images
 UNKNOWN_VARIANCE_PX2 = np.float32(1e4)
-_RATIO_ROWS = 2  # every second row is enough for one number
+_RATIO_ROWS = 2  # every second row is enough for a ratio
 
 
 @fast_kernel
@@ -35,7 +34,7 @@ def _cubic_weights(t):  # type: ignore[no-untyped-def]
 
 @fast_kernel
 def _knots(image, row, column):  # type: ignore[no-untyped-def]
-    """The four coefficients around the fraction after a column. Mirrored at both ends, as the spline is."""
+    """The four coefficients around a fraction after a column, mirrored at both ends like the spline."""
     width = image.shape[1]
     after = column + 2 if column + 2 < width else 2 * (width - 1) - (column + 2)
     return image[row, abs(column - 1)], image[row, column], image[row, column + 1], image[row, after]
@@ -53,7 +52,7 @@ def sample_spline(
 ) -> Float32[Array, "m n"]:
     """Evaluate a cubic B-spline image at positions (u, v).
 
-    Pixels, held within the image; 0 where not wanted. `coefficients` are those of `scipy.ndimage.spline_filter(...,
+    Pixels are clamped to the image; 0 where not wanted. `coefficients` are from `scipy.ndimage.spline_filter(...,
     mode="mirror")`.
     """
     height, width = coefficients.shape
@@ -68,7 +67,7 @@ def sample_spline(
             row = min(int(y), height - 2)
             x0, x1, x2, x3 = _cubic_weights(x - np.float32(column))
             y0, y1, y2, y3 = _cubic_weights(y - np.float32(row))
-            above = abs(row - 1)  # mirrored at the borders, as the coefficients are
+            above = abs(row - 1)  # mirrored at the borders, like the coefficients
             below = row + 2 if row + 2 < height else 2 * (height - 1) - (row + 2)
             out[i, j] = (
                 y0 * _along(coefficients, above, column, x0, x1, x2, x3)
@@ -83,7 +82,7 @@ def sample_spline(
 def weighted_channels(
     pixels: Shaped[Array, "h w channels"], weights: Float32[Array, " channels"]
 ) -> Float32[Array, "h w"]:
-    """Σ_c weights[c] · pixels[…, c] of an integer picture."""
+    """Σ_c weights[c] · pixels[…, c] of an integer image."""
     height, width, channels = pixels.shape
     out = np.empty((height, width), dtype=np.float32)
     for i in range(height):
@@ -117,7 +116,7 @@ def spline_along_rows(
 
 @fast_kernel
 def _slope_weights(t):  # type: ignore[no-untyped-def]
-    """Derivatives of `_cubic_weights` by the fraction."""
+    """Derivatives of `_cubic_weights` with respect to the fraction."""
     s = np.float32(1.0) - t
     half, three, four = np.float32(0.5), np.float32(3.0), np.float32(4.0)
     return -half * s * s, half * t * (three * t - four), -half * s * (three * s - four), half * t * t
@@ -127,11 +126,11 @@ def _slope_weights(t):  # type: ignore[no-untyped-def]
 def warp_rows(
     coefficients: Float32[Array, "h w"], mask: Bool[Array, "h w"], shift: Float32[Array, "h w"]
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"], Float32[Array, "h w"]]:
-    """Read the other image at (u + shift, v).
+    """Sample the other image at (u + shift, v).
 
     Returns its value, its analytic derivative along the row, and its mask (linear). `coefficients` are cubic B-spline
-    coefficients along the rows (`spline_filter1d(..., axis=1, mode="mirror")`). Outside the image and well outside the
-    mask all are 0.
+    coefficients along the rows (`spline_filter1d(..., axis=1, mode="mirror")`). All are 0 outside the image and well
+    outside the mask.
     """
     height, width = coefficients.shape
     value = np.zeros((height, width), dtype=np.float32)
@@ -158,7 +157,7 @@ def warp_rows(
 
 @fast_kernel
 def _own_slope(line, shift, j):  # type: ignore[no-untyped-def]
-    """Derivative along the row at this image's pixel. In the other image's pixels."""
+    """Derivative along the row at this image's pixel, per pixel of the other image."""
     width = line.shape[0]
     before, after = max(j - 1, 0), min(j + 1, width - 1)
     slope = np.float32(0.5) * (line[after] - line[before]) if 0 < j < width - 1 else np.float32(0.0)
@@ -174,10 +173,7 @@ def slope_ratio(
     there_mask: Bool[Array, "h w"],
     shift: Float32[Array, "h w"],
 ) -> float:
-    """Ratio of the slopes of the other image and of this one.
-
-    Root mean square, on every second row. The arguments are splines.
-    """
+    """RMS ratio of the slopes of the other image and this one, on every second row. Arguments are splines."""
     height, width = shift.shape
     power_there, power_here = 0.0, 1e-30
     for i in range(0, height, _RATIO_ROWS):
@@ -203,8 +199,8 @@ def mean_slope(
 ) -> None:
     """Replace the other image's slope by the mean of both.
 
-    It has less noise than one image's, and no bias towards the other's grid. `coefficients` are this image's, `ratio`
-    how much steeper the other image is.
+    This has less noise and no bias towards the other image's grid. `coefficients` are this image's, `ratio` is the
+    factor by which the other image is steeper.
     """
     height, width = slope.shape
     half, share = np.float32(0.5), np.float32(0.5 * ratio)
@@ -224,8 +220,8 @@ def calm_at(
 ) -> Float32[Array, "4 n"]:
     """Gaussian means around chosen pixels (rows, columns).
 
-    The pixels lie as far from the borders as the window and one pixel more. Of this image, and of the other one as
-    `warp_rows` reads it: its value, its slope along the row, and half the difference of the values' means around the
+    The pixels are farther from the borders than the window plus one. Means of this image, and of the other one as
+    sampled by `warp_rows`: its value, its slope along the row, and half the difference between the means around the
     pixels below and above.
     """
     rows, columns = pixels
@@ -236,7 +232,7 @@ def calm_at(
         i, j = rows[n], columns[n]
         for a in range(-radius - 1, radius + 2):
             tap = taps[a + radius] if abs(a) <= radius else np.float32(0.0)
-            above = taps[a + 1 + radius] if abs(a + 1) <= radius else np.float32(0.0)  # the window one row higher
+            above = taps[a + 1 + radius] if abs(a + 1) <= radius else np.float32(0.0)  # window shifted up by one row
             below = taps[a - 1 + radius] if abs(a - 1) <= radius else np.float32(0.0)
             ours = value = slope = np.float32(0.0)
             for b in range(-radius, radius + 1):
@@ -262,8 +258,8 @@ def shift_of_sums(m, mr, mg, mrr, mrg, mgg, ml, mlr, mlg, mll, floor, concentrat
     """Shift, correlation and variance of one window.
 
     From its weighted sums of 1, R, g, RR, Rg, gg, L, LR, Lg, LL. `concentration` is Σw² of a window whose Σw is 1. See
-    `least_squares`. Without branches, so that a loop of it is compiled to vector instructions: what would divide by
-    nothing is computed with something else and not taken.
+    `least_squares`. Without branches, so that loops are vectorised: invalid divisions are computed with other values
+    and discarded.
     """
     zero, one = np.float32(0.0), np.float32(1.0)
     filled = m >= np.float32(0.01)
@@ -274,7 +270,7 @@ def shift_of_sums(m, mr, mg, mrr, mrg, mgg, ml, mlr, mlg, mll, floor, concentrat
     textured = filled & (rr >= floor) & (ll >= floor)
     correlation = lr / np.sqrt(rr * ll if textured else one)
     rr = rr if textured else one
-    steep = gg - rg * rg / rr  # what the slope holds that gain and offset do not
+    steep = gg - rg * rg / rr  # the slope's part that gain and offset do not explain
     determined = textured & (steep >= LEAST_DETERMINED * gg) & (steep > zero) & (lr > zero)
     steep = steep if determined else one
     gained = (lg - lr * rg / rr) / steep
@@ -300,9 +296,9 @@ def least_squares(
     """Shift that maximises the correlation of Eq. 1 around every pixel.
 
     It solves here ≈ offset + gain·(there + slope·shift). The window is the outer product of `taps` times `weight`.
-    `floor` is the variance below which a window counts as flat (its square of image units). Returns, of the rows from
-    the first to before the last, the shift (px), the correlation before it (−1…1, 0 where flat), the window's mass
-    (0…1) and the shift's variance (px², large where unknown).
+    `floor` is the variance below which a window is flat (square of image units). For the rows from the first up to the
+    last (exclusive), returns the shift (px), the correlation before it (−1…1, 0 if flat), the window's mass (0…1) and
+    the shift's variance (px², large if unknown).
     """
     height, width = here.shape
     first, last = rows
@@ -314,9 +310,9 @@ def least_squares(
     squares = np.float32(0.0)
     for k in range(taps.shape[0]):
         squares += taps[k] * taps[k]
-    concentration = squares * squares  # Σw² of the window, whose Σw is 1
+    concentration = squares * squares  # Σw² of a window whose Σw is 1
     flat = np.float32(floor)
-    # In tiles, whose products and sums stay in the processor's nearer memory; not where nothing has weight.
+    # In tiles, whose products and sums stay in the cache; tiles without weight are skipped.
     wide = _TILE_COLUMNS + 2 * radius
     products = np.zeros((_TILE_ROWS + 2 * radius, 10, wide), dtype=np.float32)
     columns = np.zeros((10, wide), dtype=np.float32)
@@ -348,7 +344,7 @@ def least_squares(
                 middle_row = i - top + radius
                 for q in range(10):
                     line, total, here_line = columns[q], sums[q], products[middle_row, q]
-                    # The window is symmetric; four neighbours at a time, for fewer passes over the sums.
+                    # The window is symmetric. Four neighbours at a time give fewer passes over the sums.
                     for j in range(wide):
                         line[j] = taps[radius] * here_line[j]
                     for k in range(1, radius + 1, 2):
@@ -368,7 +364,7 @@ def least_squares(
                         q2, q3 = line[radius - further :], line[radius + further :]
                         for j in range(_TILE_COLUMNS):
                             total[j] += a * (q0[j] + q1[j]) + b * (q2[j] + q3[j])
-                for j in range(_TILE_COLUMNS):  # the results overwrite sums, whose place the loop has passed
+                for j in range(_TILE_COLUMNS):  # the results overwrite sums that are no longer needed
                     found = shift_of_sums(
                         sums[0, j], sums[1, j], sums[2, j], sums[3, j], sums[4, j], sums[5, j], sums[6, j], sums[7, j],
                         sums[8, j], sums[9, j], flat, concentration,

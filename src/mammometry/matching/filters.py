@@ -1,7 +1,8 @@
 """Compiled image filters: blur, halve, double, compare fields of shifts.
 
-As the kernels of `correlate` they work on C-contiguous float32 arrays, release the interpreter's lock and have plain
-twins in the tests. Each reads its image once, row by row: at full size that is what costs the time.
+They work on C-contiguous float32 arrays, release the GIL and have NumPy versions in the tests. Each reads its image
+once,
+row by row, since memory access takes most of the time at full size.
 """
 
 import numpy as np
@@ -9,11 +10,11 @@ import numpy as np
 from mammometry.base.machine.compiled import fast_kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Int32
 
-_CELL = 16  # pixels, for speed alone: a cell of an image that is all inside or well outside a mask needs no filter
+_CELL = 16  # pixels; affects speed only: a cell completely inside or far outside a mask is not filtered
 
 
 def gaussian_taps(sigma_px: float) -> Float32[Array, " taps"]:
-    """Sampled Gaussian out to 3 σ, of sum 1. It is the window of every local fit."""
+    """Sampled Gaussian out to 3 σ with sum 1, the window of every local fit."""
     radius = max(1, int(np.ceil(3 * sigma_px)))
     taps = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma_px) ** 2)
     return (taps / taps.sum()).astype(np.float32)
@@ -21,7 +22,7 @@ def gaussian_taps(sigma_px: float) -> Float32[Array, " taps"]:
 
 @fast_kernel
 def blur(image: Float32[Array, "h w"], taps: Float32[Array, " taps"]) -> Float32[Array, "h w"]:
-    """Convolve rows and columns with an odd number of symmetric taps, the borders continued."""
+    """Convolve rows and columns with an odd number of symmetric taps. Borders are extended."""
     height, width = image.shape
     radius = taps.shape[0] // 2
     out = np.empty((height, width), dtype=np.float32)
@@ -53,10 +54,10 @@ def blur(image: Float32[Array, "h w"], taps: Float32[Array, " taps"]) -> Float32
 def continue_outside(
     image: Float32[Array, "h w"], mask: Bool[Array, "h w"], taps: Float32[Array, " taps"], far: float, far_weight: float
 ) -> Float32[Array, "h w"]:
-    """Continue the image beyond the mask.
+    """Extend the image beyond the mask.
 
-    Outside, it is the mean of what the window of `taps` holds of the inside. `far` counts in that mean with the weight
-    `far_weight`: it is all there is where the window holds nothing.
+    Outside, it is the mean of the inside pixels in the window of `taps`, plus `far` with the weight `far_weight`, which
+    is the only term if the window contains no inside pixels.
     """
     height, width = image.shape
     radius = taps.shape[0] // 2
@@ -67,7 +68,7 @@ def continue_outside(
         for j in range(width):
             inside[i // _CELL, j // _CELL] += mask[i, j]
     sums = np.empty((2, _CELL + 2 * radius), dtype=np.float32)
-    beyond = (radius + _CELL - 1) // _CELL  # cells that a window reaches
+    beyond = (radius + _CELL - 1) // _CELL  # cells covered by a window
     constant, share = np.float32(far), np.float32(far_weight)
     for row in range(rows):
         for column in range(columns):
@@ -104,13 +105,13 @@ def continue_outside(
 
 @fast_kernel
 def halve(image: Float32[Array, "h w"], taps: Float32[Array, " taps"]) -> Float32[Array, "H W"]:
-    """Filter with an even number of taps, and keep every other row and column."""
+    """Filter with an even number of taps, and keep every second row and column."""
     height, width = image.shape
     reach = taps.shape[0] // 2 - 1
     rows, columns = (height + 1) // 2, (width + 1) // 2
     out = np.empty((rows, columns), dtype=np.float32)
     line = np.empty(2 * columns + 2 * reach, dtype=np.float32)
-    parts = np.empty((2, columns + reach), dtype=np.float32)  # its even and its odd columns: read one after the other
+    parts = np.empty((2, columns + reach), dtype=np.float32)  # even and odd columns, for contiguous access
     for i in range(rows):
         middle = line[reach : reach + width]
         middle[:] = np.float32(0.0)
@@ -138,7 +139,7 @@ def halve(image: Float32[Array, "h w"], taps: Float32[Array, " taps"]) -> Float3
 def double(field: Float32[Array, "h w"], height: int, width: int, steepest: float) -> Float32[Array, "H W"]:
     """Linear interpolation on a grid twice as fine, but not across jumps.
 
-    Where it differs from the nearest value by more than `steepest`, that one is taken, so that nothing is stretched.
+    Where it differs from the nearest value by more than `steepest`, the nearest value is used.
     """
     rows, columns = field.shape
     out = np.empty((height, width), dtype=np.float32)
@@ -152,7 +153,7 @@ def double(field: Float32[Array, "h w"], height: int, width: int, steepest: floa
             line[j + 1] = near * nearest[j] + far * other[j]
         line[0], line[columns + 1] = line[1], line[columns]
         row = out[i]
-        for side in range(2):  # the even columns lie left of their nearest value, the odd ones right of it
+        for side in range(2):  # even columns are left of their nearest value, odd ones right of it
             beside = line[2 * side : 2 * side + columns]
             for j in range((width + 1 - side) // 2):
                 value = near * line[j + 1] + far * beside[j]
@@ -164,7 +165,7 @@ def double(field: Float32[Array, "h w"], height: int, width: int, steepest: floa
 def pull(
     values: Float32[Array, "h w"], weights: Float32[Array, "h w"]
 ) -> tuple[Float32[Array, "H W"], Float32[Array, "H W"]]:
-    """Weighted means of blocks of 2 × 2 pixels, 0 where nothing has weight, and the blocks' weights."""
+    """Weighted means of blocks of 2 × 2 pixels, 0 without weight, and the blocks' weights."""
     height, width = values.shape
     rows, columns = (height + 1) // 2, (width + 1) // 2
     means = np.empty((rows, columns), dtype=np.float32)
@@ -172,7 +173,7 @@ def pull(
     whole = width // 2
     for i in range(rows):
         last = min(2 * i + 1, height - 1)
-        there = np.float32(last - 2 * i)  # 0 where the last block has one row only
+        there = np.float32(last - 2 * i)  # 0 if the last block has one row
         upper, lower, upper_w, lower_w = values[2 * i], values[last], weights[2 * i], weights[last]
         mean, sums = means[i], mass[i]
         for j in range(whole):
@@ -192,11 +193,10 @@ def pull(
 
 @fast_kernel
 def from_blocks(means: Float32[Array, "h w"], height: int, width: int, steepest: float) -> Float32[Array, "H W"]:
-    """Field at the pixels, from means of 2 × 2 blocks.
+    """Field at the pixels from means of 2 × 2 blocks, exact for quadratics.
 
-    Exact for quadratics. A pixel lies a quarter of a block from its block's middle: mean ± slope/4, for what the
-    curvature adds there is what it has added to the mean. Where that is more than `steepest` the mean is taken: nothing
-    is stretched across a jump.
+    A pixel is a quarter of a block from its block's centre: mean ± slope/4, since curvature adds the same there as to
+    the mean. If that is more than `steepest` the mean is used, so that nothing is stretched across a jump.
     """
     rows, columns = means.shape
     out = np.empty((height, width), dtype=np.float32)
@@ -221,7 +221,7 @@ def from_blocks(means: Float32[Array, "h w"], height: int, width: int, steepest:
 def push(
     values: Float32[Array, "h w"], weights: Float32[Array, "h w"], coarse: Float32[Array, "H W"]
 ) -> Float32[Array, "h w"]:
-    """Fill values without weight from the coarser level, each the mean over 3 × 3 of its pixels."""
+    """Fill values without weight from the coarser level, each with the mean over 3 × 3 of its pixels."""
     height, width = values.shape
     columns = coarse.shape[1]
     out = np.empty((height, width), dtype=np.float32)
@@ -242,7 +242,7 @@ def push(
 
 @fast_kernel
 def squared_slope(field: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
-    """Square of the gradient's length, by central differences, one-sided at the borders."""
+    """Squared length of the gradient, by central differences, one-sided at the borders."""
     height, width = field.shape
     out = np.empty((height, width), dtype=np.float32)
     for i in range(height):

@@ -1,10 +1,8 @@
-"""Noise, sharpness and texture of a picture, measured in the picture itself.
+"""Noise, sharpness and texture of an image, measured in the image itself.
 
-Sharpness: on a level that holds details the picture changes from pixel to pixel about as much as on the next coarser
-one. Where it is blurred it changes half as much, and its power a quarter. Noise hides that on the finest level, so that
-each level is judged by the two that follow it, where most noise is gone.
-
-Such places are reported; nothing is invented there.
+Sharpness: on a level with details the image changes from pixel to pixel about as much as on the next coarser one. In a
+blurred one it changes half as much, and its power is a quarter. Noise hides this on the finest level, so each level is
+judged by the two coarser ones, in which most noise is gone.
 """
 
 from collections.abc import Sequence
@@ -18,20 +16,21 @@ from mammometry.matching.dense.least_squares_step import Estimate
 from mammometry.matching.filters import blur, gaussian_taps, pull
 from mammometry.matching.pyramid import FAR_WEIGHT, Level, build, decimation
 
-_PART_PX = 768  # side of the square in the subject's middle that is looked at
-_RIM_PX = 3  # off the subject's rim, where the picture is continued
-_FEWEST_PX = 400  # of a level; fewer tell nothing
+_PART_PX = 768  # side of the square at the subject's centre that is used
+_RIM_PX = 3  # distance from the subject's border, outside which the image is extended
+_FEWEST_PX = 400  # fewest pixels of a level for a decision
 _SOFT = 0.5
-"""Power of the steps between pixels, on the level after the one judged over that on the next, below which a level is
-empty: sharp plaster has .73 to .80, torsos .85, a head .58; with a blur of .8, 1.4 and 3.6 px .46, .36 and .32
+"""Ratio of the power of steps between pixels on the next coarser level to that on the one after, below which a level is
+empty: in-focus plaster has 0.73 to 0.80, torsos 0.85, a head 0.58; with a blur of 0.8, 1.4 and 3.6 px 0.46, 0.36 and
+    0.32
 (docs/decisions/0015)."""
 
 
 def empty_levels(image: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> int:
-    """Number of the finest levels in which a picture holds no details of the subject.
+    """Number of the finest levels in which an image has no details of the subject.
 
     Args:
-        image: luma, 0…1, of the rectified picture.
+        image: luma, 0…1, of the rectified image.
         mask: the subject's pixels.
     """
     rows, columns = np.nonzero(mask)
@@ -59,14 +58,15 @@ def empty_levels(image: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> int:
     return empty
 
 
-_AROUND_PX = 4.0  # Gaussian σ over which noise is averaged, pixels of the level it is wanted on; chosen by eye
+_AROUND_PX = 4.0  # Gaussian σ over which noise is averaged, pixels of the level for which it is computed
 
 
 def checkerboard_residual(image: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
-    """Noise of a picture, free of what is smooth.
+    """Noise of an image without its smooth part.
 
-    The second difference along rows of that along columns, over 6: white noise keeps its variance. Whatever is smooth
-    along either axis gives 0 (Immerkær 1996): optics leave little skin at that frequency. The outer pixels are 0.
+    The second difference along rows of that along columns, over 6: white noise keeps its variance. Anything smooth
+    along either axis gives 0 (Immerkær 1996), and optics leave little detail of skin at that frequency. Border pixels
+    are 0.
     """
     residual = np.zeros_like(image)
     along = image[:, :-2] - 2 * image[:, 1:-1] + image[:, 2:]
@@ -75,18 +75,17 @@ def checkerboard_residual(image: Float32[Array, "h w"]) -> Float32[Array, "h w"]
 
 
 def noise_variance(finest: Level, decimations: Sequence[Float32[Array, " _"]]) -> Float32[Array, "H W"]:
-    """Variance of the noise around each pixel.
+    """Variance of the noise around each pixel, measured on the finest level and scaled to a coarser one.
 
-    Measured on the finest level, given for a coarser one. The noise of a bright skin is another than that of a shaded
-    one: it is measured in place. A picture that was compressed or put together from a colour mosaic has noise of larger
-    grain as well, of which this sees less.
+    It is measured locally, since bright and shaded skin have different noise. Compression and demosaicing also cause
+    noise of a coarser grain, which is underestimated.
 
     Args:
-        finest: where the noise still is what the sensor made it.
-        decimations: taps of the filters between it and the level wanted; none: the finest itself.
+        finest: level on which the noise is still that of the sensor.
+        decimations: taps of the filters between it and the wanted level. Empty: the finest level itself.
     """
     inner = finest.mask
-    for axis in (0, 1):  # residuals that reach beyond the subject are the backdrop's
+    for axis in (0, 1):  # residuals across the subject's border are the background's
         inner = inner & np.roll(inner, 1, axis) & np.roll(inner, -1, axis)
     squares, mass = checkerboard_residual(finest.image) ** 2, inner.astype(np.float32)
     for taps in decimations:
@@ -105,26 +104,25 @@ def noise_variance(finest: Level, decimations: Sequence[Float32[Array, " _"]]) -
     return variance
 
 
-_FEWEST_MATCHES = 100  # that tell the noise; chosen by eye
-_SOUND_CORRELATION = 0.5  # of a match that tells the noise; chosen by eye
-_MOST_DOUBT = 4.0  # times its variance: twice its standard deviation (docs/decisions/0015)
-_LONG_WAVES = 4.0  # times the window's σ: slower shading is no texture; chosen by eye
+_FEWEST_MATCHES = 100  # fewest matches for a noise estimate
+_SOUND_CORRELATION = 0.5  # smallest correlation of a match used for the noise estimate
+_MOST_DOUBT = 4.0  # largest factor on a match's variance: twice its standard deviation (docs/decisions/0015)
+_LONG_WAVES = 4.0  # in window σ: slower shading is not texture
 _LOWEST_NOISE = 1e-4  # of luma 0…1: a tenth of an 8-bit step's rounding
 
 
 def unexplained(level: Level, matches: Estimate, sigma_px: float) -> Float32[Array, "h w"]:
-    """Factor on a match's variance, 1 … 4.
+    """Factor on a match's variance, 1 … 4. 1 where noise explains the residual after gain and offset.
 
-    1 where noise explains what gain and offset leave over. In weak texture a match is uncertain and yet right, and its
-    variance says so. Where much more is left over than the noise of both pictures, they show different things: a
-    surface half hidden, a gleam, a match that is off.
+    In weak texture a match is uncertain but right, as its variance shows. If the residual is much larger than both
+    images' noise, they show different things: a partly hidden surface, a highlight, a wrong match.
 
     Args:
-        level: the finest one matched.
-        matches: made on it.
-        sigma_px: of the Gaussian window.
+        level: the finest matched level.
+        matches: on this level.
+        sigma_px: σ of the Gaussian window.
     """
-    # In place: at full size each array takes a quarter of a picture's memory.
+    # In place: at full size each array needs a quarter of an image's memory.
     ratio = np.square(np.minimum(matches.correlation, np.float32(1)))
     np.subtract(np.float32(1), ratio, out=ratio)
     ratio *= _spread(_high_passed(level, sigma_px), sigma_px)
@@ -133,16 +131,15 @@ def unexplained(level: Level, matches: Estimate, sigma_px: float) -> Float32[Arr
 
 
 def weak_texture(level: Level, matches: Estimate, sigma_px: float, limit_px: float) -> Bool[Array, "h w"]:
-    """Subject pixels whose texture is too weak.
+    """Subject pixels whose texture is too weak for a match with a standard deviation below `limit_px`.
 
-    A correct match around them would be less certain than `limit_px`, or holds only noise. A window's shift has the
-    variance noise² Σw² / Σw·slope² (Cramér and Rao). The noise of both pictures together is the median, over the
-    matches, of what the correlation leaves unexplained; the slope is the picture's own.
+    Also those whose texture is only noise. A window's shift has the variance noise² Σw² / Σw·slope² (Cramér and Rao).
+    The noise of both images together is the median, over the matches, of the residual; the slope is that of the image.
 
     Args:
-        level: the finest one matched.
-        matches: made on it.
-        sigma_px: of the Gaussian window.
+        level: the finest matched level.
+        matches: on this level.
+        sigma_px: σ of the Gaussian window.
         limit_px: standard deviation, pixels of the level.
     """
     image = _high_passed(level, sigma_px)
@@ -151,7 +148,7 @@ def weak_texture(level: Level, matches: Estimate, sigma_px: float, limit_px: flo
     if np.count_nonzero(sound) < _FEWEST_MATCHES:
         return level.mask
     noise = max(float(np.median(spread[sound] * (1 - matches.correlation[sound] ** 2))), _LOWEST_NOISE**2)
-    # Of the measured slope² a part is noise: that of central differences, one picture's.
+    # Part of the measured slope² is noise: that of central differences in one image.
     steep = np.zeros_like(image)
     np.subtract(image[:, 2:], image[:, :-2], out=steep[:, 1:-1])
     slope = blur(np.square(steep), gaussian_taps(sigma_px)) / 4 - np.float32(noise / 4)

@@ -1,7 +1,7 @@
-"""Image pyramids of the subject alone, and fields carried between their levels.
+"""Image pyramids of the subject, and fields resampled between their levels.
 
-Pixel centres lie at integers at every level: a point at u on one level lies at ``(u + 0.5) / 2 − 0.5`` on the next
-coarser one (`coarser`), so decimation filters have an even number of taps and sit between two pixels.
+Pixel centres are at integers on every level: a point at u on one level is at ``(u + 0.5) / 2 − 0.5`` on the next
+coarser one (`coarser`), so decimation filters have an even number of taps and are centred between two pixels.
 """
 
 from dataclasses import dataclass
@@ -11,9 +11,9 @@ import numpy as np
 from mammometry.geometry import Array, Bool, Camera, Float32, Float64, read_only
 from mammometry.matching.filters import continue_outside, double, gaussian_taps, halve
 
-_JUMP_PX = 0.5  # from a pixel's centre to its quarter: a change of that size, a slope of 2, is no skin's
-FAR_WEIGHT = 1e-3  # of the subject's mean, where nothing of it is near; any small number
-_FILL_PX = 3.0  # Gaussian σ of the normalised blur that continues the subject beyond its outline; chosen by eye
+_JUMP_PX = 0.5  # change from a pixel's centre to its quarter: a slope of 2, which skin does not have
+FAR_WEIGHT = 1e-3  # weight of the subject's mean far from the subject; any small number
+_FILL_PX = 3.0  # Gaussian σ of the normalised blur that extends the subject beyond its outline
 
 
 def coarser(position_px: Float64[Array, "*n"]) -> Float64[Array, "*n"]:
@@ -22,7 +22,7 @@ def coarser(position_px: Float64[Array, "*n"]) -> Float64[Array, "*n"]:
 
 
 def coarser_camera(camera: Camera) -> Camera:
-    """The ideal camera whose pixels are those of the next coarser level."""
+    """The ideal camera at the resolution of the next coarser level."""
     matrix = camera.matrix.copy()
     matrix[:2, :2] /= 2
     matrix[:2, 2] = coarser(matrix[:2, 2])
@@ -36,21 +36,20 @@ def coarser_camera(camera: Camera) -> Camera:
 
 
 def _half_band_taps() -> Float32[Array, " 14"]:
-    """Low-pass at a quarter cycle a pixel, centred between two pixels. Windowed sinc, 14 taps, sum 1."""
+    """Low-pass at a quarter cycle per pixel, centred between two pixels. Windowed sinc, 14 taps, sum 1."""
     offset = np.arange(-7, 7) + 0.5
     taps = np.sinc(offset / 2) * np.cos(np.pi * offset / 15) ** 2
     return (taps / taps.sum()).astype(np.float32)
 
 
 HALF_BAND = _half_band_taps()
-"""Filter of the finest step: keeps frequencies below a quarter cycle a pixel (plain smoothing costs precision there).
-"""
+"""Filter of the finest step: keeps frequencies below a quarter cycle per pixel (plain smoothing loses precision)."""
 BINOMIAL = np.array([1, 5, 10, 10, 5, 1], dtype=np.float32) / 32
-"""For the coarser steps: smoother, no ringing."""
+"""For the coarser steps: smoother, without ringing."""
 
 
 def decimation(level: int) -> Float32[Array, " taps"]:
-    """Filter that makes a level of the next finer one."""
+    """Filter from the next finer level to this one."""
     return HALF_BAND if level <= 2 else BINOMIAL
 
 
@@ -59,15 +58,15 @@ class Level:
     """One image of a pair at one resolution."""
 
     image: Float32[Array, "h w"]
-    """Luma, continued smoothly beyond the subject."""
+    """Luma, extended smoothly beyond the subject."""
     mask: Bool[Array, "h w"]
     """The subject's pixels."""
 
 
 def build(image: Float32[Array, "h w"], mask: Bool[Array, "h w"], finest: int, coarsest: int) -> list[Level]:
-    """Levels `finest` … `coarsest`, 0 being the image as given.
+    """Levels `finest` … `coarsest`, where 0 is the given image.
 
-    What is not subject is replaced by the subject's own blur before each decimation.
+    Before each decimation the background is replaced by the subject's own blur.
     """
     level = Level(image=continued(image, mask), mask=mask)
     levels = [level] if finest == 0 else []
@@ -83,22 +82,22 @@ def build(image: Float32[Array, "h w"], mask: Bool[Array, "h w"], finest: int, c
 
 
 def continued(image: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> Float32[Array, "h w"]:
-    """The image inside the mask, its normalised blur outside. No backdrop leaks in through filters."""
+    """The image inside the mask, its normalised blur outside, so that filters see no background."""
     if mask.all() or not mask.any():
         return image
-    # Read-only, as the photograph itself is: the kernel is compiled for one kind of array.
+    # Read-only, like the photograph, so that the kernel is compiled for one type only.
     return continue_outside(
         read_only(image), mask, gaussian_taps(_FILL_PX), float(np.mean(image, where=mask)), FAR_WEIGHT
     )
 
 
 def finer_field(field: Float32[Array, "h w"], shape_hw: tuple[int, int]) -> Float32[Array, "H W"]:
-    """A field on the next finer level, linearly interpolated, its values not scaled."""
+    """A field on the next finer level, linearly interpolated, with unscaled values."""
     return double(np.ascontiguousarray(field, dtype=np.float32), shape_hw[0], shape_hw[1], np.inf)
 
 
 def finer_shift(shift: Float32[Array, "h w"], shape_hw: tuple[int, int]) -> Float32[Array, "H W"]:
-    """Shifts in the next finer level's pixels: doubled, linear, but not across jumps of depth."""
+    """Shifts in the next finer level's pixels: doubled, interpolated linearly, but not across jumps."""
     return double(2 * shift, shape_hw[0], shape_hw[1], 2 * _JUMP_PX)
 
 

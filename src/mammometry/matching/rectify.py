@@ -1,4 +1,4 @@
-"""Resample a converging pair so that corresponding points share a row."""
+"""Resample a converging pair so that corresponding points are on one row."""
 
 from concurrent.futures import ThreadPoolExecutor
 
@@ -17,23 +17,23 @@ from mammometry.matching.filters import blur, rim
 from mammometry.matching.foreground.foreground import Foreground
 
 MARGIN_PX = 16
-"""Pixels kept around the subject's silhouette in either rectified image, for windows and filters."""
-_LEAST_AXES_COSINE = 0.17  # of the optical axes, 80°: farther apart, two cameras hardly see the same skin
-_ROUND_TRIP_PX = 0.1  # from a pixel through the lens model and back; more: the model is folded there
-_LEAST_COSINE = 0.2  # of a ray with the common axis: 78° off it, nothing is left to resample
-_LEAST_SQUARE_SHARE = 0.5  # of the mean axis square to the baseline: less, one camera stands in the other's sight
-_WIDEST_TANGENT = 2.0  # 127° across: wider lenses are fish-eyes, which this lens model does not describe
-_LARGEST_GROWTH = 4.0  # a rectified image with more pixels than this many photographs means a useless geometry; by eye
-_SMALLEST_SIDE_PX = 8  # of the common region, beside its margins: one window
-_SPLINE_REACH_PX = 10  # a cubic spline coefficient depends on farther pixels by less than 2e-6
-_BAND_ROWS = 256  # resampled at a time, to bound the memory
-_BLOWN, _BLOWN_RIM_PX = 0.985, 2  # of full luma: saturated, but for rounding; with what its blur touches
+"""Pixels kept around the subject's silhouette in both rectified images, for windows and filters."""
+_LEAST_AXES_COSINE = 0.17  # cosine between the optical axes, 80°: at larger angles two cameras hardly see the same skin
+_ROUND_TRIP_PX = 0.1  # largest error through the lens model and back; more means that the model folds back there
+_LEAST_COSINE = 0.2  # cosine between a ray and the common axis: nothing can be resampled beyond 78°
+_LEAST_SQUARE_SHARE = 0.5  # of the mean axis, across the baseline: with less, one camera is in the other's view
+_WIDEST_TANGENT = 2.0  # a field of view of 127°: wider lenses are fisheyes, which this lens model does not describe
+_LARGEST_GROWTH = 4.0  # largest size of a rectified image in photographs: more means a useless geometry
+_SMALLEST_SIDE_PX = 8  # smallest side of the common region without margins: one window
+_SPLINE_REACH_PX = 10  # the influence of farther pixels on a cubic spline coefficient is below 2e-6
+_BAND_ROWS = 256  # rows resampled at a time, to limit memory
+_BLOWN, _BLOWN_RIM_PX = 0.985, 2  # share of full luma that is saturated, and width of its blurred border
 _SPLINE_POLE = np.sqrt(3) - 2
 # Cubic B-spline coefficients of samples: Σ_k √3 pole^|k| f(i + k) (Unser 1999), cut off where the pole's power is 2e-6.
 SPLINE_TAPS = (np.sqrt(3) * _SPLINE_POLE ** np.abs(np.arange(-_SPLINE_REACH_PX, _SPLINE_REACH_PX + 1))).astype(
     np.float32
 )
-_SAFE_SHARE = 0.99  # of the lens's field: between grid points the radius exceeds theirs by less than the rest
+_SAFE_SHARE = 0.99  # share of the lens's field that is used: the radius grows by less between grid points
 _MAP_STEP_PX = 8  # the resampling map is smooth: exact on this grid, cubic in between
 
 
@@ -43,14 +43,14 @@ class RectifiedPair:
 
     name: str
     left: Camera
-    """Ideal (no distortion). `right` has the same orientation, focal length and principal row, but another principal
-    column."""
+    """Ideal (no distortion). `right` has the same orientation, focal length and principal row; only its principal
+    column differs."""
     right: Camera
     left_image: Float32[Array, "h w"]
-    """Luma, 0…1. Cubic B-spline resampling at the photographs' own resolution. 0 where no subject is near."""
+    """Luma, 0…1, by cubic B-spline resampling at the photographs' resolution. 0 far from the subject."""
     right_image: Float32[Array, "h w"]
     left_mask: Bool[Array, "h w"]
-    """Pixels that show the subject, are inside the photograph and not saturated."""
+    """Pixels that show the subject, are inside the photograph and are not saturated."""
     right_mask: Bool[Array, "h w"]
 
 
@@ -65,15 +65,15 @@ def rectify(
 ) -> RectifiedPair:
     """Make both cameras parallel and resample the subject's region.
 
-    Each camera turns about its own centre. The new x axis is the baseline. The new z axis is the mean of the two
-    optical axes made square to it. The focal length is the photographs' mean, so that the resolution stays theirs in
-    the middle of the subject. Principal columns are chosen for each image so that the subject fills it: the disparity
-    there is small, whatever the convergence. Where no silhouette is known, they are chosen so that what is about
-    `middle_world`, mm, has none.
+    Each camera is rotated about its own centre. The new x axis is the baseline. The new z axis is the mean of the two
+    optical axes made perpendicular to it. The focal length is the photographs' mean, so that their resolution is kept
+    at the subject's centre. Principal columns are chosen for each image so that the subject fills it: its disparity is
+    then small for any convergence. If no silhouette is known, they are chosen so that `middle_world`, mm, has no
+    disparity.
 
     Raises:
-        ImageError: a photograph or foreground has not its camera's size.
-        MatchingError: the cameras stand at one place, look away from each other, or see no common row of the subject.
+        ImageError: a photograph or foreground does not have its camera's size.
+        MatchingError: the cameras are at one position, look away from each other, or see no common row of the subject.
     """
     sides = ((left, left_foreground, pair.left), (right, right_foreground, pair.right))
     for photograph, foreground, camera in sides:
@@ -82,8 +82,8 @@ def rectify(
                 photograph.name,
                 found=f"{photograph.size_wh[0]} × {photograph.size_wh[1]} pixels, "
                 f"foreground {foreground.coverage.shape[1]} × {foreground.coverage.shape[0]}",
-                expected=f"{camera.size_wh[0]} × {camera.size_wh[1]} as calibrated for {camera.name}",
-                remedy="Use the photographs as the camera wrote them, not cropped or scaled",
+                expected=f"{camera.size_wh[0]} × {camera.size_wh[1]} as in the calibration of {camera.name}",
+                remedy="Use the original photographs of the camera, not cropped or scaled",
             )
     rotation = _common_rotation(pair)
     focal = float(np.mean([camera.matrix[axis, axis] for camera in (pair.left, pair.right) for axis in (0, 1)]))
@@ -107,26 +107,26 @@ def rectify(
 
 
 def _common_rotation(pair: StereoPair) -> Float64[Array, "3 3"]:
-    """Rotation that turns the world's axes into those of both rectified cameras."""
+    """Rotation from the world's axes to those of both rectified cameras."""
     baseline = pair.right.centre_world - pair.left.centre_world
     length = float(np.linalg.norm(baseline))
     axis = pair.left.axis_world + pair.right.axis_world
     if length < 1e-6 or float(pair.left.axis_world @ pair.right.axis_world) < _LEAST_AXES_COSINE:
         raise MatchingError(
             f"pair {pair.name}",
-            found=f"cameras {length:.3g} mm apart whose axes make "
+            found=f"cameras {length:.3g} mm apart with an angle between their axes of "
             f"{np.degrees(np.arccos(np.clip(pair.left.axis_world @ pair.right.axis_world, -1, 1))):.0f}°",
-            expected="two different places that look at the same skin from less than 80° apart",
-            remedy="Check which cameras make the pair, and their calibration",
+            expected="two different positions with an angle of less than 80° between the axes",
+            remedy="Check which cameras form the pair, and their calibration",
         )
     x = baseline / length
     z = axis - (axis @ x) * x
     if np.linalg.norm(z) < _LEAST_SQUARE_SHARE:
         raise MatchingError(
             f"pair {pair.name}",
-            found="one camera that stands in the other's line of sight",
+            found="one camera in the other's line of sight",
             expected="cameras side by side",
-            remedy="Check which cameras make the pair, and their calibration",
+            remedy="Check which cameras form the pair, and their calibration",
         )
     z /= np.linalg.norm(z)
     return np.stack([x, np.cross(z, x), z])
@@ -135,17 +135,17 @@ def _common_rotation(pair: StereoPair) -> Float64[Array, "3 3"]:
 def _outline(
     camera: Camera, foreground: Foreground, rotation: Float64[Array, "3 3"], focal: float
 ) -> Float64[Array, "n 2"]:
-    """Rectified positions, principal point at 0, of the subject's outermost pixels."""
+    """Rectified positions, relative to the principal point, of the subject's outermost pixels."""
     pixels = rim(foreground.coverage, foreground.contour_level).astype(np.float64)
     if len(pixels) == 0:
         raise MatchingError(
             f"camera {camera.name}",
-            found="a foreground without a pixel",
-            expected="the subject in the picture",
+            found="a foreground without pixels",
+            expected="the subject in the image",
             remedy="Check the mask, or set matching.foreground.mode to all",
         )
     ideal = camera.normalised_from_pixels(pixels)
-    # Where the lens model folds (corners far outside the calibrated field) a pixel has no direction.
+    # Where the lens model folds back (corners far outside the calibrated field) a pixel has no direction.
     known = np.hypot(*ideal.T) < _field_radius(camera)
     known &= np.abs(camera.pixels_from_normalised(ideal) - pixels).max(axis=1) < _ROUND_TRIP_PX
     rays = camera.rays_world(pixels[known]) @ rotation.T
@@ -153,22 +153,22 @@ def _outline(
     if len(rays) == 0:
         raise MatchingError(
             f"camera {camera.name}",
-            found="a lens model that is folded wherever the subject is",
-            expected="distortion coefficients that hold over the picture",
+            found="a lens model that folds back in the whole area of the subject",
+            expected="distortion coefficients that are valid over the whole image",
             remedy="Check the calibration of this camera",
         )
     return focal * rays[:, :2] / rays[:, 2:]
 
 
 def _field_radius(camera: Camera) -> float:
-    """Ideal radius up to which the lens does not fold back. As tan of the angle off the axis."""
+    """Ideal radius up to which the lens does not fold back, as the tangent of the angle to the axis."""
     return min(fold_radius(camera.distortion), _WIDEST_TANGENT)
 
 
 def _parallax(
     pair: StereoPair, rotation: Float64[Array, "3 3"], focal: float, point_world: Float64[Array, "3"]
 ) -> float:
-    """Disparity of a point, pixels. Principal columns are equal."""
+    """Disparity of a point, px, with equal principal columns."""
     length = float(np.linalg.norm(pair.right.centre_world - pair.left.centre_world))
     return focal * length / float(rotation[2] @ (point_world - pair.left.centre_world))
 
@@ -180,11 +180,11 @@ def _ideal_cameras(
     outlines: list[Float64[Array, "_ 2"]],
     shift_px: float | None,
 ) -> tuple[Camera, Camera]:
-    """Both rectified cameras, cropped to the subject, with common rows and a column range each."""
+    """Both rectified cameras, cropped to the subject, with common rows and separate column ranges."""
     low = np.array([outline.min(axis=0) for outline in outlines])
     high = np.array([outline.max(axis=0) for outline in outlines])
     top, bottom = low[:, 1].max(), high[:, 1].min()
-    if shift_px is not None:  # the frames say nothing about depth: align what is about the subject's middle
+    if shift_px is not None:  # without an outline, align the subject's centre
         left, right = low[:, 0].copy(), high[:, 0].copy()
         left[:] = max(left[0], left[1] + shift_px) - np.array([0, shift_px])
         right[:] = min(right[0], right[1] + shift_px) - np.array([0, shift_px])
@@ -201,16 +201,16 @@ def _ideal_cameras(
     if min(height, width) <= 2 * MARGIN_PX + _SMALLEST_SIDE_PX:
         raise MatchingError(
             f"pair {pair.name}",
-            found="no common rows of the subject in the two rectified pictures",
+            found="no common rows of the subject in the two rectified images",
             expected="both cameras to see the same part of it",
             remedy="Check the pair's cameras, their calibration and the foreground",
         )
     if width * height > _LARGEST_GROWTH * pixels:
         raise MatchingError(
             f"pair {pair.name}",
-            found=f"a rectified picture of {width} × {height} pixels",
+            found=f"a rectified image of {width} × {height} pixels",
             expected=f"at most {_LARGEST_GROWTH:.0f} times the photograph's {pixels}",
-            remedy="Check the calibration: the cameras seem to look in very different directions",
+            remedy="Check the calibration: the cameras seem to point in very different directions",
         )
     made = []
     for camera, column in ((pair.left, left[0]), (pair.right, left[1])):
@@ -229,7 +229,7 @@ def _ideal_cameras(
 def _resample(
     side: tuple[Photograph, Foreground, Camera], ideal: Camera
 ) -> tuple[Float32[Array, "h w"], Bool[Array, "h w"]]:
-    """Luma and mask of the rectified image. Cubic B-spline values. The mask is taken from the coverage."""
+    """Luma and mask of the rectified image by cubic B-splines. The mask is derived from the coverage."""
     photograph, foreground, camera = side
     height, width = ideal.shape_hw
     image = np.empty((height, width), dtype=np.float32)
@@ -241,7 +241,7 @@ def _resample(
     luma = weighted_channels(
         pixels, LUMA[: pixels.shape[2]] / LUMA[: pixels.shape[2]].sum() / np.iinfo(pixels.dtype).max
     )
-    # A highlight that fills the sensor moves with the viewer, and its rim with it: it is no mark on the skin.
+    # A saturated highlight moves with the viewer, and so does its border: it is not a feature of the skin.
     blown = luma >= _BLOWN
     usable = (~ndimage.binary_dilation(blown, iterations=_BLOWN_RIM_PX)).astype(np.float32) if blown.any() else None
     coefficients = blur(luma, SPLINE_TAPS)
@@ -250,7 +250,7 @@ def _resample(
     for top in range(0, height, _BAND_ROWS):
         band = slice(top, min(top + _BAND_ROWS, height))
         u, v, known = source.at(band)
-        # The mask needs no more than OpenCV's 1/32 px steps; the luma, which is matched to hundredths, does.
+        # OpenCV's steps of 1/32 px are enough for the mask; the luma, which is matched to hundredths, needs more.
         coverage = cv2.remap(
             foreground.coverage, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(0.0,)
         )
@@ -265,14 +265,14 @@ def _resample(
 
 
 def _read_part(positions: Float32[Array, "h w"], size: int) -> slice:
-    """Rows or columns of the photograph needed for the positions, with room for the spline's reach."""
+    """Rows or columns of the photograph needed for the positions, including the spline's support."""
     start = int(np.clip(positions.min() - _SPLINE_REACH_PX, 0, size - 2 * _SPLINE_REACH_PX))
     stop = int(np.clip(positions.max() + _SPLINE_REACH_PX, start + 2 * _SPLINE_REACH_PX, size))
     return slice(start, stop)
 
 
 class _SourceMap:
-    """Place in the photograph of each rectified pixel: exact on a coarse grid, with a cubic between."""
+    """Position in the photograph of each rectified pixel: exact on a coarse grid, cubic in between."""
 
     def __init__(self, camera: Camera, ideal: Camera) -> None:
         height, width = ideal.shape_hw
@@ -295,7 +295,7 @@ class _SourceMap:
         self._weights_u = weights_u.data.reshape(width, 4)
 
     def at(self, rows: slice) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"], Bool[Array, "h w"]]:
-        """Columns and rows in the photograph, and where the lens model holds."""
+        """Columns and rows in the photograph, and where the lens model is valid."""
         weights = self._weights_v[rows]
         u, v, *radius = (
             spline_along_rows(weights @ self._coefficients[..., axis], self._first_u, self._weights_u)

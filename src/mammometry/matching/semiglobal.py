@@ -1,6 +1,6 @@
-"""Semi-global matching (Hirschmüller 2008), from which every match starts where the subject is small.
+"""Semi-global matching (Hirschmüller 2008), the start of every match on a coarse level.
 
-As those of `correlation_kernels` the kernels release the interpreter's lock and have NumPy twins in the tests.
+The kernels release the GIL and have NumPy versions in the tests.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -15,7 +15,7 @@ from mammometry.matching.noise import noise_variance
 from mammometry.matching.pyramid import Level
 
 COSTS_TO_ONE = 100
-"""Costs are whole hundredths: a byte holds them, and sixteen bits hold the sum of all paths. Memory limits the level on
+"""Costs are integer hundredths: they fit into a byte, and the sum of all paths into 16 bits. Memory limits the level on
 which a match can start."""
 
 
@@ -31,15 +31,14 @@ def matching_costs(
 ) -> UInt8[Array, "h w d"]:
     """Cost of each of `count` shifts from `lowest`, in hundredths.
 
-    1 − the product of the neighbourhoods, which are unit vectors. `outside` is the cost of a partner that is not the
-    subject.
+    1 − the product of the neighbourhoods, which are unit vectors. `outside` is the cost of a match outside the subject.
     """
     height, width = here_mask.shape
     length = here.shape[2]
     costs = np.zeros((height, width, count), dtype=np.uint8)
     unit, half = np.float32(COSTS_TO_ONE), np.float32(0.5)
     no_partner = np.uint8(unit * np.float32(outside) + half)
-    partners = np.empty((length, width), dtype=np.float32)  # of one row: neighbouring shifts lie side by side
+    partners = np.empty((length, width), dtype=np.float32)  # of one row: neighbouring shifts are contiguous
     products = np.empty(count, dtype=np.float32)
     for i in range(height):
         for j in range(width):
@@ -48,7 +47,7 @@ def matching_costs(
         for j in range(width):
             if not here_mask[i, j]:
                 continue
-            first, last = max(0, -j - lowest), min(count, width - j - lowest)  # shifts whose partner is in the picture
+            first, last = max(0, -j - lowest), min(count, width - j - lowest)  # shifts whose match is in the image
             line = costs[i, j]
             line[:] = no_partner
             if first >= last:
@@ -68,10 +67,10 @@ def matching_costs(
 
 @kernel
 def _along_path(previous, least, costs, small, large, target, total):  # type: ignore[no-untyped-def]
-    """Costs of all shifts along one path at one pixel.
+    """Costs of all shifts along one path at one pixel, also added to `total`. Returns the smallest of them.
 
-    Also added to `total`. Returns the least of them. `previous` and `target` have one shift more on either side. All is
-    of 16 bits, of which a processor adds sixteen numbers at once; so no `min`, which would widen them.
+    `previous` and `target` have one more shift on either side. Everything has 16 bits, of which a processor adds 16
+    numbers at once; `min` would widen them.
     """
     jump, smallest = np.uint16(least + large), np.uint16(65535)
     for d in range(costs.shape[0]):
@@ -91,16 +90,18 @@ def aggregate(
 ) -> UInt16[Array, "h w d"]:
     """Sum of the costs along eight paths ending at each pixel.
 
-    Semi-global matching, Hirschmüller 2008. A change of the shift by one pixel costs `small_step`, by more
-    `large_step`, all in hundredths. Paths do not cross unmasked pixels.
+    Semi-global matching (Hirschmüller 2008). A change of the shift by one pixel costs `small_step`, by more
+    `large_step`,
+    all in hundredths. Paths do not cross unmasked pixels.
     """
     height, width, count = costs.shape
     total = np.zeros((height, width, count), dtype=np.uint16)
     small, large = np.uint16(small_step), np.uint16(large_step)
     last, nothing, never = count + 1, np.uint16(0), np.uint16(30_000)
     for backward in range(2):
-        # Paths from the row above (left, middle, right) and from the pixel before. One starts with nothing behind it:
-        # zeros between two shifts that are never taken.
+        # Paths from the row above (left, middle, right) and from the pixel before. A path's first pixel has no
+        # predecessor:
+        # zeros between two shifts that are never chosen.
         above = np.full((3, width + 2, count + 2), never)
         above[:, :, 1:last] = nothing
         current = above.copy()
@@ -136,17 +137,17 @@ def aggregate(
 def cheapest(
     total: UInt16[Array, "h w d"], mask: Bool[Array, "h w"], lowest: int
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
-    """Shift of least cost, seen from either image.
+    """Shift of lowest cost for either image.
 
-    From the other one along the diagonals of the same volume. Sub-pixel by a parabola for this image; NaN-free: where
-    nothing competes the shift is that of the range's middle.
+    For the other image along the diagonals of the same volume. Sub-pixel by a parabola for this image. Without NaN:
+    where all costs are equal the shift is that of the range's centre.
     """
     height, width, count = total.shape
     middle = np.float32(lowest + count // 2)
     ours = np.full((height, width), middle, dtype=np.float32)
     theirs = np.full((height, width), -middle, dtype=np.float32)
     for i in range(height):
-        best = np.full(width, np.float32(1e9), dtype=np.float32)  # of each pixel of the other image
+        best = np.full(width, np.float32(1e9), dtype=np.float32)  # for each pixel of the other image
         for j in range(width):
             if not mask[i, j]:
                 continue
@@ -171,27 +172,27 @@ def cheapest(
     return ours, theirs
 
 
-_SMALL_STEP, _LARGE_STEP = COSTS_TO_ONE // 4, COSTS_TO_ONE  # of the shift by 1 px and by more; chosen by eye
-_OUTSIDE = 1.2  # cost of a partner that is not the subject; two unrelated neighbourhoods cost 1; chosen by eye
-_FAR_PX = 2  # distance of the pixels of a wider neighbourhood; the picture is calmed by half of it before
+_SMALL_STEP, _LARGE_STEP = COSTS_TO_ONE // 4, COSTS_TO_ONE  # cost of a shift change by 1 px and by more
+_OUTSIDE = 1.2  # cost of a match outside the subject; two unrelated neighbourhoods cost 1
+_FAR_PX = 2  # spacing of the wider neighbourhood's pixels; the image is first smoothed with half of it
 _POWER_PX = 1.5  # Gaussian σ over which a neighbourhood's variance is averaged: its own width
-_GRAIN = 4.0  # times the noise that is seen: compressed pictures hide most; 4 to 8 measured alike (docs/decisions/0015)
+_GRAIN = 4.0  # factor on the measured noise: compression hides most; 4 to 8 gave equal results (docs/decisions/0015)
 _FLAT = 1e-3  # standard deviation of luma (0…1) below which a neighbourhood weighs less: a quarter of an 8-bit step
 
 
 def span_px(mask: Bool[Array, "h w"]) -> float:
-    """The subject's size: side of the square of its area, pixels."""
+    """The subject's size: side of a square with its area, px."""
     return float(np.sqrt(np.count_nonzero(mask)))
 
 
 def start(
     left: Level, right: Level, noise: tuple[Float32[Array, "h w"], Float32[Array, "h w"]], range_share: float
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
-    """First shifts of both directions, by semi-global matching.
+    """Initial shifts of both directions, by semi-global matching.
 
-    Right − left seen from the left image and left − right seen from the right one, pixels of this level. The search
-    covers ± `range_share` of the subject's width around the shift between the two centroids. `noise` is its variance
-    around each pixel of either image.
+    Right − left for the left image and left − right for the right one, pixels of this level. The search covers ±
+    `range_share` of the subject's width around the shift between the two centroids. `noise` is its variance around each
+    pixel of either image.
     """
     columns = [np.nonzero(level.mask.any(axis=0))[0] for level in (left, right)]
     width = max(int(c[-1] - c[0] + 1) for c in columns)
@@ -205,9 +206,9 @@ def start(
 def both_ways(
     left: Level, right: Level, lowest: int, count: int
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
-    """Shifts of both directions, as in `start`, of two whole pictures.
+    """Shifts of both directions, as in `start`, of two whole images.
 
-    Right − left is one of `count` whole numbers from `lowest` on, pixels. Their noise is measured in them.
+    Right − left is one of `count` integers from `lowest` on, px. The noise is estimated from the images.
     """
     return _searched(left, right, (noise_variance(left, ()), noise_variance(right, ())), lowest, count)
 
@@ -228,16 +229,16 @@ def _searched(
 
 
 def _unit_neighbourhoods(level: Level, noise: Float32[Array, "h w"]) -> Float32[Array, "h w 18"]:
-    """Two neighbourhoods of each pixel, of unit length together.
+    """Two neighbourhoods of each pixel, of unit length together, without their means over the subject's pixels.
 
-    Without their means over the subject's pixels; 0 outside the subject. The first is of 3 × 3 adjacent pixels: on
-    steep skin, which one picture shows narrower than the other, no larger one fits. Its share is that of its variance
-    which is not noise; what is left has the second, of 3 × 3 pixels of the calmed image two apart: on shaded skin the
-    first one would find nothing but chance.
+    0 outside the subject. The first has 3 × 3 adjacent pixels: a larger one does not fit on steep skin, which one image
+    shows narrower than the other. Its weight is the share of its variance that is not noise. The rest is the weight of
+    the second, of 3 × 3 pixels of the smoothed image at a spacing of two, for shaded skin, where the first one is
+    mostly noise.
     """
     near, near_power = _neighbourhood(level.image, level.mask, 1)
     far, far_power = _neighbourhood(blur(level.image, gaussian_taps(_FAR_PX / 2)), level.mask, _FAR_PX)
-    power = blur(near_power, gaussian_taps(_POWER_PX)) / 8  # nine values without their mean
+    power = blur(near_power, gaussian_taps(_POWER_PX)) / 8  # nine values with their mean subtracted
     share = np.clip(1 - _GRAIN * noise / np.maximum(power, 1e-12), 0, 1)
     near *= np.sqrt(share / (near_power + 9 * _FLAT**2))[..., None]
     far *= np.sqrt((1 - share) / (far_power + 9 * _FLAT**2))[..., None]
@@ -247,7 +248,7 @@ def _unit_neighbourhoods(level: Level, noise: Float32[Array, "h w"]) -> Float32[
 def _neighbourhood(
     image: Float32[Array, "h w"], mask: Bool[Array, "h w"], spacing: int
 ) -> tuple[Float32[Array, "h w 9"], Float32[Array, "h w"]]:
-    """3 × 3 pixels, `spacing` apart, less the mean of the subject's, and the sum of their squares."""
+    """3 × 3 pixels with a spacing, minus the mean of the subject's, and the sum of their squares."""
     height, width = mask.shape
     padded = np.pad(image, spacing, mode="edge")
     subject = np.pad(mask, spacing).astype(np.float32)

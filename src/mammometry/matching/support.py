@@ -1,8 +1,10 @@
-"""The board or table on which the subject lies.
+"""The board or table under the subject.
 
-Every pair sees it, and it is not the subject. Where half of what is near lies in a plane and the rest stands before it,
-the plane is a support: a body curves away behind the plane that fits it best. All pairs are asked together first: a
-plane that one of them sees clearly is the support of all, also of those that see little of it or see it at an angle.
+Every pair sees it, and it is not the subject. If half of what is near is in a plane and the rest in front of it, the
+plane is a support: a body curves away behind the plane that fits it best. All pairs are used together first: a plane
+that one
+    of
+them sees clearly is the support of all, also of those that see little of it or at a grazing angle.
 """
 
 from __future__ import annotations
@@ -17,16 +19,16 @@ from mammometry.geometry import Array, Bool, Camera, Float32, Float64
 from mammometry.matching.foreground.seeded_segmentation import SMALLEST_PART
 
 LEAST_SHARE = 0.02
-"""Of the picture that must be near for a pair to say anything."""
+"""Smallest near share of the image for a pair to be used."""
 LEAST_STANDING = 0.004
-"""Of the picture: what stands on a wide table, at least. Chosen by eye."""
+"""Smallest share of the image of an object on a wide table."""
 
-# Where no other source is named: chosen on the simulated captures of docs/decisions/0028.
-_FLATNESS = 0.012  # share of the depth within which a point is an inlier: a pixel of disparity, a tenth of a cast
-_STANDING = 1.5  # times that: what certainly stands before it
-_BOARD, _ON_BOARD, _BELOW = 0.5, 0.03, 0.4  # of what is near: on a board; before it; behind it, of what is before it
-_TABLE = 0.8  # of what is near: a wide table; by eye
-_SOME, _TRIALS, _LEAST_AREA, _DRAWN = 1500, 150, 0.02, 28  # points and planes tried, their size of the picture, seed
+# Without another source: chosen on the simulated captures of docs/decisions/0028.
+_FLATNESS = 0.012  # relative depth difference of an inlier: a pixel of disparity, a tenth of a cast's height
+_STANDING = 1.5  # times that: certainly in front of it
+_BOARD, _ON_BOARD, _BELOW = 0.5, 0.03, 0.4  # shares of what is near: on a board, in front, behind (of those in front)
+_TABLE = 0.8  # share of what is near: a wide table
+_SOME, _TRIALS, _LEAST_AREA, _DRAWN = 1500, 150, 0.02, 28  # points and planes tested, their share of the image, seed
 _FITS = 3  # refits by least squares to the plane's inliers
 
 
@@ -35,33 +37,33 @@ class NearDepths:
     """What one pair sees in the working volume."""
 
     camera: Camera
-    """The left rectified one."""
+    """The left rectified camera."""
     depth_mm: Float32[Array, "h w"]
-    """z of each of its pixels, mm. NaN where not known."""
+    """z of each of its pixels, mm. NaN if unknown."""
     near: Bool[Array, "h w"]
-    """Pixels in the working volume. Not all of them have a depth: small gaps are closed."""
+    """Pixels in the working volume. Some have no depth, since small gaps are closed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Split:
-    """Parts of what one pair sees near, counted in pixels, and of the whole picture."""
+    """Parts of what one pair sees nearby, in pixels, and of the whole image."""
 
     lying: int
     standing: int
     behind: int
     standing_share: float
-    """Of the picture, without specks."""
+    """Share of the image, without specks."""
     behind_share: float
 
 
 def find_supports(views: Sequence[NearDepths]) -> list[Float64[Array, 4] | None]:
-    """Find the plane on which the subject lies or against which it leans, for each pair.
+    """Find the plane on which the subject is or against which it leans, for each pair.
 
-    One that explains what all pairs see together, or what each of most pairs sees, is the support of all. Where there
-    is none, each pair may have its own, as a wall close behind the body that only one of them sees.
+    A plane that explains what all pairs see together, or what each of most pairs sees, is the support of all. Otherwise
+    each pair may have its own, such as a wall close behind the body that only one pair sees.
 
     Returns:
-        (nx, ny, nz, d) of the plane n·X = d, world frame, mm. None where there is no support.
+        (nx, ny, nz, d) of the plane n·X = d, world frame, mm. None without a support.
     """
     planes = [_best_plane(view) for view in views]
     candidates = [plane for plane in planes if plane is not None]
@@ -77,19 +79,19 @@ def find_supports(views: Sequence[NearDepths]) -> list[Float64[Array, 4] | None]
 
 
 def _by_most(splits: Sequence[_Split]) -> bool:
-    """Whether most pairs take a plane for a support, each by what it sees: one may mistake a repeating pattern."""
+    """Whether most pairs find a support, each by itself: one pair may be misled by a repeating pattern."""
     return 2 * sum(_is_support([one]) for one in splits) > len(splits)
 
 
 def reciprocal_depth(plane_world: Float64[Array, 4], camera: Camera) -> Float64[Array, 3]:
-    """Express a plane in a picture.
+    """Express a plane in an image.
 
     Args:
         plane_world: (nx, ny, nz, d) of n·X = d, world frame, mm.
         camera: without lens distortion.
 
     Returns:
-        a, b, c of its reciprocal depth a u + b v + c, 1/mm, linear in the picture as every plane's.
+        a, b, c of its reciprocal depth a u + b v + c, 1/mm, which is linear in the image for every plane.
     """
     pose = camera.camera_from_world
     normal = pose.rotation @ plane_world[:3]
@@ -125,7 +127,7 @@ def _enough(near: Bool[Array, "h w"]) -> bool:
 
 
 def _best_plane(view: NearDepths) -> Float64[Array, 4] | None:
-    """The plane on which most of what a pair sees near lies, world frame. None where it sees too little."""
+    """The plane that contains most of what a pair sees nearby, world frame. None if it sees too little."""
     if not _enough(view.near):
         return None
     rows, columns = np.nonzero(view.near & np.isfinite(view.depth_mm))
@@ -144,7 +146,7 @@ def _best_plane(view: NearDepths) -> Float64[Array, 4] | None:
             best, most = plane, on
     if best is None:
         return None
-    for _ in range(_FITS):  # three points' own errors grow towards the picture's corners
+    for _ in range(_FITS):  # the errors of three points grow towards the image's corners
         on_it = np.abs(places @ best - inverse) < _FLATNESS * inverse
         if np.count_nonzero(on_it) >= 3:
             best = np.linalg.lstsq(places[on_it], inverse[on_it])[0]
@@ -153,7 +155,7 @@ def _best_plane(view: NearDepths) -> Float64[Array, 4] | None:
 
 
 def _split(view: NearDepths, plane_world: Float64[Array, 4]) -> _Split:
-    """Parts of what a pair sees near. What has no depth belongs to none of them."""
+    """Parts of what a pair sees nearby. Pixels without a depth are in none of them."""
     rows, columns = np.indices(view.depth_mm.shape)
     a, b, c = reciprocal_depth(plane_world, view.camera)
     known = view.near & np.isfinite(view.depth_mm)
@@ -169,10 +171,11 @@ def _split(view: NearDepths, plane_world: Float64[Array, 4]) -> _Split:
 
 
 def _is_support(splits: Sequence[_Split]) -> bool:
-    """Whether the subject stands on a plane, by what pairs see of both.
+    """Whether the subject is on a plane, by what pairs see of both.
 
-    Half of what is near lies in it and the rest stands before it. Something small may stand on a table that is nearly
-    all of what is near.
+    Half of what is near is in the plane and the rest in front of it. On a table, which may be nearly all of what is
+    near,
+    the subject may be small.
     """
     lying, standing, behind = (
         float(sum(getattr(one, part) for one in splits)) for part in ("lying", "standing", "behind")

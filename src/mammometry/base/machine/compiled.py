@@ -3,14 +3,12 @@
 All kernels share their options, so that numba compiles common functions, such as array creation, once. None uses
 ``parallel=True``, which takes several times as long to compile: kernels release the GIL, and `cores.in_bands` runs them
 in threads where that is worth it. Kernels copy parts of arrays element by element: for a slice assignment numba
-compiles
-the text of its error, which takes a second.
+compiles the text of its error, which takes a second.
 
 Numba's own cache is valid for one processor and one modification time of the source, so a wheel could not contain it
-and
-every installation would compile for half a minute. Here kernels are compiled for x86-64-v3 (AVX2 and FMA, since 2013),
-and the cache is stamped with the contents of the source and of all modules of this package that it imports. On other
-processors they are compiled for that processor. A cache that does not match or cannot be read is ignored.
+and every installation would compile for half a minute. Here kernels are compiled for x86-64-v3 (AVX2 and FMA, since
+2013), and the cache is stamped with the contents of the source and of all modules of this package that it imports. On
+other processors they are compiled for that processor. A cache that does not match or cannot be read is ignored.
 """
 
 from __future__ import annotations

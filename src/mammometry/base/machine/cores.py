@@ -33,9 +33,8 @@ def one_blas_thread() -> Iterator[None]:
     """Limit BLAS to one thread inside the block.
 
     Products are computed in parallel and the matrices are small, so BLAS threads would wait for each other. Sums are
-    then
-    also equal to the last bit on any number of cores. SciPy's own BLAS may be loaded inside the block: it reads the
-    environment variables.
+    then also equal to the last bit on any number of cores. SciPy's own BLAS may be loaded inside the block: it reads
+    the environment variables.
     """
     before = os.environ.get(_BLAS_THREADS)
     os.environ[_BLAS_THREADS] = "1"

@@ -198,8 +198,7 @@ def calibrate(
     """Adjust all cameras and target placements to the observations (paper 2.2).
 
     Minimises the Huber loss of the reprojection errors, each in its detection's standard deviations, over intrinsics
-    and
-    poses of all cameras and placements of the target. Then excludes outliers and repeats. The world is the target's
+    and poses of all cameras and placements of the target. Then excludes outliers and repeats. The world is the target's
     frame in the first pose (in name order).
 
     Args:

@@ -17,9 +17,8 @@ class ParameterCovariance:
 
     names: tuple[str, ...]
     """Names such as ``front_left.fx_px``, ``front_left.centre_x_mm``, ``pose 01.rotation_x_rad``; px, mm and rad.
-    Rotations
-    are small and applied from the left: about the camera's axes, or the world's for poses. Held parameters, such as the
-    first pose, are not included."""
+    Rotations are small and applied from the left: about the camera's axes, or the world's for poses. Held parameters,
+    such as the first pose, are not included."""
     matrix: Float64[Array, "p p"]
     """Covariance for errors shared by the points of a photograph, estimated from the scatter between photographs."""
     independent: Float64[Array, "p p"]
@@ -67,8 +66,7 @@ class Calibration:
     covariance: ParameterCovariance
     scale_std: float | None
     """Relative standard uncertainty of every length, from the measured size of the target. Residuals do not show it,
-    and
-    the relative error of volumes is three times as large. None: the print was not measured."""
+    and the relative error of volumes is three times as large. None: the print was not measured."""
     left_out: LeftOut | None
     """Residuals of poses that were left out. None if no pose could be spared."""
     set_aside: tuple[SetAside, ...]

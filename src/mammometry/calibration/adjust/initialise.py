@@ -190,8 +190,7 @@ def initialise(
 
     Raises:
         CalibrationError: a camera saw the target too rarely, or shares no pose with the others; names the camera and
-            what
-            is needed.
+            what is needed.
     """
     own, known = dict(intrinsics_observations or {}), dict(priors or {})
     _check_sizes(observations, own, known)

@@ -31,8 +31,7 @@ class Network:
     view_station: Int64[Array, " v"]
     view_group: Int64[Array, " v"]
     """Group of each view: 0 for the rig's target, 1 for intrinsics photographs. A group has one factor on its
-    detections'
-    covariances."""
+    detections' covariances."""
     view_start: Int64[Array, " v1"]
     """Index of each view's first point, and the number of points at the end."""
     point: Int64[Array, " n"]

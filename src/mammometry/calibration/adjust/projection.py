@@ -15,8 +15,7 @@ from mammometry.geometry import Array, Camera, Float64, lens
 
 INTRINSIC_NAMES = ("fx_px", "fy_px", "cx_px", "cy_px", *lens.COEFFICIENTS, "skew_px")
 """Order of a camera's ten intrinsic values in the adjustment. The skew, the change of u with the distorted y, is zero
-in
-every camera that we return. Only published calibrations of older cameras have one."""
+in every camera that we return. Only published calibrations of older cameras have one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

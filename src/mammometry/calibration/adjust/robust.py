@@ -1,13 +1,11 @@
 """Robust adjustment: noise estimate, outliers, and the parameters' covariance.
 
 Corner errors of one photograph are not independent: defocus, light and lens errors shift neighbours alike. The inverse
-of
-the normal matrix does not include this, but the scatter between views does: V = Σ dᵥ dᵥᵀ, where dᵥ is the step that
+of the normal matrix does not include this, but the scatter between views does: V = Σ dᵥ dᵥᵀ, where dᵥ is the step that
     view
 v's residuals cause. This is the *sandwich* covariance clustered by views, with the small-sample correction CR2 (Bell
-and
-McCaffrey 2002, Survey Methodology 28): each view has affected its own camera and station, so its residuals are smaller
-than its errors.
+and McCaffrey 2002, Survey Methodology 28): each view has affected its own camera and station, so its residuals are
+smaller than its errors.
 """
 
 from __future__ import annotations
@@ -141,8 +139,7 @@ def clustered_covariance(solved: Solved, independent: Float64[Array, "p p"]) -> 
 
     It is nowhere below the independent covariance. There are fewer views than parameters, so some directions would seem
     exact and others too uncertain. Therefore the variances, in units of the independent ones, are moved half-way to
-    their
-    mean.
+    their mean.
     """
     free = ~solved.problem.held
     lower = np.linalg.cholesky(independent[np.ix_(free, free)])

@@ -271,8 +271,7 @@ def merged(parts: Sequence[Observations]) -> Observations:
 
 def _look(photograph: Photograph, target: Target, search_width_px: int) -> FoundPoints | Cause | None:
     # OpenCV's grid searches use random numbers. Without a new seed, results would depend on the photographs that the
-    # same
-    # thread searched before.
+    # same thread searched before.
     cv2.setRNGSeed(0)
     seen = find(target, photograph, search_width_px)
     if not target.has_inverse or (isinstance(seen, FoundPoints) and len(seen.ids)):

@@ -1,8 +1,7 @@
 """Smooth map from a flat board to a distorted photograph: a homography, then a cubic lens polynomial.
 
 The polynomial is a function of *image* coordinates. So Brown's k1, p1, p2 are represented exactly, and a board that
-fills
-part of the frame needs no more terms than one that fills all of it.
+fills part of the frame needs no more terms than one that fills all of it.
 """
 
 from __future__ import annotations

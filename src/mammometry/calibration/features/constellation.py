@@ -1,9 +1,8 @@
 """Identify an image's dots as points of a surveyed target, by their positions only.
 
 Three neighbouring dots and three neighbouring points give two scaled orthographic cameras (Alter 1994). Each is tested
-on
-the surrounding points. The best are grown into perspective cameras, point by point. The camera that explains most dots
-is chosen. If another explains nearly as many differently, the image is ambiguous and both are returned.
+on the surrounding points. The best are grown into perspective cameras, point by point. The camera that explains most
+dots is chosen. If another explains nearly as many differently, the image is ambiguous and both are returned.
 """
 
 from __future__ import annotations
@@ -98,8 +97,7 @@ def read_constellation(
 
     Returns:
         Empty if nothing fits. One reading if the image is unambiguous. Otherwise the best two, which explain nearly the
-        same
-        number of dots by different points.
+        same number of dots by different points.
     """
     if len(points) < MIN_POINTS or len(uv) < MIN_POINTS:
         return ()

@@ -1,9 +1,9 @@
 """Sub-pixel centre and size of dark dots and other printed marks.
 
 The centre is the centroid of darkness, corrected for perspective and curvature. Darkness is the share of a pixel that
-the
-dot covers, between the background's light and the dot's own, each a plane. A plain difference to the background would
-weigh the lit side of a dot more, and move the centroid of a disc of radius r by r²/4 times the relative gradient of the
+the dot covers, between the background's light and the dot's own, each a plane. A plain difference to the background
+would weigh the lit side of a dot more, and move the centroid of a disc of radius r by r²/4 times the relative gradient
+of the
 light: 0.25 px for a dot of 20 px in light that falls by 1 % per pixel. The dot's own plane, from its middle, separates
 falling light from gloss and haze, which add to dot and background alike. The centroid of a dot's image is not the image
 of its centre. The difference is computed from the map over the dot's area and subtracted.

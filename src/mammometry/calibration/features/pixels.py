@@ -31,8 +31,7 @@ def reduced(grey: UInt8[Array, "h w"], width_px: int) -> tuple[UInt8[Array, "p q
     """Area-averaged image of about `width_px`, and its scale.
 
     The scale is original pixels per reduced pixel, x and y. Large images are reduced by an integer, which is three
-    times
-    as fast, and may be up to half as wide again.
+    times as fast, and may be up to half as wide again.
     """
     height, width = grey.shape
     if width <= 1.25 * width_px:

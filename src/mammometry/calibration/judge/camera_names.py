@@ -2,9 +2,8 @@
 
 Features that both photographs of a pair share must be on each other's epipolar lines, and their points must be in the
 cameras' common field of view. A photograph of another camera fails this for nearly all features. Then the photographs
-are
-permuted until the pairs agree. If the names are right but all features are off their lines by a similar small amount,
-something moved between the two exposures.
+are permuted until the pairs agree. If the names are right but all features are off their lines by a similar small
+amount, something moved between the two exposures.
 """
 
 from __future__ import annotations
@@ -425,8 +424,7 @@ def _is_supported(near: int, tame: int, matches: int) -> bool:
     """Whether more matches fit than by chance.
 
     Photographs of the same subject by other cameras also have many matches near the lines, but as many slightly off
-    them
-    as on them.
+    them as on them.
     """
     on_lines = float(bdtrc(near - 1, tame, _NEAR_PX / _FAR_PX))
     return on_lines < _UNLIKELY_NEARER and float(bdtrc(near - 1, matches, _BY_CHANCE_NEAR)) < _UNLIKELY

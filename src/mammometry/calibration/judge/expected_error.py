@@ -147,9 +147,8 @@ def shape_shifts(calibration: Calibration) -> ShapeShifts:
     """Derivatives of the pairs' triangulation by the cameras' parameters.
 
     With parameters θ + dθ, the image points of X give X + dX, where P dX + Q dθ = 0 to first order in least squares,
-    and
-    P and Q are the derivatives of both projections: dX = −(PᵀP)⁻¹PᵀQ dθ. The best common motion, rotation and scale of
-    all dX are subtracted.
+    and P and Q are the derivatives of both projections: dX = −(PᵀP)⁻¹PᵀQ dθ. The best common motion, rotation and scale
+    of all dX are subtracted.
     """
     volume = working_volume(calibration)
     columns, names = _of_cameras(calibration.rig, calibration.covariance)

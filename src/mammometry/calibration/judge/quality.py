@@ -1,8 +1,7 @@
 """Assess whether a calibration is good enough, for each camera, pose and pair, in millimetres.
 
 Independently of the adjustment: residuals are computed again with the final cameras, including excluded points; the
-target
-is reconstructed from each pair, as the skin will be; and each view is tested for whether its camera moved.
+target is reconstructed from each pair, as the skin will be; and each view is tested for whether its camera moved.
 """
 
 from __future__ import annotations

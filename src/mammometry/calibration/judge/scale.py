@@ -153,8 +153,7 @@ def require_sides(rig: Rig, upside_down: Collection[str]) -> None:
     """Refuse a pair whose right camera is to the left of the left one.
 
     Either as seen from behind or in the images, which differ for cameras that are upside down. No result depends on
-    which
-    camera is called left.
+    which camera is called left.
 
     Args:
         rig: as calibrated.

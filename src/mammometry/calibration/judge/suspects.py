@@ -193,8 +193,7 @@ def spared_photograph(
 
     Returns:
         The calibration without the photograph, which is listed as excluded, and its assessment. None if several
-        photographs
-        contradict each other, or a camera moved permanently.
+        photographs contradict each other, or a camera moved permanently.
     """
     shot = _worst_photograph(quality)
     if shot is None:

@@ -97,8 +97,7 @@ class Board(Target):
 
     least_points: ClassVar[int] = 4
     """Fewest measured points of a usable view: four determine a homography. The points are identified by the markers or
-    the
-    whole grid, of which more was seen."""
+    the whole grid, of which more was seen."""
 
     edge_std_mm: float | None = None
     """Standard uncertainty of the measured `edge_mm`, mm. None: the print was not measured."""

@@ -25,8 +25,7 @@ def target_from_table(table: Mapping[str, object]) -> Target:
     """Read the manifest's ``[target]`` table strictly.
 
     ``edge_mm`` is the pattern's length along x, measured on the print. It scales all sizes of a board: the returned
-    target
-    has the true ones.
+    target has the true ones.
 
     Raises:
         SessionError: an unknown kind or key, a missing key, a value of the wrong type or outside its range.

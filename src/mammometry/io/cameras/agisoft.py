@@ -2,8 +2,7 @@
 
 Conventions (Metashape's manual, appendix "Camera models"): the principal point is relative to the image centre, pixel
 centres are at half-integers, and P1 and P2 are in the opposite order to OpenCV's. A camera's transform maps its points
-to
-the chunk, and the chunk's own transform maps them to the world, in metres.
+to the chunk, and the chunk's own transform maps them to the world, in metres.
 """
 
 from __future__ import annotations

@@ -31,8 +31,7 @@ def read_kalibr(path: Path, known: Collection[str] = ()) -> dict[str, Camera]:
     """Read the cameras of a Kalibr camchain file.
 
     Its first camera is the world. A camera's name is the part of its ``rostopic`` that the session knows, or otherwise
-    the
-    first part.
+    the first part.
 
     Args:
         path: the file.

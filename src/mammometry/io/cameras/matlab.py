@@ -152,8 +152,7 @@ def read_matlab(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[s
     """Read a pair of cameras, or one camera that is named by the file.
 
     The world is the frame of the pair's first camera. For a single camera it is the board's frame, by
-    ``rotationMatrix``
-    and ``translationVector`` from ``extrinsics``.
+    ``rotationMatrix`` and ``translationVector`` from ``extrinsics``.
 
     Raises:
         SessionError: it contains objects or other structures, or an impossible lens or unit.

@@ -152,8 +152,7 @@ def require_plausible(file: str, cameras: Mapping[str, Camera]) -> None:
 
     Raises:
         SessionError: an implausible image size, focal length, principal point or distance, or a lens model that folds
-            back
-            before the nearer edge of the image.
+            back before the nearer edge of the image.
     """
     for name, camera in cameras.items():
         subject, longest = f"{file}, camera {name}", max(camera.size_wh)

@@ -1,8 +1,7 @@
 """Compiled kernel that reads a JPEG's entropy-coded data without decoding the image.
 
 It follows ITU-T T.81, annexes F and G, and finds errors that decoders ignore: undefined codes, too many coefficients in
-a
-block, impossible brightness, and data that end before or after the image.
+a block, impossible brightness, and data that end before or after the image.
 """
 
 import numpy as np
@@ -169,8 +168,7 @@ def walk(
 
     Returns:
         Number of units read, and of bits left in the last interval. An undamaged scan has all units, and fewer than 8
-        bits
-        left.
+        bits left.
     """
     kind, shift = scan[0], scan[3]
     band = (scan[1], scan[2])

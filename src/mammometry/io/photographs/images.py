@@ -151,8 +151,7 @@ def read_photograph(
 
     Raises:
         ImageError: as `read_header`; it is truncated or damaged, has neither 8 nor 16 bits per channel, has 10 or 12
-            that
-            were not scaled to 16, or its digest differs from `digest`.
+            that were not scaled to 16, or its digest differs from `digest`.
     """
     header = read_header(path, name, limits)
     if header.bits not in (8, 16):

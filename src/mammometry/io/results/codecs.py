@@ -1,19 +1,15 @@
 """Write and read products, each in the format of its kind (docs/session-folder.md).
 
 ====================  =========================================================================================
-product               files
-====================  =========================================================================================
-cameras               cameras.json: per camera K, dist, R, t, image_size, std
-foreground,           one float32 TIFF of several pages each, deflated (`formats`)
-disparity, range,
-valid
-mesh                  mesh.ply: binary, mm, world; provenance, sigma_mm, pairs, red, green, blue a vertex
-boundaries            boundaries.json, which a session may also bring; and .npz
-model                 model.glb, model.obj (.mtl, .jpg): the viewing mesh; and .npz
-landmarks,            landmarks.json, symmetry.json, dimensions.json; and .npz
-symmetry, dimensions
-measurement           measurement.json, NAME.ply (the closed solid); and .npz
-all others            .npz, deflated: arrays, and ``tree``, UTF-8 JSON that says how they belong together; long ones
+product               files ====================
+========================================================================================= cameras
+cameras.json: per camera K, dist, R, t, image_size, std foreground,           one float32 TIFF of several pages each,
+deflated (`formats`) disparity, range, valid mesh                  mesh.ply: binary, mm, world; provenance, sigma_mm,
+pairs, red, green, blue a vertex boundaries            boundaries.json, which a session may also bring; and .npz model
+model.glb, model.obj (.mtl, .jpg): the viewing mesh; and .npz landmarks,            landmarks.json, symmetry.json,
+dimensions.json; and .npz symmetry, dimensions measurement           measurement.json, NAME.ply (the closed solid); and
+.npz all others            .npz, deflated: arrays, and ``tree``, UTF-8 JSON that says how they belong together; long
+ones
                       are laid out for it (`packed`)
 ====================  =========================================================================================
 

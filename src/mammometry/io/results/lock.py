@@ -30,8 +30,7 @@ class RunLock:
     """The system's lock on a file.
 
     The lock is released when its process dies. On disks without locks a marker file names process and host. It is
-    removed
-    if its process was on this computer and has died.
+    removed if its process was on this computer and has died.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""The part of a cluttered scene that is worth matching finely."""
+"""Crop a cluttered scene to the part that is matched finely."""
 
 import numpy as np
 from scipy import ndimage
@@ -9,20 +9,19 @@ from mammometry.matching.dense.least_squares_step import DOUBTED_DEVIATION_PX, B
 from mammometry.matching.foreground.block_segmentation import large_parts
 from mammometry.matching.pyramid import Level, finer_mask
 
-_REACH_PX = 8  # around what the coarsest level matched, its pixels: one window; chosen by eye
-_SMALLEST_PART = 0.05  # of the largest matched part; the rest is clutter; chosen by eye
-_MOSTLY = 0.6  # matched share of the masks above which nothing is cut: a subject, not a scene; chosen by eye
+_REACH_PX = 8  # margin around the matches of the coarsest level, its pixels: one window
+_SMALLEST_PART = 0.05  # smallest part, as a share of the largest matched one; the rest is clutter
+_MOSTLY = 0.6  # matched share of the masks above which nothing is cropped: it is a subject, not a scene
 
 Window = tuple[slice, slice]
 """Rows and columns."""
 
 
 def worth_matching(matches: Both[Estimate], masks: Both[Bool[Array, "h w"]]) -> tuple[Both[Bool[Array, "h w"]], Window]:
-    """Part of the coarsest level that is kept for the finer ones.
+    """Masks of the coarsest level that are kept for finer levels, and their rows and columns.
 
-    The masks, and the rows and columns that hold them. Where both pictures show one subject, these are the masks
-    themselves. In a cluttered scene most pixels have no partner; there only the surroundings of those that found one
-    are kept.
+    If both images show one subject, these are the masks themselves. In a cluttered scene most pixels have no match;
+    then only the surroundings of matched pixels are kept.
     """
     kept = [
         mask & match.plausible & (match.variance < DOUBTED_DEVIATION_PX**2)
@@ -45,7 +44,7 @@ def worth_matching(matches: Both[Estimate], masks: Both[Bool[Array, "h w"]]) -> 
 
 
 def at_level(window: Window, steps: int, shape_hw: tuple[int, int]) -> Window:
-    """A window in the pixels of a finer level. It is `steps` finer, and its image has the given shape."""
+    """A window in the pixels of a level that is `steps` finer and whose image has the given shape."""
     return (
         slice(window[0].start << steps, min(window[0].stop << steps, shape_hw[0])),
         slice(window[1].start << steps, min(window[1].stop << steps, shape_hw[1])),
@@ -60,9 +59,9 @@ def whole_window(mask: Bool[Array, "h w"]) -> Window:
 def cut_levels(
     images: tuple[Both[Level], ...], kept: Both[Bool[Array, "h w"]], window: Window
 ) -> tuple[Both[Level], ...]:
-    """Cut both pictures' levels to a window of the coarsest one.
+    """Crop both images' levels to a window of the coarsest one, fine to coarse.
 
-    Fine to coarse. The masks kept of the coarsest are imposed on all.
+    The masks kept on the coarsest level apply to all levels.
     """
     made: list[Both[Level]] = []
     for steps, (left, right) in enumerate(reversed(images)):
@@ -78,7 +77,7 @@ def _cut(level: Level, mask: Bool[Array, "h w"], part: Window) -> Level:
 
 
 def cut_solved(solved: Solved, window: Window, level: int) -> Solved:
-    """A level's results within a window of it. Both images are cut alike, so the shifts stay as they are."""
+    """A level's results within a window. Both images are cropped alike, so shifts are unchanged."""
 
     def one(match: Estimate) -> Estimate:
         return Estimate(

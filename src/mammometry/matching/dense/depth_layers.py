@@ -1,9 +1,8 @@
-"""Windows that hold one layer of depth.
+"""Windows restricted to one layer of depth, for depth jumps and where ordinary windows fail.
 
-They are used at chosen pixels: beside depth jumps, and where the ordinary window fails. A window across a depth jump
-mixes two surfaces: its match drifts and is refused, and the smoothing stretches skin from one side to the other. Here
-the sums are taken pixel by pixel over those neighbours whose shift continues the pixel's own. The kernels have NumPy
-twins in the tests, as those of `correlate` have.
+A window across a depth jump mixes two surfaces: its match drifts and is rejected, and smoothing stretches skin across
+the jump. Here sums include only neighbours whose shift continues the pixel's own. NumPy versions of the kernels are in
+the tests.
 """
 
 import numpy as np
@@ -12,25 +11,25 @@ from mammometry.base.machine.compiled import fast_kernel, kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Int64
 from mammometry.matching.correlation_kernels import shift_of_sums
 
-_JUMP_PX = 1.5  # within 3 × 3 pixels; skin that is as steep as that is never matched; prototypes on rendered captures
-_FEWEST_CONNECTED = 10  # pixels; smaller jumps are noise; chosen by eye
-_SAME_LAYER_PX = np.float32(1.0)  # by which a neighbour on the same layer may miss the pixel's tangent; chosen by eye
-_SAME_LAYER_SLOPE = np.float32(0.12)  # … and by so much more a pixel of distance; chosen by eye
-_LANES = 8  # float32 numbers that a processor adds at once: window rows are read in multiples of it
+_JUMP_PX = 1.5  # within 3 × 3 pixels; skin that steep is never matched; from prototypes on rendered captures
+_FEWEST_CONNECTED = 10  # pixels; smaller jumps are noise
+_SAME_LAYER_PX = np.float32(1.0)  # largest deviation of a neighbour on the same layer from the pixel's tangent
+_SAME_LAYER_SLOPE = np.float32(0.12)  # … plus this per pixel of distance
+_LANES = 8  # float32 numbers per vector instruction: window rows are read in multiples of it
 
 
 def beside_jump(shift: Float32[Array, "h w"], mask: Bool[Array, "h w"], reach_px: int) -> Bool[Array, "h w"]:
-    """Pixels within `reach_px` of a jump of the shift, inside the mask."""
+    """Pixels in the mask within `reach_px` of a jump of the shift."""
     return discs(without_specks(jumps(shift, mask), _FEWEST_CONNECTED), reach_px)
 
 
 @fast_kernel
 def jumps(shift: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
-    """Pixels whose 3 × 3 masked neighbours' shifts are too far apart for one surface."""
+    """Pixels whose 3 × 3 masked neighbours' shifts differ too much for one surface."""
     height, width = shift.shape
     out = np.zeros((height, width), dtype=np.bool_)
     limit, far = np.float32(_JUMP_PX), np.float32(1e9)
-    # Lowest and highest shift of three masked neighbours along each of three rows, which take turns.
+    # Lowest and highest shift of three masked neighbours along each of three rows.
     line = np.empty((2, width + 2), dtype=np.float32)
     lowest, highest = np.empty((3, width), dtype=np.float32), np.empty((3, width), dtype=np.float32)
     line[0], line[1] = far, -far
@@ -55,7 +54,7 @@ def jumps(shift: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> Bool[Array,
 
 @kernel
 def without_specks(marks: Bool[Array, "h w"], fewest: int) -> Bool[Array, "h w"]:
-    """The marks in groups of at least `fewest`. Marks touch at sides or corners."""
+    """Remove groups of fewer than `fewest` marks. Marks are connected at sides or corners."""
     height, width = marks.shape
     out = marks.copy()
     waiting = marks.copy()
@@ -84,7 +83,7 @@ def without_specks(marks: Bool[Array, "h w"], fewest: int) -> Bool[Array, "h w"]
 
 @kernel
 def discs(seeds: Bool[Array, "h w"], radius: int) -> Bool[Array, "h w"]:
-    """Pixels not farther than `radius` from a seed."""
+    """Pixels within `radius` of a seed."""
     height, width = seeds.shape
     out = np.zeros((height, width), dtype=np.bool_)
     for i in range(height):
@@ -99,7 +98,7 @@ def discs(seeds: Bool[Array, "h w"], radius: int) -> Bool[Array, "h w"]:
 
 @fast_kernel
 def _tangent(layers, i, j):  # type: ignore[no-untyped-def]
-    """Slopes of the shift at a pixel, along columns and rows. Each is taken from the flatter side."""
+    """Slopes of the shift at a pixel, along columns and rows, each from the flatter side."""
     height, width = layers.shape
     here = layers[i, j]
     before = here - layers[i, j - 1] if j > 0 else layers[i, j + 1] - here
@@ -119,11 +118,10 @@ def layered_least_squares(
     taps: Float32[Array, " taps"],
     floor: float,
 ) -> Float32[Array, "4 n"]:
-    """`least_squares` at chosen pixels, on the pixel's own layer only.
+    """`least_squares` at chosen pixels (rows and columns), with weight only on the pixel's own layer.
 
-    Pixels are rows and columns; neighbours on other layers have no weight. `images` are its first four arguments.
-    `layers` is the shift that tells the layers apart: a neighbour belongs to the pixel's where it continues the pixel's
-    tangent.
+    `images` are the first four arguments of `least_squares`. `layers` is the shift that distinguishes layers: a
+    neighbour belongs to the pixel's layer if it continues the pixel's tangent.
 
     Returns the shift, correlation, window's mass and shift's variance of each chosen pixel.
     """
@@ -133,7 +131,7 @@ def layered_least_squares(
     count = taps.shape[0]
     radius = count // 2
     read = _LANES * ((count + _LANES - 1) // _LANES)
-    # Of each column of a window, and of a few beyond, which have no tap: distance, tap, and the most that it may miss.
+    # For each column of a window, and a few more without a tap: distance, tap, and largest allowed deviation.
     wide = radius + count + _LANES
     right = np.empty(wide, dtype=np.float32)
     along_row = np.empty(wide, dtype=np.float32)
@@ -157,7 +155,7 @@ def layered_least_squares(
         x, column_taps = right[window], along_row[window]
         m = mr = mg = mrr = mrg = mgg = ml = mlr = mlg = mll = np.float32(0.0)
         top, bottom = max(0, i - radius), min(height, i + radius + 1)
-        for a in range(top, bottom, 2):  # two rows at a time: what a row costs beyond its sums is as much as they
+        for a in range(top, bottom, 2):  # two rows at a time: a row's overhead is as large as its sums
             e = min(a + 1, height - 1)
             tap_a, tap_e = taps[a - i + radius], taps[a + 1 - i + radius] if a + 1 < bottom else np.float32(0.0)
             tangent_a = layers[i, j] + across * np.float32(a - i)
@@ -165,7 +163,7 @@ def layered_least_squares(
             layer_a, layer_e, given_a, given_e = layers[a, part], layers[e, part], weight[a, part], weight[e, part]
             here_a, here_e, there_a, there_e = here[a, part], here[e, part], there[a, part], there[e, part]
             slope_a, slope_e = slope[a, part], slope[e, part]
-            # No branch in this loop, and its sums in registers: so it is compiled to vector instructions.
+            # No branch in this loop, and its sums in registers, so that it is vectorised.
             for b in range(x.shape[0]):
                 tangent = tangent_a + along * x[b]
                 w = given_a[b] * column_taps[b] * tap_a

@@ -1,9 +1,10 @@
 """Dense least squares on one pyramid level (paper 2.3, Eq. 1).
 
-Both directions, with smoothing between the steps. Least squares with a free gain and offset maximises exactly the
-correlation of Eq. 1, and does it sub-pixel. The *shift* of a direction is where its pixel is found in the other image:
-right = left + shift, so the left image's shift is minus the disparity. Both directions obey the same code, each in a
-thread of its own (the kernels release the lock). `choose_levels` says which levels are matched, in how many steps.
+In both directions, with smoothing between the steps. Least squares with a free gain and offset maximises exactly the
+correlation of Eq. 1, with sub-pixel resolution. The *shift* of a direction is the match's column in the other image
+minus the pixel's own: right = left + shift, so the left image's shift is minus the disparity. Both directions use the
+same code, each in its own thread (kernels release the GIL). `choose_levels` chooses which levels are matched, in how
+many steps.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,57 +34,58 @@ from mammometry.matching.semiglobal import span_px
 from mammometry.matching.settings import MatchSettings
 
 FINEST_SPAN_PX = 800.0
-"""Subject size (root of its area, pixels) above which a level is not matched from both pictures: on the photograph's
-own pixels optics leave little. One level coarser only left matches are made, which coarser right ones check. So
-semi-global matching starts at half of it at most; at a quarter, folds and arms are taken for one surface."""
+"""Subject size (root of its area, pixels) above which a level is not matched from both images: at full resolution
+optics leave little detail. One level coarser, only left matches are computed and checked by coarser right ones. So
+semi-global matching starts at half of this size at most; at a quarter, folds and arms would be matched as one
+surface."""
 
 _FIRST_STEPS, _FURTHER_STEPS, _LAST_STEPS = 5, 4, 2
-"""Least-squares steps on the coarsest, the middle and the last level solved from both pictures.
+"""Least-squares steps on the coarsest, the middle and the last level matched from both images.
 
-An error left on a coarse level is twice as many pixels on the next. Once it exceeds the texture's grain it stays
-(docs/decisions/0015).
+An error remaining on a coarse level has twice as many pixels on the next. Once it exceeds the texture's grain it
+remains (docs/decisions/0015).
 """
-_SMALLEST_SPAN_PX = 24  # about three windows; chosen by eye
-_CALM_SPAN_PX = 230  # a larger subject starts a level coarser: the finest one's noise made plaster_b's start err (0015)
-_SOFT_SPAN_PX = 150  # of a soft subject on its finest level: a smaller one's windows span too much of it; by eye
-_FINEST_LEVEL = 1  # of a large subject: optics leave little on the photograph's own pixels
+_SMALLEST_SPAN_PX = 24  # about three windows
+_CALM_SPAN_PX = 230  # larger subjects start one level coarser, because of the finest level's noise (docs\
+_SOFT_SPAN_PX = 150  # smallest size of a blurred subject on its finest level: windows cover too much of smaller ones
+_FINEST_LEVEL = 1  # of a large subject: optics leave little detail at full resolution
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LevelWork:
-    """Work on one level that both pictures solve."""
+    """Work on one level that is matched from both images."""
 
     level: int
-    """Halvings of the rectified pictures."""
+    """Halvings of the rectified images."""
     steps: int
     """Least-squares steps."""
     last: bool
-    """Whether it is the last level solved from both pictures: it takes one step more, with wide windows."""
+    """Whether it is the last level matched from both images: it has one more step, with wide windows."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Levels:
-    """Levels of one match, coarse to fine. Level 0 is the rectified picture, each next one half of it."""
+    """Levels of one match, coarse to fine. Level 0 is the rectified image, the next have half the size."""
 
     coarsest: int
-    """The semi-global start is made here."""
+    """Level of the semi-global start."""
     last_both: int
-    """Finest level solved from both pictures. Below it, only the left one is refined."""
+    """Finest level matched from both images. Finer ones are refined from the left one only."""
     finest: int
 
     def both(self) -> list[LevelWork]:
-        """Work of the levels that both pictures solve."""
+        """Work of the levels that are matched from both images."""
         return [
             LevelWork(level=level, steps=self._steps(level), last=level == self.last_both)
             for level in range(self.coarsest, self.last_both - 1, -1)
         ]
 
     def left_only(self) -> range:
-        """Levels on which only the left picture is refined."""
+        """Levels on which only the left image is refined."""
         return range(self.last_both - 1, self.finest - 1, -1)
 
     def share_done(self, level: int) -> float:
-        """Progress, 0…1, once a level finer than the coarsest is done."""
+        """Progress, 0…1, when a level finer than the coarsest is done."""
         return 0.9 - 0.6 * (level - self.finest) / (self.coarsest - self.finest)
 
     def _steps(self, level: int) -> int:
@@ -93,12 +95,12 @@ class Levels:
 
 
 def choose_levels(pair_name: str, masks: Sequence[Bool[Array, "h w"]], *, empty: int = 0) -> Levels:
-    """Choose the levels by the size of the smaller subject and the sharpness of the softer picture.
+    """Choose the levels by the size of the smaller subject and the sharpness of the more blurred image.
 
     Args:
-        pair_name: for the message.
-        masks: the subject's pixels in both pictures.
-        empty: finest levels in which one of the pictures holds no details (`sharpness`): only noise is there.
+        pair_name: for messages.
+        masks: the subject's pixels in both images.
+        empty: number of finest levels in which an image has no details (`sharpness`), only noise.
 
     Raises:
         MatchingError: a subject is too small to be matched.
@@ -118,44 +120,44 @@ def choose_levels(pair_name: str, masks: Sequence[Bool[Array, "h w"]], *, empty:
 
 
 SMOOTHING_PX = (2.5, 4.0, 6.4, 10.2)
-"""Gaussian σ of the final plane fits, pixels of the finest level, fine to coarse. Each pixel takes a finer one as far
-as noise allows."""
-AGREEMENT_PX = 1.0  # between the two directions, for a match to count in the smoothing; chosen by eye
-_START_DEVIATION_PX = 0.5  # of the semi-global start, pixels of its level; chosen by eye
-_YIELDS_AT = 4.0  # times the known match's standard deviation: a finer match less certain is dropped; chosen by eye
-_COARSE_SMOOTHING_PX = 2.5  # σ of the plane fits between the steps: a window's own
+"""Gaussian σ of the final plane fits, pixels of the finest level, fine to coarse. Each pixel uses the finest that its
+noise allows."""
+AGREEMENT_PX = 1.0  # largest difference between the directions for a match to be used in smoothing
+_START_DEVIATION_PX = 0.5  # standard deviation of the semi-global start, pixels of its level
+_YIELDS_AT = 4.0  # ratio to the coarser match's standard deviation above which a finer match is replaced by it
+_COARSE_SMOOTHING_PX = 2.5  # σ of the plane fits between the steps: that of a window
 LAST_SMOOTHING_PX = 4.5  # … on the last level; 3.5 px was worse on the torso by a twentieth (docs/decisions/0015)
 _DETAIL_FACTOR = 2.75
-"""Ratio to the noise variance of its difference from the next one, above which a finer final smoothing is used. 3, 4
-and 6 measured worse (docs/decisions/0015)."""
+"""Ratio to the noise variance of its difference from the next coarser one, above which a finer final smoothing is used.
+3, 4 and 6 gave worse results (docs/decisions/0015)."""
 
 _T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LevelStart:
-    """Start of a level in one direction: semi-global, or the coarser level's matches."""
+    """Start of a level in one direction: the semi-global result or the coarser level's matches."""
 
     shift: Float32[Array, "h w"]
     """Pixels of this level."""
     correlation: Float32[Array, "H W"]
     """c of Eq. 1, −1…1."""
     variance: Float32[Array, "H W"]
-    """Of the shift, px² of this level."""
+    """Variance of the shift, px² of this level."""
     plausible: Bool[Array, "H W"]
-    """What the coarser level accepted."""
+    """Accepted on the coarser level."""
     halved: int
-    """1 if everything but the shift is at the coarser level's pixels, else 0."""
+    """1 if everything but the shift is on the coarser level's pixels, otherwise 0."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solved:
-    """A level's result."""
+    """Result of a level."""
 
     matches: Both[Estimate]
-    """The last step's."""
+    """Matches of the last step."""
     shifts: Both[Float32[Array, "h w"]]
-    """Smoothed. On the finest level those that the last step started from."""
+    """Smoothed. On the finest level: the start of the last step."""
     vertical: Vertical
 
 
@@ -175,7 +177,7 @@ def solve_level(
 ) -> Solved:
     """Improve both directions' shifts on one level, with smoothing.
 
-    On the last level one step more is made, with wide windows, which only there pay: `finally_smoothed` follows it.
+    The last level has one more step with wide windows, followed by `finally_smoothed`.
     """
     sigma = settings.window_sigma_px
     left, right = both(pool, prepare_side, (images[0], aligned(vertical, images[1], work.level)), (sigma, sigma))
@@ -197,14 +199,14 @@ def solve_level(
                 right = prepare_side(aligned(refined, images[1], work.level), sigma)
             vertical = refined
         if work.last or index < work.steps - 1:
-            del matches  # before the next ones are made: they are what takes the memory
+            del matches  # freed before the next ones are computed: they are large
     if work.last:
         matches = _stepped((left, right), shifts, known, settings, pool, widely=True)
     return Solved(matches=matches, shifts=shifts, vertical=vertical)
 
 
 def initial(shifts: Both[Float32[Array, "h w"]], masks: Both[Bool[Array, "h w"]]) -> Both[LevelStart]:
-    """The semi-global start, for least squares to compete with."""
+    """The semi-global start, with which least squares competes."""
 
     def one(here: int) -> LevelStart:
         shift = shifts[here]
@@ -220,7 +222,7 @@ def initial(shifts: Both[Float32[Array, "h w"]], masks: Both[Bool[Array, "h w"]]
 
 
 def upsampled(solved: Solved, agreement_px: float, shape_hw: tuple[int, int]) -> Both[LevelStart]:
-    """A level's result for the next finer level. Its smoothed fields, their uncertainty, what it accepted."""
+    """A level's result for the next finer level: smoothed fields, their uncertainty, accepted matches."""
     (left, right), (ours, theirs) = solved.matches, solved.shifts
     return (
         upsampled_start(left, ours, agreeing(ours, theirs, agreement_px), shape_hw),
@@ -231,10 +233,7 @@ def upsampled(solved: Solved, agreement_px: float, shape_hw: tuple[int, int]) ->
 def upsampled_start(
     matches: Estimate, shift: Float32[Array, "h w"], agrees: Bool[Array, "h w"], shape_hw: tuple[int, int]
 ) -> LevelStart:
-    """One direction's result for the next finer level.
-
-    `agrees` says where the other direction confirms `shift`.
-    """
+    """One direction's result for the next finer level. `agrees`: the other one confirms `shift`."""
     return LevelStart(
         shift=finer_shift(shift, shape_hw),
         correlation=matches.correlation,
@@ -253,7 +252,7 @@ def _stepped(
     *,
     widely: bool,
 ) -> Both[Estimate]:
-    """One least-squares step of both directions. What fails yields to what is known."""
+    """One least-squares step of both directions. Failed matches are replaced by known ones."""
     sigma = settings.window_sigma_px
 
     def one(here: Side, there: Side, shift: Float32[Array, "h w"]) -> Estimate:
@@ -267,7 +266,7 @@ def _stepped(
 
 
 def judged(ours: Estimate, agrees: Bool[Array, "h w"], known: LevelStart) -> Estimate:
-    """Replace what fails, or disagrees, by what is known. The arrays are changed in place."""
+    """Replace failed or disagreeing matches by known ones. The arrays are changed in place."""
     plausible = np.logical_and(ours.plausible, agrees, out=agrees)
     fine = (ours.shift, ours.step, ours.correlation, ours.variance, plausible)
     compete(fine, known.shift, known.correlation, known.variance, known.plausible, known.halved, _YIELDS_AT)
@@ -277,9 +276,9 @@ def judged(ours: Estimate, agrees: Bool[Array, "h w"], known: LevelStart) -> Est
 def finally_smoothed(
     found: Estimate, mask: Bool[Array, "h w"], before: Float32[Array, "h w"], settings: MatchSettings
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
-    """A direction's shifts and their expected variances.
+    """A direction's smoothed shifts and their expected variances.
 
-    Smoothed at each pixel as finely as noise allows. `before` is what the last step started from.
+    Each pixel is smoothed as finely as its noise allows. `before` is the start of the last step.
     """
     return adaptively_smooth(
         found.shift,

@@ -1,7 +1,7 @@
 """One least-squares step of one direction, and kernels that compare both directions.
 
-The step works in bands of rows, so that what it needs beyond its result stays small. Both directions must agree, a fine
-match competes with the coarse one, and the smoothing weighs by certainty.
+The step works in bands of rows, to limit memory. Both directions must agree, a fine match competes with the coarse one,
+and smoothing is weighted by certainty.
 """
 
 from dataclasses import dataclass
@@ -17,18 +17,15 @@ from mammometry.matching.dense.depth_layers import beside_jump, layered_least_sq
 from mammometry.matching.filters import blur, gaussian_taps
 from mammometry.matching.pyramid import Level
 
-_DOUBTED_WEIGHT = np.float32(0.02)  # of a match that failed: it only bridges gaps; chosen by eye
-_LEAST_VARIANCE_PX2 = np.float32(0.01**2)  # keeps one very sure match from outweighing all others; chosen by eye
-LARGEST_STEP_PX = 1.0  # beyond, the linear model of a window does not hold; chosen by eye
+_DOUBTED_WEIGHT = np.float32(0.02)  # of a failed match: it only fills gaps
+_LEAST_VARIANCE_PX2 = np.float32(0.01**2)  # lower limit, so that no single match dominates
+LARGEST_STEP_PX = 1.0  # the linear model of a window is not valid for larger steps
 LARGEST_VARIANCE_PX2 = np.float32(LARGEST_STEP_PX**2)
 
 
 @fast_kernel
 def agreeing(ours: Float32[Array, "h w"], theirs: Float32[Array, "h w"], limit: float) -> Bool[Array, "h w"]:
-    """Mask of the pixels at which both directions agree.
-
-    A pixel that goes to the other image and back lands nearer to itself than the limit, pixels.
-    """
+    """Mask of the pixels that map to the other image and back to within the limit, pixels."""
     height, width = ours.shape
     out = np.zeros((height, width), dtype=np.bool_)
     largest = np.float32(limit)
@@ -71,11 +68,10 @@ def compete(
     halved: int,
     yields_at: float,
 ) -> None:
-    """Put the known match where the fine one fails.
+    """Replace a fine match by the known one where it fails or its deviation is `yields_at` times larger.
 
-    It also takes the place of a fine one whose deviation is `yields_at` times larger. `fine` are shift, step,
-    correlation, variance and whether plausible, changed in place; of the known ones all but the shift lie on a grid
-    that is halved so many times, 0 or 1, between whose pixels they are interpolated.
+    `fine` are shift, step, correlation, variance and whether plausible, changed in place. The known values other than
+    the shift are on a grid that is halved 0 or 1 times, and are interpolated.
     """
     fine_shift, fine_step, fine_correlation, fine_variance, fine_plausible = fine
     height, width = shift.shape
@@ -100,7 +96,7 @@ def compete(
 def smoothing_weights(
     variance: Float32[Array, "h w"], plausible: Bool[Array, "h w"], mask: Bool[Array, "h w"]
 ) -> Float32[Array, "h w"]:
-    """Weights in the smoothing: 1/variance, little for failed matches, 0 outside the mask."""
+    """Weights in the smoothing: 1/variance, small for failed matches, 0 outside the mask."""
     height, width = variance.shape
     out = np.empty((height, width), dtype=np.float32)
     for i in range(height):
@@ -113,31 +109,31 @@ def smoothing_weights(
 
 
 LEAST_CORRELATION = 0.3
-"""Correlation below which a match is rejected (c of Eq. 1). It shows how much noise there is, not how far the match is
-off: accepted matches must still agree both ways and be certain enough."""
-LEAST_MASS = 0.3  # of the window inside both subjects; chosen by eye
-FLAT_DEVIATION = 0.002  # luma (0…1) within a window: half a step of 8 bit; below, too flat to match
+"""Correlation below which a match is rejected (c of Eq. 1). It shows the amount of noise, not the match's error:
+accepted matches must also agree in both directions and be certain enough."""
+LEAST_MASS = 0.3  # smallest part of the window inside both subjects
+FLAT_DEVIATION = 0.002  # luma (0…1) in a window, half a step of 8 bit: below it, too flat to match
 _BAND_ROWS = 192  # bounds memory: a full-size torso under a gigabyte (docs/decisions/0020)
-_WIDER = 2.0  # times the window, where the ordinary one fails: weak texture, dark folds (docs/decisions/0015)
-_WIDE_YIELDS_AT = 3.0  # times the wide window's standard deviation; chosen by eye
-DOUBTED_DEVIATION_PX = 0.3  # expected of a match: above, the wide window is tried, too (docs/decisions/0015)
-_HIGH_PASS = 2.0  # times the window's σ; σ 3, 5 and 10 px were compared (docs/decisions/0015, Whitening)
+_WIDER = 2.0  # width of the wide window, for weak texture and dark folds (docs/decisions/0015)
+_WIDE_YIELDS_AT = 3.0  # ratio to the wide window's standard deviation above which the ordinary match is replaced
+DOUBTED_DEVIATION_PX = 0.3  # expected deviation above which the wide window is used too (docs/decisions/0015)
+_HIGH_PASS = 2.0  # in window σ; σ of 3, 5 and 10 px were compared (docs/decisions/0015, Whitening)
 
 _T = TypeVar("_T")
 Both: TypeAlias = tuple[_T, _T]
-"""Of the left image and of the right one."""
+"""Values of the left and the right image."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Side:
-    """One image of the pair on one level, prepared."""
+    """One image of the pair on one level, prepared for matching."""
 
     image: Float32[Array, "h w"]
     """High-passed luma."""
     coefficients: Float32[Array, "h w"]
-    """Its cubic B-spline coefficients along the rows."""
+    """Cubic B-spline coefficients along the rows."""
     mask: Bool[Array, "h w"]
-    """The subject."""
+    """The subject's pixels."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -147,7 +143,7 @@ class Estimate:
     shift: Float32[Array, "h w"]
     """Column of each pixel's match in the other image minus its own. Pixels of the level."""
     step: Float32[Array, "h w"]
-    """The last change of it."""
+    """Its change in the last step."""
     correlation: Float32[Array, "h w"]
     """c of Eq. 1 before that change, −1…1."""
     variance: Float32[Array, "h w"]
@@ -158,20 +154,20 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Warp:
-    """Values that the bands of one step have in common."""
+    """Values shared by the bands of one step."""
 
     here: Side
     there: Side
     shift: Float32[Array, "h w"]
-    """Of the whole image, before the step."""
+    """Shift of the whole image before the step."""
     ratio: float
-    """How much steeper the other image is, see `slope_ratio`."""
+    """Factor by which the other image is steeper, see `slope_ratio`."""
     beside: Bool[Array, "h w"]
-    """Pixels beside a jump of depth."""
+    """Pixels near a depth jump."""
 
 
 def prepare_side(level: Level, sigma_px: float) -> Side:
-    """An image high-passed for windows of σ `sigma_px`, and its spline."""
+    """High-pass an image for windows of σ `sigma_px`, and compute its spline."""
     image = blur(level.image, gaussian_taps(_HIGH_PASS * sigma_px))
     np.subtract(level.image, image, out=image)
     coefficients = ndimage.spline_filter1d(image, order=3, axis=1, mode="mirror", output=np.float32)
@@ -179,10 +175,10 @@ def prepare_side(level: Level, sigma_px: float) -> Side:
 
 
 def step(here: Side, there: Side, shift: Float32[Array, "h w"], sigma_px: float, *, widely: bool) -> Estimate:
-    """Improve a direction's shifts by least squares once.
+    """Improve a direction's shifts by one least-squares step.
 
-    Beside jumps of depth only neighbours on the pixel's own layer count. Where the match fails or is uncertain a window
-    of twice the width is tried, too, if `widely`.
+    Near depth jumps only neighbours on the pixel's own layer are used. With `widely`, a window of twice the width is
+    also used where the match fails or is uncertain.
     """
     height, width = shift.shape
     warp = _Warp(
@@ -259,7 +255,7 @@ def _pixels(where: Bool[Array, "h w"]) -> tuple[Int64[Array, " n"], Int64[Array,
 
 
 def _take_better(found: Estimate, wide: Estimate, where: Any) -> None:
-    """Take the wide window's matches at pixels where ordinary ones fail or are far less certain."""
+    """Replace ordinary matches by the wide window's where they fail or are much less certain."""
     better = wide.plausible & (~found.plausible[where] | (_WIDE_YIELDS_AT**2 * wide.variance < found.variance[where]))
     chosen = tuple(index[better] for index in where)
     for name in Estimate.__dataclass_fields__:

@@ -1,8 +1,8 @@
 """Dense correspondence of a rectified pair (paper 2.3, Eq. 1).
 
-The last levels of a large subject are matched from the left picture alone (`refined`). The right picture's matches
-check them. For that the coarser level's are exact enough: this saves half of the time and of the memory where most is
-needed. The work goes in bands of rows, each from its first step to its final smoothing.
+The last levels of a large subject are matched from the left image alone (`refined`) and checked with the right image's
+matches of a coarser level, which are accurate enough: this saves half of the time and of the peak memory. The work is
+done in bands of rows, each from its first step to its final smoothing.
 """
 
 from concurrent.futures import Executor, ThreadPoolExecutor
@@ -64,93 +64,92 @@ DIRECTIONS_APART_PX = 0.5
 _BAND_ROWS = 384  # bounds memory: a full-size torso under a gigabyte (docs/decisions/0020)
 _HALO_ROWS = 64  # even; 4.4 σ of two passes of the widest smoothing
 SEARCH_SHARE = 0.25
-"""Range of the search, as a share of the subject's width, to either side of the shift between both silhouettes."""
+"""Search range to either side of the shift between both silhouettes, as a share of the subject's width."""
 ERODE_PX = 2
-"""Pixels taken off the silhouette before matching. They are mixed with the backdrop and would spoil the rim."""
+"""Pixels removed from the silhouette's border before matching. They are mixed with the background."""
 LARGEST_SIGMA_PX = 1.0
 """Standard deviation of one window's match above which it is rejected, pixels of the finest level. Half of it where
-noise does not explain what gain and offset leave over."""
-_SIGMA_SCALE = 1.8  # expected σ over the smoothing's; captures of two renderers (error / σ in docs/decisions/0015)
-_SIGMA_SLOPE = 1.0  # … and so much more by slope²
-_DOUBT_SLOPE = 4.0  # a window on steep skin is doubted sooner, by 1 + 4·slope²; chosen by eye
-_LAST_STEP_PX = LARGEST_STEP_PX / 2  # a match that still moves by more has not settled
-_D_H_STEP_PX = 2.0**-8  # of what is handed on: its rounding has a σ of .0011 px, matching .019 at least (0039)
-_D_V_STEP_PX = 2.0**-10  # finer: medians are taken of it, which find what moved
+noise does not explain the residual after gain and offset."""
+_SIGMA_SCALE = 1.8  # expected σ over the smoothing's; from captures of two renderers (error / σ in docs/decisions/0015)
+_SIGMA_SLOPE = 1.0  # … plus this times slope²
+_DOUBT_SLOPE = 4.0  # factor 1 + 4·slope² on the deviation of a window on steep skin
+_LAST_STEP_PX = LARGEST_STEP_PX / 2  # a match that still moves by more has not converged
+_D_H_STEP_PX = 2.0**-8  # step of the stored values: its rounding has a σ of 0.0011 px, matching at least 0.019 (docs\
+_D_V_STEP_PX = 2.0**-10  # finer, since its medians are used to detect motion
 _CONFIDENCE_STEP = 2.0**-7  # shown with two decimals
-_ISLAND_WINDOWS = 4  # of a Gaussian window's area, 4πσ²: smaller islands are not believed (docs/decisions/0015)
+_ISLAND_WINDOWS = 4  # in areas of a Gaussian window, 4πσ²: smaller islands are rejected (docs/decisions/0015)
 
 
 @value(eq=False)
 class DisparityMap:
-    """Place of each left pixel in the right image: (u, v) → (u − d_h, v − d_v)."""
+    """Match of each left pixel in the right image: (u, v) → (u − d_h, v − d_v)."""
 
     name: str
     left: Camera
-    """Ideal rectified camera at the map's resolution: pixels are the map's."""
+    """Ideal rectified camera at the map's resolution."""
     right: Camera
-    """Its partner with the same resolution and orientation. Only the principal column differs."""
+    """Its partner at the same resolution and orientation. Only the principal column differs."""
     d_h_px: Float32[Array, "h w"]
     """Horizontal disparity u_left − u_right, in steps of 2^-8. 0 where not valid."""
     d_v_px: Float32[Array, "h w"]
-    """Vertical disparity v_left − v_right, ~0 if the calibration is right, in steps of 2^-10. 0 where not valid."""
+    """Vertical disparity v_left − v_right, near 0 if the calibration is right, in steps of 2^-10. 0 where not valid."""
     confidence: Float32[Array, "h w"]
-    """Zero-mean normalised cross-correlation c(i, j) of the matched windows, −1…1, in steps of 2^-7.
-
-    0 where not valid.
-    """
+    """Zero-mean normalised cross-correlation c(i, j) of the matched windows, −1…1, in steps of 2^-7. 0 where not
+    valid."""
     sigma_px: Float32[Array, "h w"]
-    """Expected standard deviation of d_h_px, six binary digits of it. 0 where not valid."""
+    """Expected standard deviation of d_h_px, rounded to six binary digits. 0 where not valid."""
     valid: Bool[Array, "h w"]
     weak: Bool[Array, "h w"]
-    """Subject whose texture is too weak for a sure match, matched or not."""
+    """Parts of the subject whose texture is too weak for a reliable match, matched or not."""
     halvings: int = 0
-    """From the rectified pair's pixels to the map's: 1 where one of the map is two of theirs."""
+    """Resolution relative to the rectified pair: 1 if a pixel of the map is two of the pair's."""
 
     @property
     def pair_px(self) -> float:
-        """Pixels of the rectified pair in one of the map."""
+        """Pixels of the rectified pair per pixel of the map."""
         return 2.0**self.halvings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Refined:
-    """The left picture's matches on one level, and the right one's, to check them."""
+    """The left image's matches on one level, and the right image's to check them."""
 
     matches: Estimate
-    """The last step's."""
+    """Matches of the last step."""
     shift: Float32[Array, "h w"]
-    """Finally smoothed, pixels of the level."""
+    """After the final smoothing, pixels of the level."""
     variance: Float32[Array, "h w"]
-    """Expected of it, px² of the level."""
+    """Expected variance of the shift, px² of the level."""
     other: Float32[Array, "h w"]
-    """The right picture's shift after the last level matched from both and final smoothing, pixels of this level."""
+    """The right image's shift from the last level matched from both, after the final smoothing, pixels of this
+    level."""
     halvings: int
-    """How many levels coarser that one was."""
+    """Number of levels by which that one was coarser."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Start:
-    """Pyramids and first disparities, from which matching starts."""
+    """Pyramids and initial disparities, from which matching starts."""
 
     levels: Levels
     images: tuple[Both[Level], ...]
-    """Both pictures on each level, fine to coarse."""
+    """Both images on each level, fine to coarse."""
     known: Both[LevelStart]
-    """The semi-global start of the coarsest level."""
+    """Semi-global start of the coarsest level."""
     vertical: Vertical
-    """None of it known yet."""
+    """Vertical disparity, unknown at the start."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SolvedBoth:
-    """Result of the levels that both pictures solve."""
+    """Result of the levels that are matched from both images."""
 
     images: tuple[Both[Level], ...]
-    """Levels cut to the window: the last one solved, and before it those refined from the left picture only."""
+    """Levels cropped to the window: the last one matched, preceded by those refined from the left image only."""
     matches: Refined
     vertical: Vertical
     window: Window
-    """Part of the picture in use: rows and columns of the coarsest level."""
+    """Part of the image in use: rows and columns of the coarsest level."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -159,16 +158,16 @@ class Finest:
 
     levels: Levels
     image: Level
-    """The left picture."""
+    """The left image."""
     matches: Refined
     vertical: Vertical
     window: Window
-    """Part of the picture used: rows and columns of the coarsest level."""
+    """Part of the image in use: rows and columns of the coarsest level."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AcceptedMatches:
-    """The finest level and what to trust of it. Not yet 0 where not valid."""
+    """The finest level's accepted matches. Invalid ones are not zeroed yet."""
 
     shift: Float32[Array, "h w"]
     """−d_h, pixels of the level."""
@@ -188,10 +187,10 @@ def match(
 
     Finds d_H and d_V that maximise the correlation of the local areas around each left pixel.
 
-    1. `prepare`: image pyramids of the subject, and semi-global matching of 3 × 3 neighbourhoods where it is small.
-    2. `coarse_to_fine`: dense least squares with free gain and offset in Gaussian windows, on the image warped by the
-       whole field, in both directions (of a large subject's last level in one); plane smoothing between the steps.
-    3. `finish`: what to believe, and the map at the resolution asked for.
+    1. `prepare`: image pyramids of the subject, and semi-global matching of 3 × 3 neighbourhoods on the coarsest level.
+    2. `coarse_to_fine`: dense least squares with free gain and offset in Gaussian windows on the warped image, in both
+       directions (on a large subject's last levels in one), with plane smoothing between the steps.
+    3. `finish`: acceptance of matches, and the map at the requested resolution.
 
     Pixels of the rectified pair.
 
@@ -199,7 +198,7 @@ def match(
         MatchingError: a mask is empty, or nothing could be matched.
     """
     with ThreadPoolExecutor(2) as pool:
-        # No names in between: what a phase has used up is freed.
+        # Intermediate results have no names, so that they are freed early.
         result = finish(
             pair, coarse_to_fine(prepare(pair, settings, pool, progress), settings, pool, progress), settings, pool
         )
@@ -211,7 +210,7 @@ def match(
 
 
 def prepare(pair: RectifiedPair, settings: MatchSettings, pool: Executor, progress: Progress) -> Start:
-    """Build both pictures' levels, and start on the coarsest one."""
+    """Build both images' levels, and match the coarsest one."""
     masks = [_eroded(mask, ERODE_PX) for mask in (pair.left_mask, pair.right_mask)]
     pictures = (pair.left_image, pair.right_image)
     empty = max(both(pool, empty_levels, pictures, (masks[0], masks[1])))
@@ -238,7 +237,7 @@ def prepare(pair: RectifiedPair, settings: MatchSettings, pool: Executor, progre
 
 
 def _eroded(mask: Bool[Array, "h w"], pixels: int) -> Bool[Array, "h w"]:
-    """Take the rim off a mask. Pixels within so many steps of it, along rows and columns."""
+    """Remove a mask's border: pixels within `pixels` steps along rows and columns."""
     for _ in range(pixels):
         smaller = np.zeros_like(mask)
         middle = mask[1:-1, 1:-1]
@@ -251,10 +250,7 @@ def _eroded(mask: Bool[Array, "h w"], pixels: int) -> Bool[Array, "h w"]:
 
 
 def coarse_to_fine(begun: Start, settings: MatchSettings, pool: Executor, progress: Progress) -> Finest:
-    """Solve the levels, coarse to fine.
-
-    First those of both pictures, then the left picture's matches alone are refined on those that are left.
-    """
+    """Solve the levels, coarse to fine: first from both images, then refined from the left one."""
     found = _solve_both(begun, settings, pool, progress)
     images, vertical, matches = found.images, found.vertical, found.matches
     for level in begun.levels.left_only():
@@ -265,7 +261,7 @@ def coarse_to_fine(begun: Start, settings: MatchSettings, pool: Executor, progre
 
 
 def _solve_both(begun: Start, settings: MatchSettings, pool: Executor, progress: Progress) -> SolvedBoth:
-    """Solve all levels of both pictures, a cluttered scene cut to the subject after the coarsest."""
+    """Solve all levels matched from both images; a cluttered scene is cropped to the subject after the coarsest."""
     first, *further = begun.levels.both()
     images = begun.images
     solved = solve_level(images[-1], first, begun.known, begun.vertical, settings, pool)
@@ -294,7 +290,7 @@ def _solve_both(begun: Start, settings: MatchSettings, pool: Executor, progress:
 def refined(
     images: Both[Level], coarse: Refined, vertical: Vertical, level: int, settings: MatchSettings, pool: Executor
 ) -> Refined:
-    """The left picture's matches on the next finer level, by two steps."""
+    """The left image's matches on the next finer level, by two steps."""
     shape = images[0].mask.shape
     sigma = settings.window_sigma_px
     limit = DIRECTIONS_APART_PX * 2**coarse.halvings
@@ -341,7 +337,7 @@ def _side(side: Side, rows: slice) -> Side:
 
 
 def _rows(known: LevelStart, rows: slice) -> LevelStart:
-    """Some rows of what a level of half as many knows. The first row is even."""
+    """Some rows of the start from a level of half as many rows. The first row is even."""
     half = slice(rows.start // 2, (rows.stop + 1) // 2)
     return LevelStart(
         shift=known.shift[rows],
@@ -356,10 +352,10 @@ def _rows(known: LevelStart, rows: slice) -> LevelStart:
 
 
 def finish(pair: RectifiedPair, found: Finest, settings: MatchSettings, pool: Executor) -> DisparityMap:
-    """Decide which matches to accept, and return the map. The map has the requested resolution."""
+    """Decide which matches are accepted, and return the map at the requested resolution."""
     levels, window = found.levels, found.window
     trusted = _accept(pair.name, found, settings, pool)
-    del found  # of a full-size pair 50 MB, while as much again is made
+    del found  # 50 MB for a full-size pair, and as much is allocated next
     finest_hw = _level_shape(pair, levels.finest)
     part = at_level(window, levels.coarsest - levels.finest, finest_hw)
     left, right = pair.left, pair.right
@@ -404,7 +400,7 @@ def finish(pair: RectifiedPair, found: Finest, settings: MatchSettings, pool: Ex
 
 
 def requirements(found: Finest, settings: MatchSettings) -> dict[str, Bool[Array, "h w"]]:
-    """What a match must meet to be accepted, each with the pixels of the finest level that meet it."""
+    """Requirements on a match, each with the mask of the finest level's pixels that meet it."""
     fine, matches, window = found.matches, found.matches.matches, settings.window_sigma_px
     doubted = matches.variance * unexplained(found.image, matches, window)
     return {
@@ -417,23 +413,23 @@ def requirements(found: Finest, settings: MatchSettings) -> dict[str, Bool[Array
 
 
 def _accept(name: str, found: Finest, settings: MatchSettings, pool: Executor) -> AcceptedMatches:
-    """Accept matches that correlate, have settled, agree in both directions, and are certain."""
+    """Accept matches that correlate, have converged, agree in both directions, and are certain."""
     matches, shift, sigma = found.matches.matches, found.matches.shift, found.matches.variance
     window = settings.window_sigma_px
     too_weak = pool.submit(weak_texture, found.image, matches, window, LARGEST_SIGMA_PX)
     met = requirements(found, settings)
     steep = squared_slope(shift)
-    weak = too_weak.result()  # before the correlation is changed
+    weak = too_weak.result()  # before the correlation changes
     valid = np.logical_and.reduce(list(met.values()))
-    # What noise alone lets agree are small islands, most often beyond an outline; they hold too little to be confirmed.
+    # Random agreement gives small islands, usually outside an outline, which are too small to be confirmed.
     valid = without_specks(valid, round(_ISLAND_WINDOWS * 4 * np.pi * window**2))
     if not valid.any():
         raise MatchingError(
             f"pair {name}",
-            found="no point that both pictures show alike",
+            found="no matching points in the two images",
             expected="the same textured skin in both",
-            remedy="Look at the subject's outlines in both, and give a mask where one is wrong. If both are right, "
-            "check that the photographs are sharp, of one moment, and of the cameras named",
+            remedy="Check the subject's outline in both images, and draw a mask if one is wrong. If both are right, "
+            "check that the photographs are in focus, from one exposure, and have the right camera names",
         )
     np.sqrt(sigma, out=sigma)
     steep *= np.float32(_SIGMA_SLOPE)

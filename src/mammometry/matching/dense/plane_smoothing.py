@@ -1,7 +1,7 @@
-"""Edge-preserving smoothing of disparity fields that keeps curvature and crosses no gaps.
+"""Edge-preserving smoothing of disparity fields that keeps curvature and does not cross gaps.
 
-Planes are fitted in windows; beside a jump a window is chosen. As those of `correlation_kernels` the kernels work on
-C-contiguous float32 arrays, release the interpreter's lock and have NumPy twins in the tests.
+Planes are fitted in windows; near a jump another window is chosen. The kernels work on C-contiguous float32 arrays,
+release the GIL and have NumPy versions in the tests.
 """
 
 import numpy as np
@@ -10,13 +10,12 @@ from mammometry.base.machine.compiled import fast_kernel, kernel
 from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
 from mammometry.matching.filters import blur, double, from_blocks, gaussian_taps, pull, push
 
-_TILE_COLUMNS = 128  # a tile's sums fit a processor's nearest cache
-_DAMPING = np.float32(0.02)  # of the window's own spread, added to that of the data: bounds one-sided slopes
-"""Damping of the plane fits. A tenth of it left the rim unchanged (docs/decisions/0015, last lines of its second
-table)."""
-# Vertical sums of w, wy, wy², wd, wdy, wd²; of each, where its horizontal sums with 1, x and x² go (−1: not wanted).
+_TILE_COLUMNS = 128  # a tile's sums fit into the L1 cache
+_DAMPING = np.float32(0.02)  # share of the window's spread added to that of the data: limits one-sided slopes
+"""Damping of the plane fits. A tenth of it did not change the border (docs/decisions/0015, end of its second table)."""
+# Vertical sums of w, wy, wy², wd, wdy, wd²; positions of their horizontal sums with 1, x and x² (−1: not needed).
 _HORIZONTAL = ((0, 0, 1, 2), (1, 3, 4, -1), (2, 5, -1, -1), (3, 6, 7, -1), (4, 8, -1, -1), (5, 9, -1, -1))
-_BETTER = np.float32(0.25)  # of its own scatter: a window that gains less is not exchanged; chosen by eye
+_BETTER = np.float32(0.25)  # smallest gain, relative to a window's own scatter, for which another one is chosen
 _OFFSETS = np.array([(0, 0), (-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)], dtype=np.int64)
 
 
@@ -27,11 +26,11 @@ def plane_fit(
     taps: Float32[Array, " taps"],
     planes: Float32[Array, "5 h w"],
 ) -> None:
-    """Plane fitted around each pixel, window `taps` ⊗ `taps` times `weights`.
+    """Fit a plane around each pixel, in the window `taps` ⊗ `taps` times `weights`.
 
-    Written to `planes` are its value at the pixel, its slopes along u and v, the variance of the values about it, and
-    the window's mass; all are 0 where nothing has weight. Where the neighbours lie on one side only, the slopes are
-    damped, so that the plane does not run away.
+    Writes to `planes` its value at the pixel, its slopes along u and v, the variance of the values about it, and the
+    window's mass; all are 0 without weight. Slopes are damped, so that they stay small if the neighbours are on one
+    side only.
     """
     height, width = values.shape
     count = taps.shape[0]
@@ -45,18 +44,19 @@ def plane_fit(
         square[k] = along[k] * np.float32(k - radius)
         spread += square[k]
     damping = _DAMPING * spread
-    # The window is symmetric: neighbours at equal distance on either side are added, or subtracted, first.
-    # Vertical sums: weight × (1, y, y²), weighted value × (1, y), weighted square; then ten horizontal ones. Done in
-    # tiles of columns, whose sums stay in the processor's nearest memory, and not where nothing has weight.
+    # The window is symmetric: neighbours at equal distances are added or subtracted first. Vertical sums: weight × (1,
+    # y,
+    # y²), weighted value × (1, y), weighted square; then ten horizontal ones. They are computed in tiles of columns,
+    # whose sums stay in the L1 cache; tiles without weight are skipped.
     columns = np.zeros((6, _TILE_COLUMNS + 2 * radius), dtype=np.float32)
     sums = np.zeros((10, _TILE_COLUMNS), dtype=np.float32)
-    nothing = np.zeros(_TILE_COLUMNS + 2 * radius, dtype=np.float32)  # beyond the first and the last row
+    nothing = np.zeros(_TILE_COLUMNS + 2 * radius, dtype=np.float32)  # for rows outside the image
     for left in range(0, width, _TILE_COLUMNS):
         inner = min(_TILE_COLUMNS, width - left)
         first, last = max(0, left - radius), min(width, left + inner + radius)
         wide = last - first
         columns[:] = np.float32(0.0)
-        # Rows taken one by one are contiguous to the compiler, which then adds eight pixels at once.
+        # Separate rows are contiguous for the compiler, which then adds eight pixels at once.
         start = first - left + radius
         c0, c1, c2 = columns[0, start:], columns[1, start:], columns[2, start:]
         c3, c4, c5 = columns[3, start:], columns[4, start:], columns[5, start:]
@@ -84,7 +84,7 @@ def plane_fit(
                     c5[j] += t0 * (d * below[j] + other_d * above[j])
             if columns[0].max() <= np.float32(1e-9):
                 continue
-            # Of each vertical sum, its horizontal ones: plain, and weighted by the distance or by its square.
+            # Horizontal sums of each vertical one: plain, and weighted by the distance or its square.
             for source, plain, first_moment, second_moment in _HORIZONTAL:
                 line, total = columns[source], sums[plain]
                 middle = line[radius:]
@@ -108,7 +108,7 @@ def plane_fit(
                         t2, before, after = square[radius + k], line[radius - k :], line[radius + k :]
                         for j in range(_TILE_COLUMNS):
                             total[j] += t2 * (after[j] + before[j])
-            for j in range(_TILE_COLUMNS):  # the results overwrite sums, whose place the loop has passed
+            for j in range(_TILE_COLUMNS):  # the results overwrite sums that are no longer needed
                 m = sums[0, j]
                 known = m > np.float32(1e-9)
                 scale = np.float32(1.0) / (m if known else np.float32(1.0))
@@ -136,10 +136,10 @@ def plane_fit(
 def choose_windows(
     planes: Float32[Array, "5 h w"], values: Float32[Array, "h w"], reach: int, jump: float, least_mass: float
 ) -> UInt8[Array, "h w"]:
-    """Beside a jump, choose a window on the pixel's own side.
+    """Choose a window on the pixel's own side of a jump.
 
-    0 is its own, 1 … 8 those around it. Only windows whose values scatter by more than `jump` about their plane are
-    exchanged. The best one has little scatter, and a plane that meets the pixel's own value.
+    0 is its own, 1 … 8 are those around it. Only windows whose values scatter by more than `jump` about their plane are
+    replaced. The best one has little scatter and a plane that fits the pixel's own value.
     """
     height, width = values.shape
     choice = np.zeros((height, width), dtype=np.uint8)
@@ -168,7 +168,7 @@ def choose_windows(
 
 @kernel
 def evaluate_planes(planes: Float32[Array, "5 h w"], choice: UInt8[Array, "h w"], reach: int) -> Float32[Array, "h w"]:
-    """Value at each pixel of the plane of its window."""
+    """Value at each pixel of its chosen window's plane."""
     height, width = choice.shape
     out = planes[0].copy()
     for i in range(height):
@@ -183,16 +183,16 @@ def evaluate_planes(planes: Float32[Array, "5 h w"], choice: UInt8[Array, "h w"]
     return out
 
 
-_JUMP_PX = 0.5  # scatter about the plane above which a window is taken to straddle a jump; chosen by eye
-_BAND_ROWS = 256  # bounds memory
-_WINDOW_MOVE = 2.0  # times σ: where a moved window no longer holds the pixel's other side; chosen by eye
-_NARROWEST_PX = 2.0  # σ of a window for which samples a pixel apart are enough (docs/decisions/0020: σ 4 on blocks)
-_NOISE_PX = 4.0  # Gaussian σ over which variances are averaged; chosen by eye
-_ENOUGH_MASS = 1e-6  # of a window whose full mass is that of unit weights scaled to a median of 1
+_JUMP_PX = 0.5  # scatter about the plane above which a window crosses a jump
+_BAND_ROWS = 256  # limits memory
+_WINDOW_MOVE = 2.0  # in σ: at this distance a window no longer contains the jump's other side
+_NARROWEST_PX = 2.0  # σ from which samples at a distance of one pixel are enough (docs/decisions/0020: σ 4 on blocks)
+_NOISE_PX = 4.0  # Gaussian σ over which variances are averaged
+_ENOUGH_MASS = 1e-6  # smallest mass of a window, with weights scaled to a median of 1
 
 
 def fill(values: Float32[Array, "h w"], weights: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
-    """Fill pixels of weight 0 from ever wider surroundings (push–pull)."""
+    """Fill pixels of weight 0 from increasingly wide surroundings (push–pull)."""
     known = weights > 0
     if known.all() or not known.any():
         return values
@@ -210,12 +210,13 @@ def smooth(
 ) -> Float32[Array, "h w"]:
     """Fit a plane in a Gaussian window around each pixel, twice.
 
-    The smoothed residual is added back, which restores curvature. Plain smoothing pulls convex skin inwards (a bias of
-    depth); the second pass removes all but the fourth order of it. Beside a jump of depth the window moves to the
-    pixel's own side. Pixels without any weighted neighbour are filled from wider surroundings.
+    The smoothed residual is added back, which restores curvature. A single smoothing pulls convex skin inwards (a bias
+    of depth); the second pass leaves only fourth-order terms. Near a depth jump the window moves to the pixel's own
+    side. Pixels without any weighted neighbour are filled from wider surroundings.
 
-    Wide windows are fitted to the means of blocks of pixels, at an eighth of the work. `near` is a smooth field not far
-    from the values: within a block only what differs from it is averaged, so that unequal weights on slopes do no harm.
+    Wide windows are fitted to means of blocks of pixels, in an eighth of the time. `near` is a smooth field close to
+    the
+    values: within a block only differences from it are averaged, so that unequal weights on slopes cause no bias.
     """
     if near is not None and sigma_px / 2 >= _NARROWEST_PX and min(values.shape) > 2:
         coarse_near, _ = pull(near, np.ones_like(near))
@@ -230,7 +231,7 @@ def smooth(
     result = np.empty_like(values)
     known = np.empty(values.shape, dtype=np.float32)
     halo = 2 * (len(taps) // 2 + reach)
-    for top in range(0, height, _BAND_ROWS):  # the planes of the whole image would take five times its memory
+    for top in range(0, height, _BAND_ROWS):  # planes of the whole image would need five times its memory
         bottom = min(top + _BAND_ROWS, height)
         read = slice(max(0, top - halo), min(height, bottom + halo))
         inner = slice(top - read.start, bottom - read.start)
@@ -239,7 +240,7 @@ def smooth(
         plane_fit(band, band_weights, taps, planes)
         choice = choose_windows(planes, band, reach, _JUMP_PX, enough)
         once = evaluate_planes(planes, choice, reach)
-        plane_fit(band - once, band_weights, taps, planes)  # the masses stay what they were
+        plane_fit(band - once, band_weights, taps, planes)  # the masses are unchanged
         once += evaluate_planes(planes, choice, reach)
         result[top:bottom] = once[inner]
         known[top:bottom] = planes[4, inner] > enough
@@ -255,16 +256,16 @@ def adaptively_smooth(
     factor: float,
     near: Float32[Array, "h w"] | None = None,
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
-    """`smooth` at several scales, as finely as noise allows.
+    """`smooth` at several scales, each pixel as finely as its noise allows.
 
-    From the coarsest on, a finer one counts as far as it exceeds noise. `variance` is that of `values`, whose noise is
-    correlated over the Gaussian window of σ `window_sigma_px`. A finer smoothing differs from the next coarser by
-    relief and by noise; of the difference D the share 1 − factor·noise/D² is kept (a Wiener filter). D² is averaged
-    over the coarser scale: a narrower mean would hold too few independent values. Variances and shares vary slowly:
-    they are computed for blocks of 2 × 2 pixels.
+    From the coarsest scale on, a finer one is used to the extent that it exceeds noise. `variance` is that of `values`,
+    whose noise is correlated over the Gaussian window of σ `window_sigma_px`. A finer smoothing differs from the next
+    coarser by relief and noise; the share 1 − factor·noise/D² of the difference D is kept (a Wiener filter). D² is
+    averaged over the coarser scale, since a narrower mean would contain too few independent values. Variances and
+    shares vary slowly and are computed for blocks of 2 × 2 pixels.
 
-    Returns the smoothed field and its expected variance: the noise that the smoothings let through, and of the relief
-    the part that is not kept.
+    Returns the smoothed field and its expected variance: the remaining noise plus the part of the relief that is not
+    kept.
     """
     height, width = values.shape
     known = (weights > 0).astype(np.float32)
@@ -295,7 +296,7 @@ def adaptively_smooth(
 
 
 def smoothed_noise(scale_px: float, window_sigma_px: float) -> float:
-    """Variance of smoothed noise. The noise has variance 1 and is correlated by the matching window."""
+    """Variance of smoothed noise of variance 1 that is correlated by the matching window."""
     return _noise(_smoothing_gain(scale_px), window_sigma_px)
 
 
@@ -305,7 +306,7 @@ def difference_noise(fine_px: float, coarse_px: float, window_sigma_px: float) -
 
 
 def _smoothing_gain(scale_px: float) -> Float64[Array, "n n"]:
-    # With equal weights a plane fit is the Gaussian mean G; twicing makes it 2 G − G².
+    # With equal weights a plane fit is the Gaussian mean G; applied twice it is 2 G − G².
     mean = np.outer(_response(scale_px), _response(scale_px))
     return np.asarray(2 * mean - mean**2)
 
@@ -316,7 +317,7 @@ def _noise(gain: Float64[Array, "n n"], window_sigma_px: float) -> float:
 
 
 def _response(sigma_px: float) -> Float64[Array, " n"]:
-    """Fourier transform of the Gaussian window along a row. For the frequencies 0 … 1 cycle a pixel."""
+    """Fourier transform of the Gaussian window along a row, for frequencies of 0 … 1 cycle per pixel."""
     taps = gaussian_taps(sigma_px).astype(np.float64)
     radius = len(taps) // 2
     signal = np.zeros(256)

@@ -1,9 +1,9 @@
-"""The vertical disparity that an imperfect calibration leaves after rectification.
+"""Vertical disparity that remains after rectification with an imperfect calibration.
 
-With the right calibration it is zero; what remains is the calibration's own alarm (paper 2.3). It is d_v(u, v) at the
-*right* image's position u and the common row v, so that the right image can be brought onto the left one's rows by
-resampling. Here it is one quadratic polynomial, estimated from all pixels at once: it varies slowly over the picture.
-`FreeVertical` has it free at each pixel, as Eq. 1 is printed.
+With the right calibration it is zero, so it also shows errors of the calibration (paper 2.3). It is d_v(u, v) at the
+*right* image's column u and the common row v, so that the right image can be resampled onto the left one's rows. Here
+it is one quadratic polynomial, estimated from all pixels at once, since it varies slowly. `FreeVertical` has a free
+value at each pixel, as in Eq. 1.
 """
 
 from __future__ import annotations
@@ -40,28 +40,28 @@ from mammometry.matching.dense.plane_smoothing import smooth
 from mammometry.matching.filters import blur, gaussian_taps
 from mammometry.matching.pyramid import Level, finer_shift
 
-_HARMLESS_PX = 0.1  # of a level's pixels; a vertical error of that size leaves d_h as it is (docs/decisions/0011)
-_STEEPEST = 0.25  # change of the shift a pixel; on steeper skin errors of smoothing look vertical (docs/decisions/0011)
-_FEWEST_PIXELS = 400  # thirty for each of thirteen unknowns
-_ENOUGH_PIXELS = 20_000  # 1,500 for each of thirteen unknowns; chosen by eye, bounds time
-_BAND_ROWS = 128  # bounds memory
-_CALM_PX = 1.0  # Gaussian σ over which pictures and slopes are averaged first; chosen by eye
-_LARGEST_SLOPE_RESIDUAL = 3.0  # times the median residual: beyond, a pixel tells nothing; chosen by eye
-_USUAL_PX = 0.5  # of each coefficient, in a level's pixels: what is left after the levels before
-_SHARED_PX2 = 25  # area that shares one error, since neighbours share a matching window
-_SMALL_STEP_PX = 0.3  # a match that still moves by more says nothing about the rows; chosen by eye
+_HARMLESS_PX = 0.1  # pixels of a level; vertical errors of this size do not change d_h (docs/decisions/0011)
+_STEEPEST = 0.25  # change of the shift per pixel; on steeper skin smoothing errors look vertical (docs/decisions/0011)
+_FEWEST_PIXELS = 400  # 30 for each of 13 unknowns
+_ENOUGH_PIXELS = 20_000  # 1,500 for each of 13 unknowns; limits time
+_BAND_ROWS = 128  # limits memory
+_CALM_PX = 1.0  # Gaussian σ over which images and slopes are averaged first
+_LARGEST_SLOPE_RESIDUAL = 3.0  # in median residuals: pixels beyond it are not used
+_USUAL_PX = 0.5  # prior standard deviation of each coefficient, pixels of a level: the remainder of earlier levels
+_SHARED_PX2 = 25  # area with a common error, since neighbours share a matching window
+_SMALL_STEP_PX = 0.3  # matches that still move by more are not used
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LevelState:
-    """A level when the vertical disparity is refined on it."""
+    """State of a level when the vertical disparity is refined on it."""
 
     level: int
-    """Halvings of the rectified pictures."""
+    """Halvings of the rectified images."""
     sides: Both[Side]
-    """The right one aligned by the vertical disparity known so far."""
+    """The right image aligned by the vertical disparity known so far."""
     matches: Both[Estimate]
-    """The last step's."""
+    """Matches of the last step."""
     shifts: Both[Float32[Array, "h w"]]
     """Smoothed, pixels of the level."""
     smoothing_px: float
@@ -70,26 +70,26 @@ class LevelState:
 
 @runtime_checkable
 class Vertical(Protocol):
-    """A vertical disparity, and how matching refines it. d_v = v_left − v_right over the right image."""
+    """A vertical disparity that matching refines. d_v = v_left − v_right over the right image."""
 
     refinements: ClassVar[int]
-    """How many of a level's last steps refine it."""
+    """Number of a level's last steps that refine it."""
 
     def matters(self, level: int) -> bool:
-        """Whether a level's right image is better resampled by it."""
+        """Whether resampling a level's right image is worthwhile."""
 
     def at(self, u: Float32[Array, "h w"], level: int) -> Float32[Array, "h w"]:
-        """d_v at columns u of the right image, on every row. Pixels of the level."""
+        """d_v at columns u of the right image, on every row, pixels of the level."""
 
     def cut(self, window: tuple[slice, slice], level: int) -> Vertical:
-        """Vertical disparity of a part of a level's rows and columns."""
+        """Vertical disparity of a window of a level."""
 
     def refined(self, state: LevelState) -> Vertical:
-        """Add what is left of it after the right image was aligned."""
+        """Add the remainder found after the right image was aligned."""
 
 
 def aligned(vertical: Vertical, right: Level, level: int) -> Level:
-    """Resample the right image so that corresponding points lie on one row."""
+    """Resample the right image so that corresponding points are on one row."""
     if not vertical.matters(level):
         return right
     height, width = right.image.shape
@@ -107,26 +107,26 @@ class VerticalField:
     """The vertical disparity v_left − v_right over the right image, as one quadratic polynomial."""
 
     refinements: ClassVar[int] = 2
-    """Earlier, the shifts still move by more than what is left of d_v."""
+    """Number of refining steps; in earlier ones the shifts still move by more than the remaining d_v."""
     size_wh: tuple[int, int]
-    """Of the rectified image at level 0, pixels."""
+    """Size of the rectified image at level 0, pixels."""
     origin_uv: tuple[int, int] = (0, 0)
-    """First column and row, level 0, of the part in use."""
+    """First column and row of the part in use, level 0."""
     coefficients_px: Float64[Array, " 6"] = field(default_factory=lambda: np.zeros(6))
-    """Coefficients of 1, x, y, x², xy, y², with x and y from −1 to 1 over the image. Pixels of level 0."""
+    """Coefficients of 1, x, y, x², xy, y², with x and y from −1 to 1 over the image, pixels of level 0."""
     limits_px: tuple[float, float] = (0.0, 0.0)
-    """Smallest and largest value supported by matches. The polynomial is held within them."""
+    """Smallest and largest value supported by matches; the polynomial is clamped to them."""
     typical_px: float = 0.0
-    """Median size where matches support it. Its extremes, in the corners, are the least certain."""
+    """Median magnitude where matches support it. Its extremes, in the corners, are the least certain."""
 
     def matters(self, level: int) -> bool:
-        """Whether resampling a level's right image helps more than the estimate's own noise harms."""
+        """Whether resampling a level's right image improves it more than the estimate's noise degrades it."""
         return self.typical_px > _HARMLESS_PX * 2**level
 
     def at(self, u: Float32[Array, "h w"], level: int) -> Float32[Array, "h w"]:
-        """d_v at columns u of the right image, on every row. Pixels of the level."""
+        """d_v at columns u of the right image, on every row, pixels of the level."""
         out = np.empty(u.shape, dtype=np.float32)
-        for top in range(0, u.shape[0], _BAND_ROWS):  # the monomials of the whole image would take six times its memory
+        for top in range(0, u.shape[0], _BAND_ROWS):  # monomials of the whole image would need six times its memory
             band = u[top : top + _BAND_ROWS]
             rows = np.arange(top, top + len(band), dtype=np.float32)[:, None]
             out[top : top + len(band)] = self._polynomial(self.terms_at(band, rows, level))
@@ -135,23 +135,23 @@ class VerticalField:
         return out
 
     def terms_at(self, u: Shaped[Array, "*n"], v: Shaped[Array, "*m"], level: int) -> list[Shaped[Array, "*n"]]:
-        """The six monomials at columns u and rows v of a level. Columns and rows are those of the right image."""
+        """The six monomials at columns u and rows v of a level's right image."""
         x = 2 * ((u + 0.5) * 2**level + self.origin_uv[0]) / self.size_wh[0] - 1
         y = np.broadcast_to(2 * ((v + 0.5) * 2**level + self.origin_uv[1]) / self.size_wh[1] - 1, u.shape)
         return [np.ones_like(x), x, y, x * x, x * y, y * y]
 
     def cut(self, window: tuple[slice, slice], level: int) -> VerticalField:
-        """Vertical disparity in the pixels of a part of the image, by the same polynomial."""
+        """The same polynomial in the pixels of a part of the image."""
         return replace(self, origin_uv=(window[1].start << level, window[0].start << level))
 
     def refined(self, state: LevelState) -> VerticalField:
-        """Add the remaining vertical disparity, from settled left matches. `refine` estimates it."""
+        """Add the remaining vertical disparity, estimated by `refine` from converged left matches."""
         (left, right), found = state.sides, state.matches[0]
         settled = found.plausible & (np.abs(found.step) < _SMALL_STEP_PX)
         return refine(self, left.image, right.coefficients, state.shifts[0], settled, state.level)
 
     def changed(self, coefficients_px: Float64[Array, " 6"], terms: Sequence[Float64[Array, " n"]]) -> VerticalField:
-        """Vertical disparity by other coefficients, supported at points whose monomials are given."""
+        """Vertical disparity with other coefficients, supported at points with the given monomials."""
         moved = replace(self, coefficients_px=coefficients_px)
         values = moved._polynomial(terms)
         return replace(
@@ -170,12 +170,12 @@ def refine(
     trusted: Bool[Array, "h w"],
     level: int,
 ) -> VerticalField:
-    """Add what is left of the vertical disparity.
+    """Add the remaining vertical disparity, after the right image was aligned with `before`.
 
-    After the right image was aligned with `before`. Linear least squares of left ≈ gain·right + vertical slope·δ(x, y)
-    + horizontal slope·ε(x, y) over trusted pixels on a grid, δ and ε quadratic: ε keeps errors of the horizontal shift
-    out of the vertical one. Coefficients are 0 ± half a pixel beforehand: where a strip of skin alone is not steep,
-    it would tell any quadratic beside it.
+    Linear least squares of left ≈ gain·right + vertical slope·δ(x, y) + horizontal slope·ε(x, y) over trusted pixels on
+    a grid, δ and ε quadratic: ε separates errors of the horizontal shift from the vertical one. Coefficients have the
+        prior
+    0 ± half a pixel: a narrow strip of skin would not determine the quadratic outside it.
     """
     height, width = shift.shape
     every = max(1, int(np.sqrt(np.count_nonzero(trusted) / _ENOUGH_PIXELS)))
@@ -195,7 +195,7 @@ def refine(
         return calm_at((rows[part], columns[part]), left, right_coefficients, shift, taps)
 
     target, value, slope, upright = np.concatenate(in_bands(calm, len(rows)), axis=1).astype(np.float64)
-    # The warped image changes along a column by the right image's vertical slope and by the change of the shift.
+    # The warped image changes along a column with the right image's vertical slope and the change of the shift.
     vertical = upright - slope * across
     terms = [term.astype(np.float64) for term in before.terms_at(columns + shift[rows, columns], rows, level)]
     design = np.stack([value, *(vertical * term for term in terms), *(slope * term for term in terms)], axis=1)
@@ -216,25 +216,25 @@ def refine(
 
 @value(eq=False)
 class FreeVertical:
-    """The vertical disparity v_left − v_right at each pixel of the right image, on the level last solved."""
+    """The vertical disparity v_left − v_right at each pixel of the right image, on the last solved level."""
 
     refinements: ClassVar[int] = 100
-    """All of a level's steps: two unknowns each step."""
+    """All steps of a level: two unknowns in each."""
     d_v_px: Float32[Array, "h w"]
     """Pixels of the level, on the left image's rows."""
     level: int
-    """Halvings of the rectified pictures."""
+    """Halvings of the rectified images."""
     window_sigma_px: float
-    """Of the Gaussian window, pixels of each level."""
+    """σ of the Gaussian window, pixels of each level."""
 
     def matters(self, level: int) -> bool:
-        """Whether anything was found yet."""
+        """Whether anything has been found yet."""
         return bool(self.d_v_px.any())
 
     def at(self, u: Float32[Array, "h w"], level: int) -> Float32[Array, "h w"]:
-        """d_v at columns u of the right image, on every row.
+        """d_v at columns u of the right image, on every row, by linear interpolation.
 
-        Linear; pixels of a level that is not coarser than the field's.
+        Pixels of a level that is not coarser than the field's.
         """
         d_v = self.d_v_px
         for finer in range(self.level - 1, level - 1, -1):
@@ -273,10 +273,10 @@ def nothing_yet(shape_hw: tuple[int, int], level: int, window_sigma_px: float) -
 def vertical_step(
     here: Side, there: Side, shift: Float32[Array, "h w"], window_sigma_px: float
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"], Bool[Array, "h w"]]:
-    """Rows by which each window lies lower in the other image.
+    """Rows by which each window is lower in the other image.
 
     Returns v_there − v_here, its variance, and whether the window determines it. Least squares in offset, gain,
-    horizontal and vertical shift; `correlate.least_squares` has all but the last one.
+    horizontal and vertical shift; `correlate.least_squares` has the first three.
     """
     value, slope_u, seen = warp_rows(there.coefficients, there.mask, shift)
     upright = ndimage.correlate1d(there.image, np.array([-0.5, 0.0, 0.5]), axis=0, output=np.float32, mode="nearest")
@@ -300,7 +300,7 @@ def vertical_step(
     flat = np.float32(FLAT_DEVIATION**2)
     determined = inside & filled & (rr >= flat) & (ll >= flat) & (lr > 0)
     rr = np.where(determined, rr, np.float32(1))
-    # What gain and offset explain is taken out first, then what the horizontal shift does.
+    # The part explained by gain and offset is subtracted first, then that of the horizontal shift.
     left_x, left_y = lx - lr * rx / rr, ly - lr * ry / rr
     steep_x, slant, steep_y = xx - rx * rx / rr, xy - rx * ry / rr, yy - ry * ry / rr
     determined &= (steep_x > LEAST_DETERMINED * xx) & (steep_x > 0)

@@ -1,17 +1,16 @@
-"""The subject in all photographs of a capture.
+"""Find the subject in all photographs of a capture.
 
-Coarse depths of all pairs say where it stands, what of each photograph is near, and what it lies on. `segment` and
-`seeded` find it in each. Then the photographs are compared: one subject is seen in all of them. A silhouette that the
-others contradict is not used: everything that its pair sees there is matched, and it carves nothing away.
+Coarse depths of all pairs show where the subject is, what is near in each photograph, and what the subject is on.
+`segment` and `seeded` find it in each. Then the photographs are compared, since all show the same subject. A silhouette
+that contradicts the others is not used: everything that its pair sees is matched, and it does not carve.
 
-A silhouette is doubted only where another explanation of all views is better (`check_masks`):
+A silhouette is rejected only if another explanation of all views is better (`check_masks`):
 
-- What the other silhouettes agree on must lie within it, else it is wrong and they are right. What lies outside them,
-  too, is not the subject: a support, a rail, a hand. It says nothing.
-- Together they must hold a good part of what the pairs see near, apart from a board or table under the subject, else
-  all of them show another thing.
-- What all have in common, their visual hull, must fill each of them: one that is much too large or inverted does not
-  fit.
+- It must contain what the other silhouettes agree on, otherwise it is wrong and they are right. Objects outside the
+  other silhouettes, such as a support, a rail or a hand, do not count.
+- Together they must contain a good part of what the pairs see nearby, apart from a board or table under the subject.
+  Otherwise all of them show something else.
+- Their visual hull must fill each of them: a silhouette that is much too large or inverted does not fit.
 """
 
 from __future__ import annotations
@@ -40,21 +39,21 @@ from mammometry.matching.foreground.foreground import Blocks, blocks_of, subject
 from mammometry.matching.foreground.outlines_first import OF_PARTNER
 from mammometry.matching.settings import ForegroundSettings
 
-_AT_ONCE = 4  # photographs in memory; at full size each has 40 MB
+_AT_ONCE = 4  # photographs in memory at once; 40 MB each at full size
 
 
 @value(eq=False)
 class Subjects:
-    """Place of the subject, and its blocks in each photograph."""
+    """Position of the subject, and its blocks in each photograph."""
 
     middle_world: Float64[Array, 3] | None
-    """Point about which it stands, world frame, mm. None where no pair sees anything."""
+    """Point near its centre, world frame, mm. None if no pair sees anything."""
     blocks: Mapping[str, Bool[Array, "h w"]]
-    """Camera → the subject's blocks. It lacks cameras whose silhouette is not known."""
+    """Camera → the subject's blocks, without cameras whose silhouette is unknown."""
     blind: tuple[str, ...]
-    """Cameras whose silhouette is not known: all that they see may be the subject."""
+    """Cameras whose silhouette is unknown: everything that they see may be the subject."""
     doubts: Mapping[str, str]
-    """Camera → why its silhouette was sought and is not known."""
+    """Camera → reason why its silhouette is unknown."""
 
 
 def find_subjects(
@@ -68,9 +67,9 @@ def find_subjects(
 
     Args:
         rig: calibrated cameras.
-        photographs: camera → its photograph; read when looked up.
+        photographs: camera → its photograph, read on look-up.
         settings: mode and levels.
-        given: camera → the subject's pixels, drawn or segmented elsewhere. Nothing is sought there.
+        given: camera → mask of the subject, drawn or segmented by another program, which is used as it is.
 
     Raises:
         MatchingError: a photograph is black.
@@ -126,7 +125,7 @@ def _depths(rig: Rig, photographs: Mapping[str, Photograph]) -> list[CoarseDepth
 
 
 def _partners(rig: Rig, names: set[str]) -> set[str]:
-    """These cameras and all that pairs tie to them: both pictures of a pair are cut alike."""
+    """These cameras and their partners: both images of a pair are cropped alike."""
     while True:
         more = {name for pair in rig.pair_names.values() if names & set(pair) for name in pair}
         if more <= names:
@@ -134,23 +133,23 @@ def _partners(rig: Rig, names: set[str]) -> set[str]:
         names = names | more
 
 
-# Chosen on the captures of benchmarks.accuracy.foreground; right silhouettes are above .9 in all three.
-_WITHIN = 0.4  # of points of the subject in the picture, that a silhouette must hold at least
-_FEWEST = 150  # of them, fewer tell nothing
-_FILLED = 0.5  # of a silhouette, that the hull must fill at least
-_GRID = 48  # of the hull, along each side
-_MOST = 0.5  # of a cell, that makes it the silhouette's
-_REACH = 0.7  # half the grid's side, of the pictures' height at the subject's middle
+# Chosen on the captures of benchmarks.accuracy.foreground; correct silhouettes are above 0.9 in all three.
+_WITHIN = 0.4  # smallest share of the subject's points in the image that a silhouette must contain
+_FEWEST = 150  # fewest of them for a decision
+_FILLED = 0.5  # smallest share of a silhouette that the hull must fill
+_GRID = 48  # grid points of the hull along each side
+_MOST = 0.5  # share of a cell above which it belongs to the silhouette
+_REACH = 0.7  # half the grid's side, relative to the images' height at the subject's centre
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Checked:
-    """Silhouettes that fit one another, and those that do not."""
+    """Silhouettes that agree with one another, and those that do not."""
 
     masks: Mapping[str, Bool[Array, "h w"]]
-    """Camera → the subject's blocks, without parts that the others contradict."""
+    """Camera → the subject's blocks, without parts that contradict the others."""
     doubts: Mapping[str, str]
-    """Camera → why its silhouette is not one of them."""
+    """Camera → reason why its silhouette is rejected."""
 
 
 def check_masks(
@@ -165,9 +164,9 @@ def check_masks(
     Args:
         rig: calibrated cameras.
         masks: camera → the subject's blocks.
-        steps: camera → pixels to one of its blocks.
-        seen: of each pair, its cameras and points of the working volume that it sees, world frame, mm.
-        middle_world: about which the subject stands, mm.
+        steps: camera → pixels per block.
+        seen: for each pair, its cameras and points of the working volume that it sees, world frame, mm.
+        middle_world: point near the subject's centre, mm.
     """
     doubts = _contradicted(rig, masks, steps, seen)
     left = {name: mask for name, mask in masks.items() if name not in doubts}
@@ -188,12 +187,12 @@ def check_masks(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Looked:
-    """The pairs' points, as one camera sees them."""
+    """The pairs' points, as seen by one camera."""
 
     measured: Bool[Array, " n"]
     """Points of its own pairs."""
     inside: Bool[Array, " n"]
-    """Points in its picture."""
+    """Points in its image."""
     held: Bool[Array, " n"]
     """Points in its silhouette."""
 
@@ -223,10 +222,10 @@ def _contradicted(
     steps: Mapping[str, int],
     seen: Sequence[tuple[Set[str], Float64[Array, "n 3"]]],
 ) -> dict[str, str]:
-    """Silhouettes that lack what the others agree on, the worst first: without it the others may agree on more.
+    """Silhouettes that do not contain what the others agree on, the worst first.
 
-    The partner in a pair does not vote: what misled one mostly misled both. Where the others agree on nothing, as they
-    are wrong as well or are none, all that is near counts.
+    The partner in a pair is not counted: both are usually wrong for the same reason. If the others agree on nothing,
+    everything nearby counts.
     """
     looked = _looked_up(rig, masks, steps, seen)
     doubts: dict[str, str] = {}
@@ -251,7 +250,7 @@ def _contradicted(
 
 
 def _partners_of(rig: Rig, name: str) -> set[str]:
-    """A camera and those that it makes pairs with."""
+    """A camera and its partners."""
     return {name, *(other for pair in rig.pair_names.values() if name in pair for other in pair)}
 
 
@@ -261,7 +260,7 @@ def _incomplete(
     steps: Mapping[str, int],
     seen: Sequence[tuple[Set[str], Float64[Array, "n 3"]]],
 ) -> dict[str, str]:
-    """All silhouettes, where together they leave out most of what is near: they agree on a part of the subject."""
+    """All silhouettes, if together they omit most of what is near: they show only a part of the subject."""
     looked = _looked_up(rig, masks, steps, seen).values()
     if not looked:
         return {}
@@ -270,7 +269,7 @@ def _incomplete(
     judged = seeing > 0
     if np.count_nonzero(judged) < _FEWEST:
         return {}
-    within = (2 * holding >= seeing)[judged].mean()  # of most of them: a rail hides the subject from some
+    within = (2 * holding >= seeing)[judged].mean()  # in most of them: a rail may hide the subject from some
     if within >= _WITHIN:
         return {}
     return dict.fromkeys(
@@ -279,7 +278,7 @@ def _incomplete(
 
 
 def _grid(rig: Rig, middle_world: Float64[Array, 3]) -> Float64[Array, "n 3"]:
-    """A cube about the subject's middle, as large as the pictures there."""
+    """A cube about the subject's centre, as large as the field of view there."""
     heights = [
         float(np.linalg.norm(middle_world - camera.centre_world)) * min(camera.size_wh) / float(camera.matrix[0, 0])
         for camera in rig.cameras.values()
@@ -293,7 +292,7 @@ def _grid(rig: Rig, middle_world: Float64[Array, 3]) -> Float64[Array, "n 3"]:
 def _in_blocks(
     camera: Camera, points_world: Float64[Array, "n 3"], step: int
 ) -> tuple[Array, Array, Bool[Array, " n"]]:
-    """Block's row and column of each point, and whether it lies in the picture."""
+    """Block row and column of each point, and whether it is in the image."""
     uv = camera.project(points_world)
     with np.errstate(invalid="ignore"):
         inside = np.all((uv > -0.5) & (uv < np.array(camera.size_wh) - 0.5), axis=1)
@@ -305,14 +304,14 @@ _Filled = Mapping[str, tuple[Bool[Array, "H W"], Bool[Array, "H W"], int]]
 
 
 def _least(filled: _Filled) -> float:
-    """Share of the silhouette that the hull fills least."""
+    """Smallest share of a silhouette that the hull fills."""
     return min(float(cells[part].mean()) if part.any() else 0.0 for part, cells, _ in filled.values())
 
 
 def _filled(
     masks: Mapping[str, Bool[Array, "h w"]], places: Mapping[str, tuple[Array, Array, Bool[Array, " n"]]]
 ) -> _Filled:
-    """Camera → its silhouette's cells before what other cameras see, cells that the hull fills, blocks to a cell."""
+    """Camera → its silhouette's cells in the others' field of view, cells filled by the hull, blocks per cell."""
     hull, seen = np.ones(_GRID**3, dtype=bool), np.zeros(_GRID**3, dtype=np.int16)
     for name, mask in masks.items():
         rows, columns, inside = places[name]

@@ -1,10 +1,9 @@
-"""Subject against background, block by block.
+"""Subject against background, block by block, by brightness and colour.
 
-By brightness first, then by colour where the two differ in it. Skin and plaster are pale in red light and the backdrop
-is darker: a global threshold between the two finds the subject's core. From it the subject grows into what is brighter
-than all backdrop and, where colour tells the two apart, into what has the subject's colour however little light it
-gets: a shaded flank, the fold below a breast, before a room that is brighter than they are. What is thin (strands of
-hair, a leak into clutter) is cut off again.
+Skin and plaster are pale in red light and the background is darker: a global threshold finds the subject's core. From
+it the subject grows into blocks brighter than all background and, if colour separates the two, into blocks of the
+subject's colour, however dark: a shaded flank, the fold below a breast, in front of a brighter room. Thin parts
+(strands of hair, leaks into clutter) are removed again.
 """
 
 import numpy as np
@@ -13,40 +12,40 @@ from scipy import ndimage
 from mammometry.geometry.arrays import Array, Bool, Float32
 
 BACKGROUND_MARGIN = 1.15
-"""Factor by which a subject pixel's red (sRGB-encoded) exceeds the brightest backdrop. A pixel with the subject's
-colour also counts, in pictures where colour separates the two."""
+"""Factor by which a subject pixel's red (sRGB-encoded) exceeds the brightest background. Pixels of the subject's colour
+also count if colour separates the two."""
 
-# Where no other source is named: chosen by eye on the captures of docs/decisions/0020.
-_RED = 0  # the channel in which skin and plaster are palest
-_SMALLEST_PART = 0.002  # of the largest part's area: smaller ones are specks and not subject
-_GROWTH_ROUNDS = 4  # at most; two are usual
-_FEWEST = 0.002  # of the picture, for a core or a backdrop to be one
-_LEAST_CONTRAST = 1.5  # of the core's red over the rest's
-_TWO_THINGS, _TWO_CLASSES = 1.8, 0.83  # ratio of means and share of variance between; one subject: 1.4, .76 at most
-_BINS, _BIN_SPREAD = 96, 1.2  # of chromaticity along red and green, σ of the counts' blur in bins
-CHROMATICITY = ((0.15, 0.65), (0.15, 0.55))  # of red and of green in all light, encoded: what skin and rooms show
-_RARE = 0.01  # of the commonest colour's frequency: no colour of the subject
-_ALIKE, _UNLIKE = 0.6, 0.35  # share of the core, and at most of the backdrop, that must have the subject's colour
-DARKEST = 0.25  # of the subject's median light (red + green + blue, encoded): darker, colour is noise
-_THIN_PX = 1.6  # half the width of what is cut off, pixels of the reference size
-_INLAY, _SET_IN = 0.05, 0.4  # of the subject's area, at most; of an inlay's border that the subject makes, at least
-_LARGE_HOLE = 0.004  # of the subject: smaller ones are always its own
-_LIKE_BACKDROP = 0.15  # relative difference in red below which a large hole shows the backdrop
+# Without another source: chosen on the captures of docs/decisions/0020.
+_RED = 0  # channel in which skin and plaster are palest
+_SMALLEST_PART = 0.002  # smallest part, relative to the largest one's area: smaller ones are specks
+_GROWTH_ROUNDS = 4  # most rounds; two are usual
+_FEWEST = 0.002  # smallest share of the image for a core or a background
+_LEAST_CONTRAST = 1.5  # smallest ratio of the core's red to the rest's
+_TWO_THINGS, _TWO_CLASSES = 1.8, 0.83  # ratio of means, share of variance between; one subject: at most 1.4, 0.76
+_BINS, _BIN_SPREAD = 96, 1.2  # bins of chromaticity along red and green, and σ of the histogram's blur in bins
+CHROMATICITY = ((0.15, 0.65), (0.15, 0.55))  # range of red's and green's share of all light, encoded, in skin and rooms
+_RARE = 0.01  # relative to the commonest colour's frequency: rarer colours are not the subject's
+_ALIKE, _UNLIKE = 0.6, 0.35  # smallest share of the core, and largest of the background, with the subject's colour
+DARKEST = 0.25  # relative to the subject's median light (red + green + blue, encoded): darker colours are noise
+_THIN_PX = 1.6  # half the width of parts that are removed, pixels of the reference size
+_INLAY, _SET_IN = 0.05, 0.4  # largest area of an inlay in the subject's, smallest share of its border on it
+_LARGE_HOLE = 0.004  # relative to the subject's area: smaller holes are always filled
+_LIKE_BACKDROP = 0.15  # relative difference in red below which a large hole shows the background
 
 
 def segment(encoded: Float32[Array, "h w channels"], unit: float) -> Bool[Array, "h w"] | None:
-    """The subject's blocks, or None where nothing stands out.
+    """The subject's blocks. None if nothing stands out.
 
     Args:
         encoded: means over blocks of sRGB-encoded values, 0…1; one channel or three.
-        unit: blocks to a pixel of the reference size.
+        unit: blocks per pixel of the reference size.
     """
     red = ndimage.gaussian_filter(encoded[..., _RED], 0.7 * unit, mode="nearest")
     threshold = _otsu(red)
     core = large_parts(red > threshold, _SMALLEST_PART)
     if core.any():
         brighter = _otsu(red[core])
-        if _apart(red[core], brighter):  # a dark subject on a board that is itself paler than the dark around it
+        if _apart(red[core], brighter):  # a dark subject on a board that is paler than its surroundings
             threshold = brighter
             core = large_parts(red > threshold, _SMALLEST_PART)
     if not _FEWEST < core.mean() < 1 - 10 * _FEWEST:
@@ -61,14 +60,14 @@ def segment(encoded: Float32[Array, "h w channels"], unit: float) -> Bool[Array,
         coloured &= total > DARKEST * np.median(total[core])
     subject = core
     for _ in range(_GROWTH_ROUNDS):
-        # Well away from what is subject so far, and of another colour: a shaded flank must not raise the level.
+        # Far from the subject found so far, and of another colour: a shaded flank must not raise the threshold.
         backdrop = ~_widened(subject, 8 * unit)
         if coloured is not None:
             backdrop &= ~coloured
         if backdrop.mean() < _FEWEST:
             break
         level = BACKGROUND_MARGIN * float(np.quantile(red[backdrop], 0.999))
-        # Before a backdrop that is nowhere as bright as the core, light alone is proof; elsewhere colour must be.
+        # If the background is nowhere as bright as the core, brightness is enough; otherwise the colour must match.
         like = coloured if coloured is not None and level > threshold else red > min(level, threshold)
         grown = ndimage.binary_propagation(core, mask=like if coloured is None else like | coloured)
         if np.count_nonzero(grown) == np.count_nonzero(subject):
@@ -82,7 +81,7 @@ def segment(encoded: Float32[Array, "h w channels"], unit: float) -> Bool[Array,
 def _coloured_like(
     light: Float32[Array, "h w channels"], core: Bool[Array, "h w"], unit: float
 ) -> Bool[Array, "h w"] | None:
-    """Blocks whose chromaticity is commoner in the core than around. None where colour does not tell."""
+    """Blocks whose chromaticity is commoner in the core than around it. None if colour does not separate them."""
     away = ~_widened(core, 8 * unit)
     if light.shape[2] == 1 or away.mean() < _FEWEST:
         return None
@@ -98,7 +97,7 @@ def _coloured_like(
         return ndimage.gaussian_filter(counts / counts.sum(), _BIN_SPREAD, mode="constant")
 
     subject, rest = frequency(core), frequency(away)
-    # The colours around the commonest one; those set apart from it are another thing's, or an inlay's.
+    # Colours around the commonest one; separate ones belong to another object or an inlay.
     hills, count = ndimage.label((subject > rest) & (subject > _RARE * subject.max()))
     if count == 0:
         return None
@@ -108,11 +107,11 @@ def _coloured_like(
 
 
 def _with_inlays(core: Bool[Array, "h w"], bright: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
-    """The core with small bright patches set in it.
+    """The core with small bright inlays of another colour, such as an areola on the outline.
 
-    They are of other colour: an areola on the outline is no backdrop. One that the core encloses would be filled as a
-    hole; one that the outline cuts has the core on a part of its border only, and as background would carve the breast
-    away. What merely stands beside the subject has less.
+    An inlay inside the core would be filled as a hole. One that is cut by the outline has the core on part of its
+    border only, and as background it would carve the breast away. Objects next to the subject share less of their
+    border.
     """
     labels, _ = ndimage.label(bright & ~core)
     sizes = np.bincount(labels.ravel())
@@ -126,9 +125,9 @@ def _with_inlays(core: Bool[Array, "h w"], bright: Bool[Array, "h w"]) -> Bool[A
 
 
 def _without_thin(subject: Bool[Array, "h w"], core: Bool[Array, "h w"], unit: float) -> Bool[Array, "h w"]:
-    """The subject without strands and leaks: what an opening leaves and is joined to the core."""
+    """The subject without strands and leaks: the parts of its opening that are connected to the core."""
     radius = _THIN_PX * unit
-    # Beyond the frame the subject goes on: what it crops is not thin.
+    # Beyond the frame the subject continues: parts cut by the frame are not thin.
     pad = int(np.ceil(radius)) + 2
     padded = np.pad(subject, pad, mode="edge")
     depth = ndimage.distance_transform_edt(padded)
@@ -141,7 +140,7 @@ def _without_thin(subject: Bool[Array, "h w"], core: Bool[Array, "h w"], unit: f
 def _filled(
     subject: Bool[Array, "h w"], red: Float32[Array, "h w"], backdrop: Bool[Array, "h w"]
 ) -> Bool[Array, "h w"]:
-    """The subject with its holes filled, except those that show the backdrop."""
+    """The subject with its holes filled, except those that show the background."""
     holes = ndimage.binary_fill_holes(subject) & ~subject
     labels, _ = ndimage.label(holes)
     filled = subject | holes
@@ -157,7 +156,7 @@ def _filled(
 
 
 def _otsu(values: Float32[Array, "h w"]) -> float:
-    """Threshold between two classes of largest variance between them (Otsu 1979)."""
+    """Threshold with the largest variance between two classes (Otsu 1979)."""
     counts, edges = np.histogram(values, bins=256)
     centres = (edges[1:] + edges[:-1]) / 2
     below = np.cumsum(counts)[:-1].astype(np.float64)
@@ -169,7 +168,7 @@ def _otsu(values: Float32[Array, "h w"]) -> float:
 
 
 def _apart(values: Float32[Array, " n"], threshold: float) -> bool:
-    """Whether a threshold parts two things: means far apart, with hardly any scatter within."""
+    """Whether a threshold separates two objects: means far apart, with little scatter within each."""
     above = values > threshold
     share = float(above.mean())
     if not _FEWEST < share < 1 - _FEWEST:
@@ -180,7 +179,7 @@ def _apart(values: Float32[Array, " n"], threshold: float) -> bool:
 
 
 def _widened(mask: Bool[Array, "h w"], distance: float) -> Bool[Array, "h w"]:
-    """Blocks not farther than a distance from the mask."""
+    """Blocks within a distance of the mask."""
     if not mask.any():
         return mask
     near: Bool[Array, "h w"] = ndimage.distance_transform_edt(~mask) <= distance
@@ -188,7 +187,7 @@ def _widened(mask: Bool[Array, "h w"], distance: float) -> Bool[Array, "h w"]:
 
 
 def large_parts(mask: Bool[Array, "h w"], least: float) -> Bool[Array, "h w"]:
-    """The connected parts of at least such a share of the largest one."""
+    """Connected parts with at least this share of the largest one's area."""
     labels, count = ndimage.label(mask)
     if count == 0:
         return mask

@@ -1,14 +1,14 @@
-"""The outline of a subject in a photograph.
+"""The outline of a subject in a photograph, to sub-pixel accuracy.
 
-Each profile across it shows where the subject's light ends. A silhouette's own level lies inside or outside the edge by
-as much as the photograph is blurred and the rim is shaded. So brightness, blur and place of the edge are estimated
-together. Across the edge, at the distance x inside it, the photograph shows
+A silhouette at a fixed level is inside or outside the true edge, depending on the photograph's blur and the border's
+shading. So brightness, blur and position of the edge are estimated together. Across the edge, at the distance x inside
+it, the photograph shows
 
     I(x) = A [Φ((x − x₀) / σ) − (1 − a) E(x − x₀)],    E(x) = exp(σ²/2d² − x/d) Φ(x/σ − σ/d),
 
-a step at x₀ that is shaded towards the edge, from A to the share a of it over the depth d, seen through a Gaussian
-blur σ; E is exp(−x/d) inside the edge, blurred likewise. Blur and depth are those of the whole outline, brightness,
-shade and place each point's own.
+a step at x₀ that is shaded towards the edge, from A to a fraction a of it over the depth d, with a Gaussian blur σ; E
+is exp(−x/d) inside the edge, with the same blur. Blur and depth are common to the whole outline; brightness, shade and
+position are estimated for each point.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.nearest import point_tree
 from mammometry.matching.foreground.foreground import Foreground
 
-_TANGENT_STEP = 4  # points of the contour, about a pixel apart, on either side; chosen by eye
-_CONTOUR_POINTS = 700  # at least, where there are as many: bounds time
-_FRAME_BORDER_PX = 2.0  # nearer to the frame a profile is cut off
-_SHARPNESS = 0.3  # of the ordinary edge's steepness; softer is the border of a shadow (docs/decisions/0017); by eye
-_ALONG = 2.0  # Gaussian σ over which profiles are averaged, points of the contour; chosen by eye
-# Grids of the search, in units of the blur of the contour's ordinary profile, which shade makes wider than the
-# photograph's; a place between two of them is found by a parabola.
+_TANGENT_STEP = 4  # contour points (about 1 px) on either side
+_CONTOUR_POINTS = 700  # fewest points, if there are as many; limits time
+_FRAME_BORDER_PX = 2.0  # closer to the frame a profile is incomplete
+_SHARPNESS = 0.3  # of the usual edge's steepness; softer ones are borders of shadows (docs/decisions/0017)
+_ALONG = 2.0  # Gaussian σ over which profiles are averaged, contour points
+# Search grids, in units of the blur of the contour's usual profile, which shading makes wider than the photograph's.
+# Positions between grid points are found by a parabola.
 _WINDOW = np.arange(-3.5, 4.76, 0.25)
 _PLACES = np.arange(-2.0, 2.01, 0.05)
 _BLURS = np.arange(0.5, 1.26, 0.05)
-_DEPTHS = (1.0, 2.0, 4.0)  # of the shade towards the edge, in σ; chosen by eye
-_DARKEST = 0.2  # a, at least: a rim darker than that is taken for no edge; .65 to .95 occur (docs/decisions/0017)
-_FOR_THE_BLUR = 150  # profiles are enough to find what all have in common; bounds time
+_DEPTHS = (1.0, 2.0, 4.0)  # depths of the shading, in σ
+_DARKEST = 0.2  # smallest a: a darker border is not an edge; 0.65 to 0.95 occur (docs/decisions/0017)
+_FOR_THE_BLUR = 150  # profiles are enough for the common parameters; limits time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -48,9 +48,9 @@ class Contour:
     uv: Float64[Array, "n 2"]
     """Pixels."""
     tangent: Float64[Array, "n 2"]
-    """Unit vectors along it."""
+    """Unit vectors along the contour."""
     inward: Float64[Array, "n 2"]
-    """Unit vectors across it, into the subject."""
+    """Unit vectors across the contour, into the subject."""
 
     def chosen(self, keep: Bool[Array, " n"]) -> Contour:
         """Some of its points."""
@@ -64,15 +64,16 @@ class Trace:
     uv: Float64[Array, "n 2"]
     """Points of the contour, pixels."""
     lost_px: Float64[Array, " n"]
-    """0 where the subject's edge is visible. Where the contour is the border of a shadow on the subject, the edge is
-    farther out and unseen: then the distance to the nearest point with a visible edge, pixels."""
+    """0 where the subject's edge is visible. Where the contour is the border of a shadow on the subject, the true edge
+    is farther out and invisible: the distance to the nearest point with a visible edge, pixels."""
 
 
 def outline(foreground: Foreground) -> Contour:
     """The subject's outline in one photograph.
 
-    The longest contour of the coverage, moved to the edge itself. Empty where there is none; borders of shadows are
-    left out, so are points at the frame.
+    It is the longest contour of the coverage, moved to the true edge, without borders of shadows and points at the
+    frame.
+    Empty if there is none.
     """
     contour = _sampled_contour(foreground)
     place = _edge_in_px(contour, foreground)
@@ -82,7 +83,7 @@ def outline(foreground: Foreground) -> Contour:
 
 
 def follow(foreground: Foreground) -> Trace:
-    """Follow the longest contour, and mark where it is an edge. Empty where there is none."""
+    """Trace the longest contour, and mark where it is an edge. Empty if there is none."""
     contour = _sampled_contour(foreground)
     seen = np.isfinite(_edge_in_px(contour, foreground))
     if not seen.any():
@@ -91,15 +92,15 @@ def follow(foreground: Foreground) -> Trace:
 
 
 def edge_places(profiles: Float64[Array, "n k"], x: Float64[Array, " k"], unit: float) -> Float64[Array, " n"]:
-    """Place x₀ of the edge in each profile, by least squares. The module describes the model.
+    """Position x₀ of the edge in each profile, by least squares with the module's model.
 
     Args:
-        profiles: brightness across the edge, growing inwards.
-        x: where, growing.
-        unit: expected blur; σ is sought from half of it to a quarter more.
+        profiles: brightness across the edge, from outside to inside.
+        x: its positions, ascending.
+        unit: expected blur; σ is searched from half of it to a quarter more.
 
     Returns:
-        x₀, NaN where it would lie at the end of what is sought, ± 2 units, or where there is no step.
+        x₀. NaN at the limits of the search, ± 2 units, or without a step.
     """
     some = profiles[:: max(1, len(profiles) // _FOR_THE_BLUR)]
     tried = [(sigma * unit, sigma * depth * unit) for sigma in _BLURS for depth in _DEPTHS]
@@ -119,7 +120,7 @@ def edge_places(profiles: Float64[Array, "n k"], x: Float64[Array, " k"], unit: 
 def _misfit(
     profiles: Float64[Array, "n k"], x: Float64[Array, " k"], unit: float, sigma: float, depth: float
 ) -> Float64[Array, "n m"]:
-    """Sum of squares that the best A and a leave, for an edge at each of `_PLACES`."""
+    """Sum of squared residuals with the best A and a, for an edge at each of `_PLACES`."""
     inside = x - unit * _PLACES[:, None]
     step = ndtr(inside / sigma)
     shade = np.exp(sigma**2 / (2 * depth**2) - inside / depth + log_ndtr(inside / sigma - sigma / depth))
@@ -130,13 +131,13 @@ def _misfit(
     by_step, by_rest = profiles @ (step / length).T, profiles @ (rest / rest_length).T
     darker = -by_rest / rest_length.T  # A (1 − a)
     bright = (by_step + darker * common.T) / length.T  # A
-    # An edge that is brighter than what lies inside it is taken as an even one.
+    # An edge that is brighter than its inside is treated as uniform.
     misfit = (profiles**2).sum(axis=1, keepdims=True) - by_step**2 - np.where(darker >= 0, by_rest**2, 0.0)
     return np.where(darker > (1 - _DARKEST) * bright, np.inf, misfit)
 
 
 def _longest_contour(foreground: Foreground) -> Float64[Array, "n 2"]:
-    """`uv` corners about a pixel apart."""
+    """Contour corners `uv`, about one pixel apart."""
     top, bottom, left, right = mesh_kernels.extent(foreground.mask).tolist()
     if top == bottom:
         return np.empty((0, 2))
@@ -154,14 +155,14 @@ def _longest_contour(foreground: Foreground) -> Float64[Array, "n 2"]:
 
 
 def _sampled_contour(foreground: Foreground) -> Contour:
-    """Some points of the longest contour. Empty where there is none."""
+    """Some points of the longest contour. Empty if there is none."""
     uv = _longest_contour(foreground)
     if len(uv) <= 4 * _TANGENT_STEP:
         nothing = np.empty((0, 2))
         return Contour(uv=nothing, tangent=nothing, inward=nothing)
     tangent = np.roll(uv, -_TANGENT_STEP, axis=0) - np.roll(uv, _TANGENT_STEP, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
-    # find_contours has the lower values on the left of (row, column) paths: inward is the other side, in (u, v).
+    # find_contours has lower values on the left of (row, column) paths, so inwards is on the other side in (u, v).
     inward = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
     height, width = foreground.coverage.shape
     stride = max(1, len(uv) // _CONTOUR_POINTS)
@@ -171,7 +172,7 @@ def _sampled_contour(foreground: Foreground) -> Contour:
 
 
 def _edge_in_px(contour: Contour, foreground: Foreground) -> Float64[Array, " n"]:
-    """Distance of the edge inside the contour, pixels, NaN where there is none."""
+    """Distance of the edge inside the contour, pixels. NaN if there is none."""
 
     def across(x: Float64[Array, " k"]) -> Float64[Array, "n k"]:
         u, v = np.moveaxis(contour.uv[:, None] + x[:, None] * contour.inward[:, None], 2, 0)
@@ -191,6 +192,6 @@ def _edge_in_px(contour: Contour, foreground: Foreground) -> Float64[Array, " n"
 
 
 def _blur(profiles: Float64[Array, "n k"], step: float) -> float:
-    """Standard deviation of a Gaussian that makes a step as steep as the ordinary profile."""
+    """Standard deviation of a Gaussian that makes a step as steep as the usual profile."""
     steepest, brightest = np.median(np.diff(profiles, axis=1).max(axis=1)), np.median(profiles.max(axis=1))
     return float(step * brightest / (np.sqrt(2 * np.pi) * max(steepest, 1e-2 * step)))

@@ -1,8 +1,7 @@
-"""Foreground: sub-pixel coverage map of the subject in each photograph.
+"""Foreground: sub-pixel coverage map of the subject in each photograph, for rectification and carving.
 
-`segment` separates subject and background by brightness and colour, block by block. Where a coarse stereo contradicts
-it, `seeded` grows the subject from what is near. `silhouette` then places the outline to a fraction of a pixel. This
-module holds the result, which rectification and carving read.
+`segment` separates subject and background by brightness and colour, block by block. If a coarse stereo contradicts it,
+`seeded` grows the subject from what is near. `silhouette` then locates the outline to a fraction of a pixel.
 """
 
 from collections.abc import Sequence
@@ -20,13 +19,13 @@ from mammometry.matching.foreground.seeded_segmentation import DepthSeeds, agree
 from mammometry.matching.foreground.silhouette import block_means, sub_pixel_coverage
 
 CONTOUR_LEVEL = 0.4
-"""Coverage at which the silhouette lies, 0…1. A rim is turned away from the light and darker than the skin beside it:
-.5 was .1 to .3 px inside the true one in eight views of three subjects, .4 within .1 px."""
-_REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images, a quarter of the paper's, on which widths were measured
-_BLOCK_PX = 2.0  # pixels a block, at that size: a bar of 4 px is seen, and a million data are looked up in a second
-_EVEN = 0.02  # difference of encoded values (sRGB), five of 255, that noise leaves in the blocks of an empty picture
-_BLACK = 0.1  # encoded value (sRGB) that no block of a black photograph reaches: 1 % of the light; chosen by eye
-_BLUR_OF_A_DRAWN_MASK_PX = 1.0  # Gaussian σ that gives a drawn mask an edge to interpolate; chosen by eye
+"""Coverage at the silhouette, 0…1. The border is turned away from the light and darker than the skin next to it: 0.5
+was 0.1 to 0.3 px inside the true one in eight views of three subjects, 0.4 within 0.1 px."""
+_REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images on which widths were measured, a quarter of the paper's size
+_BLOCK_PX = 2.0  # pixels per block at that size: shows a bar of 4 px, and takes about a second
+_EVEN = 0.02  # difference of encoded values (sRGB), 5 of 255, due to noise in the blocks of an empty image
+_BLACK = 0.1  # encoded value (sRGB) that no block of a black photograph reaches: 1 % of the light
+_BLUR_OF_A_DRAWN_MASK_PX = 1.0  # Gaussian σ that makes a drawn mask's edge smooth
 
 
 @value(eq=False)
@@ -35,15 +34,15 @@ class Foreground:
 
     camera: str
     coverage: Float32[Array, "h w"]
-    """0 background … 1 subject. Smooth near the contour, so that its `contour_level` is a sub-pixel silhouette."""
+    """0 background … 1 subject. Smooth near the contour, so that its `contour_level` gives a sub-pixel silhouette."""
     contour_level: float
-    """Coverage on the silhouette."""
+    """Coverage at the silhouette."""
     everything: bool
-    """True: no silhouette is known, every pixel may be surface. It must not be used for carving."""
+    """True: the silhouette is unknown and every pixel may be the subject. Must not be used for carving."""
 
     @property
     def mask(self) -> Bool[Array, "h w"]:
-        """Pixels whose centre lies inside the silhouette."""
+        """Pixels whose centre is inside the silhouette."""
         return self.coverage >= self.contour_level
 
 
@@ -54,13 +53,13 @@ class Blocks:
     encoded: Float32[Array, "h w channels"]
     """sRGB-encoded values, 0…1; one channel or three."""
     step: int
-    """Pixels to a block."""
+    """Pixels per block."""
     unit: float
-    """Pixels to one of the reference size."""
+    """Pixels per pixel of the reference size."""
 
 
 def blocks_of(photograph: Photograph) -> Blocks:
-    """Means of a photograph over blocks, in which its subject is sought."""
+    """Means of a photograph over blocks, for finding its subject."""
     step, unit = block_of(photograph.size_wh)
     pixels = np.atleast_3d(photograph.pixels)
     levels = np.linspace(0, 1, np.iinfo(pixels.dtype).max + 1, dtype=np.float32)
@@ -68,21 +67,21 @@ def blocks_of(photograph: Photograph) -> Blocks:
 
 
 def block_of(size: tuple[int, int]) -> tuple[int, float]:
-    """Pixels of such a photograph to a block, and to a pixel of that on which widths were measured."""
+    """Pixels per block, and pixels per pixel of the reference size, for a photograph of this size."""
     unit = max(1.0, float(np.hypot(*size)) / _REFERENCE_DIAGONAL_PX)
     return round(_BLOCK_PX * unit), unit
 
 
 def subject_blocks(name: str, blocks: Blocks, seeds: Sequence[DepthSeeds]) -> Bool[Array, "h w"] | None:
-    """Blocks that show the subject. None where nothing parts it from the rest.
+    """Blocks that show the subject. None if nothing separates it from the rest.
 
     Args:
-        name: of the photograph.
+        name: of the photograph, for messages.
         blocks: its means.
-        seeds: what is near and what far by a coarse stereo of each pair that the camera is in.
+        seeds: near and far blocks by coarse stereo, for each pair of the camera.
 
     Raises:
-        MatchingError: the photograph is black, or even all over.
+        MatchingError: the photograph is black or uniform.
     """
     bright = segment(blocks.encoded, blocks.unit / blocks.step)
     subject = agreed(blocks.encoded, bright, seeds, blocks.step, blocks.unit / blocks.step)
@@ -102,9 +101,9 @@ def estimate_foreground(
 
     Args:
         photograph: the capture.
-        camera_name: whose it is.
-        given: the subject's pixels, drawn or segmented elsewhere; overrules all else.
-        subject: its blocks. None: no silhouette is known.
+        camera_name: its camera.
+        given: mask of the subject, drawn or segmented by another program; takes precedence.
+        subject: its blocks. None: the silhouette is unknown.
 
     Raises:
         ImageError: the given mask has another size than the photograph.
@@ -125,16 +124,16 @@ def _refuse_empty(name: str, encoded: Float32[Array, "H W c"]) -> None:
     if brightest < _BLACK:
         raise MatchingError(
             name,
-            found=f"a photograph that is black: its brightest place has {100 * brightest:.0f} % of full brightness",
+            found=f"a black photograph: its brightest part has {100 * brightest:.0f} % of full brightness",
             expected=f"a lit subject, with at least {100 * _BLACK:.0f} %",
             remedy="Check that this camera's flash fires and its lens is uncovered, and take the capture again",
         )
     if brightest - darkest < _EVEN:
         raise MatchingError(
             name,
-            found="a photograph of one even tone",
+            found="a uniform photograph",
             expected="a subject",
-            remedy="Look at the photograph, and take the capture again",
+            remedy="Check the photograph, and take the capture again",
         )
 
 
@@ -142,9 +141,9 @@ def _from_mask(photograph: Photograph, camera_name: str, given: Bool[Array, "h w
     if given.shape != photograph.pixels.shape[:2] or not given.any():
         raise ImageError(
             photograph.name,
-            found=f"a mask of {given.shape[1]} × {given.shape[0]} pixels with {np.count_nonzero(given)} of them set",
-            expected=f"{photograph.size_wh[0]} × {photograph.size_wh[1]} pixels as in the photograph, some of them set",
-            remedy="Draw the mask on the photograph itself, at its own size",
+            found=f"a mask of {given.shape[1]} × {given.shape[0]} pixels with {np.count_nonzero(given)} of them white",
+            expected=f"{photograph.size_wh[0]} × {photograph.size_wh[1]} pixels, as the photograph, some of them white",
+            remedy="Draw the mask on the photograph, at its full size",
         )
     coverage = ndimage.gaussian_filter(given.astype(np.float32), _BLUR_OF_A_DRAWN_MASK_PX, mode="nearest")
     return Foreground(camera=camera_name, coverage=coverage, contour_level=0.5, everything=False)

@@ -1,8 +1,8 @@
 """Subject against background, from seeds whose depth is known.
 
-Where a coarse stereo of the whole photographs shows what is near and what is far, brightness need not be asked. The
-seeds give the colours of both sides; what is seen too smooth or too dark for stereo goes with the seeds whose colours
-it has, and between those the border runs where the picture changes most (watershed; Meyer and Beucher 1990).
+If coarse stereo of the whole photographs shows what is near and far, brightness is not needed. The seeds give the
+colours of both sides. Areas that are too smooth or dark for stereo join the seeds whose colours they have, and the
+border is where the image changes most (watershed; Meyer and Beucher 1990).
 """
 
 from __future__ import annotations
@@ -18,32 +18,32 @@ from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float32, Int32
 from mammometry.matching.foreground.block_segmentation import CHROMATICITY, DARKEST
 
-# Where no other source is named: chosen on the simulated captures of docs/decisions/0028.
-_FATTENED = 4.0  # small pixels by which the coarse stereo may carry a depth over a border
-_SHARE_BINS, _LIGHT_BINS = 48, 24  # of red's and green's share of all light, and of light
-_SURE = 4.0  # ratio of the frequencies of a colour on either side that makes it one side's
-_SEEN = 1e-5  # frequency below which a colour is hardly seen: it tells nothing
-_CLEAR_PX = 12.0  # nearer to near seeds than this, pixels of the reference size, colour makes no background
-_SPECK_PX = 3.0  # half the width of what a colour must fill to be a marker
-_TELLING = 0.5  # of the near seeds: where fewer have a colour of their own, colour tells nothing
-_PRUNINGS = 2  # rounds in which seeds of the other side's colour are dropped
-SMALLEST_PART = 0.02  # of the largest part: smaller ones are chance
-# Shares above which depth contradicts brightness: of the near seeds that it leaves out, of its subject that is far, and
-# of its subject that neither depth nor colour joins to the seeds.
+# Without another source: chosen on the simulated captures of docs/decisions/0028.
+_FATTENED = 4.0  # reduced pixels by which coarse stereo may extend a depth across a border
+_SHARE_BINS, _LIGHT_BINS = 48, 24  # bins of red's and green's share of all light, and of light
+_SURE = 4.0  # ratio of a colour's frequencies on the two sides above which it belongs to one of them
+_SEEN = 1e-5  # frequency below which a colour is too rare for a decision
+_CLEAR_PX = 12.0  # pixels of the reference size: closer to near seeds, colour alone does not mark background
+_SPECK_PX = 3.0  # half the smallest width of an area that becomes a marker by colour
+_TELLING = 0.5  # share of near seeds with a distinct colour below which colour is not used
+_PRUNINGS = 2  # rounds in which seeds of the other side's colour are removed
+SMALLEST_PART = 0.02  # relative to the largest part: smaller ones are random
+# Shares above which depth contradicts brightness: of the near seeds that it omits, of its subject that is far, and of
+# its subject that neither depth nor colour connects to the seeds.
 _MISSED, _BEHIND, _BEYOND = 0.04, 0.02, 0.04
-_FAR_END = 0.04, 0.15  # of the bright subject: far places in it, and what they would take off, if it is an arm's end
-_LONG_END, _NECK = 0.3, 0.25  # of the bright subject, if it is joined to the rest by so much of its rim; chosen by eye
-_CUT_OFF = 0.9  # of a part that something parts from the rest: its blocks of the subject's chromaticity; by eye
-_AROUND, _WITHIN = 1.5, 0.95  # times the bright subject, of which so much is within: it lies on something
+_FAR_END = 0.04, 0.15  # of the bright subject: far parts in it, and what they would remove, if it is the end of an arm
+_LONG_END, _NECK = 0.3, 0.25  # of the bright subject, if connected to the rest by this share of its border
+_CUT_OFF = 0.9  # share of a separated part's blocks that have the subject's chromaticity
+_AROUND, _WITHIN = 1.5, 0.95  # near area over the bright subject's, share of it within: it is on a support
 
 
 @value(eq=False)
 class DepthSeeds:
-    """Certainly near and certainly far pixels of one photograph."""
+    """Certainly near and certainly far blocks of one photograph."""
 
     camera: str
     step: int
-    """Pixels of the photograph to a block."""
+    """Pixels of the photograph per block."""
     near: Bool[Array, "h w"]
     """Blocks in the working volume."""
     far: Bool[Array, "h w"]
@@ -51,11 +51,11 @@ class DepthSeeds:
 
 
 def laid_out(seeds: DepthSeeds, shape: tuple[int, int], step: int) -> tuple[Bool[Array, "H W"], Bool[Array, "H W"]]:
-    """Near and far, for blocks of another step. Without the rims that may be carried over a border."""
+    """Near and far for blocks of another size, without borders where depth may extend too far."""
     places = [((np.arange(size) + 0.5) * step / seeds.step).astype(np.intp) for size in shape]
     made = []
     for mask in (seeds.near, seeds.far):
-        # Beyond the frame the seeds go on: what it crops has no rim there.
+        # Beyond the frame the seeds continue: no border there.
         pad = int(_FATTENED) + 1
         inner = ndimage.distance_transform_edt(np.pad(mask, pad, mode="edge"))[pad:-pad, pad:-pad] > _FATTENED
         rows, columns = (np.minimum(place, size - 1) for place, size in zip(places, mask.shape, strict=True))
@@ -70,18 +70,18 @@ def agreed(
     step: int,
     unit: float,
 ) -> Bool[Array, "h w"] | None:
-    """The subject's blocks by brightness, or by depth where depth contradicts that.
+    """The subject's blocks by brightness, or by depth if depth contradicts brightness.
 
     Args:
         encoded: means over blocks of sRGB-encoded values, 0…1; one channel or three.
-        bright: the subject by brightness and colour alone (`segment.segment`); None where nothing stands out.
-        seeds: of each pair that the camera is in, maybe none.
-        step: pixels to a block.
-        unit: blocks to a pixel of the reference size.
+        bright: the subject by brightness and colour alone (`segment.segment`). None if nothing stands out.
+        seeds: those of each pair of the camera, possibly none.
+        step: pixels per block.
+        unit: blocks per pixel of the reference size.
 
     Returns:
-        `bright` itself where the seeds do not contradict it, or say nothing; None where they do and yet nothing of the
-        picture is certainly background.
+        `bright` itself if the seeds do not contradict it or are not sufficient; None if they contradict it and nothing
+        in the image is certainly background.
     """
     laid = [laid_out(one, encoded.shape[:2], step) for one in seeds]
     if not laid:
@@ -98,20 +98,20 @@ def agreed(
     lost = np.count_nonzero(bright & ~found.subject)
     end = lost <= most_lost * size or (lost <= _LONG_END * size and _by_a_neck(bright, found.subject, far))
     if 0 < np.count_nonzero(far & bright) <= most_far * size and end:
-        far &= ~bright  # the subject's own far end, as an arm that is held away: it marks no background
+        far &= ~bright  # the subject's own far end, such as an extended arm, is not background
         found = segment_by_depth(encoded, near, far, unit) or found
     behind = np.count_nonzero(found.far & bright) / size
     other = _unlike_the_rest(encoded, found.near, bright)
     missed = np.count_nonzero(found.near & ~bright & ~other) / np.count_nonzero(found.near)
     cut_off = _cut_off(encoded, bright, found, far)
-    # A rim of some blocks is where depth is unsure of the border: of a small subject it is a large share.
+    # Depth is uncertain in a border of a few blocks, which is a large share of a small subject.
     beyond = np.count_nonzero(_solid(bright & ~found.subject & ~cut_off, unit)) / size
     if missed <= _MISSED and behind <= _BEHIND and beyond <= _BEYOND:
         return bright
     around = (
         np.count_nonzero(found.subject) > _AROUND * size and np.count_nonzero(bright & found.subject) > _WITHIN * size
     )
-    if around:  # what it lies on is as near: brightness alone tells
+    if around:  # its support is as near: only brightness separates them
         return bright
     if other.any():
         found = segment_by_depth(encoded, near & ~other, far | other, unit) or found
@@ -119,13 +119,13 @@ def agreed(
 
 
 def _by_a_neck(bright: Bool[Array, "h w"], kept: Bool[Array, "h w"], far: Bool[Array, "h w"]) -> bool:
-    """Whether what far places take off hangs on the rest by a small part of its rim.
+    """Whether the far part is connected to the rest by a small part of its border only.
 
-    An arm does. What lies behind the body borders on it all along.
+    An arm is. An object behind the body borders on it everywhere.
     """
     lost = bright & ~kept
     labels, count = ndimage.label(lost)
-    rim = lost & ~ndimage.binary_erosion(lost, border_value=1)  # beyond the frame the subject goes on
+    rim = lost & ~ndimage.binary_erosion(lost, border_value=1)  # beyond the frame the subject continues
     joined = lost & ndimage.binary_dilation(bright & kept)
     numbers = np.arange(1, count + 1)
     taken = ndimage.sum_labels(far, labels, numbers) > 0
@@ -136,9 +136,9 @@ def _by_a_neck(bright: Bool[Array, "h w"], kept: Bool[Array, "h w"], far: Bool[A
 def _cut_off(
     encoded: Float32[Array, "h w channels"], bright: Bool[Array, "h w"], found: ByDepth, far: Bool[Array, "h w"]
 ) -> Bool[Array, "h w"]:
-    """Parts of the bright subject that do not touch what depth joins to the seeds.
+    """Parts of the bright subject that are separated, as by a rail in front, from what depth connects to the seeds.
 
-    A rail before the body parts them. They have the subject's chromaticity, and no depth contradicts them.
+    They have the subject's chromaticity, and no depth contradicts them.
     """
     lost, taken = bright & ~found.subject, found.near & bright
     labels, count = ndimage.label(bright)
@@ -157,10 +157,9 @@ def _cut_off(
 def _unlike_the_rest(
     encoded: Float32[Array, "h w channels"], near: Bool[Array, "h w"], bright: Bool[Array, "h w"]
 ) -> Bool[Array, "h w"]:
-    """Near seeds of a chromaticity unlike the subject's.
+    """Near seeds of a chromaticity unlike the subject's, such as a rail in front of it, or trousers.
 
-    Brightness leaves them out. They are no subject: a rail in front of it, or trousers. Empty if brightness leaves out
-    most.
+    Brightness does not include them. Empty if brightness omits most seeds.
     """
     taken, left_out = near & bright, near & ~bright
     if np.count_nonzero(taken) < np.count_nonzero(left_out):
@@ -174,28 +173,28 @@ class ByDepth:
 
     subject: Bool[Array, "h w"]
     near: Bool[Array, "h w"]
-    """Seeds of the subject whose colour is no more frequent elsewhere."""
+    """Seeds of the subject whose colour is not more frequent elsewhere."""
     far: Bool[Array, "h w"]
-    """Seeds of the background with a colour no more frequent among the near."""
+    """Seeds of the background whose colour is not more frequent among the near ones."""
     bounded: bool
-    """Whether anything is certainly background: the subject's border is guessed if not."""
+    """Whether anything is certainly background. If not, the subject's border is uncertain."""
 
 
 def segment_by_depth(
     encoded: Float32[Array, "h w channels"], near: Bool[Array, "h w"], far: Bool[Array, "h w"], unit: float
 ) -> ByDepth | None:
-    """Grow the subject's blocks from seeds. None where these have no colour of their own.
+    """Grow the subject's blocks from seeds. None if these have no distinct colour.
 
     Args:
         encoded: means over blocks of sRGB-encoded values, 0…1; one channel or three.
-        near: blocks of the subject, some at least.
-        far: blocks of the background, maybe none.
-        unit: blocks to a pixel of the reference size.
+        near: blocks of the subject, at least some.
+        far: blocks of the background, possibly none.
+        unit: blocks per pixel of the reference size.
     """
     light = ndimage.gaussian_filter(encoded, (0.7 * unit, 0.7 * unit, 0), mode="nearest")
     colours = _Colours(light, near)
     measured = np.count_nonzero(near)
-    for _ in range(_PRUNINGS):  # a depth carried over a border brings the other side's colour with it
+    for _ in range(_PRUNINGS):  # seeds across a border have the other side's colour
         near, far = near & (colours.ratio(near, ~near) > 1), far & (colours.ratio(near, far) < 1)
         if np.count_nonzero(near) < _TELLING * measured:
             return None
@@ -204,7 +203,7 @@ def segment_by_depth(
         return None
     near = _closed(near, far)
     ratio = colours.ratio(near, ~near)
-    # Elsewhere there is the subject, too, in other light: only another chromaticity makes it background.
+    # The subject is elsewhere too, in other light: only another chromaticity makes it background.
     other = (ratio < 1 / _SURE) & (colours.ratio(near, ~near, by_light=False) < 1)
     distance = ndimage.distance_transform_edt(~near)
     backdrop = _from_outside(far | (_solid(other, unit) & (distance > _CLEAR_PX * unit)), far)
@@ -218,12 +217,12 @@ def segment_by_depth(
 
 
 class _Colours:
-    """Each block's colour, and its frequency in one place over another."""
+    """Each block's colour, and ratios of its frequencies."""
 
     def __init__(self, light: Float32[Array, "h w channels"], near: Bool[Array, "h w"]) -> None:
         total = np.maximum(light.sum(axis=2), 1e-3)
         self.dark = total < DARKEST * np.median(total[near])
-        """Where chromaticity is noise."""
+        """Blocks whose chromaticity is noise."""
         self.places = [_binned(total / light.shape[2], _LIGHT_BINS)]
         if light.shape[2] > 1:
             shares = [(light[..., c] / total - low) / (high - low) for c, (low, high) in enumerate(CHROMATICITY)]
@@ -232,9 +231,9 @@ class _Colours:
     def ratio(
         self, here: Bool[Array, "h w"], there: Bool[Array, "h w"], *, by_light: bool = True
     ) -> Float32[Array, "h w"]:
-        """How many times more frequent each block's colour is here than there.
+        """Ratio of each block's colour's frequency here to that there.
 
-        By chromaticity alone where asked and where there is light enough for it; 1 where there is no chromaticity.
+        Without `by_light`, by chromaticity alone if there is enough light; 1 where there is no chromaticity.
         """
         if not by_light:
             if len(self.places) == 1:
@@ -260,7 +259,7 @@ def _binned(values: Float32[Array, "h w"], count: int) -> Array:
 
 
 def _divided(light: Float32[Array, "h w channels"], markers: Int32[Array, "h w"]) -> Int32[Array, "h w"]:
-    """Grow both sides' markers until they meet, where the picture changes most."""
+    """Grow both sides' markers until they meet, where the image changes most."""
     steepest = np.zeros(light.shape[:2], dtype=np.float32)
     for channel in range(light.shape[2]):
         along = [ndimage.sobel(light[..., channel], axis=axis) for axis in (0, 1)]
@@ -270,7 +269,7 @@ def _divided(light: Float32[Array, "h w channels"], markers: Int32[Array, "h w"]
 
 
 def _solid(mask: Bool[Array, "h w"], unit: float) -> Bool[Array, "h w"]:
-    """Keep the parts of a mask that are as wide as a marker must be."""
+    """Keep the parts of a mask that are wide enough for a marker."""
     radius = _SPECK_PX * unit
     pad = int(np.ceil(radius)) + 1
     padded = np.pad(mask, pad, mode="edge")
@@ -280,7 +279,7 @@ def _solid(mask: Bool[Array, "h w"], unit: float) -> Bool[Array, "h w"]:
 
 
 def _closed(near: Bool[Array, "h w"], far: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
-    """Near seeds with what they enclose: an areola, a shade. Not what something far is seen through."""
+    """Near seeds with the areas that they enclose, unless something far is seen there."""
     labels, count = ndimage.label(ndimage.binary_fill_holes(near) & ~near)
     through = np.bincount(labels[far], minlength=count + 1) > 0
     through[0] = True
@@ -289,7 +288,7 @@ def _closed(near: Bool[Array, "h w"], far: Bool[Array, "h w"]) -> Bool[Array, "h
 
 
 def _from_outside(backdrop: Bool[Array, "h w"], far: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
-    """Parts that reach the frame or hold far seeds. An areola does neither."""
+    """Parts that reach the frame or contain far seeds. An areola does neither."""
     labels, count = ndimage.label(backdrop)
     reaching = np.bincount(labels[far], minlength=count + 1) > 0
     for edge in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
@@ -300,7 +299,7 @@ def _from_outside(backdrop: Bool[Array, "h w"], far: Bool[Array, "h w"]) -> Bool
 
 
 def _parts_with(subject: Bool[Array, "h w"], near: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
-    """The parts that hold seeds."""
+    """The parts that contain seeds."""
     labels, count = ndimage.label(subject)
     sizes = np.bincount(labels[near], minlength=count + 1)
     sizes[0] = 0

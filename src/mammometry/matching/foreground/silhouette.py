@@ -1,9 +1,9 @@
 """Sub-pixel silhouette from the subject's blocks and the photograph.
 
-Near the contour each pixel is compared with the background and the subject *beside it*, in linear light and in the
-direction of colour in which these two differ: so neither a shaded flank nor a bright patch of the backdrop moves the
-silhouette, and a flank darker than what is behind it is found as well. Where the two do not differ, the blocks' own
-outline stays. Only the pixels of a narrow band are computed.
+Near the contour each pixel is compared with the background and the subject *next to it*, in linear light and along the
+colour direction in which these two differ. So a shaded flank or a bright patch of the background does not move the
+silhouette, and a flank darker than its background is found too. If the two do not differ, the blocks' outline is used.
+Only a narrow band of pixels is computed.
 """
 
 import numpy as np
@@ -13,15 +13,15 @@ from mammometry.base.machine.compiled import kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Shaped, UInt8, read_only
 from mammometry.matching.filters import blur, gaussian_taps
 
-# Widths in pixels of the reference size, see `foreground`; chosen by eye on the captures of docs/decisions/0020.
-_GUARD_PX = 3.0  # nearer to the contour than this, pixels are mixed (blur, resampling)
-_NEIGHBOURHOOD_PX = 5.0  # Gaussian σ over which background and subject are averaged beside the contour
-_FEATHER_PX = 4.0  # the coverage is measured this far on either side of the contour, and 0 or 1 beyond
-_CALM_PX = 0.5  # Gaussian σ that takes the pixels' noise
-_LEAST_CONTRAST = 0.004  # of linear light, between subject and background, for their difference to tell
-_WIDENING = (8.0, 2.0, 1.0)  # of the neighbourhood, wide to narrow: the narrowest that holds enough counts
-_ENOUGH_WEIGHT = 0.02  # of a neighbourhood that lies on the wanted side
-_OUTSIDE, _BAND, _INSIDE = 0, 1, 2  # zones of a pixel: off the subject, near its contour, on it
+# Widths in pixels of the reference size, see `foreground`; chosen on the captures of docs/decisions/0020.
+_GUARD_PX = 3.0  # pixels closer to the contour than this are mixed (blur, resampling)
+_NEIGHBOURHOOD_PX = 5.0  # Gaussian σ over which background and subject are averaged next to the contour
+_FEATHER_PX = 4.0  # largest distance from the contour at which the coverage is measured; 0 or 1 beyond it
+_CALM_PX = 0.5  # Gaussian σ that removes the pixels' noise
+_LEAST_CONTRAST = 0.004  # smallest difference of linear light between subject and background
+_WIDENING = (8.0, 2.0, 1.0)  # factors on the neighbourhood, wide to narrow: the narrowest with enough weight is used
+_ENOUGH_WEIGHT = 0.02  # smallest share of a neighbourhood on the wanted side
+_OUTSIDE, _BAND, _INSIDE = 0, 1, 2  # zones of a pixel: outside, near the contour, inside
 
 
 def sub_pixel_coverage(
@@ -36,15 +36,15 @@ def sub_pixel_coverage(
 
     Args:
         pixels: sRGB-encoded, 8 or 16 bit.
-        linear: light of each of their levels.
-        subject: blocks of step × step pixels, one at least.
-        step: pixels to a block.
-        unit: pixels to one of the reference size.
-        contour_level: coverage on the silhouette.
+        linear: linear light of each level.
+        subject: blocks of step × step pixels, at least one.
+        step: pixels per block.
+        unit: pixels per pixel of the reference size.
+        contour_level: coverage at the silhouette.
     """
     guard, reach = _GUARD_PX * unit, 4 * _GUARD_PX * unit
     shape_hw = pixels.shape[:2]
-    rows, columns = _around(subject, int(np.ceil(reach / step)) + 2)  # beyond, all is background
+    rows, columns = _around(subject, int(np.ceil(reach / step)) + 2)  # everything outside is background
     part = (slice(rows.start * step, rows.stop * step), slice(columns.start * step, columns.stop * step))
     subject, pixels = subject[rows, columns], read_only(pixels[part].copy())
     light = block_means(pixels, linear, step)
@@ -54,7 +54,7 @@ def sub_pixel_coverage(
     dark = _beside(light, (-signed > guard) & (-signed < reach), step / unit)
     blocks, widths = (signed, bright, dark), (guard / 2, _FEATHER_PX * unit)
     share, zone = compare(pixels, linear, blocks, step, widths)
-    del pixels  # a copy: of a full-size torso, 40 MB
+    del pixels  # a copy: 40 MB for a full-size torso
     share = blur(share, gaussian_taps(_CALM_PX * unit))
     share = finish(share, zone, signed, step, widths, contour_level)
     coverage = np.zeros(shape_hw, dtype=np.float32)
@@ -63,7 +63,7 @@ def sub_pixel_coverage(
 
 
 def _around(subject: Bool[Array, "H W"], margin: int) -> tuple[slice, slice]:
-    """Rows and columns of the subject and `margin` blocks around it. As far as the picture goes."""
+    """Rows and columns of the subject with a margin of blocks, within the image."""
     held = (np.nonzero(subject.any(axis=axis))[0] for axis in (1, 0))
     rows, columns = (
         slice(max(int(there[0]) - margin, 0), min(int(there[-1]) + 1 + margin, size))
@@ -75,7 +75,7 @@ def _around(subject: Bool[Array, "H W"], margin: int) -> tuple[slice, slice]:
 def _beside(
     light: Float32[Array, "H W channels"], where: Bool[Array, "H W"], px_per_block: float
 ) -> Float32[Array, "H W channels"]:
-    """Mean of the chosen blocks around each block. The neighbourhood is wider where none is near."""
+    """Mean of the chosen blocks around each block. The neighbourhood is wider if none is near."""
     share = where.astype(np.float32)
     total = np.where(where[..., None], light, np.float32(0))
     mean = np.empty_like(light)
@@ -94,7 +94,7 @@ def _beside(
 def block_means(
     pixels: Shaped[Array, "h w channels"], value_of: Float32[Array, " levels"], step: int
 ) -> Float32[Array, "H W channels"]:
-    """Means over blocks of step × step pixels of what each level stands for. The last may be smaller."""
+    """Means over blocks of step × step pixels of each level's value. The last blocks may be smaller."""
     height, width, channels = pixels.shape
     rows, columns = (height + step - 1) // step, (width + step - 1) // step
     means = np.zeros((rows, columns, channels), dtype=np.float32)
@@ -115,7 +115,7 @@ def block_means(
 
 @kernel
 def _place(index, step, count):  # type: ignore[no-untyped-def]
-    """The blocks on either side of a pixel's centre, and the next one's share in linear interpolation."""
+    """The blocks on either side of a pixel's centre, and the second one's weight in linear interpolation."""
     position = (np.float32(index) + np.float32(0.5)) / np.float32(step) - np.float32(0.5)
     position = min(max(position, np.float32(0.0)), np.float32(count - 1))
     before = min(int(position), max(count - 2, 0))
@@ -138,17 +138,17 @@ def compare(
     step: int,
     widths_px: tuple[float, float],
 ) -> tuple[Float32[Array, "h w"], UInt8[Array, "h w"]]:
-    """Place each pixel's light between background (0) and subject (1).
+    """Position of each pixel's light between background (0) and subject (1), and its zone.
 
-    As they are beside it. Also returns its zone. Farther than guard + feather from the blocks' contour a pixel is
-    inside (2) or outside (0); the rest is band (1). Where both lights are alike, the distance to the blocks' contour
-    takes the comparison's place.
+    Farther than guard + feather from the blocks' contour a pixel is inside (2) or outside (0); the rest is the band
+    (1).
+    Where both lights are alike, the distance to the blocks' contour is used instead.
 
     Args:
         pixels: sRGB-encoded, 8 or 16 bit.
-        linear: light of each of their levels.
-        blocks: signed distance to the blocks' contour, px; light of the subject and of the background beside it.
-        step: pixels to a block.
+        linear: linear light of each level.
+        blocks: signed distance to the blocks' contour, px; light of the subject and of the background next to it.
+        step: pixels per block.
         widths_px: guard and feather.
     """
     signed_px, bright, dark = blocks
@@ -166,7 +166,7 @@ def compare(
         i0, i1, s = _place(i, step, rows)
         for j in range(width):
             j0, j1, t = places[0, j], places[1, j], between[j]
-            # A pixel is nearer than a block's diagonal to its block.
+            # A pixel is within a block's diagonal of its block.
             rough = signed_px[i0, j0]
             if abs(rough) > limit + np.float32(3 * step):
                 zone[i, j] = _INSIDE if rough > 0 else _OUTSIDE
@@ -203,9 +203,9 @@ def finish(
 ) -> Float32[Array, "h w"]:
     """Coverage of the band around the contour.
 
-    From the comparison, faded to 0 and 1 at its borders; specks and holes are closed. Within the band a pixel above the
-    level belongs to the subject only if it is joined to the inside, and one below it to the background only if it is
-    joined to the outside.
+    It is computed from the comparison, blended to 0 and 1 at the band's borders; specks and holes are closed. A pixel
+    above the level belongs to the subject only if it is connected to the inside, and one below it to the background
+    only if it is connected to the outside.
     """
     guard_px, feather_px = widths_px
     height, width = share.shape
@@ -231,7 +231,7 @@ def finish(
         surely = min(max((distance - guard_px) / feather_px, 0.0), 1.0)
         hardly = min(max((-distance - guard_px) / feather_px, 0.0), 1.0)
         coverage[i, j] = min(max(max(min(share[i, j], 1.0 - hardly), surely), 0.0), 1.0)
-    # Flood the band from both of its borders; what neither flood reaches lies enclosed in the other.
+    # Flood the band from both borders; what neither flood reaches is enclosed by the other.
     stack = np.empty((count + 1, 2), dtype=np.int32)
     reached = np.zeros((height, width), dtype=np.bool_)
     for side in (_INSIDE, _OUTSIDE):

@@ -1,9 +1,8 @@
 """Find a dotted cylinder in photographs, with consistent column numbers.
 
 In one photograph, columns are counted from the first one seen. The labels beyond the last row are not read: the
-unrolled
-label strips of two photographs are correlated at all offsets of whole columns. Photographs are then numbered along the
-tree of the best pairs. The first column is arbitrary and only rotates the world about the cylinder's axis.
+unrolled label strips of two photographs are correlated at all offsets of whole columns. Photographs are then numbered
+along the tree of the best pairs. The first column is arbitrary and only rotates the world about the cylinder's axis.
 """
 
 from __future__ import annotations
@@ -178,8 +177,7 @@ def find_cylinder(
     """Find the dots and measure their centres.
 
     None if the cylinder is not seen with all its rows, a cause if its dots have another size. The cylinder must be
-    upright
-    in the image within about 40°, its labelled end up.
+    upright in the image within about 40°, its labelled end up.
     """
     small, scale = reduced(grey_bytes(photograph), _SEARCH_WIDTHS * search_width_px)
     starts = (_locate(small, scale, target, neighbourhood) for neighbourhood in _NEIGHBOURHOODS)

@@ -19,8 +19,7 @@ class ChessboardTarget(SquaresBoard):
     """A plain chessboard whose first square is dark.
 
     A board with an even sum of columns and rows looks the same after half a turn. Its first corner is then the one
-    farther
-    left in the image.
+    farther left in the image.
 
     Raises:
         ValueError: fewer than 3 × 3 squares, or a size that is not positive.

@@ -28,9 +28,8 @@ class DottedCylinderTarget(Target):
     """A surveyed cylinder covered with dots.
 
     Frame: z along the axis towards the labelled end, which is up; z = 0 at row 0, the row farthest from the labels;
-    column
-    0 at +x; columns count counterclockwise seen from above, which is to the right in an upright image. Ids are ``row ·
-    columns + column``.
+    column 0 at +x; columns count counterclockwise seen from above, which is to the right in an upright image. Ids are
+    ``row · columns + column``.
 
     Raises:
         ValueError: too few dots, a size that is not positive, or columns that overlap around the cylinder.
@@ -224,8 +223,7 @@ def column_labels(columns: int) -> Bool[Array, "c 6 6"]:
     """Cells of the label beyond each column, ``[column, row, cell]``.
 
     True is dark. They are upright, and are the inner cells of the markers of OpenCV's 6 × 6 dictionary, which differ
-    from
-    each other in many cells.
+    from each other in many cells.
 
     Raises:
         SettingsError: more columns than there are labels.
