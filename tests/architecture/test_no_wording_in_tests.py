@@ -24,7 +24,7 @@ TEXTS = {
     "unit/report/test_notices.py",
 }
 """Tests whose subject is a catalogue's wording, or how a sentence is made."""
-MOST = 200
+MOST = 147
 """Comparisons with wording that remain. The number may only shrink."""
 NAMES = {"says", "said", "words", "word", "message", "sentence", "wording", "text", "wrong", "why", "reason", "remark"}
 """Parameters of tests that hold words to compare."""

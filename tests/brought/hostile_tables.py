@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mammometry.base.notices import Notice
+
 Style = Callable[[float], str]
 
 
@@ -100,18 +102,18 @@ class Hostile:
     def _cell(self, cell: str, mark: str) -> str:
         return f'"{cell}"' if self.quoted or mark in cell else cell
 
-    def wrong_with(self, read_cc: np.ndarray, warnings: tuple[str, ...], subjects: int) -> str:
+    def wrong_with(self, read_cc: np.ndarray, notices: tuple[Notice, ...], subjects: int) -> str:
         """What is wrong with a table that was read, in words. Empty: nothing.
 
         Args:
             read_cc: the numbers, cc.
-            warnings: sentences of the reader.
+            notices: of the reader.
             subjects: how many it counted.
         """
         truth = self.truth_cc
         if self.summary is not None:
             return "a summary is a subject"
-        if self.missing is not None and (self.missing not in WARNED or not warnings):
+        if self.missing is not None and (self.missing not in WARNED or not notices):
             return f"{self.missing!r} is a measurement"
         known = np.ones(truth.shape, dtype=bool)
         known[2, 1] = self.missing is None

