@@ -82,14 +82,14 @@ class Settings:
 
     @classmethod
     def from_toml(cls, text: str, *, name: str = "settings") -> Settings:
-        """Read settings from TOML text: one table a stage. What is absent keeps its default.
+        """Read settings from TOML text: one table per stage. Missing settings keep their defaults.
 
         Args:
             text: the TOML document.
             name: what to call it in messages, usually its file's name.
 
         Raises:
-            SettingsError: it is no TOML, a name is unknown, or a value has the wrong type or is out of range.
+            SettingsError: it is not TOML, a name is unknown, or a value has the wrong type or is out of range.
         """
         expected = "TOML such as [matching] window_px = 11"
         table = toml_table(text, name, expected, finite=False, refusal=SettingsError)
@@ -111,7 +111,7 @@ class Settings:
         Values are written as in TOML (``11``, ``0.5``, ``true``, ``[1, 2]``); a bare word is taken as a string.
 
         Raises:
-            SettingsError: an assignment without ``=``, an unknown name, or an unfit value.
+            SettingsError: an assignment without ``=``, an unknown name, or an invalid value.
         """
         settings = self
         for assignment in assignments:
@@ -157,7 +157,7 @@ def as_table(settings: object) -> dict[str, Any]:
 
 
 def key_table(settings: object) -> dict[str, Any]:
-    """Settings as keys of stored results hold them, with the numbers that were settings once.
+    """Settings as in the keys of stored results, including numbers that are no longer settings.
 
     So a number that becomes a constant makes no result stale, and neither does a setting that is new.
     """
@@ -180,7 +180,7 @@ def keyed(settings: Settings, name: str) -> dict[str, Any]:
 
 
 def former_settings(*path: str) -> dict[str, Any]:
-    """Values of a group's numbers that were settings once and are constants of the code now."""
+    """Values of a group's former settings, which are constants now."""
     table = _former()
     for name in path:
         table = table.get(name, {})
@@ -265,7 +265,7 @@ def _replaced(settings: _S, table: Mapping[str, Any], prefix: tuple[str, ...]) -
 
 
 def _accept_former(value: object, path: tuple[str, ...]) -> None:
-    """Accept a number that was a setting once at the value that it still has, as older settings files name it.
+    """Accept a former setting of an older file, if it has the value of today's constant.
 
     Raises:
         SettingsError: there never was such a setting, or it has another value.
@@ -280,7 +280,7 @@ def _accept_former(value: object, path: tuple[str, ...]) -> None:
         raise SettingsError(
             ".".join(path),
             found=shown(value),
-            expected=f"{former!r}, since it is no setting any more",
+            expected=f"{former!r}, since it is no longer a setting",
             remedy="Remove the line",
         )
 
@@ -327,7 +327,7 @@ def _unknown(dotted: str) -> SettingsError:
     return SettingsError(
         dotted,
         found="an unknown setting",
-        expected=f"a known name, near it {', '.join(near[:8])}",
+        expected=f"a known name, such as {', '.join(near[:8])}",
         remedy="Correct the name; `mammometry settings` lists them all",
     )
 

@@ -84,8 +84,8 @@ def trunk_of(
     if trunk.assumed:
         raise MeasureError(
             "torso",
-            found="no skin seen at both of the patient's sides",
-            expected="skin beside the breasts, by which two dates are laid onto one another",
+            found="no measured skin on one of the patient's sides",
+            expected="skin beside the breasts, by which the two dates are aligned",
             remedy="Add views from the sides",
         )
     points, normals = trunk_skin(surface, boundaries)
@@ -286,7 +286,7 @@ def judged(fit: TrunkFit, settings: CompareSettings = CompareSettings()) -> tupl
     if fit.within_mm > settings.refuse_mm:
         raise MeasureError(
             "the trunks of both dates",
-            found=f"that a fifth of them lies more than {fit.within_mm:.1f} mm apart",
+            found=f"that a fifth of them differs by more than {fit.within_mm:.1f} mm",
             expected=f"one body, within {settings.refuse_mm:g} mm beside the breasts",
             remedy="Check that both show the same patient in about the same pose, arms and breath alike; "
             "compare.refuse_mm sets the limit",
@@ -343,7 +343,7 @@ def _paired(before: Visit, after: Visit) -> list[tuple[VolumeMeasurement, Volume
             "the breasts of both dates",
             found=f"{_listed(earlier)} before, {_listed(later)} after",
             expected="a breast of a torso at both dates",
-            remedy="Draw the missing boundary with `mammometry edit`, or remove the one too many at the other date",
+            remedy="Draw the missing boundary with `mammometry edit`, or remove the additional one at the other date",
         )
     earlier = {name: earlier_measurement for name, earlier_measurement in earlier.items() if name in later}
     for name, earlier_measurement in earlier.items():

@@ -76,7 +76,7 @@ def repair_scan(
         raise MeasureError(
             "mesh",
             found=f"{len(mesh.faces) or 'no'} triangle{'s' if len(mesh.faces) != 1 else ''}",
-            expected=f"the surface of a body or a cast, {_FEWEST_FACES} at least",
+            expected=f"the surface of a body or a cast, with at least {_FEWEST_FACES} triangles",
             remedy="Export the whole scan with its faces",
         )
     notes: list[str] = []
@@ -235,7 +235,7 @@ def _body(mesh: TriangleMesh, notes: list[str], *, largest: bool) -> TriangleMes
             "mesh",
             found=f"{len(areas)} separate pieces, the largest with {', '.join(f'{other:.0%}' for other in others)} "
             "of the area",
-            expected="one connected surface, beside it at most crumbs",
+            expected="one connected surface, with at most a few small fragments",
             remedy="Delete the others in the program that made it, or measure the largest alone with --largest",
         )
     count = len(areas) - 1

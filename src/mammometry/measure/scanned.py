@@ -168,7 +168,7 @@ def viewing_frame(
         raise MeasureError(
             "mesh",
             found="neither a boundary on each side nor landmarks of one",
-            expected="either, to tell the patient's left from right and head from foot",
+            expected="one of them, to distinguish the patient's left from right and head from foot",
             remedy="Give both boundaries, or pick inframammary_fold, medial and lateral of a side in --landmarks",
         )
     middles = [curve.mean(axis=0) for curve in curves.values()]
@@ -177,7 +177,7 @@ def viewing_frame(
         if above < 0:
             raise MeasureError(
                 "landmark 'sternal_notch'",
-                found=f"a place {-above:.0f} mm below the breasts, as their boundaries and names have it",
+                found=f"a point {-above:.0f} mm below the breasts, by their boundaries and names",
                 expected="one above them",
                 remedy="Exchange left and right, in the boundaries or the landmarks, or pick the notch again",
             )
@@ -221,7 +221,7 @@ def frame_from_axes(mesh: TriangleMesh, head: str | None = None, ahead: str | No
         sides = [f"{sign}{letter}" for letter in "zyx" if letter != "xyz"[stands] for sign in ("", "-")]
         raise MeasureError(
             "mesh",
-            found="a mesh that looks to all sides alike, without clear breasts on one side, where the head is taken "
+            found="a mesh that faces all sides equally, without clear breasts on one side, where the head is taken "
             f"to be at {'' if up[stands] > 0 else '-'}{'xyz'[stands]}",
             expected="the side that is the patient's front",
             remedy=f"Say which of the file's axes points straight ahead: --ahead {', '.join(sides[:-1])} or "

@@ -103,7 +103,7 @@ class ObserverSettings:
 
     def __post_init__(self) -> None:
         if min(self.medial_mm, self.lower_mm, self.upper_mm, self.lateral_mm) < 0:
-            raise ValueError("no region below 0 mm")
+            raise ValueError("a value of 0 mm or more for each region")
 
     @property
     def mean_mm(self) -> float:
@@ -165,4 +165,4 @@ class CompareSettings:
 
     def __post_init__(self) -> None:
         if not 0 < self.doubt_mm <= self.refuse_mm:
-            raise ValueError("doubt_mm above 0 and not above refuse_mm")
+            raise ValueError("doubt_mm above 0 and at most refuse_mm")

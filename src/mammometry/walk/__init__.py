@@ -1,1 +1,1 @@
-"""Photographs by one telephone, taken on a walk around a patient who wears a printed board."""
+"""Photographs with one telephone from all around a patient who wears a printed board."""

@@ -1,4 +1,4 @@
-"""How the body moved between the photographs of a walk, from the disagreement of its pairs.
+"""Motion of the body between the photographs of a walk, from the disagreement of its pairs.
 
 The board is at the belly, the breasts are not: breathing and swaying move them against it. Each photograph gets one
 small rigid motion of the body against the board, which all its pairs share. Pairs that see the same skin then agree,
@@ -59,7 +59,7 @@ class WalkMotion:
     """Standard uncertainty of a reconstructed point that the correction leaves, mm."""
 
     def rig(self, calibrated: Rig) -> Rig:
-        """The cameras as they stood before the body, which is held still."""
+        """The cameras relative to a body at rest."""
         cameras = {
             name: before_still_body(calibrated.cameras[name], np.concatenate([turn, shift]), self.centre_world)
             for name, turn, shift in zip(self.cameras, self.turn_rad, self.shift_mm, strict=True)
@@ -67,7 +67,7 @@ class WalkMotion:
         return replace(calibrated, cameras={**calibrated.cameras, **cameras})
 
     def carry(self, image: RangeImage, calibrated: Rig) -> RangeImage:
-        """A range image with the cameras as they stood before the body."""
+        """A range image with the cameras relative to a body at rest."""
         return retriangulated(image, calibrated.pair(image.name), self.rig(calibrated).pair(image.name))
 
 
@@ -147,10 +147,10 @@ def _robust_fit(seen: Observed, size_mm: float) -> tuple[float, Fit]:
 
 
 def before_still_body(camera: Camera, twist: Float64[Array, 6], centre_world: Float64[Array, 3]) -> Camera:
-    """The camera as it stood before a body that is held still.
+    """The camera relative to a body at rest.
 
     Args:
-        camera: as it stood while the body moved.
+        camera: with the pose of the photograph.
         twist: motion of the body about the centre.
         centre_world: the centre, mm.
     """
@@ -167,7 +167,7 @@ def _moved_too_much(found: WalkMotion) -> SurfaceError:
     worst = ", ".join(f"{found.cameras[i]} ({np.linalg.norm(found.shift_mm[i]):.1f} mm)" for i in order)
     return SurfaceError(
         "the photographs",
-        found=f"a body that moved against the board: pairs disagree by {found.rest_mm:.1f} mm, most in {worst}",
+        found=f"a body that moved relative to the board: pairs disagree by {found.rest_mm:.1f} mm, most in {worst}",
         expected=f"at most {_REST_MM:g} mm",
         remedy="Have the patient hold her breath for each half of the walk, and photograph again",
     )

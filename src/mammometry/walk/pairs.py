@@ -1,4 +1,4 @@
-"""Which photographs of a walk are matched with one another.
+"""Choose which photographs of a walk are matched with each other.
 
 Two photographs make a pair where they see the body from directions 8 to 25 degrees apart, at about the same distance.
 Wider pairs measure depth more surely, and a body that moved between the two photographs spoils them less: an error of
@@ -38,7 +38,7 @@ class Candidate(NamedTuple):
     right: str
     angle_deg: float
     cost_deg: float
-    """Off the best angle, with what else is against it."""
+    """Degrees off the best angle, plus penalties."""
     direction: Float64[Array, 3]
     """Unit vector from the body to the middle between the cameras."""
 
@@ -87,7 +87,7 @@ def choose_pairs(rig: Rig, middle_world: Float64[Array, 3], most: int = MOST) ->
     if not waiting:
         raise CalibrationError(
             "the photographs",
-            found="no two whose directions to the body differ by 8 to 25 degrees at one distance",
+            found="no two with directions to the body that differ by 8 to 25 degrees at about the same distance",
             expected="a walk around the body with a photograph every 10 to 15 degrees",
             remedy="Take more photographs, closer together, and keep your distance",
         )
@@ -111,7 +111,7 @@ def choose_pairs(rig: Rig, middle_world: Float64[Array, 3], most: int = MOST) ->
 
 
 def require_arc(cameras: Sequence[Camera], middle_world: Float64[Array, 3]) -> None:
-    """Refuse photographs that do not go round the front of the body.
+    """Refuse photographs that do not cover the front of the body.
 
     Args:
         cameras: in the board's frame: x along its rows, z away from the reader.
@@ -131,7 +131,7 @@ def require_arc(cameras: Sequence[Camera], middle_world: Float64[Array, 3]) -> N
         low, high = max(gaps, key=lambda gap: gap[1] - gap[0])
         raise CalibrationError(
             "the photographs",
-            found=f"none between {low:+.0f}° and {high:+.0f}° (0° is straight before the board, + the patient's left)",
-            expected=f"some from {_ASIDE_DEG:.0f}° or more on either side, and none further than {_GAP_DEG:.0f}° apart",
+            found=f"none between {low:+.0f}° and {high:+.0f}° (0° is in front of the board, + the patient's left)",
+            expected=f"some from {_ASIDE_DEG:.0f}° or more on either side, and gaps of at most {_GAP_DEG:.0f}°",
             remedy="Photograph again from there, with the whole board in each picture",
         )

@@ -1,4 +1,4 @@
-"""Where the telephone was at each photograph of a walk, from the board in the picture.
+"""Pose of the telephone at each photograph of a walk, from the board in the photograph.
 
 The telephone is one camera, and each photograph shows the board in another pose. So the calibration of a rig gives the
 lens, all poses, the board's bow and their joint covariance at once. Here its result is written in the board's frame: a
@@ -49,7 +49,7 @@ class Stations:
 
     @property
     def rig(self) -> Rig:
-        """A camera a photograph, in the board's frame, mm."""
+        """One camera per photograph, in the board's frame, mm."""
         return self.expanded.rig
 
     def point_std_mm(self, rig: Rig, region: Region) -> float:
@@ -113,7 +113,7 @@ def find_stations(
             "the board",
             found=f"corners that fit to {calibration.rms_px:.1f} px, with a bow of {found_at.bow_mm:.1f} mm",
             expected=f"a flat board: at most {_MOST_RMS_PX:g} px and {_MOST_BOW_MM:g} mm",
-            remedy="Glue the print to stiff card that keeps flat on the belly, lock the focus, and photograph again",
+            remedy="Glue the print to stiff card that stays flat on the belly, lock the focus, and photograph again",
         )
     return found_at
 

@@ -157,7 +157,7 @@ def _cast_boundary(
             "base of the model",
             found="a base that does not cut the surface",
             expected="a surface that reaches down to the base on every side",
-            remedy="Look at the silhouettes in the previews: the cast must be whole and clear of its surroundings",
+            remedy="Check the silhouettes in the previews: the cast must be whole and separate from its surroundings",
         )
     shape = "plane" if base.is_plane else f"convex cylinder of radius {1 / base.curvature_per_mm:.0f} mm"
     held = adjusted.weights > _HELD
@@ -384,7 +384,7 @@ def given_boundary(
             f"boundary {name!r}",
             found=f"{len(points_world)} points",
             expected="a closed curve of three points or more",
-            remedy="Draw the boundary all the way round",
+            remedy="Draw the boundary all the way around",
         )
     check_curve(name, points_world, surface.mesh)
     return Boundary(

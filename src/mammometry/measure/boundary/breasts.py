@@ -457,7 +457,7 @@ def _no_crease(creased: float, name: str, least: float) -> MeasureError:
     return MeasureError(
         f"the patient's {name} breast",
         found=f"a crease around {100 * creased:.0f} % of it",
-        expected=f"one around at least {100 * least:.0f} %, to tell where it ends",
+        expected=f"one around at least {100 * least:.0f} %, to find where it ends",
         remedy="Draw its boundary with `mammometry edit`, or pick the landmarks of the protocol",
     )
 

@@ -38,6 +38,6 @@ class Overlap:
             found=f"something on it, such as a hand, an arm or a strap: {self.groove_cm2:.0f} cm² of the skin inside "
             "its border is a groove",
             expected="a bare breast, which has no grooves",
-            remedy="Capture it again, bare. If it is bare (a deep scar is a groove, too): --set "
+            remedy="Capture it again, bare. If it is bare (a deep scar is also a groove): --set "
             "measure.bare_confirmed=true",
         )

@@ -131,7 +131,7 @@ def _check_order(
             f"landmarks of the {side} breast",
             found=wrong,
             expected="landmarks around a breast: medial end, fold, lateral end, axillary line from the armpit down",
-            remedy="Pick them again. Check that no two were swapped",
+            remedy="Pick them again, and check that no two are swapped",
         )
 
 

@@ -41,7 +41,7 @@ def check_curve(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMe
             f"boundary {name!r}",
             found=f"a gap of {gaps[0]:.0f} mm between its last point and its first",
             expected="a closed curve",
-            remedy="Draw the boundary all the way round",
+            remedy="Draw the boundary all the way around",
         )
     crossings = len(crossing_points(points_world))
     if crossings:
@@ -143,7 +143,7 @@ def check_beside_holes(name: str, points_world: Float64[Array, "n 3"], part: Ope
     if away_mm > _BESIDE_HOLE_MM:
         raise MeasureError(
             f"boundary {name!r}",
-            found=f"a hole of the mesh under it, so wide that its edge lies {away_mm:.0f} mm off the boundary",
+            found=f"a hole in the mesh under it, whose edge is {away_mm:.0f} mm from the boundary",
             expected="skin along the whole boundary",
             remedy="Scan the breast again so that its fold is seen: lying, leaning, or with the breast lifted",
         )

@@ -126,7 +126,7 @@ def picked_landmarks(
         if worst > _OFF_SURFACE_MM:
             raise MeasureError(
                 f"landmark {name!r}",
-                found=f"a place {worst:.0f} mm off the surface",
+                found=f"a point {worst:.0f} mm off the surface",
                 expected=f"one within {_OFF_SURFACE_MM:.0f} mm of it",
                 remedy="Pick it again; check that landmarks and surface are of the same session, and in millimetres",
                 mesh_remedy="Pick it again; check that landmarks and mesh belong together, in millimetres",
@@ -160,7 +160,7 @@ def _check_sides(
         if beyond > _WRONG_SIDE_MM:
             raise MeasureError(
                 f"landmark {name!r}",
-                found=f"a place {beyond:.0f} mm on the patient's {opposite} of the middle",
+                found=f"a point {beyond:.0f} mm to the patient's {opposite} of the middle",
                 expected=f"one on the patient's own {side}, which a picture from the front shows on the {opposite}",
                 remedy="Exchange the left and right landmarks, or pick it again",
             )

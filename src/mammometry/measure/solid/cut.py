@@ -209,7 +209,7 @@ def check_whole(name: str, part: OpenPart) -> None:
         raise MeasureError(
             f"boundary {name!r}",
             found="skin that is hollow seen from outside",
-            expected="a breast that stands out: faces that look outwards",
+            expected="a convex breast: faces that point outwards",
             remedy="Flip the mesh's normals in the program that made it, or draw the boundary around a breast",
         )
 

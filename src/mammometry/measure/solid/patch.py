@@ -61,7 +61,7 @@ def fill(loops: Sequence[Float64[Array, "_ 2"]], spacing_mm: float | None = None
             return replace(patch, points=patch.points + harmonic(patch, moved)) if moved.any() else patch
     raise CrossingError(
         "boundary",
-        found="curves that cross one another when laid flat",
+        found="curves that cross each other when flattened",
         expected="simple closed curves around the breast",
         remedy="Draw the boundary with `mammometry edit`, without crossings, or choose another wall with "
         "--set measure.wall=plane",
@@ -226,7 +226,7 @@ def sew(
     if turning <= 0:
         raise CrossingError(
             subject,
-            found="a boundary that runs the wrong way round when laid flat",
+            found="a boundary with the wrong direction when flattened",
             expected="a simple closed curve around the breast",
             remedy="Draw the boundary with `mammometry edit`, or choose another wall with --set measure.wall=plane",
         )

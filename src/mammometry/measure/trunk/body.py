@@ -133,8 +133,8 @@ def find_body(
     if not stated and (_one_above_the_other(boundaries, rough) if len(boundaries) == 2 else lies_across(skin, rough)):
         raise MeasureError(
             "torso",
-            found="a trunk that lies across the direction that is taken for up",
-            expected="a trunk along it",
+            found="a trunk across the assumed upward direction",
+            expected="a trunk along this direction",
             remedy='Say in session.toml how the cameras are mounted: rig.mounting = "left" or "right"',
             mesh_remedy="Say which of the file's axes points to the head: --head x, for example",
         )
@@ -272,7 +272,7 @@ def _plane(
         raise MeasureError(
             "mid-sagittal plane",
             found=f"mirror images that differ by {plane.scatter_mm:.1f} mm",
-            expected="a trunk whose sides are alike",
+            expected="a symmetric trunk",
             remedy="Photograph the trunk from both sides",
             mesh_remedy="Scan the trunk from both sides",
         )

@@ -79,9 +79,9 @@ def register(
         if found.sum() < _FEWEST:
             raise MeasureError(
                 subject,
-                found=f"{int(found.sum())} places of {len(points)} that lie on one another",
+                found=f"{int(found.sum())} matching points of {len(points)}",
                 expected=f"at least {_FEWEST}",
-                remedy="Check that both show the same part of the same patient, in about the same attitude",
+                remedy="Check that both show the same part of the same patient, in about the same posture",
             )
         away = ((fixed_points[partner] - moved) * plane).sum(axis=1)
         scale = max(MAD * float(np.median(np.abs(away[found]))), _FINEST_MM)

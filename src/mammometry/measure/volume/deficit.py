@@ -69,7 +69,7 @@ def volume_deficit(
     if float(np.quantile(foot.distances_mm, 0.9)) > _NEAREST_MM:
         raise MeasureError(
             f"the patient's {name} side",
-            found="no skin where the mirrored boundary of the other breast falls",
+            found="no skin at the mirrored boundary of the other breast",
             expected="a trunk seen on both sides",
             remedy="Photograph the trunk from both sides",
             mesh_remedy="Scan the trunk from both sides",

@@ -258,10 +258,10 @@ def wanted_boundaries(sides: TorsoSides, removed: Sequence[str], *, required: bo
     raise MeasureError(
         "torso",
         found=f"no breast on either side ({why})",
-        expected="one on at least one side, unless both are said to be removed",
-        remedy="Draw the boundaries with `mammometry edit`, or say in boundaries.json that a side was removed: "
+        expected="one on at least one side, unless both are recorded as removed",
+        remedy="Draw the boundaries with `mammometry edit`, or state in boundaries.json that a side was removed: "
         '{"boundaries": {"left": {"removed": true}, "right": {"removed": true}}}',
-        mesh_remedy="Draw the boundaries with `mammometry edit`, or say in their file that a side was removed",
+        mesh_remedy="Draw the boundaries with `mammometry edit`, or state in their file that a side was removed",
     )
 
 

@@ -102,7 +102,7 @@ def _close_first(breast: OpenBreast, kind: str) -> ChestWall:
             expected=error.expected,
             remedy="Photograph it with more pairs of cameras, from the front or from below, or draw the boundary with "
             "`mammometry edit`, clear of unmeasured skin",
-            mesh_remedy="Scan it again without holes there, or draw the boundary with `mammometry edit` beside them",
+            mesh_remedy="Scan it again without holes there, or draw the boundary around them with `mammometry edit`",
         ) from error
 
 

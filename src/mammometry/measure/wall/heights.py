@@ -141,8 +141,8 @@ def layer(places: Float64[Array, "n 3"], subject: str) -> Height:
                 subject,
                 found=f"a surface that covers {100 * known.mean():.0f} % of the breast's base",
                 expected=f"at least {100 * _LEAST_COVERED:.0f} %",
-                remedy="Check that it lies in the session's world frame, in mm, or choose --set measure.wall=default",
-                mesh_remedy="Check that it lies in the mesh's frame, in its unit, or choose --set measure.wall=default",
+                remedy="Check that it is in the session's world frame, in mm, or choose --set measure.wall=default",
+                mesh_remedy="Check that it is in the mesh's frame, in its unit, or choose --set measure.wall=default",
             )
         found[~known] = NearestNDInterpolator(flat[known], found[known])(flat[~known])
         return found

@@ -127,7 +127,7 @@ class OpenBreast:
             raise MeasureError(
                 "chest wall",
                 found="no boundary on each side",
-                expected="both, or the body's directions, to tell the patient's left from right and head from foot",
+                expected="both, or the body's directions, to find the patient's left, right, head and foot",
                 remedy="Give both boundaries, or choose --set measure.wall=membrane",
             )
         height_of = self.boundary.points_world.mean(axis=0)

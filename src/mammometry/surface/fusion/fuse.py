@@ -157,7 +157,7 @@ def meshed(
             f"pairs {', '.join(image.name for image in solid.seen)}",
             found="range data and silhouettes that enclose nothing",
             expected="silhouettes around the surface that the range data show",
-            remedy="Look at the foreground previews: a mask may be inverted or belong to another photograph",
+            remedy="Check the foreground previews: a mask may be inverted or belong to another photograph",
         )
     progress(1.0)
     return TriangleMesh(vertices=on_microns(best.vertices), faces=best.faces)
@@ -243,7 +243,7 @@ def usable(range_images: Sequence[RangeImage]) -> list[RangeImage]:
             f"pairs {names}",
             found="no range data in any of them",
             expected="range data of the subject in at least one pair",
-            remedy="Look at the disparity previews: the subject may be out of view, out of focus or without texture",
+            remedy="Check the disparity previews: the subject may be out of view, out of focus or without texture",
         )
     return seen
 
@@ -275,9 +275,9 @@ def check_silhouettes(range_images: Sequence[RangeImage], foregrounds: Mapping[s
         if worst is not None and excluded[worst] > _MOST_BESIDE:
             raise SurfaceError(
                 f"pair {image.name}",
-                found=f"range data of which camera {worst} sees {100 * excluded[worst]:.0f} % beside the subject",
-                expected="range data of the subject, which lie inside every camera's silhouette of it",
-                remedy=f"Look at the foreground previews of {image.name} and {worst}: the pair may have seen only "
+                found=f"range data of which camera {worst} sees {100 * excluded[worst]:.0f} % outside the subject",
+                expected="range data of the subject, inside the silhouette of every camera",
+                remedy=f"Check the foreground previews of {image.name} and {worst}: the pair may have seen only "
                 "background, or a camera has moved since the calibration",
             )
 

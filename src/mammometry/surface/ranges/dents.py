@@ -139,7 +139,7 @@ def remove_dents(
             "range images",
             found=f"none that faces its camera within {settings.angle_deg:g}° ({counts})",
             expected="range data of the subject in at least one pair",
-            remedy="Look at the disparity previews: the subject may be out of the working volume or without texture",
+            remedy="Check the disparity previews: the subject may be out of the working volume or without texture",
         )
     return ValidPatches(
         range_images=tuple(image.keeping(keep) for image, keep in zip(range_images, kept, strict=True)),
@@ -189,7 +189,7 @@ def dent_grid(
     if len(views) < 2 or unknown or (name is not None and name == against):
         raise SurfaceError(
             "decomposition",
-            found=f"pairs {', '.join(views) or 'none'}" + (f", asked for {', '.join(unknown)}" if unknown else ""),
+            found=f"pairs {', '.join(views) or 'none'}" + (f", but not {', '.join(unknown)}" if unknown else ""),
             expected="two different pairs with range images",
             remedy="Name two pairs of this session",
         )

@@ -60,7 +60,7 @@ class RangeImage:
 
     def __post_init__(self) -> None:
         if np.any(self.camera.distortion):
-            raise ValueError(f"{self.name}: a range image belongs to an ideal camera, found lens distortion")
+            raise ValueError(f"{self.name}: a range image needs an ideal camera, found lens distortion")
         for field in ("range_mm", "sigma_mm", "confidence", "valid"):
             if (shape := getattr(self, field).shape) != self.camera.shape_hw:
                 raise ValueError(f"{self.name}: {field} is {shape}, its camera {self.camera.shape_hw}")

@@ -107,8 +107,8 @@ def _measured(breast: OpenBreast, chart: Chart) -> Closed:
     if back is None:
         raise MeasureError(
             "measured wall",
-            found="no wall that was measured by itself",
-            expected="one, as a mesh in the same frame",
+            found="no separately measured wall",
+            expected="a mesh of the wall in the same frame",
             remedy="Add wall.ply to the session, or choose --set measure.wall=default",
             mesh_remedy="Give it with --wall, or choose --set measure.wall=default",
         )
