@@ -1,4 +1,4 @@
-"""Measure a session: the three lines, and what they give.
+"""Measure a session: three lines, and their results.
 
 python examples/01_measure.py SESSION [SETTINGS.toml]
 """

@@ -1,6 +1,6 @@
 """Run the stages one by one and look at each stage's value.
 
-What is on disk and current is read, not made again.
+Current results on disk are read, not computed again.
 
     python examples/02_stage_by_stage.py SESSION [SETTINGS.toml]
 """

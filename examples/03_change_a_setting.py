@@ -1,4 +1,4 @@
-"""Change a setting: only what depends on it is made again.
+"""Change a setting: only the results that depend on it are computed again.
 
 python examples/03_change_a_setting.py SESSION [SETTINGS.toml]
 """

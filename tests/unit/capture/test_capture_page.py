@@ -101,7 +101,7 @@ def test_a_technician_aims_and_fires_in_the_browser(place, monkeypatch):
             shown.goto(addresses[0])
             shown.wait_for_selector(".cap-said.cap-good")
             assert shown.locator("figure").count() == 8
-            shown.get_by_text("The subject is whole in every view.").wait_for()
+            shown.get_by_text("The subject is complete in every view.").wait_for()
             shown.get_by_role("button", name="Fire").click()
             shown.wait_for_selector(".cap-verdict.good")
             browser.close()

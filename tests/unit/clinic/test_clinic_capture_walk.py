@@ -36,7 +36,7 @@ def test_a_visit_is_photographed_by_one_button(tmp_path: Path) -> None:
         page = opened(browser, f"http://{address}", login, width=360)
         page.goto(f"/visits/{visit}/")
         page.get_by_role("link", name="Photograph with Room 2").click()
-        expect(page.get_by_text("The subject is whole in every view.")).to_be_visible(timeout=WAIT_MS)
+        expect(page.get_by_text("The subject is complete in every view.")).to_be_visible(timeout=WAIT_MS)
         assert page.locator("figure").count() == 8
         require_accessible(page)
         require_fitting(page)

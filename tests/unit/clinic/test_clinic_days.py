@@ -372,7 +372,7 @@ def test_a_surgeons_day(visit: str, opens: Opens, people: Hospital) -> None:
     dialog = page.get_by_role("dialog", name="Log in again, luchs")
     dialog.get_by_label("Password").fill(PASSWORD)
     dialog.get_by_role("button", name="Log in").click()
-    expect(page.locator(".mm-readout")).to_contain_text("It is measured.", timeout=MEASURED_MS)
+    expect(page.locator(".mm-readout")).to_contain_text("Measured.", timeout=MEASURED_MS)
     people.cookies["clinician"] = login_of(page)
     after = page.locator(".mm-volume b").inner_text()
     assert after != before[1]

@@ -58,7 +58,7 @@ def test_a_photograph_waits_for_the_password(page: Page, tmp_path: Path) -> None
     expect(page.get_by_text("All photographs are here.")).to_be_hidden()
     dialog.get_by_label("Password").fill("wrong")
     dialog.get_by_role("button", name="Log in").click()
-    expect(dialog.get_by_text("This password is not right.")).to_be_visible()
+    expect(dialog.get_by_text("Wrong password.")).to_be_visible()
     dialog.get_by_label("Password").fill(PASSWORD)
     dialog.get_by_role("button", name="Log in").click()
     expect(page.get_by_role("img", name="Photograph: Front left")).to_be_visible()

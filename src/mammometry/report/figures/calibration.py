@@ -62,8 +62,8 @@ def detections(result: CalibrationResult) -> bytes | None:
         _fix(axes, size_wh)
     return sheet.png(
         "Detections and residuals",
-        "Each camera's worst view: the detected points of the target, and how far from them the calibrated "
-        "camera projects each point. The bar in each picture is the scale of the arrows.",
+        "Each camera's worst view: the detected points of the target, and their distances from the calibrated "
+        "projections. The bar in each picture is the scale of the arrows.",
     )
 
 
@@ -182,7 +182,7 @@ def expected_error(result: CalibrationResult) -> bytes | None:
     return sheet.png(
         "Expected error of the calibration",
         "Standard deviation of points that each pair reconstructs, from the uncertainty of the cameras, over "
-        "the working volume: RMS along the world's z, y and x. Beside the pair's name: its RMS where the target "
+        "the working volume: RMS along the world's z, y and x. Next to the pair's name: its RMS where the target "
         "was shown. Motions of the whole change no shape and are left out. So is its scale, which is the target's.",
     )
 

@@ -111,7 +111,7 @@ class Sheet:
                 clip_on=False,
             )
         if plain:
-            axes.xaxis.set_visible(False)  # ticks that nobody sees would take most of a panel's time
+            axes.xaxis.set_visible(False)  # invisible ticks would take most of a panel's time
             axes.yaxis.set_visible(False)
             axes.set_anchor("NW")
             _frame(axes)
@@ -153,7 +153,7 @@ class Sheet:
             x += 17 + self._text_width(text) + 18
 
     def png(self, title: str, text: str) -> bytes:
-        """Write the sheet as a PNG that carries its title, and what it shows."""
+        """Write the sheet as a PNG with its title and caption."""
         from matplotlib.backends.backend_agg import FigureCanvasAgg
 
         canvas: Any = FigureCanvasAgg(self.figure)

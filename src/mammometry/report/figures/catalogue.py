@@ -1,7 +1,7 @@
 """Catalogue of figures: stage previews and figures of the paper.
 
-To add one, write a function in a module of this package and decorate it. Nothing else needs to know it: the stage
-writes the picture, and page and paper show it.
+To add one, write a function in a module of this package and decorate it. Nothing else is needed: the stage writes the
+picture, and page and PDF show it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 Draw: TypeAlias = Callable[..., "bytes | None"]
 """Draws a PNG from its stage's result (`stage_results`). A figure of each breast also gets that breast's measurement.
 
-None where the session has nothing to show, such as residuals of cameras that came ready-made.
+None if there is nothing to show, such as residuals of given cameras.
 """
 DrawPaper: TypeAlias = "Callable[[Source], Sheet]"
 _Figure = TypeVar("_Figure", bound=Callable[..., Any])
@@ -39,7 +39,7 @@ class Preview:
     stage: Stage
     draw: Draw
     place: int
-    """Where it stands among its stage's pictures, the lowest first."""
+    """Order among its stage's pictures, lowest first."""
     photographs: bool
     """Whether it shows photographs, and so the background too. Such figures are left out of reports for others."""
     on_paper: bool = False
@@ -116,7 +116,7 @@ def in_order(stage: str, names: Iterable[str]) -> list[str]:
 
 
 def shows_photographs(name: str) -> bool:
-    """Whether a picture shows photographs. One that nobody knows is taken to show them."""
+    """Whether a picture shows photographs. An unknown one counts as showing them."""
     known = [preview for preview in PREVIEWS.values() if preview.is_called(name)]
     return not known or any(preview.photographs for preview in known)
 

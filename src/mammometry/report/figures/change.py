@@ -52,7 +52,7 @@ class Dated:
     world_from_own: Transform
     """That frame to the earlier date's."""
     change_mm: Float64[Array, " n"] | None = None
-    """Per vertex of the later date: distance by which it stands out of the earlier skin, mm."""
+    """Per vertex of the later date: distance in front of the earlier skin, mm."""
 
 
 def change_map(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], change: Change) -> bytes:
@@ -91,8 +91,8 @@ def change_map(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], change:
     sheet.bar(2, scale, "later skin in front of the earlier, mm", extend="both")
     return sheet.png(
         "Both dates, and the change",
-        "The later trunk was laid onto the earlier one without breasts and arms. All views have the same "
-        "scale and place. Below: the later skin lies in front of the earlier one (orange) or behind it (blue). The "
+        "The later trunk was aligned with the earlier one without breasts and arms. All views have the same "
+        "scale and place. Below: the later skin is in front of the earlier one (orange) or behind it (blue). The "
         f"scale ends at ±{limit:g} mm. Colours on arms, shoulders and belly come from the pose and are no change. "
         f"{WORDS}.",
     )

@@ -49,7 +49,7 @@ def foreground(result: MatchingResult) -> bytes:
             axes.plot(line[:, 1] - 1, line[:, 0] - 1, color=canvas.ORANGE, linewidth=1.1)
         axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
         canvas.note(axes, f"subject {100 * float(known.mask.mean()):.0f} % of the picture")
-    return sheet.png("Foreground", "The subject's silhouette in each photograph. Only what lies inside is matched.")
+    return sheet.png("Foreground", "The subject's silhouette in each photograph. Only its inside is matched.")
 
 
 @preview("rectified", stage="match", place=2, photographs=True, on_paper=True)
@@ -69,8 +69,8 @@ def rectified(result: MatchingResult) -> bytes:
                 axes.axhline(row, color=(canvas.SKY, canvas.YELLOW)[line % 2], linewidth=0.7)
     return sheet.png(
         "Rectified pairs",
-        "The pictures as they were matched. With a correct calibration, what lies on a line in the left "
-        "picture lies on the same line in the right one.",
+        "The pictures as matched. With a correct calibration, points on a line in the left picture are on the "
+        "same line in the right one.",
     )
 
 
@@ -94,7 +94,7 @@ def disparity(result: MatchingResult) -> bytes:
             lambda one_map: f"RMS {_rms(one_map.d_v_px[one_map.valid]):.3f} px",
         ),
         "Disparity",
-        "Horizontal disparity d_H = u_left − u_right, which carries the depth, and vertical disparity d_V, "
+        "Horizontal disparity d_H = u_left − u_right, which gives the depth, and vertical disparity d_V, "
         "which is near zero if the calibration is correct. Pale blue: no match.",
     )
 

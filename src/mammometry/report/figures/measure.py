@@ -194,7 +194,7 @@ def sections(result: MeasureResult, measured: VolumeMeasurement) -> bytes:
         axes.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel=labels[axis_x], ylabel=labels[axis_y])
     return sheet.png(
         f"Sections: {NAMES[measured.name]}",
-        "Two cuts through the middle of the closed breast. The volume lies between the skin and the wall.",
+        "Two cuts through the middle of the closed breast. The volume is between the skin and the wall.",
     )
 
 
@@ -282,7 +282,7 @@ def symmetry_map(result: MeasureResult) -> bytes | None:
     sheet.bar(0, scale, "in front of the other one, mm", extend="both")
     return sheet.png(
         "Symmetry",
-        f"The {NAMES['left']} and the mirrored right one, laid onto one another. Orange: fuller than the "
+        f"The {NAMES['left']} and the mirrored right one, aligned with each other. Orange: fuller than the "
         f"other breast, blue: less full. The difference is {symmetry.rms_mm:.1f} mm RMS. The scale ends at "
         f"±{limit_mm:g} mm. The mirrored right breast was moved by {moved_mm:.0f} mm and turned by "
         f"{symmetry.turn_deg:.0f}°, so the map does not show their difference in place.",

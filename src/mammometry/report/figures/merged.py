@@ -46,5 +46,5 @@ def merged(result: MeasureResult) -> bytes | None:
         show(sheet.panel(index, name), result.scene.render(view, size_px=_PANEL_PX, colours=colours), view)
     return sheet.png(
         "The merged scans",
-        "Each scan's skin where it lies on the first one. Grey: shown by several scans, and averaged.",
+        "Each scan's skin, aligned with the first one. Grey: shown by several scans, and averaged.",
     )

@@ -36,8 +36,8 @@ def curves_on(surface: DrawnSurface, observers: Sequence[str]) -> bytes:
         for name, points in surface.curves:
             curve(axes, scene, view, points, colours[name], size_px=_VIEW_PX, width=_LINE)
     return sheet.png(
-        f"What was drawn on {surface.name}",
-        "Every curve that was drawn on this surface, a colour a person, dashed where the surface hides it.",
+        f"Drawings on {surface.name}",
+        "Every curve drawn on this surface, one colour per person, dashed where hidden.",
     )
 
 
@@ -64,8 +64,8 @@ def volumes(drawings: Sequence[Drawing], study: ObserverStudy) -> bytes:
     axes.set_xticks(range(len(study.breasts)), study.breasts)
     return sheet.png(
         "Volumes",
-        "The volume that each drawing gives, less the mean of all drawings of that breast. Dotted: plus and "
-        "minus one standard error of measurement of one person who draws again. Dashed: of whoever draws.",
+        "The volume of each drawing, minus the mean of all drawings of that breast. Dotted: plus and "
+        "minus one standard error of measurement of one person who draws again. Dashed: of different people.",
     )
 
 

@@ -1,4 +1,4 @@
-"""The products of a session as a drawing: what each is made from, its state, and how long it took."""
+"""The products of a session as a drawing, with their inputs, state and duration."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -47,7 +47,7 @@ def photographs_seen(
             axes.contour(across, down, blocks[camera], levels=[0.5], colors=canvas.ORANGE, linewidths=1.1)
         elif blocks is not None:
             canvas.note(axes, "no outline: everything was matched")
-    text = "With the outlines of the subject that were found: only what lies inside is matched."
+    text = "With the outlines of the subject: only their inside is matched."
     return sheet.png("The photographs", "As they were brought." if blocks is None else text)
 
 

@@ -1,6 +1,6 @@
 """Pictures of meshes by orthographic projection and Lambert shading.
 
-This needs no window and no graphics card. A picture's pixels stand for a plane through the view's centre, in mm. So
+This needs no window and no graphics card. A picture's pixels are on a plane through the view's centre, in mm. So
 scale bars, curves and sections are drawn on it in millimetres.
 """
 
@@ -40,7 +40,7 @@ class View:
     """A direction to look from, without perspective."""
 
     name: str
-    """What to call it: "front"."""
+    """Its name: "front"."""
     view_from_world: Float64[Array, "3 3"]
     """Proper rotation. Rows: the picture's right, its up, and the direction to the viewer, world frame."""
     centre_world: Float64[Array, 3]

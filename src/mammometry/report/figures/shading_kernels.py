@@ -1,6 +1,6 @@
 """Compiled kernel that shades a mesh's picture.
 
-Its plain NumPy twin stands in tests/unit/report/test_shading.py.
+Its plain NumPy version is in tests/unit/report/test_shading.py.
 """
 
 import numpy as np

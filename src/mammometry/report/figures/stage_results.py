@@ -45,7 +45,7 @@ class CalibrationResult:
     stage: ClassVar[Stage] = "calibrate"
     rig: Rig
     calibration: Calibration | None = None
-    """None where the cameras came ready-made."""
+    """None for given cameras."""
     photographs: Mapping[tuple[str, str], Photograph] = field(default_factory=dict)
     """(pose, camera) → photograph of the target. One a camera is read."""
 
@@ -138,9 +138,9 @@ class MeasureResult:
     absent: Sequence[NoBreast] = ()
     """Sides without a breast."""
     lacking: Sequence[VolumeDeficit] = ()
-    """What a side lacks to the other one."""
+    """A side's lacking volume."""
     sources: UInt8[Array, " n"] | None = None
-    """Scans that show each vertex, as bits, where several were merged."""
+    """Scans that show each vertex, as bits, if several were merged."""
 
     @cached_property
     def scene(self) -> Scene:

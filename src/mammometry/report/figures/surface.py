@@ -121,7 +121,7 @@ def provenance(result: SurfaceResult) -> bytes:
     sheet.bar(1, scale, "σ along the normal, mm")
     return sheet.png(
         "Provenance",
-        "Above: how each part of the surface came about, in shares of the area. Below: expected standard "
+        "Above: origin of each part of the surface, in shares of the area. Below: expected standard "
         "deviation of the measured part. Without colour: not measured.",
     )
 
@@ -238,7 +238,7 @@ def error_map(
         sheet.bar(row, scale, "distance from the true surface, mm", extend="both")
     return sheet.png(
         title,
-        "Signed distance of the measured surface from the true one, mm: red lies outside, blue inside. The "
+        "Signed distance of the measured surface from the true one, mm: red is outside, blue inside. The "
         f"scale ends at ±{limit_mm:g} mm, which includes 98 % of the judged surface. Sand: not judged, no pair "
         "sees it.",
     )
