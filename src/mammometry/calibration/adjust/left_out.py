@@ -4,8 +4,7 @@ The adjustment without some poses starts at the minimum of all poses, which is n
 from the normal equations, so that a single step is enough and each observation is evaluated once for all folds. Even a
 correct model fits used poses better than unused ones, by an amount that depends on the number of unknowns. This amount
 is found by repeating the procedure with residuals whose signs are random, which removes correlations between neighbours
-(wild
-bootstrap: Wu 1986, Annals of Statistics 14).
+(wild bootstrap: Wu 1986, Annals of Statistics 14).
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Meshes on disk: ours, and those of other devices."""
+"""Meshes on disk: our own, and those of other scanners."""

@@ -27,34 +27,34 @@ from mammometry.geometry.mesh_files.usdz import read_usdz
 
 _BY_SIZE = "as the body's size shows"
 _TORSO_MM = (230.0, 2300.0)
-"""Longest side of a torso's front, at least, and of a whole body, arms raised or held out. Not more than ten times as
-long, so that one unit of `_USUAL` alone fits."""
-_USUAL = ("mm", "cm", "m")  # in which scanners write; inches and feet are a question, as they fit beside cm and m
-_COARSEST_STEP_MM = 0.1  # as the standard uncertainty of a scanner's surface (`api.mesh.SURFACE_STD_MM`)
-_HEADER_BYTES = 65_536  # in which a file's comments may state its unit
+"""Smallest longest side of a torso's front, and largest of a whole body with raised arms. The ratio is below ten, so
+that only one unit of `_USUAL` fits."""
+_USUAL = ("mm", "cm", "m")  # usual units of scanners; inches and feet are ambiguous with cm and m
+_COARSEST_STEP_MM = 0.1  # equals the standard uncertainty of a scanner's surface (`api.mesh.SURFACE_STD_MM`)
+_HEADER_BYTES = 65_536  # part of a file whose comments may state its unit
 _COMMENT = re.compile(r"^(?:comment|obj_info|#+)(.*)")
 
 
 @value(eq=False)
 class ForeignMesh:
-    """A mesh as its file has it, in mm."""
+    """A mesh as in its file, converted to mm."""
 
     mesh: TriangleMesh
-    """mm, in the file's own frame. Corners in one place are one vertex."""
+    """mm, in the file's own frame. Vertices at one position are merged."""
     colours: UInt8[Array, "n 3"]
-    """sRGB of each vertex. Mid grey where the file has no colours."""
+    """sRGB of each vertex. Mid grey if the file has no colours."""
     units: str
-    """Its unit, and who says so, in words."""
+    """Its unit and the source of it, as text."""
     mm_per_unit: float = 1.0
-    """Its unit, mm."""
+    """Size of its unit, mm."""
     lengths: str = ""
-    """A sentence on its length in the assumed unit and in others. Empty where there is no doubt."""
+    """A sentence on its length in the assumed unit and in others. Empty if there is no doubt."""
     remarks: tuple[str, ...] = ()
     """What its reader left out or took for granted, one sentence each."""
 
     @property
     def assumed(self) -> str:
-        """A sentence about an assumed unit. Empty where it was stated."""
+        """A sentence about an assumed unit. Empty if it was stated."""
         return " ".join(filter(None, (unit_remark(self.units), self.lengths)))
 
     @property
@@ -64,11 +64,11 @@ class ForeignMesh:
 
 
 def unit_remark(units: str, *, imported: bool = False) -> str:
-    """A sentence about an assumed unit. Empty where it was stated.
+    """A sentence about an assumed unit. Empty if it was stated.
 
     Args:
         units: the unit and its source, as in a `ForeignMesh`.
-        imported: whether the scan is imported, and so in mm.
+        imported: whether the scan was imported, and is in mm.
     """
     if not units.endswith(_BY_SIZE):
         return ""
@@ -81,13 +81,13 @@ def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False
 
     Args:
         path: a PLY, OBJ, STL, GLB or USDZ.
-        units: a name or spelling of `base.units`; None where the file states it: GLB by its standard (metres), USDZ
+        units: a name or spelling of `base.units`. None if the file states it: GLB by its standard (metres), USDZ
             (``metersPerUnit``), PLY and OBJ in a comment (``comment units: mm``).
-        of_torso: whether it is known to be a torso, or a whole body. Its size then shows a unit that nobody states.
+        of_torso: whether it is known to be a torso or a whole body, whose size then shows the unit.
 
     Raises:
-        SessionError: the file cannot be read or holds no triangles; nobody says its unit, or in that unit it is no
-            thing to be measured here.
+        SessionError: the file cannot be read or has no triangles; its unit is unknown, or its size in that unit is
+            impossible.
     """
     if path.suffix.lower() not in SUFFIXES:
         raise _refused(path, "another file type", f"a mesh as {KINDS}", "Export the mesh as one of them")
@@ -112,14 +112,14 @@ def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False
         fits = [f"{name} ({size.mm:.0f} mm)" for name, size in others.items() if size.is_usual()]
         raise _refused(
             path,
-            f"a mesh {extent.mm:.3g} mm long, its unit being {unit} ({who})",
+            f"a mesh {extent.mm:.3g} mm long, in the unit {unit} ({who})",
             f"a cast or a torso, {extent.expected}",
             "Check --units" + (f": {' or '.join(fits)} would fit" if fits else ""),
         )
     if step_mm > _COARSEST_STEP_MM:
         raise _refused(
             path,
-            f"coordinates in steps of {step_mm:.2g} mm, {np.abs(vertices).max() / 1000:.3g} m away from the origin",
+            f"coordinates in steps of {step_mm:.2g} mm, {np.abs(vertices).max() / 1000:.3g} m from the origin",
             f"steps of at most {_COARSEST_STEP_MM:g} mm",
             "Move the mesh to its origin in the program that made it, and export it again",
         ).with_remark(unit_remark(f"{unit}, {who}"))
@@ -145,9 +145,9 @@ def _unit_of_torso(extent: float) -> tuple[str | None, str]:
 
 
 def _step(vertices: Float64[Array, "n 3"]) -> float:
-    """Distance of neighbouring single-precision numbers at the farthest coordinate, in the file's unit.
+    """Spacing of single-precision numbers at the farthest coordinate, in the file's unit.
 
-    0 where the coordinates are no single-precision numbers, so that no digits were lost.
+    0 if the coordinates are not single-precision numbers, so that no digits were lost.
     """
     if not np.array_equal(vertices.astype(np.float32), vertices):
         return 0.0
@@ -155,7 +155,7 @@ def _step(vertices: Float64[Array, "n 3"]) -> float:
 
 
 def _stated_unit(path: Path) -> tuple[str | None, str]:
-    """The unit that a file states, and in which way."""
+    """The unit that a file states, and its source."""
     kind = path.suffix.lower()
     if kind == ".glb":
         return "m", "glTF's unit"
@@ -178,7 +178,7 @@ def _stated_unit(path: Path) -> tuple[str | None, str]:
 
 
 def _unit_in_comments(path: Path, head: bytes) -> tuple[str | None, str]:
-    """The unit that comments in the beginning of a PLY or OBJ state.
+    """The unit in comments at the beginning of a PLY or OBJ.
 
     Raises:
         SessionError: they state different ones.
