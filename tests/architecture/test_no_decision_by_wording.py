@@ -1,7 +1,7 @@
 """No sentence decides what the program does: callers decide by type, code or value."""
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -27,6 +27,11 @@ FORMATS = {
     "capture/sessions.py: first['msg'].removeprefix('Value error, ')",
     "calibration/targets/table.py: error.errors()[0]['msg'].removeprefix('Input should be ')",  # likewise
     "report/documents/letters/shaping.py: unicodedata.name(letter, '').startswith('VARIATION SELECTOR')",
+    "io/results/codecs.py: why == _OF_PARTNER",  # likewise
+    "io/meshes/foreign.py: units.endswith(_BY_SIZE)",  # scan.toml holds the unit and its source as one text
+    "measure/volume/uncertainty.py: AXIS in terms",  # names of an interval's terms are their titles
+    "measure/volume/difference.py: name == AXIS",
+    "study/observers.py: region != 'whole curve'",  # names of regions likewise
     "io/write.py: 'requested and' in str(error)",  # NumPy's error of a full disk has neither type nor number
 }
 """Text that others or version 1.0 wrote, which has no code."""
@@ -35,19 +40,25 @@ FORMATS = {
 def is_words(text: str) -> bool:
     """Whether a text is more than one word, as sentences are and names and codes are not."""
     words = text.split()
-    return len(words) > 1 and all(word.strip(".,:;()'").replace("-", "").isalpha() for word in words)
+    return len(words) > 1 and all(word.strip(".,:;()'").replace("-", "").replace("'", "").isalpha() for word in words)
 
 
-def named_words(trees: dict[Path, ast.Module]) -> set[str]:
+def named_words(trees: Iterable[ast.Module]) -> set[str]:
     """Names of constants that hold words."""
     return {
         target.id
-        for tree in trees.values()
+        for tree in trees
         for node in tree.body
         if isinstance(node, ast.Assign) and any(is_words(text) for text in constants(node.value))
         for target in node.targets
         if isinstance(target, ast.Name)
     }
+
+
+def known_words(tree: ast.Module, everywhere: set[str]) -> set[str]:
+    """Such names that a module defines or imports."""
+    imported = {name.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for name in node.names}
+    return named_words([tree]) | (imported & everywhere)
 
 
 def constants(node: ast.expr) -> list[str]:
@@ -77,7 +88,8 @@ def decisions(tree: ast.Module, words: set[str]) -> Iterator[str]:
             sides, within = [node.left, *node.comparators], isinstance(node.ops[0], ast.In | ast.NotIn)
             literal = any(constants(side) or says(side) for side in sides)
             searched = within and says(node.left) and not isinstance(node.comparators[0], ast.Tuple | ast.Set)
-            if searched or (literal and any(map(is_message, sides))):
+            same = isinstance(node.ops[0], ast.Eq | ast.NotEq) and any(map(says, sides))
+            if searched or same or (literal and any(map(is_message, sides))):
                 yield ast.unparse(node)
         elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in METHODS:
             text = isinstance(node.func.value, ast.Constant)
@@ -89,11 +101,11 @@ def decisions(tree: ast.Module, words: set[str]) -> Iterator[str]:
 
 def test_no_sentence_decides() -> None:
     trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(SOURCE.rglob("*.py"))}
-    words = named_words(trees)
+    words = named_words(trees.values())
     found = {
         f"{path.relative_to(SOURCE).as_posix()}: {decision}"
         for path, tree in trees.items()
-        for decision in decisions(tree, words)
+        for decision in decisions(tree, known_words(tree, words))
     }
     assert found == FORMATS
 
@@ -107,6 +119,7 @@ def test_no_sentence_decides() -> None:
         "str(error).partition(', found ')",
         "_BUSY in event.failed",
         "note.endswith('to be confirmed')",
+        'reason != "its partner\'s silhouette is not known"',
     ],
 )
 def test_such_a_decision_is_seen(line: str) -> None:

@@ -121,6 +121,8 @@ class Entry:
     """Name of each changed field, its value before and after."""
     client: str
     """Network address that the request came from."""
+    is_new: bool
+    """Whether it is of a new row."""
 
     @property
     def words(self) -> str:
@@ -130,9 +132,7 @@ class Entry:
     @property
     def changed(self) -> str:
         """Names of the changed fields, empty for a new row."""
-        return (
-            "" if self.title.endswith(_VERBS[LogEntry.Action.CREATE]) else ", ".join(name for name, _, _ in self.fields)
-        )
+        return "" if self.is_new else ", ".join(name for name, _, _ in self.fields)
 
 
 class _Kind(Func):
@@ -212,6 +212,7 @@ def in_words(
         key=row.object_pk,
         fields=tuple((name, *texts.get(name, values)) for name, *values in _field_changes(row.changes)),
         client=row.remote_addr or "",
+        is_new=row.action == LogEntry.Action.CREATE,
     )
 
 

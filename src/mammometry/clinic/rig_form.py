@@ -25,7 +25,7 @@ PAIRS = 8
 """Largest number of rows for pairs in the form. A file may have more."""
 _MOST_SQUARES = 60  # in a row: 2 mm squares on a page of A4's width
 _SQUARES = {"charuco": "ChArUco: squares with markers", "chessboard": "Chessboard: plain squares"}
-_AS_IT_IS = "as it is"
+_AS_IT_IS = "as-it-is"
 _DICTIONARIES = tuple(
     f"DICT_{bits}X{bits}_{count}" for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)
 )  # OpenCV's names of its own dictionaries

@@ -20,7 +20,7 @@ from mammometry.job.inputs import Walk
 from mammometry.job.stages import calibrate, match, measure, surface
 from mammometry.matching import quality as match_quality
 from mammometry.matching.foreground.foreground import Foreground
-from mammometry.matching.foreground.outlines_first import OF_PARTNER, without_outline
+from mammometry.matching.foreground.outlines_first import without_outline
 from mammometry.matching.quality import MatchQuality
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import Body
@@ -34,6 +34,7 @@ from mammometry.surface.occlusion import Occlusion
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 from mammometry.walk.motion import WalkMotion
 
+_OF_PARTNER = "its partner's silhouette is not known"
 _MATCHED = 0.6  # of a silhouette that a pair should match; flanks seen obliquely cost up to a third
 _BLOCKED = 0.005  # of the subject in a photograph, hidden: less is a strap or a shadow; chosen by eye
 _SIZE_KNOWN = 0.004  # relative uncertainty of the board's size, above which it is the larger part of most intervals
@@ -138,8 +139,8 @@ def warnings(run: VolumeDoubts) -> Iterator[Notice]:
     if run.doubtful:
         yield Notice(code="nipple-not-seen", about=tuple(run.doubtful))
     if run.unseparated:
-        reasons = "; ".join(dict.fromkeys(run.unseparated.values()))
-        drawn = [f"masks/{name}.png" for name, reason in run.unseparated.items() if reason != OF_PARTNER]
+        reasons = "; ".join(dict.fromkeys(reason or _OF_PARTNER for reason in run.unseparated.values()))
+        drawn = [f"masks/{name}.png" for name, reason in run.unseparated.items() if reason]
         values = {"reasons": reasons, "masks": " and ".join(drawn)}
         cameras = tuple(run.unseparated)
         yield Notice(code="outline-not-used", about=cameras, photographs=captured(cameras), values=values)

@@ -7,7 +7,7 @@ import pytest
 from textured_pair import make_pair
 
 from mammometry.matching.dense.match import DisparityMap, match
-from mammometry.matching.foreground.outlines_first import OF_PARTNER, without_outline
+from mammometry.matching.foreground.outlines_first import without_outline
 from mammometry.matching.quality import assess, concerns
 from mammometry.matching.rectify import RectifiedPair
 from mammometry.report.figures.thinning import thinned_map
@@ -58,7 +58,7 @@ def test_a_missing_outline_comes_before_a_moved_camera() -> None:
     """The background that was matched instead of the subject does not fit the calibration either."""
     quality = assess(with_vertical(np.full((50, 60), -0.5)))
     assert quality.calibration_alarm
-    doubts = {"front_l": "nothing stands out", "front_r": OF_PARTNER}
+    doubts = {"front_l": "nothing stands out", "front_r": ""}
     missing = without_outline(("front_l", "front_r"), doubts)
     found, advice = concerns("front", quality, missing)
     assert (found.code, advice.code) == ("pair-disagrees", "outline-first")

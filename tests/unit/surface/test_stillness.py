@@ -13,7 +13,6 @@ from mammometry.base.photograph import Photograph
 from mammometry.calibration.judge.pose_motion import shifts
 from mammometry.geometry.twist import rigid_motions
 from mammometry.job.stages import surface as stages
-from mammometry.matching.foreground.outlines_first import OF_PARTNER
 from mammometry.surface.motion import motion_test as stillness
 from mammometry.surface.motion import rigid_motion as motions
 from mammometry.surface.motion.agreement import differences
@@ -290,7 +289,7 @@ def test_missing_outlines_are_named_before_cameras_are_said_to_have_moved():
             )
         return refused.value
 
-    missing = refusal({"front_l": "it does not fit", "front_r": OF_PARTNER})
+    missing = refusal({"front_l": "it does not fit", "front_r": ""})
     assert isinstance(missing, MatchingError)
     assert missing.subject == "capture, front_l"
     assert "masks/front_l.png" in missing.remedy

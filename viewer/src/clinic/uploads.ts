@@ -188,8 +188,8 @@ class Photographs {
     const good = arrived === 1 ? "One photograph has arrived." : `${arrived} photographs have arrived.`;
     const ready = this.root.dataset.ready === "true" && this.refused.length === 0;
     this.say(words ?? (ready && this.poseInput === null ? "All photographs are here." : arrived > 0 ? good : ""));
-    const state = document.querySelector<HTMLElement>("[data-state] .chip");
-    if (ready && state?.textContent === "photographs missing") state.textContent = "ready to measure";
+    const state = document.querySelector<HTMLElement>('[data-state="new"] .chip, [data-state="uploading"] .chip');
+    if (ready && state !== null) state.textContent = "ready to measure";
     const list = this.root.querySelector<HTMLElement>("[data-refused]");
     list?.replaceChildren(...this.refused.map((sentence) => made("li", "", sentence)));
     if (list) list.parentElement!.hidden = this.refused.length === 0;

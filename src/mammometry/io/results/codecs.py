@@ -118,6 +118,7 @@ _CODES_OF_1_0: Mapping[str, BoundaryRemark] = MappingProxyType(
     }
 )
 """Parts of those sentences → codes."""
+_OF_PARTNER = "its partner's silhouette is not known"  # version 1.0's reason for a camera that has none of its own
 _TARGET = "target:"  # before the name of a kind of target
 
 
@@ -189,6 +190,10 @@ def _without_sentences(label: str, members: dict[str, Any]) -> dict[str, Any]:
     """The members of a value. Version 1.0 stored no codes: they are read out of its sentences."""
     if label == "measure.landmarks:Landmark" and "proposed" not in members:
         return members | {"proposed": members["method"].startswith("proposed: ")}
+    if label == "matching.subjects:Subjects":
+        return members | {
+            "doubts": {name: "" if why == _OF_PARTNER else why for name, why in members["doubts"].items()}
+        }
     sentence, codes = _SENTENCES.get(label, ("", ""))
     if not codes or codes in members:
         return members

@@ -36,7 +36,6 @@ from mammometry.matching.coarse_stereo import (
     subject_middle,
 )
 from mammometry.matching.foreground.foreground import Blocks, blocks_of, subject_blocks
-from mammometry.matching.foreground.outlines_first import OF_PARTNER
 from mammometry.matching.settings import ForegroundSettings
 
 _AT_ONCE = 4  # photographs in memory at once; 40 MB each at full size
@@ -53,7 +52,7 @@ class Subjects:
     blind: tuple[str, ...]
     """Cameras whose silhouette is unknown: everything that they see may be the subject."""
     doubts: Mapping[str, str]
-    """Camera → reason why its silhouette is unknown."""
+    """Camera → reason why its silhouette is unknown. Empty: its partner's is; both pictures are treated alike."""
 
 
 def find_subjects(
@@ -104,7 +103,7 @@ def find_subjects(
         checked = check_masks(rig, masks, steps, seen, middle)
         masks, doubts = dict(checked.masks), doubts | dict(checked.doubts)
     for name in _partners(rig, set(doubts)) - set(given) - set(doubts):
-        doubts[name] = OF_PARTNER
+        doubts[name] = ""
     return Subjects(
         middle_world=middle,
         blocks={name: mask for name, mask in masks.items() if name not in doubts},

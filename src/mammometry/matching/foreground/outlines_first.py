@@ -12,18 +12,15 @@ from contextlib import contextmanager
 from mammometry.base.errors import MatchingError, SurfaceError
 from mammometry.base.notices import Notice
 
-OF_PARTNER = "its partner's silhouette is not known"
-"""Reason given for a camera whose partner has a wrong silhouette: both pictures of a pair are treated alike."""
-
 
 def without_outline(cameras: Sequence[str], doubts: Mapping[str, str]) -> tuple[str, ...]:
     """Cameras whose outlines must be drawn before a disagreement shows that cameras moved.
 
     Args:
         cameras: those of the pair that disagrees.
-        doubts: camera → why its silhouette is not known.
+        doubts: camera → why its silhouette is not known. Empty: because its partner's is not.
     """
-    return tuple(name for name in cameras if doubts.get(name, OF_PARTNER) != OF_PARTNER)
+    return tuple(name for name in cameras if doubts.get(name))
 
 
 def outline_first(missing: Sequence[str]) -> Notice:
@@ -49,7 +46,7 @@ def outlines_first(doubts: Mapping[str, str]) -> Iterator[None]:
     try:
         yield
     except SurfaceError as error:
-        missing = [camera for camera, reason in doubts.items() if reason != OF_PARTNER]
+        missing = [camera for camera, reason in doubts.items() if reason]
         if not missing:
             raise
         reasons = "; ".join(dict.fromkeys(doubts[camera] for camera in missing))
