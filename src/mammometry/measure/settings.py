@@ -20,16 +20,15 @@ _THICKEST_LAYER_MM = 100.0  # real women have 24 ± 8 mm where it is thickest; m
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BaseRimSettings:
-    """Finding the base of a cast from its visible rim. docs/method, volume."""
+    """How the base of a cast is found from its visible rim (docs/method, volume)."""
 
     rim_radius_mm: float = 0.24
-    """Assumed rounding radius of the rim if session.toml gives none, mm. A camera sees where the rounding turns away,
-    not where the cast would end. So the base is put half of the radius behind the visible rim. Photographs do not show
-    the radius (docs/decisions/0017).
-    """
+    """Assumed radius of the rounded rim if session.toml gives none, mm. A camera sees where the rounding turns away,
+    not where the cast ends, so the base is placed half of the radius behind the visible rim. Photographs do not show
+    the radius (docs/decisions/0017)."""
     minimum_sectors: int = 36
-    """Directions around the cast, out of 72, that must hold rim points for a base to be trusted. Half of them: where a
-    third of a rim was seen, it lay on two planes, and the wrong one looked as sure (docs/decisions/0009)."""
+    """Directions around the cast, out of 72, that must have rim points. Half of them: with a third, points fitted two
+    planes equally well, of which one was wrong (docs/decisions/0009)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,7 +36,7 @@ class NippleSettings:
     """Limit below which a proposed nipple is not used."""
 
     least_probability: float = 0.5
-    """Least probability of a nipple from which lengths, quadrants and ptosis are measured."""
+    """Smallest probability of a nipple for measuring lengths, quadrants and ptosis."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,10 +65,7 @@ class LayerSettings:
     """Below the right breast, mm."""
 
     def of(self, side: str) -> tuple[float, float, float, float]:
-        """Lateral, upper, medial and lower thickness of one side, mm.
-
-        0 where not measured.
-        """
+        """Lateral, upper, medial and lower thickness of one side, mm. 0 if not measured."""
         if side == "left":
             return (self.left_lateral_mm, self.left_upper_mm, self.left_medial_mm, self.left_lower_mm)
         return (self.right_lateral_mm, self.right_upper_mm, self.right_medial_mm, self.right_lower_mm)
@@ -86,20 +82,20 @@ class LayerSettings:
 class ObserverSettings:
     """Standard uncertainty of a drawn curve by region, mm.
 
-    Two ratings of one point of a breast's boundary lie 3.5 mm apart on average at the surest of three places and 6.7 mm
+    Two ratings of one point of a breast's boundary are 3.5 mm apart on average at the surest of three places and 6.7 mm
     at the least sure, by one person or by two alike (16 women, doi 10.1007/s00238-018-1431-2). If each rating scatters
-    by σ across the curve and as much along it, their mean distance is √π σ. So σ is 2.0 to 3.8 mm. The same authors
-    call the fold and the medial border easy to see, and the upper and lateral border without landmarks.
+    by σ across and along the curve, their mean distance is √π σ. So σ is 2.0 to 3.8 mm. The same authors call the fold
+    and the medial border easy to see, and the upper and lateral border without landmarks.
     """
 
     medial_mm: float = 2.0
-    """Towards the breastbone, mm: as the surest place."""
+    """Towards the breastbone, mm: value of the surest place."""
     lower_mm: float = 2.0
-    """At the fold below the breast, mm: as the surest place."""
+    """At the fold below the breast, mm: value of the surest place."""
     upper_mm: float = 3.0
-    """Towards the collarbone, mm: between both (their root mean square)."""
+    """Towards the collarbone, mm: between the two (their root mean square)."""
     lateral_mm: float = 3.8
-    """Towards the armpit, mm: as the least sure place."""
+    """Towards the armpit, mm: value of the least sure place."""
 
     def __post_init__(self) -> None:
         if min(self.medial_mm, self.lower_mm, self.upper_mm, self.lateral_mm) < 0:
@@ -117,12 +113,11 @@ class MeasureSettings:
 
     wall: str = "default"
     """Name of the wall that closes the breast. default: the measured wall if the session has a wall.ply. Otherwise a
-    cast gets its own base, plane or convex cylinder as its rim shows, and a torso the rounded membrane. (A flat wall
+    cast gets its own base, plane or convex cylinder by its rim, and a torso the rounded membrane. (A flat wall
     overestimates a breast by a quarter to three quarters.)"""
     boundary: Literal["default", "landmarks"] = "default"
     """Source of a torso breast's boundary, unless drawn. default: its crease. landmarks: the named protocol, from
-    picked landmarks (landmarks.json).
-    """
+    picked landmarks (landmarks.json)."""
     protocol_join: ProtocolJoin = "geodesic"
     """How the protocol's landmarks are joined. geodesic: by shortest paths over the skin, which run around a breast and
     not over it. arc: by quarter ellipses. For 48 breasts ellipses left out 9 ± 11 %, paths 1 ± 7 % (decision 19).
@@ -130,22 +125,22 @@ class MeasureSettings:
     base_rim: BaseRimSettings = field(default_factory=BaseRimSettings)
     """How a cast's base is found."""
     nipple: NippleSettings = field(default_factory=NippleSettings)
-    """How nipples are proposed where none was picked."""
+    """How nipples are proposed if none was picked."""
     layer: LayerSettings = field(default_factory=LayerSettings)
-    """What is known of the layer before the muscle."""
+    """Measured thickness of the layer in front of the muscle."""
     size_confirmed: bool = field(default=False, metadata={SINCE: "1.1"})
-    """Whether the body's lengths were checked and are right, though fewer than one adult in 1,000 has them. The body is
-    then measured, with a warning."""
+    """Whether the body's lengths were checked and are right, although fewer than one adult in 1,000 has them. The body
+    is then measured, with a warning."""
     bare_confirmed: bool = field(default=False, metadata={SINCE: "1.1"})
-    """Whether both breasts were checked and are bare, though the skin inside a border has grooves, as a hand or an arm
-    on it leaves. Such a breast is then measured, with a warning."""
+    """Whether both breasts were checked and are bare, although the skin inside a boundary has grooves, such as a hand
+    or an arm on it would cause. Such a breast is then measured, with a warning."""
     surface_sigma_mm: float = 0.02
-    """Standard uncertainty of a cast's whole surface along its normal, mm. Matching windows bias convex skin by .02 to
-    .04 mm."""
+    """Standard uncertainty of a cast's whole surface along its normal, mm. Matching windows bias convex skin by 0.02 to
+    0.04 mm."""
     observers: ObserverSettings = field(default_factory=ObserverSettings)
-    """How far off a torso's boundary curve may be, as persons draw it. Where no pair measured the skin under it,
+    """Standard uncertainty of a torso's boundary curve, as drawn by people. Where no pair measured the skin under it,
     half of the distance from measured skin is added (root of the sum of squares): automatic boundaries were 3 to 7 mm
-    off on seen skin, 4 to 15 on unseen skin."""
+    off on measured skin, 4 to 15 mm on unmeasured skin."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,13 +148,12 @@ class CompareSettings:
     """Limits of the comparison of two dates of one patient."""
 
     doubt_mm: float = 1.6
-    """The trunks are doubted if a fifth of one is further than this from the other date's, mm. For one virtual body in
-    extreme poses 22 of 24 pairs are nearer, half of them within .7. For two bodies none is. The least has 1.9.
-    """
+    """A comparison is doubtful if a fifth of one trunk is farther than this from the other date's, mm. For one virtual
+    body in extreme poses 22 of 24 pairs are closer, half of them within 0.7 mm. For two bodies none is; the smallest
+    has 1.9 mm."""
     refuse_mm: float = 4.0
-    """Above it the trunks are refused as those of two bodies, mm. Poses do far less to one body. For 66 pairs of two
-    bodies 45 are beyond it. The others are doubted.
-    """
+    """Above it the comparison is refused as one of two bodies, mm. Poses of one body cause much less. Of 66 pairs of
+    two bodies 45 are above it, and the others are doubtful."""
     other_posture: bool = False
     """Whether dates of different postures are compared, with a warning, instead of refused."""
 

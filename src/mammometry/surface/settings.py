@@ -1,11 +1,11 @@
-"""All settings of the surface stage in one value."""
+"""All settings of the surface stage."""
 
 from dataclasses import dataclass, field, replace
 from typing import Literal, Self
 
 TAPER_MM = 3.0
-"""Distance over which a view's weight rises from its data's edge, mm, since windows at the edge see past the surface.
-"""
+"""Distance from the edge of a view's data over which its weight rises, mm: windows at the edge extend past the
+surface."""
 
 CUBE_MM = 0.5
 """Edge of a cube of the first surface, mm: the paper's."""
@@ -31,7 +31,7 @@ class DentSettings:
     neighbourhood_mm: float = 2.5
     """Distance within which points give a normal, mm (the paper's patches: 5)."""
     drop_seen_through: bool = True
-    """Also drop what another view sees through (rule ``element``): no surface can be there."""
+    """Also remove data that another view sees through (rule ``element``): no surface can be there."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,16 +39,14 @@ class ExtractSettings:
     """Grid of cubes, and the rule that merges views on it."""
 
     cube_mm: float = 0.0
-    """Edge of a cube, mm. 0: 0.7 for a torso, else 0.5, the paper's. A torso has ten times the skin of a cast: with 0.7
-    it takes half the time, and errs as much (docs/decisions/0040).
-    """
+    """Edge of a cube, mm. 0: 0.7 for a torso, otherwise 0.5, the paper's. A torso has ten times the skin of a cast: 0.7
+    takes half the time with the same error (docs/decisions/0040)."""
     rule: Literal["default", "nearest", "furthest", "tsdf"] = "default"
     """Rule for disagreeing views. ``nearest`` and ``furthest`` are the paper's two failing rules (Fig. 3). ``tsdf`` is
-    Curless and Levoy's average of truncated distances, free space included.
-    """
+    Curless and Levoy's average of truncated distances, including free space."""
 
     def of(self, subject_kind: str) -> Self:
-        """Settings with the edge of the cubes that suits the subject."""
+        """Settings with the cube size for the subject."""
         if self.cube_mm:
             return self
         return replace(self, cube_mm=_TORSO_CUBE_MM if subject_kind == "torso" else CUBE_MM)
@@ -56,12 +54,11 @@ class ExtractSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TriangulateSettings:
-    """Choice of the disparities that become range data."""
+    """Which disparities become range data."""
 
     spacing_mm: float = 0.25
-    """Largest distance of elements on the surface, mm, as far as whole pixels allow: every second pixel of the
-    reference rig's full-size photographs. The matcher smooths over more, and the first surface's cubes are larger.
-    """
+    """Largest distance between elements on the surface, mm, as far as whole pixels allow: every second pixel of the
+    reference rig's full-size photographs. Matching smooths over more, and the first surface's cubes are larger."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,17 +68,16 @@ class RepairSettings:
     rho: float = 1.0
     """Weight ρ of the internal energy (Eq. 4), dimensionless. 10 was worse by a tenth."""
     rounds: int = 2
-    """Largest number of correspond-and-solve rounds. It ends earlier when displacements stop shrinking."""
+    """Largest number of correspond-and-solve rounds. It stops earlier if displacements no longer decrease."""
     target: Literal["closest", "blend"] = "blend"
     """``closest``: the closest point over all views (the paper). ``blend``: each view's closest, weighted."""
     taper_mm: float = TAPER_MM
-    """Distance over which ω rises from the edge of a view's data, mm, since windows at the edge see past the surface. 0
-    (the paper): ω does not rise.
-    """
+    """Distance from the edge of a view's data over which ω rises, mm: windows at the edge extend past the surface. 0
+    (the paper): ω is constant."""
     fade_mm: float = 1.0
-    """Distance over which displacements carried over FALSE vertices fade to 1/e, mm. 0 (the paper): they do not fade.
-    Departure: FALSE vertices mostly lie on silhouettes, which are right. Carried on, displacements push the rim out.
-    """
+    """Distance over which displacements extended to FALSE vertices decrease to 1/e, mm. 0 (the paper): no decrease. A
+    departure: FALSE vertices are mostly on silhouettes, which are right, and extended displacements push the border
+        out."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,8 +88,7 @@ class StillnessSettings:
     """Largest RMS displacement of a pair's points that is corrected, mm. Above it, calibrate again."""
     most_unexplained_mm: float = 0.7
     """Largest disagreement that no motion of cameras or pairs explains, standard deviation, mm. Above it, the capture
-    is refused.
-    """
+    is refused."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
