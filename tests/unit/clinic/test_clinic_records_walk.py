@@ -91,7 +91,7 @@ def test_records_are_kept_right_by_clicks(tmp_path: Path, database: str) -> None
             expect(page.get_by_text("The boundaries of this visit are not confirmed.")).to_be_visible()
             require_accessible(page)
             page.get_by_role("button", name="Send unconfirmed").click()
-            expect(page.get_by_text("The results are on their way to PACS.")).to_be_visible()
+            expect(page.get_by_text("The results are being sent to PACS.")).to_be_visible()
 
             page = pages["researcher"]
             page.goto("/study/")
