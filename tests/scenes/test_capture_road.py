@@ -50,7 +50,7 @@ def test_poses_are_taken_before_there_is_a_calibration(
     words = said(capsys, "skew", calibration, "--rig", rig, code=12)
     assert "front_left: " in words  # it fired: these pictures are too small for lamps
     put(rig, "00")
-    assert "Pose 00 is taken, 1 in all." in said(capsys, "capture", calibration, "--rig", rig, "--pose")
+    assert "Pose 00 is stored" in said(capsys, "capture", calibration, "--rig", rig, "--pose")
     put(rig, "capture")
     assert "no camera saw it" in said(capsys, "capture", calibration, "--rig", rig, "--pose", code=12)
     assert [path.name for path in (calibration / "calibration").iterdir()] == ["00"]

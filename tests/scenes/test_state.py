@@ -60,7 +60,7 @@ def test_changed_photographs_and_settings_are_named(
     table = answer(capsys, "info", tiny_finished, "--settings", tiny_settings, "--set", "measure.wall=plane")
     assert table["stages"]["calibrate"]["changed"] == ["calibration/01/front_right"]
     assert "capture/front_left" in table["stages"]["match"]["changed"]
-    assert "measure.wall" in table["stages"]["measure"]["changed"]
+    assert "setting measure.wall" in table["stages"]["measure"]["changed"]
     table = answer(capsys, "verify", tiny_finished, "--settings", tiny_settings, code=9)
     assert sorted(table["changed"]) == ["calibration/01/front_right", "capture/front_left"]
     assert table["damaged"] == []

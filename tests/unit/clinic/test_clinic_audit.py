@@ -106,7 +106,7 @@ def test_a_changed_entry_breaks_the_chain(visit: Visit, statement: str) -> None:
     with unsealed() as cursor:
         cursor.execute(statement.format(audit.TABLE, audit.LINKS, chosen))
     assert audit.is_sealed()
-    with pytest.raises(ClinicError, match=r"audit: .*\b[12]\b"):
+    with pytest.raises(ClinicError, match=r"audit: found .*\b\d+\b"):
         audit_chain.verify()
 
 

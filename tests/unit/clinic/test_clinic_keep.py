@@ -127,7 +127,7 @@ def test_a_restore_is_tested_and_the_page_says_so(
         tar.addfile(entry, io.BytesIO(manifest))
     assert run(["clinic", "test-restore", str(clinic.folder)]) == ClinicError.exit_code
     page = client_of(Role.ADMINISTRATOR).get("/backups/").content.decode()
-    assert f"✗ {made.name}" in page
+    assert f"✕ {made.name}" in page
     assert not list(clinic.backups.glob("restore-test-*"))
 
 
