@@ -164,7 +164,7 @@ def test_nothing_outside_is_read(tmp_path: Path) -> None:
     [
         ({"a.usda": "#usda 1.0\n"}, zipfile.ZIP_STORED, "triangles"),
         ({"a.usda": "#usda 1.0\n"}, zipfile.ZIP_DEFLATED, "ZIP"),
-        ({"a.txt": "a"}, zipfile.ZIP_STORED, "a ZIP without USD"),
+        ({"a.txt": "a"}, zipfile.ZIP_STORED, "a ZIP without a USD file"),
         ({"a.usdc": b"PXR-USDC" + bytes(range(256))}, zipfile.ZIP_STORED, "read"),
         (
             {"a.usda": layer(FRONT, 1.0).replace("faceVertexIndices = [", "faceVertexIndices = [-1, ")},

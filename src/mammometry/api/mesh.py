@@ -340,7 +340,7 @@ class MeshJob(Job):
         return (self.content_key,) if stage == "report" else tuple(product.key for product in self.plan.products(stage))
 
     def previews(self, stage: Stage) -> dict[str, bytes]:
-        """None: the pictures are drawn for the report."""
+        """Return no files: the pictures of a mesh are drawn for the report."""
         return {}
 
     @contextmanager

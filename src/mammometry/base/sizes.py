@@ -28,11 +28,11 @@ class Size:
 
     @property
     def is_possible(self) -> bool:
-        """Whether it is in the possible range."""
+        """Whether the length is in the possible range."""
         return self.possible_mm[0] <= self.mm <= self.possible_mm[1]
 
     def is_usual(self, factor: float = 1.0) -> bool:
-        """Whether it is in the usual range, multiplied by `factor`."""
+        """Whether the length is in the usual range, multiplied by `factor`."""
         return self.usual_mm[0] <= self.mm * factor <= self.usual_mm[1]
 
     def __str__(self) -> str:

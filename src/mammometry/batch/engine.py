@@ -288,7 +288,7 @@ class Engine:
         )
 
     def _answer_of(self, future: Any) -> dict[str, Any]:
-        """Answer of the worker; ``killed`` if it died before answering."""
+        """Return the worker's answer, or ``killed`` if it died before answering."""
         from distributed import KilledWorker
 
         try:

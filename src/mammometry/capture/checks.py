@@ -33,7 +33,7 @@ class Finding:
     """For the photographer: the finding and the remedy."""
 
     def as_table(self) -> dict[str, object]:
-        """As JSON: level, and ``ok``, which is None if unknown."""
+        """The check for JSON, with its level, and ``ok``, which is None if unknown."""
         ok = None if self.level == "unknown" else self.level == "ok"
         return {"check": self.check, "ok": ok, "level": self.level, "sentence": self.sentence}
 

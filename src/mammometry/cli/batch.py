@@ -230,7 +230,8 @@ class _Show:
         self._tell({"event": "begin", "sessions": self._count, "current": current, "dashboard": dashboard})
         if not self._quiet:
             pages = f" Dask's pages: {dashboard}" if dashboard else ""
-            print(f"{self._todo} sessions to measure, {current} are current.{pages}", file=sys.stderr)  # noqa: T201
+            of = "session" if self._todo == 1 else "sessions"
+            print(f"{self._todo} {of} to measure, {current} current.{pages}", file=sys.stderr)  # noqa: T201
 
     @contextmanager
     def live(self) -> Iterator[None]:

@@ -30,7 +30,7 @@ class Part(StrEnum):
 
 
 class Sex(StrEnum):
-    """As DICOM writes it."""
+    """Sex of a patient, in DICOM's letters."""
 
     female = "F"
     male = "M"

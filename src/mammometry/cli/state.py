@@ -88,7 +88,7 @@ def _scan_info(folder: Path, scan: MeshJob, stages: dict[str, Any], options: Opt
         "missing": [],
     }
     table["next"] = _next(table, folder, scan.page, options)
-    first = f"scanner {scan.scanner}, unit {scan.units}, posture {scan.posture or 'not given'}"
+    first = f"scanner {scan.scanner or 'not given'}, unit {scan.units}, posture {scan.posture or 'not given'}"
     shown = _products_table(stages) if options.verbose > 0 else _stages_table(stages)
     lines = [first, *drawn, *notes, "", shown, *_after_table(table), "", f"Next: {table['next']}"]
     return Answer(table, lines)

@@ -267,7 +267,7 @@ def _about_patient(rows: QuerySet[LogEntry], pseudonym: str) -> QuerySet[LogEntr
 
 
 def _field_changes(changes: Any) -> Iterator[tuple[str, str, str]]:
-    """Field, value before and value after; changes of several related rows by their names."""
+    """Field, value before and value after. Changes of several related rows by their names."""
     for name, change in changes.items() if isinstance(changes, dict) else ():
         if isinstance(change, list) and len(change) == 2:
             before, after = ("" if value in (None, "None") else str(value) for value in change)

@@ -159,7 +159,7 @@ def connection(destination: Destination) -> tuple[Peer, Tls | None]:
 
 
 def _send(config: ClinicConfig, visit: Visit, destination: Destination) -> tuple[int, bool | None]:
-    """Number of sent objects; whether the archive committed to store all."""
+    """Number of sent objects, and whether the archive committed to store all."""
     require_libraries(*_LIBRARIES)
     from mammometry.hospital.dicom.objects import objects
     from mammometry.hospital.dicom.store import committed, send

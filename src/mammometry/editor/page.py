@@ -83,7 +83,7 @@ class EditorPage:
 
 
 def _scene(job: Job) -> dict[str, Any]:
-    """The surface with its photographs from the report if that is current; otherwise made here."""
+    """The surface with its photographs, from the report if that is current, otherwise made here."""
     record = job.store.record(job.content_key)
     mesh = job.mesh.key
     if record is not None and record.inputs.get(f"{mesh.stage}/{mesh.product}", mesh.digest) == mesh.digest:

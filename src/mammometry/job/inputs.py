@@ -41,7 +41,7 @@ class Walk:
 
     @property
     def key(self) -> str:
-        """Its region, for keys of products."""
+        """The walk's region, for keys of products."""
         corners = (self.region.low_world, self.region.high_world)
         return repr([corner.tolist() for corner in corners])
 

@@ -89,7 +89,7 @@ def method(plan: Plan) -> None:
 
 
 def of(cameras: Iterable[str], products: Mapping[str, Product[T] | None]) -> dict[str, Product[T] | None]:
-    """Those of some cameras that there are."""
+    """The products of some cameras, without the cameras that have none."""
     return {camera: products[camera] for camera in cameras if camera in products}
 
 

@@ -127,7 +127,7 @@ def _effects(
 
 
 def _noise_mm2(comparison: Differences) -> Float64[Array, "n n"]:
-    """Variances of two pairs' distances, mm²; cells are taken as independent."""
+    """Variances of two pairs' distances, mm², with cells taken as independent."""
     return np.diag(comparison.scatter_mm**2 + comparison.expected_mm**2 + _CELL_MM**2)
 
 

@@ -66,7 +66,7 @@ def reports(monkeypatch: pytest.MonkeyPatch) -> list[ChangeReport]:
 @pytest.fixture(autouse=True)
 def _nothing_is_matched(monkeypatch: pytest.MonkeyPatch) -> None:
     """The store holds what a comparison reads; no stage is made."""
-    monkeypatch.setattr(Job, "ensure", lambda self, stage, *, drawn: None)
+    monkeypatch.setattr(Job, "ensure", lambda self, stage, *, drawn=True: None)
     monkeypatch.setattr(dates, "_evidence", lambda job: Evidence())
     # The slow part of an interval, with tests of its own; its rule of thumb stands in.
     monkeypatch.setattr(boundary_jitter, "boundary_std_cc", lambda *_, **__: None)
@@ -87,7 +87,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 @pytest.fixture(scope="module")
 def found(folders: tuple[Path, Path]) -> Comparison:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Job, "ensure", lambda self, stage, *, drawn: None)
+        patch.setattr(Job, "ensure", lambda self, stage, *, drawn=True: None)
         return compare(folders[1], folders[0])
 
 
@@ -129,6 +129,7 @@ def test_the_page_is_led_by_the_change_and_needs_nothing_else(found: Comparison)
         "compare.html",
         "compare.json",
         "compare.pdf",
+        "scene.json",
         "sections.png",
     ]
     first = page.index('class="volume"')

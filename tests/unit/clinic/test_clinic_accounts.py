@@ -77,7 +77,7 @@ def test_pages_without_a_login(clinic: object, client: Client) -> None:
 def test_a_whole_account(anna: Person, client: Client) -> None:  # noqa: F811
     """Password, second factor, its codes, and their removal."""
     assert login(client) == 302
-    words_of(client, reverse("account_logout"))
+    assert 'method="post"' in words_of(client, reverse("account_logout"))
     assert 'name="oldpassword"' in words_of(client, reverse("account_change_password"))
     assert reverse("mfa_activate_totp") in words_of(client, reverse("mfa_index"))
     words_of(client, reverse("account_reauthenticate"))

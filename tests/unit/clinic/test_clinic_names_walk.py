@@ -80,7 +80,7 @@ def walk(folder: Path, visit: str, patient: str) -> None:
         page.get_by_role("link", name="Clinician One").click()
         page.get_by_label("Full name").fill(f"{SURGEON}\u202e")
         page.get_by_role("button", name="Save").click()
-        expect(page.get_by_text("the format character U+202E RIGHT-TO-LEFT OVERRIDE at place")).to_be_visible()
+        expect(page.get_by_text("the format character U+202E RIGHT-TO-LEFT OVERRIDE at position")).to_be_visible()
         page.get_by_label("Full name").fill(SURGEON)
         page.get_by_role("button", name="Save").click()
 

@@ -86,7 +86,8 @@ def of_fhir(content: bytes) -> Table:
 def of_dicom(report: pydicom.Dataset) -> Table:
     sides = {"Left breast": "left", "Right breast": "right", "Both sides": ""}
     values: dict[str, float] = {}
-    (groups,) = [item for item in report.ContentSequence if item.ConceptNameCodeSequence[0].CodeValue == "126010"]
+    named = [(item.ConceptNameCodeSequence[0].get("CodeValue"), item) for item in report.ContentSequence]
+    (groups,) = [item for code, item in named if code == "126010"]
     for group in groups.ContentSequence:
         items = group.ContentSequence
         title = next(i.TextValue for i in items if i.ConceptNameCodeSequence[0].CodeMeaning == "Tracking Identifier")

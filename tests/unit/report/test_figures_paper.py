@@ -18,6 +18,14 @@ from mammometry.report.figures.paper import write_figure
 from mammometry.settings import Settings
 
 
+class MadePlan(dict[Any, Any]):
+    """Products that are there already."""
+
+    def value(self, definition: Any) -> Any:
+        """The value of a product. None if it is not planned."""
+        return self[definition]() if definition in self else None
+
+
 def source(pairs: int = 2) -> Any:
     """What a figure asks of a session, already made."""
 
@@ -29,7 +37,7 @@ def source(pairs: int = 2) -> Any:
     ranges = {name: image for name, image in synthetic.ranges(rig).items() if name in names}
     ball = synthetic.ball(4)
     disparities = synthetic.disparities(rig).items()
-    plan = {
+    made_products = {
         calibrate.cameras: made(SimpleNamespace(rig=rig)),
         match.disparity: {name: made(found) for name, found in disparities if name in names},
         surface.range_image: {name: made(image) for name, image in ranges.items()},
@@ -37,7 +45,7 @@ def source(pairs: int = 2) -> Any:
         surface.initial_surface: made(ball),
         surface.repaired: made(synthetic.repaired(ball)),
     }
-    return plan, SimpleNamespace(photographs=synthetic.photographs(rig)), Settings()
+    return MadePlan(made_products), SimpleNamespace(photographs=synthetic.photographs(rig)), Settings()
 
 
 @pytest.mark.parametrize(

@@ -99,7 +99,7 @@ def fit_windows(
 def _select(  # type: ignore[no-untyped-def]  # compiled: types are those of `fit_windows`
     linear, centre, radius, c, mm_per_px, window_mm, blank_centre_mm, blank_half_mm, band_px, pixels
 ):
-    """Fill `pixels`; return their number and whether it is enough.
+    """Fill `pixels`, and return their number and whether it is enough.
 
     Rows are u, v in pixels from the edges, x, y in radii, and the value.
     """

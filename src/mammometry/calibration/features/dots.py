@@ -224,7 +224,7 @@ class MarkSize:
     """Uncertainty from the image's resolution and blur."""
 
     def contradicts(self, half_mm: float, tolerance: float) -> bool:
-        """Whether it differs from `half_mm` by more than this share of it plus the uncertainty."""
+        """Whether the mark's half width differs from `half_mm` by more than this share plus the uncertainty."""
         off_mm = abs(self.half_mm - half_mm)
         return off_mm > tolerance * half_mm and off_mm > self.doubt_mm
 

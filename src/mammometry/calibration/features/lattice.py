@@ -69,7 +69,7 @@ def index_lattice(uv: Float64[Array, "n 2"]) -> tuple[Int64[Array, " m"], Int64[
 
 
 def _links(uv: Float64[Array, "n 2"]) -> Int64[Array, "n 4"]:
-    """Neighbour of each point: right, left, up, down; −1 for none. Only mutual links."""
+    """Right, left, upper and lower neighbour of each point, −1 for none. Only mutual links."""
     found = cKDTree(uv).query(uv, k=min(_NEIGHBOURS + 1, len(uv)))
     distance, near = np.asarray(found[0])[:, 1:], np.asarray(found[1])[:, 1:]
     direction = (uv[near] - uv[:, None]) / np.maximum(distance, 1e-9)[..., None]

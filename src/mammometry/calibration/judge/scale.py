@@ -115,7 +115,7 @@ def _rig_sizes(rig: Rig, subject_kind: str) -> tuple[Size, ...]:
 
 
 def _sizes(rig: Rig, depths_mm: Mapping[str, float], subject_kind: str, where: str) -> tuple[Size, ...]:
-    """Shorter side of the field of view at these depths, and distance between a pair's cameras: medians over the rig.
+    """Median short side of the fields of view at these depths, and median baseline of the pairs, mm.
 
     Casts and bodies have usual sizes. A surface may have any size, so all possible ones are usual.
     """

@@ -49,7 +49,7 @@ class Target(ABC):
 
     @property
     def stated_size(self) -> tuple[str, float]:
-        """That key, and its value in mm: for a list of points, the longest side of their extent."""
+        """The key of a target's size, and its value in mm, for a list of points their longest extent."""
         value = getattr(self, self.size_key, None)
         return self.size_key, value if isinstance(value, float) else float(np.ptp(self.points_target, axis=0).max())
 

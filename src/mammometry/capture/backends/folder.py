@@ -163,7 +163,7 @@ class WatchedFolder:
         return self._taken
 
     def _best(self) -> dict[str, _File]:
-        """The most complete set of one exposure; the earliest of several."""
+        """The most complete set of one exposure, or the earliest of several."""
         files = self._all()
         best: dict[str, _File] = {}
         for anchor in sorted(files, key=_when):

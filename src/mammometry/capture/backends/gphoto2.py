@@ -258,7 +258,7 @@ def _set(gphoto2: Any, camera: Any, exposure_ms: float | None) -> None:
 
 
 def _seconds(choice: str) -> float | None:
-    """``1/250``, ``0.0100s``, ``2`` → seconds; None for words."""
+    """Seconds of ``1/250``, ``0.0100s`` or ``2``. None for words."""
     text = choice.strip().removesuffix("s")
     try:
         above, _, below = text.partition("/")

@@ -111,7 +111,7 @@ def _refuse(comparison: Comparison, digests: str, message: str) -> None:
 
 
 def _measured(job: Job, visit: Visit, answer: Mapping[str, Any]) -> None:
-    """Add a measurement, unless the visit's newest one is equal; its confirmation then remains."""
+    """Add a measurement, unless the visit's newest one is equal, whose confirmation then remains."""
     Visit.objects.select_for_update().get(pk=visit.pk)  # a drawing at this moment is seen, or sees this
     newest = visit.measurements.order_by("-made_at").first()
     if newest is None or newest.digest != answer["digest"]:

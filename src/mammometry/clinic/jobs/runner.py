@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Sequence
 from contextlib import AbstractContextManager
 from uuid import UUID
 
-from django.db import DatabaseError, close_old_connections
+from django.db import DatabaseError, close_old_connections, connections
 
 from mammometry.base.child_process import Call
 from mammometry.base.errors import BusyError, MammometryError
@@ -90,7 +90,7 @@ class Runner:
                 queue.requeue_abandoned()
             except DatabaseError:
                 close_old_connections()
-        close_old_connections()
+        connections.close_all()  # the thread's own
 
     def _serve_lane(self, lane: Lane) -> None:
         """Do a lane's jobs. A database or a disk that is gone is waited for."""
@@ -107,7 +107,7 @@ class Runner:
                 _LOG.exception("The %s wait", lane.name)
             close_old_connections()
             self._stopped.wait(_LANE_LOOK_S)
-        close_old_connections()
+        connections.close_all()  # the thread's own
 
     def _do(self, job: Job, lane: Lane) -> None:
         try:

@@ -156,7 +156,7 @@ def write_ply(
 
 
 def _header(content: bytes, name: str) -> tuple[str, list[_Element], tuple[str, ...], bytes]:
-    """Byte order, empty for a text; elements; comments; and what follows."""
+    """Byte order (empty for text), elements, comments, and the bytes after the header."""
     if not content.startswith(b"ply"):
         raise ValueError("it has no PLY header")
     order, start = None, 0

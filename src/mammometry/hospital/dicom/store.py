@@ -89,7 +89,7 @@ def _require_all(association: Any, made: Sequence[Dataset], peer: Peer) -> None:
 
 
 def _there(association: Any, made: Sequence[Dataset], peer: Peer) -> set[str]:
-    """Objects that the archive has; none if it does not answer searches."""
+    """Objects that the archive has, or none if it does not answer searches."""
     if not accepts(association, StudyRootQueryRetrieveInformationModelFind):
         return set()
     stored: set[str] = set()

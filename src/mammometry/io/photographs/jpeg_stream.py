@@ -298,7 +298,7 @@ def _kind(
 def _without_stuffing(
     data: UInt8[Array, " n"], start: int, end: int, cuts: Int64[Array, " r"]
 ) -> tuple[UInt8[Array, " p"], Int64[Array, "m 2"]]:
-    """A scan's bytes without stuffing, markers and padding before them; its intervals, bits."""
+    """A scan's bytes without stuffing, markers and the padding before them, and its intervals, bits."""
     coded = data[start:end]
     full = np.flatnonzero(coded[:-1] == 0xFF)
     keep = np.ones(len(coded), dtype=bool)

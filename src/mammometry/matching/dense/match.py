@@ -261,7 +261,7 @@ def coarse_to_fine(begun: Start, settings: MatchSettings, pool: Executor, progre
 
 
 def _solve_both(begun: Start, settings: MatchSettings, pool: Executor, progress: Progress) -> SolvedBoth:
-    """Solve all levels matched from both images; a cluttered scene is cropped to the subject after the coarsest."""
+    """Solve all levels in both directions. A cluttered scene is cropped after the coarsest one."""
     first, *further = begun.levels.both()
     images = begun.images
     solved = solve_level(images[-1], first, begun.known, begun.vertical, settings, pool)

@@ -141,7 +141,7 @@ class VerticalField:
         return [np.ones_like(x), x, y, x * x, x * y, y * y]
 
     def cut(self, window: tuple[slice, slice], level: int) -> VerticalField:
-        """The same polynomial in the pixels of a part of the image."""
+        """The polynomial in the pixels of a part of the image."""
         return replace(self, origin_uv=(window[1].start << level, window[0].start << level))
 
     def refined(self, state: LevelState) -> VerticalField:

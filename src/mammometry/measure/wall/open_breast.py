@@ -50,7 +50,7 @@ class OpenBreast:
 
     @property
     def is_cast(self) -> bool:
-        """Whether it is a cast, with a base instead of a chest."""
+        """Whether the breast is a cast, with a base instead of a chest."""
         return self.boundary.name == "model"
 
     @property

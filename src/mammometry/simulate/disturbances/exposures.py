@@ -233,7 +233,7 @@ def _turned(exposure: Exposure, angle_deg: float, names: tuple[str, ...], rng: n
 
 
 def _blurred(exposure: Exposure, blur_px: float, names: tuple[str, ...]) -> Exposure:
-    """Blur some cameras' pictures; sigma in pixels of a picture as wide as the reference's."""
+    """Blur some cameras' pictures, by sigma in pixels of a picture as wide as the reference's."""
     films = dict(exposure.films)
     for name in names:
         own_px = blur_px * exposure.rig.cameras[name].size_wh[0] / FULL_SIZE_WH[0]

@@ -90,7 +90,7 @@ def _rod(
 
 
 def _skin_height(skin: TriangleMesh, low: Float64[Array, 2], shape: tuple[int, int]) -> Float64[Array, "h w"]:
-    """Height of the skin under a hand, along the viewing axis, mm; folds are bridged."""
+    """Height of the skin under a hand along the viewing axis, mm, with folds bridged."""
     parts = np.array([[1, 1, 1], [1.8, 0.6, 0.6], [0.6, 1.8, 0.6], [0.6, 0.6, 1.8]]) / 3
     ahead = skin.corners()[skin.face_vectors()[:, 2] > 0]
     points = np.concatenate([ahead.reshape(-1, 3), np.einsum("pc,fcx->pfx", parts, ahead).reshape(-1, 3)])

@@ -94,7 +94,7 @@ class KeepMasks:
     """As of `ValidPatches`."""
 
     def without(self, masks: Sequence[Bool[Array, "h w"]]) -> KeepMasks:
-        """These masks without what others show, one per view."""
+        """The views' masks without what other views show, one per view."""
         keep = tuple(keep & ~mask for keep, mask in zip(self.keep, masks, strict=True))
         return KeepMasks(keep=keep, angles_rad=self.angles_rad)
 
