@@ -11,6 +11,7 @@ from virtual_rig import BOARD, PAIRS, cameras_in_rig, observe, placements, with_
 from mammometry.calibration.adjust.bundle import calibrate
 from mammometry.calibration.adjust.calibrated import Calibration, SetAside
 from mammometry.calibration.detection.detect import Detection, MissedView, Observations
+from mammometry.calibration.judge import quality
 from mammometry.calibration.judge.quality import CalibrationQuality, assess
 from mammometry.calibration.judge.reconstruction import reconstruct, triangulate
 from mammometry.geometry.camera import Rig
@@ -172,10 +173,12 @@ def test_pair_without_a_common_pose_is_a_warning() -> None:
 def test_limits_refuse_and_unsettled_adjustments_are_said(clean: Calibration) -> None:
     findings = "mammometry.calibration.judge.findings."
     with pytest.MonkeyPatch.context() as strict:
+        strict.setattr(quality, "_assessed", quality._assessed.__wrapped__)  # the constants change, so nothing is kept
         strict.setattr(findings + "_GEOMETRY_WARN_MM", 0.001)
         strict.setattr(findings + "_GEOMETRY_REFUSE_MM", 0.002)
         assert assess(clean).verdict == "refuse"
     with pytest.MonkeyPatch.context() as strict:
+        strict.setattr(quality, "_assessed", quality._assessed.__wrapped__)
         strict.setattr(findings + "_EXPECTED_WARN_MM", 1e-4)
         strict.setattr(findings + "_EXPECTED_REFUSE_MM", 2e-4)
         uncertain = assess(clean)
