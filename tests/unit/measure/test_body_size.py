@@ -16,7 +16,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.job.stages import measure
 from mammometry.measure import scanned
 from mammometry.measure.settings import MeasureSettings
-from mammometry.measure.shape.body_size import ADULTS, BodySize, require_adult
+from mammometry.measure.shape.body_size import ADULTS, UNCHECKED, BodySize, require_adult
 from mammometry.measure.trunk.thorax import seen_skin, trunk_breadth_mm
 from mammometry.settings import Settings
 
@@ -75,9 +75,12 @@ def test_one_length_that_is_too_large_is_warned_of_though_the_others_are_usual(
 @pytest.mark.requirement("R-UNIT-3")
 def test_a_size_that_is_unknown_is_said() -> None:
     unknown = BodySize(lengths_mm={})
-    assert not unknown.is_rare
-    assert unknown.warning
-    assert not size_of(*ORDINARY["average woman"]).warning
+    assert (unknown.is_rare, unknown.is_impossible, unknown.factor) == (False, False, 1.0)
+    assert unknown.warning == UNCHECKED
+    assert size_of(*ORDINARY["average woman"]).warning == ""
+    rare = size_of(327, 327, 205)
+    assert f"{rare.factor:.2g}" in rare.warning
+    assert f"{rare.factor**3:.2g}" in rare.warning
 
 
 def test_one_length_alone_refuses_what_is_absurd_and_several_that_disagree_nothing() -> None:
@@ -137,8 +140,11 @@ def test_the_trunks_breadth_scales_with_the_body(factor: float) -> None:
 def test_centimetres_as_inches_are_refused_with_factor_and_unit(tmp_path: Path) -> None:
     """Before there is a volume, for every road that asks for one."""
     job = MeshJob(files(tmp_path, 2.54), tmp_path / "out")
-    with pytest.raises(MeasureError, match=r"^torso: .*× 0\.4\d") as refused:
+    with pytest.raises(MeasureError) as refused:
         job.plan[measure.measurements]()
+    assert refused.value.subject == "torso"
+    true = BodySize(lengths_mm={"trunk": 2 * RADIUS_MM, "nipples": float(np.linalg.norm(apex(LEFT) - apex(RIGHT)))})
+    assert float(re.findall(r"× (\S+)", str(refused.value))[0]) == pytest.approx(true.factor / 2.54, rel=0.05)
     assert "--units" in refused.value.remedy
 
 
