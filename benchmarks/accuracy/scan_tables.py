@@ -12,6 +12,7 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.study.evaluation import compare_boundaries
 from mammometry.study.icc import intraclass_correlations
+from mammometry.study.landmarks import FORMS, TrueWoman, score_tables, scores
 from mammometry.study.observers import scatter_of
 
 Row: TypeAlias = dict[str, Any]
@@ -216,34 +217,25 @@ def _apart(points: Float64[Array, "n 3"], truth: Float64[Array, "m 3"]) -> float
 
 
 def _landmarks(rows: Sequence[Row]) -> Iterator[str]:
+    """Yield the landmarks' table. All that a woman has is known: what else is proposed is invented."""
     rows = [row for row in rows if row["truth"]["landmarks"]]
-    names = sorted({name for row in rows for name in row["landmarks"] if _is_point(name)})
-    if not names:
-        return
-    yield "| landmark | scan | proposed, of those there | proposed wrongly | error mm median | 95 % | worst |"
-    yield "|" + " --- |" * 7
-    for stem in dict.fromkeys(name.removesuffix("_left").removesuffix("_right") for name in names):
-        own_names = [name for name in names if name in (stem, f"{stem}_left", f"{stem}_right")]
-        for quality in dict.fromkeys(row["quality"] for row in rows):
-            own = [row for row in rows if row["quality"] == quality]
-            there = [(row, name) for row in own for name in own_names if name in row["truth"]["landmarks"]]
-            error = [
-                float(np.linalg.norm(np.subtract(row["landmarks"][name], row["truth"]["landmarks"][name][0])))
-                for row, name in there
-                if name in row["landmarks"]
-            ]
-            invented = sum(
-                n in row["landmarks"] and n not in row["truth"]["landmarks"] for row in own for n in own_names
-            )
-            if error or invented:
-                worst = f"{max(error):.1f}" if error else "–"
-                shown = f"{len(error)} of {len(there)} | {invented} | {_median(error)} | {_quantile(error)} | {worst}"
-                yield f"| {stem} | {quality} | {shown} |"
-    yield ""
-
-
-def _is_point(name: str) -> bool:
-    return name != "midline" and not name.startswith("anterior_axillary_line")
+    points = {name for name, form in FORMS.items() if form == "point"}
+    truth = {
+        row["key"]: TrueWoman(
+            kind=row["quality"],
+            generator="torso",
+            mesh=row["key"],
+            places={name: np.array(true) for name, true in row["truth"]["landmarks"].items() if name in points},
+            absent=tuple(points - row["truth"]["landmarks"].keys()),
+        )
+        for row in rows
+    }
+    found = {
+        row["key"]: {name: np.reshape(own, (-1, 3)) for name, own in row["landmarks"].items() if name in points}
+        for row in rows
+    }
+    if any(found.values()):
+        yield score_tables(scores(found, truth))[0].as_markdown()
 
 
 def _reasons(rows: Sequence[Row]) -> Iterator[str]:

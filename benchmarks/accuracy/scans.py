@@ -142,7 +142,7 @@ def measured(path: Path, units: str = "mm", *, report: bool = True, graded: bool
                 row["difference"] = {"cc": apart.difference_cc, "interval_cc": apart.difference_interval_cc}
             row["no_breast"] = {side.name: side.why for side in job.plan.value(measure.absent) or ()}
             marks = job.plan.value(measure.landmarks) or ()
-            row["landmarks"] = {mark.name: np.asarray(mark.points_world)[0].tolist() for mark in marks}
+            row["landmarks"] = {mark.name: np.round(mark.points_world, 3).tolist() for mark in marks}
             shape = job.plan.value(measure.dimensions) if graded else None
             row["ptosis"] = {} if shape is None else {one.name: list(one.likely) for one in shape.ptosis}
         except MammometryError as error:
@@ -244,7 +244,8 @@ def _missing(body: Body, folder: Path) -> Body:
     return replace(body, scans=scans)
 
 
-def _range(text: str) -> range:
+def range_of(text: str) -> range:
+    """Numbers from first to last, as in 9000-9039."""
     first, _, last = text.partition("-")
     return range(int(first), int(last or first) + 1)
 
@@ -273,7 +274,7 @@ def main() -> None:
     """Scan, measure, print the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="folder of the rows; gone on with if it exists")
-    parser.add_argument("--women", type=_range, default=_range("9000-9039"), help="first and last, as 9000-9039")
+    parser.add_argument("--women", type=range_of, default=range_of("9000-9039"), help="first and last, as 9000-9039")
     parser.add_argument("--postures", nargs="*", default=list(POSTURES), choices=(*POSTURES, _HANGING))
     parser.add_argument("--one-posture", action="store_true", help="each woman in one posture: a third of the time")
     parser.add_argument("--qualities", nargs="*", default=[CLEAN, *QUALITIES], choices=[CLEAN, *QUALITIES])

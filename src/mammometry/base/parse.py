@@ -240,7 +240,7 @@ def numbers(value: object, *shape: int) -> Float64[np.ndarray, "*shape"]:
     if len(shape) > 1 and -1 in shape and array.size and array.shape[1:] != shape[1:]:
         raise ValueError(f"rows of {array.shape[1:]} numbers, not {shape[1:]}")
     if array.size % abs(math.prod(shape)) or (-1 not in shape and array.size != math.prod(shape)):
-        raise ValueError(f"{array.size} numbers, not {math.prod(shape)}")
+        raise ValueError(f"{array.size} numbers, not {abs(math.prod(shape))}")
     return array.reshape(shape)
 
 

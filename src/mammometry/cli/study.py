@@ -1,4 +1,4 @@
-"""Commands `compare`, `evaluate` and `study …`: dates, truth, agreement, observers, phantoms."""
+"""Commands `compare`, `evaluate` and `study …`: dates, truth, agreement, observers, landmarks, phantoms."""
 
 from __future__ import annotations
 
@@ -254,6 +254,30 @@ def observers(
     lines: list[Any] = [*observers_summary(study), ""]
     lines += [part for table in observers_tables(study, measured.drawings) for part in (*table_lines(table), "")]
     return Answer({"report": str(page), **observers_json(study, measured.drawings)}, [*lines, f"Report: {page}"])
+
+
+@command(
+    app, "mammometry study landmarks OUTPUT.json TRUTH.json", "mammometry study landmarks OUTPUT.json TRUTH.json --json"
+)
+def landmarks(
+    options: OutputOptions,
+    output: Annotated[
+        Path,
+        typer.Argument(metavar="OUTPUT.json", help="What a program found: woman, name, place.", show_default=False),
+    ],
+    truth: Annotated[
+        Path, typer.Argument(metavar="TRUTH.json", help="Truth file of the benchmark's meshes.", show_default=False)
+    ],
+) -> Answer:
+    """Score any program's landmarks and borders on the benchmark's meshes.
+
+    Gives for each landmark and kind of input how many were found, and the errors in mm.
+    """
+    from mammometry.io.truth import read_found_landmarks, read_true_landmarks
+    from mammometry.study.landmarks import score_tables, scores, scores_json
+
+    found = scores(read_found_landmarks(output), read_true_landmarks(truth))
+    return Answer(scores_json(found), [part for table in score_tables(found) for part in (*table_lines(table), "")])
 
 
 @command(app, "mammometry study phantoms OUT", "mammometry study phantoms OUT --scale 0.5 --seed 3 --json")

@@ -1,4 +1,7 @@
-"""Read the ``truth/`` folder of a virtual capture. Only comparisons with truth may import this module."""
+"""Read the ``truth/`` folder of a virtual capture, and the two files of the landmark benchmark.
+
+Only comparisons with truth may import this module.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.base.errors import SessionError
-from mammometry.base.parse import json_value, numbers, read_text
+from mammometry.base.errors import SessionError, TableError
+from mammometry.base.parse import json_value, numbers, parsing, read_text, shown
 from mammometry.geometry import Array, Camera, Float64, Rig, Transform
 from mammometry.io.meshes.own import read_ply
 from mammometry.study.evaluation import Truth
+from mammometry.study.landmarks import FORMS, Places, TrueWoman
 
 _PATIENT = "patient_"
 
@@ -119,3 +123,71 @@ def _boundaries(folder: Path) -> dict[str, Float64[Array, "n 3"]]:
         name = path.stem.removeprefix("boundary_").removeprefix(_PATIENT)
         boundaries["model" if name == "base" else name] = numbers(np.loadtxt(path, dtype=np.float64, ndmin=2), -1, 3)
     return boundaries
+
+
+_FOUND = 'JSON such as {"woman": {"nipple_left": [x, y, z], "border_left": [[x, y, z], …]}}, mm'
+_TRUE = "a truth file of the landmark benchmark"
+_FEWEST: Mapping[str, int] = {"point": 1, "line": 2, "curve": 3}
+
+
+def read_found_landmarks(path: Path) -> dict[str, Places]:
+    """Read what a program found: woman → name → places, mm, frame of her mesh. null stands for not found.
+
+    Raises:
+        TableError: the file is not as documented.
+    """
+    table = _table(path, _FOUND)
+    with parsing("landmarks that cannot be read", str(path), _FOUND, TableError):
+        return {woman: _places(own, woman) for woman, own in table.items()}
+
+
+def read_true_landmarks(path: Path) -> dict[str, TrueWoman]:
+    """Read the truth of the landmark benchmark: woman → mesh, kind of input, places.
+
+    Raises:
+        TableError: the file is not as documented.
+    """
+    table = _table(path, _TRUE)
+    with parsing("a truth that cannot be read", str(path), _TRUE, TableError):
+        return {
+            woman: TrueWoman(
+                kind=str(own["kind"]),
+                generator=str(own["generator"]),
+                mesh=str(own["mesh"]),
+                places=_places(own["landmarks"], woman),
+                absent=tuple(_known(name, woman) for name in own.get("absent", ())),
+            )
+            for woman, own in table["women"].items()
+        }
+
+
+def _table(path: Path, expected: str) -> dict[str, Any]:
+    table = json_value(
+        read_text(path, str(path), expected, refusal=TableError), str(path), expected, refusal=TableError
+    )
+    if not isinstance(table, dict):
+        raise TableError(str(path), found=shown(table), expected=expected, remedy="Correct it")
+    return table
+
+
+def _places(own: Mapping[str, Any], woman: str) -> Places:
+    places = {}
+    for name, value in own.items():
+        form = FORMS[_known(name, woman)]
+        if value is None:
+            continue
+        try:
+            flat = isinstance(value, list) and not any(isinstance(item, list) for item in value)
+            points = numbers([value] if form == "point" and flat else value, -1, 3)
+        except ValueError as error:
+            raise ValueError(f"{name} of {woman}: {error}") from None
+        if len(points) < _FEWEST[form] or (form == "point" and len(points) > 1):
+            raise ValueError(f"{name} of {woman}: {len(points)} points for a {form}")
+        places[name] = points
+    return places
+
+
+def _known(name: str, woman: str) -> str:
+    if name not in FORMS:
+        raise ValueError(f"{name!r} of {woman}, which is none of {', '.join(FORMS)}")
+    return name

@@ -91,8 +91,8 @@ def compare_boundaries(
         towards_front: roughly where the subject's front is: decides the sign of the height.
     """
     dense, true_dense = resampled(measured), resampled(truth)
-    distance, nearest = (np.asarray(found) for found in cKDTree(true_dense).query(dense))
-    back = np.asarray(cKDTree(dense).query(true_dense)[0])
+    distance, back = curve_distances(dense, true_dense)
+    nearest = cKDTree(true_dense).query(dense)[1]
     normal = np.linalg.svd(true_dense - true_dense.mean(axis=0), full_matrices=False)[2][2]
     normal *= 1.0 if normal @ towards_front >= 0 else -1.0
     return BoundaryAccuracy(
@@ -101,6 +101,13 @@ def compare_boundaries(
         worst_mm=float(max(distance.max(), back.max())),
         height_bias_mm=float(((dense - true_dense[nearest]) @ normal).mean()),
     )
+
+
+def curve_distances(
+    first: Float64[Array, "n 3"], second: Float64[Array, "m 3"]
+) -> tuple[Float64[Array, " n"], Float64[Array, " m"]]:
+    """Distance of each point of two dense curves from the other curve, mm."""
+    return np.asarray(cKDTree(second).query(first)[0]), np.asarray(cKDTree(first).query(second)[0])
 
 
 def resampled(curve: Float64[Array, "n 3"], step_mm: float = _STEP_MM) -> Float64[Array, "k 3"]:

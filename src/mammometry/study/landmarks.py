@@ -1,0 +1,257 @@
+"""Score landmarks and borders that any program found on meshes with a known truth.
+
+::
+
+    from pathlib import Path
+
+    from mammometry.io.truth import read_found_landmarks, read_true_landmarks
+    from mammometry.study.landmarks import scores
+
+    truth = read_true_landmarks(Path("truth.json"))
+    for score in scores(read_found_landmarks(Path("output.json")), truth):
+        print(score.landmark, score.kind, score.median_mm)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mammometry.base.errors import TableError
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.measure.landmarks.landmarks import LANDMARKS
+from mammometry.study.evaluation import curve_distances, resampled
+from mammometry.study.tables import Table, number, plain
+
+Places: TypeAlias = Mapping[str, Float64[Array, "k 3"]]
+"""Name → one point, or the corners of a curve in order, mm, frame of the mesh."""
+Form: TypeAlias = Literal["point", "line", "curve"]
+"""A point; a line with two ends; a closed curve, whose last corner joins the first."""
+
+SIDES = ("left", "right")
+FORMS: Mapping[str, Form] = {
+    **{known.name: known.kind for known in LANDMARKS["torso"]},
+    **{f"fold_curve_{side}": "line" for side in SIDES},
+    **{f"border_{side}": "curve" for side in SIDES},
+}
+"""Names in both files → form. Left and right are the patient's."""
+_ANOTHER_FRAME_MM = 100.0  # median over all places; less than a breast's width, 10 cm, is an error of the method
+_LINE_STEP_MM = 0.1  # between points of a compared line, as of a closed curve
+_LEVEL_MM = 0.3  # within which a flat fold is as low as its lowest place; a definition
+_FOLD_HALF_ANGLE_RAD = np.deg2rad(45.0)  # of the fold to either side of straight down; a definition, and so stated
+
+
+@value(eq=False)
+class TrueWoman:
+    """One mesh and what is known of it."""
+
+    kind: str
+    """Kind of input, e.g. ``clean`` or ``telephone``."""
+    generator: str
+    """Which generator made the woman."""
+    mesh: str
+    """File of the mesh, relative to the truth file."""
+    places: Places
+    """Her true landmarks and borders. What is unknown, or not there, is missing."""
+    absent: tuple[str, ...] = ()
+    """Landmarks that she does not have: a proposal is an invention. Missing ones that are not listed are unknown."""
+
+
+@value(eq=False)
+class Score:
+    """Errors of one landmark on one kind of input."""
+
+    landmark: str
+    """Without side."""
+    kind: str
+    true: int
+    """Number of places with a truth."""
+    invented: int
+    """Places that were found though she has none."""
+    distances_mm: Float64[Array, " n"]
+    """Of each place found. Of a point its distance; of a line the mean distance of the true line from it; of a closed
+    curve the mean of both curves' mean distances from one another."""
+
+    @property
+    def found(self) -> int:
+        """Number of places found, of the true ones."""
+        return len(self.distances_mm)
+
+    @property
+    def mean_mm(self) -> float | None:
+        """Mean of the distances, mm. None without any, as below."""
+        return float(self.distances_mm.mean()) if self.found else None
+
+    @property
+    def median_mm(self) -> float | None:
+        """Median of the distances, mm."""
+        return self._quantile(0.5)
+
+    @property
+    def p95_mm(self) -> float | None:
+        """95th percentile of the distances, mm."""
+        return self._quantile(0.95)
+
+    @property
+    def worst_mm(self) -> float | None:
+        """Largest distance, mm."""
+        return self._quantile(1.0)
+
+    def _quantile(self, share: float) -> float | None:
+        return float(np.quantile(self.distances_mm, share)) if self.found else None
+
+
+def distance_mm(form: Form, found: Float64[Array, "k 3"], true: Float64[Array, "m 3"]) -> float:
+    """Error of one place, mm: see `Score.distances_mm`."""
+    if form == "point":
+        return float(np.linalg.norm(found[0] - true[0]))
+    if form == "curve":
+        return float(np.mean([distances.mean() for distances in curve_distances(resampled(found), resampled(true))]))
+    return float(cKDTree(_dense(found)).query(_dense(true))[0].mean())
+
+
+def _dense(line: Float64[Array, "k 3"]) -> Float64[Array, "n 3"]:
+    """Points at most `_LINE_STEP_MM` apart along a line."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    at = np.linspace(0.0, along[-1], 2 + int(along[-1] / _LINE_STEP_MM))
+    return np.stack([np.interp(at, along, line[:, axis]) for axis in range(3)], axis=1)
+
+
+def scores(found: Mapping[str, Places], truth: Mapping[str, TrueWoman]) -> tuple[Score, ...]:
+    """Compare a program's landmarks with the truth, by landmark and kind of input.
+
+    A woman or a place that is missing in `found` counts as not found.
+
+    Raises:
+        TableError: a woman who is not in the truth, or places in another frame or unit.
+    """
+    unknown = sorted(found.keys() - truth.keys())
+    if unknown:
+        raise TableError(
+            f"woman {unknown[0]!r}",
+            found="no such woman in the truth",
+            expected=f"names as in the truth file, such as {next(iter(truth), 'none')!r}",
+            remedy="Score the output with the truth of the same meshes",
+        )
+    errors = {
+        (woman, name): distance_mm(FORMS[name], found[woman][name], true)
+        for woman, known in truth.items()
+        for name, true in known.places.items()
+        if name in found.get(woman, {})
+    }
+    _require_one_frame(list(errors.values()))
+    return tuple(_scored(found, truth, errors))
+
+
+def _require_one_frame(errors_mm: Sequence[float]) -> None:
+    if errors_mm and float(np.median(errors_mm)) > _ANOTHER_FRAME_MM:
+        raise TableError(
+            "output",
+            found=f"places {np.median(errors_mm):.0f} mm from the truth in the median: another frame, unit or side",
+            expected="millimetres in the frame of each mesh's file; left and right are the patient's",
+            remedy="Check units and axes, and whether left and right are exchanged",
+        )
+
+
+def _scored(
+    found: Mapping[str, Places], truth: Mapping[str, TrueWoman], errors: Mapping[tuple[str, str], float]
+) -> Iterator[Score]:
+    kinds = tuple(dict.fromkeys(known.kind for known in truth.values()))
+    for landmark in dict.fromkeys(without_side(name) for name in FORMS):
+        names = [name for name in FORMS if without_side(name) == landmark]
+        for kind in kinds:
+            women = [woman for woman, known in truth.items() if known.kind == kind]
+            true = [(woman, name) for woman in women for name in names if name in truth[woman].places]
+            absent = [(woman, name) for woman in women for name in names if name in truth[woman].absent]
+            if true or absent:
+                yield Score(
+                    landmark=landmark,
+                    kind=kind,
+                    true=len(true),
+                    invented=sum(name in found.get(woman, {}) for woman, name in absent),
+                    distances_mm=np.array([errors[one] for one in true if one in errors]),
+                )
+
+
+def without_side(name: str) -> str:
+    """Name of a landmark of either side."""
+    return name.removesuffix("_left").removesuffix("_right")
+
+
+def fold_curve(border: Float64[Array, "b 3"], frame: Float64[Array, "3 3"]) -> Float64[Array, "k 3"]:
+    """The fold: the border's part within 45° of straight down, seen from its middle, mm.
+
+    Args:
+        border: closed curve, mm.
+        frame: rows: the patient's left, the head, straight ahead.
+    """
+    dense = resampled(border, 1.0)
+    flat = (dense - dense.mean(axis=0)) @ frame[:2].T
+    below = np.abs(np.arctan2(flat[:, 0], -flat[:, 1])) <= _FOLD_HALF_ANGLE_RAD
+    first = int(np.argmax(below & ~np.roll(below, 1)))
+    return np.roll(dense, -first, axis=0)[: int(below.sum())]
+
+
+def lowest_point(border: Float64[Array, "b 3"], frame: Float64[Array, "3 3"]) -> Float64[Array, "1 3"]:
+    """The fold's lowest point: the middle of the border's part within 0.3 mm of its greatest distance from the head.
+
+    Arguments as for `fold_curve`.
+    """
+    dense = resampled(border)
+    depth = -dense @ frame[1]
+    piece = dense[depth > depth.max() - _LEVEL_MM]
+    middle = piece.mean(axis=0)
+    return piece[np.argmin(np.linalg.norm(piece - middle, axis=1))][None]
+
+
+PUBLISHED: tuple[tuple[str, str, str], ...] = (
+    (
+        "border, two ratings of one place",
+        "3.5 to 6.7 (means at three places, 16 women)",
+        "doi 10.1007/s00238-018-1431-2",
+    ),
+)
+"""Published figures of raters: what, mm, source. No error of an automatic fold or midline is published."""
+
+
+def score_tables(found: Sequence[Score]) -> tuple[Table, ...]:
+    """The errors of each landmark and kind, and published figures of raters."""
+    return (
+        Table(
+            title="Landmarks and borders, errors in mm",
+            columns=("landmark", "input", "found", "missing", "invented", "median", "mean", "95 %", "worst"),
+            rows=tuple(
+                (one.landmark, one.kind, f"{one.found} of {one.true}", str(one.true - one.found), str(one.invented),
+                 *(number(figure, ".1f") for figure in (one.median_mm, one.mean_mm, one.p95_mm, one.worst_mm)))
+                for one in found
+            ),
+        ),
+        Table(title="Published figures of raters", columns=("what", "mm", "source"), rows=PUBLISHED),
+    )  # fmt: skip
+
+
+def scores_json(found: Sequence[Score]) -> dict[str, Any]:
+    """All figures as plain JSON-ready data. What is not known is null."""
+    table: dict[str, Any] = plain(
+        {
+            "scores": [
+                {
+                    "landmark": one.landmark,
+                    "kind": one.kind,
+                    "true": one.true,
+                    "found": one.found,
+                    "invented": one.invented,
+                    "median_mm": one.median_mm,
+                    "mean_mm": one.mean_mm,
+                    "p95_mm": one.p95_mm,
+                    "worst_mm": one.worst_mm,
+                }
+                for one in found
+            ]
+        }
+    )
+    return table
