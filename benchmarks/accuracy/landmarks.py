@@ -158,10 +158,10 @@ def nipples_of(walk: Path) -> Known:
 def _reconstructed(session: Path, solid_from_world: Transform) -> VirtualScan:
     job = mm.open_session(session)
     job.run()
-    finished = job.plan[surface.textured]()
-    mesh = job.plan[surface.repaired]().mesh
+    finished = job.plan[surface.mesh]()
+    mesh = finished.repaired.mesh
     moved = TriangleMesh(vertices=solid_from_world.apply(mesh.vertices), faces=mesh.faces)
-    return VirtualScan(mesh=moved, colours=finished.colours)
+    return VirtualScan(mesh=moved, colours=finished.textured.colours)
 
 
 def write(folder: Path, arguments: argparse.Namespace) -> None:
@@ -190,7 +190,8 @@ def write(folder: Path, arguments: argparse.Namespace) -> None:
 
 def _shared(folder: Path, data: Path, kinds: Sequence[str], *, walks: bool) -> list[Callable[[], str]]:
     """What is to be made of the shared bodies: those that are there."""
-    scans, photos, wanted = data / "scans", data / "photos", []
+    scans, photos = data / "scans", data / "photos"
+    wanted: list[Callable[[], str]] = []
     nipples = {body: nipples_of(photos / walk) for walk, body in _WALKS.items() if (photos / walk).is_dir()}
     for path in sorted(scans.glob("body_*_truth.json")):
         number = path.name.split("_")[1]

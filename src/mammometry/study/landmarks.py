@@ -18,7 +18,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from mammometry.base.errors import TableError
 from mammometry.base.value import value
@@ -111,7 +110,7 @@ def distance_mm(form: Form, found: Float64[Array, "k 3"], true: Float64[Array, "
         return float(np.linalg.norm(found[0] - true[0]))
     if form == "curve":
         return float(np.mean([distances.mean() for distances in curve_distances(resampled(found), resampled(true))]))
-    return float(cKDTree(_dense(found)).query(_dense(true))[0].mean())
+    return float(curve_distances(_dense(true), _dense(found))[0].mean())
 
 
 def _dense(line: Float64[Array, "k 3"]) -> Float64[Array, "n 3"]:
