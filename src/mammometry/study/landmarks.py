@@ -51,7 +51,7 @@ class TrueWoman:
     kind: str
     """Kind of input, e.g. ``clean`` or ``telephone``."""
     generator: str
-    """Which generator made the woman."""
+    """Program that made the woman."""
     mesh: str
     """File of the mesh, relative to the truth file."""
     places: Places
@@ -62,11 +62,12 @@ class TrueWoman:
 
 @value(eq=False)
 class Score:
-    """Errors of one landmark on one kind of input."""
+    """Errors of one landmark on one kind of input, women of one generator."""
 
     landmark: str
     """Without side."""
     kind: str
+    generator: str
     true: int
     """Number of places with a truth."""
     invented: int
@@ -121,7 +122,7 @@ def _dense(line: Float64[Array, "k 3"]) -> Float64[Array, "n 3"]:
 
 
 def scores(found: Mapping[str, Places], truth: Mapping[str, TrueWoman]) -> tuple[Score, ...]:
-    """Compare a program's landmarks with the truth, by landmark and kind of input.
+    """Compare a program's landmarks with the truth, by landmark, kind of input and generator.
 
     A woman or a place that is missing in `found` counts as not found.
 
@@ -159,17 +160,18 @@ def _require_one_frame(errors_mm: Sequence[float]) -> None:
 def _scored(
     found: Mapping[str, Places], truth: Mapping[str, TrueWoman], errors: Mapping[tuple[str, str], float]
 ) -> Iterator[Score]:
-    kinds = tuple(dict.fromkeys(known.kind for known in truth.values()))
+    groups = tuple(dict.fromkeys((known.kind, known.generator) for known in truth.values()))
     for landmark in dict.fromkeys(without_side(name) for name in FORMS):
         names = [name for name in FORMS if without_side(name) == landmark]
-        for kind in kinds:
-            women = [woman for woman, known in truth.items() if known.kind == kind]
+        for kind, generator in groups:
+            women = [woman for woman, known in truth.items() if (known.kind, known.generator) == (kind, generator)]
             true = [(woman, name) for woman in women for name in names if name in truth[woman].places]
             absent = [(woman, name) for woman in women for name in names if name in truth[woman].absent]
             if true or absent:
                 yield Score(
                     landmark=landmark,
                     kind=kind,
+                    generator=generator,
                     true=len(true),
                     invented=sum(name in found.get(woman, {}) for woman, name in absent),
                     distances_mm=np.array([errors[one] for one in true if one in errors]),
@@ -222,15 +224,17 @@ def score_tables(found: Sequence[Score]) -> tuple[Table, ...]:
     return (
         Table(
             title="Landmarks and borders, errors in mm",
-            columns=("landmark", "input", "found", "missing", "invented", "median", "mean", "95 %", "worst"),
-            rows=tuple(
-                (one.landmark, one.kind, f"{one.found} of {one.true}", str(one.true - one.found), str(one.invented),
-                 *(number(figure, ".1f") for figure in (one.median_mm, one.mean_mm, one.p95_mm, one.worst_mm)))
-                for one in found
-            ),
+            columns=("landmark", "input", "women", "found", "missing", "invented", "median", "mean", "95 %", "worst"),
+            rows=tuple(_row(one) for one in found),
         ),
         Table(title="Published figures of raters", columns=("what", "mm", "source"), rows=PUBLISHED),
-    )  # fmt: skip
+    )
+
+
+def _row(one: Score) -> tuple[str, ...]:
+    counts = (f"{one.found} of {one.true}", str(one.true - one.found), str(one.invented))
+    figures = (number(figure, ".1f") for figure in (one.median_mm, one.mean_mm, one.p95_mm, one.worst_mm))
+    return (one.landmark, one.kind, one.generator, *counts, *figures)
 
 
 def scores_json(found: Sequence[Score]) -> dict[str, Any]:
@@ -241,6 +245,7 @@ def scores_json(found: Sequence[Score]) -> dict[str, Any]:
                 {
                     "landmark": one.landmark,
                     "kind": one.kind,
+                    "generator": one.generator,
                     "true": one.true,
                     "found": one.found,
                     "invented": one.invented,
