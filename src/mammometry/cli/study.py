@@ -1,4 +1,7 @@
-"""Commands `compare`, `evaluate` and `study …`: dates, truth, agreement, observers, landmarks, phantoms."""
+"""Commands `compare`, `evaluate` and `study …`.
+
+Dates, truth, agreement, observers, landmarks and phantoms.
+"""
 
 from __future__ import annotations
 
