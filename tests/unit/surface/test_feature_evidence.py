@@ -1,5 +1,7 @@
 """A correction is made only where features that pairs share confirm it: they were not used to find it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from moving_rig import RADII, calibrated_rig, measured, standing
@@ -57,6 +59,18 @@ def test_features_confirm_what_is_true_and_refute_what_is_not(by_chance):
     wrong = weigh_correction(RIG, stood, still, shared_by(RIG, by_chance=by_chance))
     assert wrong.verdict == "refuted"
     assert abs(wrong.share) < 4 * wrong.std
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_error_that_all_features_of_two_cameras_share_does_not_refute_what_is_true(seed):
+    """A rest of the calibration moves all of them alike: many features know no more of a small motion than few."""
+    rng = np.random.default_rng(seed)
+    stood = turned(0.06)
+    shared = shared_by(stood, 200, seed=seed)
+    shared = [replace(two, uv_second=two.uv_second + rng.normal(0, 0.4, 2)) for two in shared]
+    evidence = weigh_correction(RIG, stood, still, shared)
+    assert evidence.verdict != "refuted"
+    assert abs(evidence.share - 1.0) < 3 * evidence.std
 
 
 def test_half_of_what_is_claimed_is_half():

@@ -48,7 +48,7 @@ def range_image(disparity: DisparityMap, *, job: Context) -> RangeImage:
     return image.keeping(inside)
 
 
-@product("surface", version=7, settings="surface.stillness")
+@product("surface", version=8, settings="surface.stillness")
 def stillness(
     cameras: CameraSet,
     calibration: Calibration | None,

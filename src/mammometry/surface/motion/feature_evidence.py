@@ -37,6 +37,11 @@ _ASTRAY_PX = 16.0
 """Distances from the lines that are used, in the same pixels: matches by chance are spread evenly within."""
 _BY_CHANCE = 0.3
 """Share of those matches that are by chance; up to a half."""
+_COMMON_PX = np.linspace(-2.0, 2.0, 41)
+"""Errors that all features of two cameras may share, in the same pixels: what the calibration leaves, and what marks on
+round skin show differently from two sides."""
+_COMMON_STD_PX = np.array([0.05, 0.1, 0.2, 0.4, 0.8])
+"""Standard deviations of those errors over all pairs of cameras, equally likely beforehand."""
 _SHARES = np.linspace(-1.0, 2.0, 61)
 """Shares of a correction that are compared: 0 is none of it, 1 all."""
 _SURE = 2.0
@@ -121,26 +126,36 @@ def weigh_correction(
         breathed_mm: camera and points that it saw → their displacement to where a body is that did not breathe.
         shared: features of two cameras each.
     """
-    distances = [
-        (_from_lines(rig, features), _from_lines(corrected, features, _shift_mm(rig, features, breathed_mm)))
-        for features in shared
-        if len(features.uv_first)
-    ]
+    log_prior = -0.5 * (_COMMON_PX / _COMMON_STD_PX[:, None]) ** 2
+    log_prior -= logsumexp(log_prior, axis=1, keepdims=True)
+    by_std = np.zeros((len(_COMMON_STD_PX), len(_SHARES)))
+    distances = []
+    for features in shared:
+        before = _from_lines(rig, features)
+        change = _from_lines(corrected, features, _shift_mm(rig, features, breathed_mm)) - before
+        near = np.minimum(np.abs(before), np.abs(before + change)) < _ASTRAY_PX
+        if near.any():
+            distances.append((before[near], change[near]))
+            by_std += logsumexp(_log_likelihood(before[near], change[near]) + log_prior[:, None], axis=2)
     if not distances:
         return CorrectionEvidence(share=0.0, std=float("inf"), features=0)
-    before, after = (np.concatenate(parts) for parts in zip(*distances, strict=True))
-    near = np.minimum(np.abs(before), np.abs(after)) < _ASTRAY_PX
-    before, change = before[near], (after - before)[near]
-    if not len(before):
-        return CorrectionEvidence(share=0.0, std=float("inf"), features=0)
-    left = before + _SHARES[:, None] * change
-    fitting = (1 - _BY_CHANCE) / (np.sqrt(2 * np.pi) * _FEATURE_PX) * np.exp(-0.5 * (left / _FEATURE_PX) ** 2)
-    log_likelihood = np.log(fitting + _BY_CHANCE / (2 * _ASTRAY_PX)).sum(axis=1)
+    log_likelihood = logsumexp(by_std, axis=0)
     weight = np.exp(log_likelihood - logsumexp(log_likelihood))
     share = float(weight @ _SHARES)
     std = float(np.sqrt(weight @ (_SHARES - share) ** 2))
+    before, change = (np.concatenate(parts) for parts in zip(*distances, strict=True))
     on_lines = int((np.abs(before + share * change) < _ON_LINE * _FEATURE_PX).sum())
     return CorrectionEvidence(share=share, std=max(std, float(_SHARES[1] - _SHARES[0])), features=on_lines)
+
+
+def _log_likelihood(before: Float64[Array, " m"], change: Float64[Array, " m"]) -> Float64[Array, "s c"]:
+    """Log likelihood of the features of two cameras, for each share of the correction and each common error."""
+    sums = np.empty((len(_SHARES), len(_COMMON_PX)))
+    for share, row in zip(_SHARES, sums, strict=True):
+        left = before + share * change + _COMMON_PX[:, None]
+        fitting = (1 - _BY_CHANCE) / (np.sqrt(2 * np.pi) * _FEATURE_PX) * np.exp(-0.5 * (left / _FEATURE_PX) ** 2)
+        row[:] = np.log(fitting + _BY_CHANCE / (2 * _ASTRAY_PX)).sum(axis=1)
+    return sums
 
 
 def _shift_mm(rig: Rig, features: SharedFeatures, breathed_mm: Displacement) -> Float64[Array, "m 3"]:
