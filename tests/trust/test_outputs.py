@@ -126,6 +126,20 @@ def agreement(place: Path, patch: pytest.MonkeyPatch) -> Case:
     )
 
 
+def repeatability(place: Path, patch: pytest.MonkeyPatch) -> Case:
+    table = place / "data" / "table.csv"
+    table.parent.mkdir()
+    table.write_text("woman,volume_cc\n" + "".join(f"{w},{300 + 9 * w + k}\n" for w in range(3) for k in (0, 2)))
+    out = place / "out"
+    names = ("report.html", "repeatability.json", "volumes.csv", "captures.png", "variances.png")
+    return Case(
+        ["study", "repeatability", table, "--out", out],
+        out,
+        names,
+        [["study", "repeatability", table, "--out", table.parent]],
+    )
+
+
 def nine_models(place: Path, patch: pytest.MonkeyPatch) -> Case:
     def write_session(out: Path, recipe: SessionRecipe, **_: object) -> None:
         (out / "truth").mkdir(parents=True)
@@ -373,6 +387,7 @@ def _export(kind: str, names: tuple[str, ...]) -> Callable[[Path, pytest.MonkeyP
 CASES: dict[str, Callable[[Path, pytest.MonkeyPatch], Case]] = {
     "study agreement": agreement,
     "study observers": observers,
+    "study repeatability": repeatability,
     "study phantoms": nine_models,
     "evaluate": evaluate,
     "compare": compare,

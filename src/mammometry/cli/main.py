@@ -14,7 +14,21 @@ from typing import Annotated, Any
 import typer
 
 from mammometry.base.errors import FullDiskError, MammometryError
-from mammometry.cli import batch, clinic, doctor, export, mesh, photos, rig, sessions, simulation, stages, state, study
+from mammometry.cli import (
+    batch,
+    clinic,
+    clinical_study,
+    doctor,
+    export,
+    mesh,
+    photos,
+    rig,
+    sessions,
+    simulation,
+    stages,
+    state,
+    study,
+)
 from mammometry.cli.common import Answer, silently, start_logging
 
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -52,7 +66,7 @@ for group in (
     doctor.app,
 ):
     app.registered_commands += group.registered_commands
-app.add_typer(study.app, no_args_is_help=True)
+app.add_typer(clinical_study.app, no_args_is_help=True)  # the commands of `study`, and its own
 app.add_typer(clinic.app, no_args_is_help=True)
 app.add_typer(export.app, no_args_is_help=True)
 app.add_typer(mesh.app, no_args_is_help=True)

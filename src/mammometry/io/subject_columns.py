@@ -13,13 +13,15 @@ from mammometry.base.identity import folded
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.csv_tables import Table
 
-_SUBJECTS = ("patient", "subject", "woman", "participant", "person", "pseudonym", "case", "id", "name", "model")
+SUBJECTS = ("patient", "subject", "woman", "participant", "person", "pseudonym", "case", "id", "name", "model")
 """Names of the column of subjects, the surest first."""
-_SIDES = ("side", "breast", "laterality", "seite")
-_SIDE_WORDS = {
+SIDES = ("side", "breast", "laterality", "seite")
+"""Names of the column of sides."""
+SIDE_WORDS = {
     "left": "left", "l": "left", "li": "left", "links": "left", "gauche": "left", "izquierda": "left",
     "right": "right", "r": "right", "re": "right", "rechts": "right", "droite": "right", "derecha": "right",
 }  # fmt: skip
+"""Word for a side, folded → ``left`` or ``right``."""
 _SIDE_ENDING = re.compile(r"(?P<who>.+?)(?:[\s_,.;:/-]+\(?(?P<word>[^\W\d_]+)\)?|(?<=\d)(?P<letter>[lr]))")
 _SUMMARIES = frozenset(
     ("mean", "average", "avg", "median", "sd", "std", "stddev", "stdev", "standarddeviation", "sem", "variance",
@@ -64,7 +66,7 @@ def subject_rows(table: Table, measured: tuple[str, str], pairs: Float64[Array, 
         TableError: a row has no subject, is a summary, or repeats another row.
     """
     column = _subject_column(table, measured)
-    side = next((name for name in table.columns if folded(name) in _SIDES and name not in measured), None)
+    side = next((name for name in table.columns if folded(name) in SIDES and name not in measured), None)
     count = len(table.rows)
     own = table.texts(column) if column else tuple(str(row + 1) for row in range(count))
     sides = table.texts(side) if side else ("",) * count
@@ -79,12 +81,12 @@ def subject_rows(table: Table, measured: tuple[str, str], pairs: Float64[Array, 
 def _subject_column(table: Table, measured: tuple[str, str]) -> str | None:
     words = {name: folded(re.sub(r"[_\s.-]*(id|no|nr|number|code)$", "", name, flags=re.IGNORECASE) or name)
              for name in table.columns if name and name not in measured}  # fmt: skip
-    for word in _SUBJECTS:
+    for word in SUBJECTS:
         found = [name for name, own in words.items() if own == word]
         if found:
             return found[0]
     first = table.columns[0]
-    return None if first in measured or words.get(first) in _SIDES or not first else first
+    return None if first in measured or words.get(first) in SIDES or not first else first
 
 
 def _without_sides(names: list[str]) -> list[str]:
@@ -92,7 +94,7 @@ def _without_sides(names: list[str]) -> list[str]:
     parts: list[tuple[str, str]] = []
     for name in names:
         match = _SIDE_ENDING.fullmatch(name)
-        side = "" if match is None else _SIDE_WORDS.get(match["word"] or match["letter"], "")
+        side = "" if match is None else SIDE_WORDS.get(match["word"] or match["letter"], "")
         parts.append((match["who"], side) if match is not None and side else (name, ""))
     seen: dict[str, set[str]] = defaultdict(set)
     for who, side in parts:

@@ -1,0 +1,1 @@
+"""Repeatability of volumes when women are captured again: components of variance, detectable change, plan."""

@@ -1,0 +1,204 @@
+"""Components of variance of a table with random effects, balanced or not.
+
+Estimates by restricted maximum likelihood (REML) with Fisher scoring, components of 0 or more: Searle, Casella and
+McCulloch, Variance Components, 1992, chapter 6. The analysis of variance (Henderson's method 3, chapter 5) is the
+closed form on balanced tables, where both are equal if no component is negative: each checks the other. Intervals are
+those of Graybill and Wang for sums of mean squares (Journal of the American Statistical Association 75 (1980) 869),
+which hold with two or three raters, where Satterthwaite's are too short.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy  # it imports scipy.stats, which takes half a second, when that is used
+
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64, Int64
+
+MOST_ROWS = 1500
+"""Largest table: time grows with the third power of its rows; 1,500 rows take about a minute."""
+_STEPS = 200  # of scoring; balanced tables need fewer than 20
+_CONVERGED = 1e-9  # relative change of all components
+_LEAST_SHARE = 1e-9  # of the total variance: smaller components are 0
+_SINGULAR = 1e-9  # least reciprocal condition of the equations: below it components cannot be separated
+_ROUNDING = 1e-10  # of weights of mean squares: smaller ones are 0
+_TAIL = 0.025  # probability on either side of a 95 % interval
+
+
+@value(eq=False)
+class Components:
+    """Variances of the random effects and of the residual, the residual last. In the squared unit of the values."""
+
+    variances: Float64[Array, " k"]
+    """By REML, 0 or more."""
+    moments: Float64[Array, " k"]
+    """By the analysis of variance; negative ones are left as they are."""
+    mean_squares: Float64[Array, " k"]
+    """Of the analysis of variance, each adjusted for the effects that are not finer."""
+    degrees: Float64[Array, " k"]
+    """Their degrees of freedom."""
+    expected: Float64[Array, "k k"]
+    """Row → coefficients of the variances in the expectation of that mean square."""
+
+    def sum_of(self, places: Sequence[int]) -> float:
+        """Sum of some variances by REML."""
+        return float(self.variances[list(places)].sum())
+
+    def interval_of(self, places: Sequence[int]) -> tuple[float, float]:
+        """95 % interval of a sum of variances. It contains the estimate by REML."""
+        terms = self._weights(places) * self.mean_squares
+        low, high = (np.array([bounds[side] for bounds in map(chi_square_bounds, self.degrees)]) for side in (0, 1))
+        below, above = 1 - low, high - 1
+        centre, own = float(terms.sum()), self.sum_of(places)
+        bounds = (
+            centre - float(np.linalg.norm(terms * np.where(terms > 0, below, above))),
+            centre + float(np.linalg.norm(terms * np.where(terms > 0, above, below))),
+        )
+        return max(min(bounds[0], own), 0.0), max(bounds[1], own)
+
+    def degrees_of(self, places: Sequence[int]) -> float:
+        """Satterthwaite's degrees of freedom of a sum of variances. 0 if the sum is not positive."""
+        terms = self._weights(places) * self.mean_squares
+        total = float(terms.sum())
+        return total**2 / float((terms**2 / self.degrees).sum()) if total > 0 else 0.0
+
+    def deviation(self, places: Sequence[int]) -> tuple[float, tuple[float, float], float]:
+        """Square root of a sum of variances, its 95 % interval, degrees of freedom."""
+        low, high = self.interval_of(places)
+        return self.sum_of(places) ** 0.5, (low**0.5, high**0.5), self.degrees_of(places)
+
+    def _weights(self, places: Sequence[int]) -> Float64[Array, " k"]:
+        """Weights of the mean squares whose sum has the expectation of the sum of these variances."""
+        chosen = np.zeros(len(self.variances))
+        chosen[list(places)] = 1.0
+        found = np.linalg.solve(self.expected.T, chosen)
+        return np.where(np.abs(found) < _ROUNDING, 0.0, found)
+
+
+def chi_square_bounds(df: float) -> tuple[float, float]:
+    """Factors of the 95 % interval of a variance with these degrees of freedom."""
+    with np.errstate(divide="ignore", over="ignore"):
+        low, high = (float(df / scipy.stats.chi2.ppf(q, df)) for q in (1 - _TAIL, _TAIL))
+    return low, high
+
+
+def components(values: Float64[Array, " n"], groups: Sequence[Int64[Array, " n"]]) -> Components:
+    """Estimate the components of variance.
+
+    Args:
+        values: one a row.
+        groups: for each random effect, the group of each row, from 0.
+
+    Raises:
+        ValueError: more than `MOST_ROWS` rows, or effects that cannot be separated from one another.
+    """
+    n = len(values)
+    if n > MOST_ROWS:
+        raise ValueError(f"{n} rows; {MOST_ROWS} at most")
+    scale = float(values.std()) or 1.0
+    centred = (values - values.mean()) / scale
+    kernels = [np.asarray(group[:, None] == group[None, :], dtype=np.float64) for group in groups] + [np.eye(n)]
+    squares, degrees, expected = _analysis(centred, groups, kernels)
+    moments = np.linalg.solve(expected, squares)
+    return Components(
+        variances=_scored(centred, kernels, moments) * scale**2,
+        moments=moments * scale**2,
+        mean_squares=squares * scale**2,
+        degrees=degrees,
+        expected=expected,
+    )
+
+
+def _analysis(
+    y: Float64[Array, " n"], groups: Sequence[Int64[Array, " n"]], kernels: Sequence[Float64[Array, "n n"]]
+) -> tuple[Float64[Array, " k"], Float64[Array, " k"], Float64[Array, "k k"]]:
+    """Mean squares, their degrees of freedom and expectations.
+
+    Each effect is adjusted for all that are not finer, so that no spread of women enters another effect's mean square.
+    """
+    n, k = len(y), len(kernels)
+    squares, degrees, expected = np.zeros(k), np.zeros(k), np.zeros((k, k))
+    indicators = [np.eye(int(group.max()) + 1)[group] for group in groups] + [np.eye(n)]
+    for place in range(k):
+        others = [indicators[other] for other in range(k - 1) if other != place and not _finer(kernels, other, place)]
+        basis = _range(np.hstack([np.full((n, 1), n**-0.5), *others]))
+        added = _range(indicators[place] - basis @ (basis.T @ indicators[place]))
+        if not added.shape[1]:
+            raise ValueError("effects that cannot be separated")
+        degrees[place] = added.shape[1]
+        squares[place] = float(((added.T @ y) ** 2).sum()) / degrees[place]
+        expected[place] = [float(((kernel @ added) * added).sum()) / degrees[place] for kernel in kernels]
+    if np.linalg.cond(expected / np.abs(expected).max(axis=0)) > 1 / _SINGULAR:
+        raise ValueError("effects that cannot be separated")
+    return squares, degrees, expected
+
+
+def _finer(kernels: Sequence[Float64[Array, "n n"]], one: int, other: int) -> bool:
+    """Whether rows that share a group of one effect share a group of the other."""
+    return bool((kernels[one] <= kernels[other]).all())
+
+
+def _range(columns: Float64[Array, "n m"]) -> Float64[Array, "n r"]:
+    """Orthonormal basis of what the columns span."""
+    vectors, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+    return np.asarray(vectors[:, sizes > _SINGULAR * len(columns)])
+
+
+def _projection(kernels: Sequence[Float64[Array, "n n"]], variances: Float64[Array, " k"]) -> Float64[Array, "n n"]:
+    """P = V⁻¹ − V⁻¹1 (1ᵀV⁻¹1)⁻¹ 1ᵀV⁻¹."""
+    total = sum(variance * kernel for variance, kernel in zip(variances, kernels, strict=True) if variance)
+    inverse = scipy.linalg.cho_solve(scipy.linalg.cho_factor(total, lower=True), np.eye(len(kernels[0])))
+    rows = inverse.sum(axis=1)
+    return np.asarray(inverse - np.outer(rows, rows) / float(rows.sum()))
+
+
+def _information(projection: Float64[Array, "n n"], kernels: Sequence[Float64[Array, "n n"]]) -> Float64[Array, "k k"]:
+    products = [projection @ kernel for kernel in kernels[:-1]] + [projection]
+    return np.array([[0.5 * float((one * other.T).sum()) for other in products] for one in products])
+
+
+def _likelihood(
+    y: Float64[Array, " n"], kernels: Sequence[Float64[Array, "n n"]], variances: Float64[Array, " k"]
+) -> float:
+    """Restricted log-likelihood but for a constant."""
+    total = sum(variance * kernel for variance, kernel in zip(variances, kernels, strict=True) if variance)
+    factor, lower = scipy.linalg.cho_factor(total, lower=True)
+    ones = scipy.linalg.cho_solve((factor, lower), np.ones(len(y)))
+    own = scipy.linalg.cho_solve((factor, lower), y)
+    weight = float(ones.sum())
+    quadratic = float(y @ own) - float(ones @ y) ** 2 / weight
+    return -float(np.log(np.diag(factor)).sum()) - 0.5 * (np.log(weight) + quadratic)
+
+
+def _scored(
+    y: Float64[Array, " n"], kernels: Sequence[Float64[Array, "n n"]], start: Float64[Array, " k"]
+) -> Float64[Array, " k"]:
+    """Fisher scoring. A component that would become negative leaves the model until the likelihood asks for it."""
+    variances = np.where(start > _LEAST_SHARE, start, 0.0)
+    variances[-1] = max(variances[-1], 1e-3)  # of the values' variance 1: the residual stays positive
+    best = _likelihood(y, kernels, variances)
+    for _ in range(_STEPS):
+        projection = _projection(kernels, variances)
+        own = projection @ y
+        score = np.array([0.5 * (float(own @ kernel @ own) - float((projection * kernel).sum())) for kernel in kernels])
+        information = _information(projection, kernels)
+        free = np.flatnonzero((variances > 0) | (score > 0))
+        step = np.zeros_like(variances)
+        step[free] = np.linalg.solve(information[np.ix_(free, free)], score[free])
+        length = 1.0
+        while True:
+            found = np.maximum(variances + length * step, 0.0)
+            found[-1] = max(found[-1], _LEAST_SHARE)
+            found[:-1][found[:-1] < _LEAST_SHARE] = 0.0
+            reached = _likelihood(y, kernels, found)
+            if reached >= best - 1e-12 or length < 1e-6:  # rounding of a likelihood of the order of its rows
+                break
+            length /= 2
+        moved = float(np.abs(found - variances).max()) / float(found.sum())
+        left = bool(((found == 0) & (variances > 0)).any())  # then the others have not moved to where they belong
+        variances, best = found, reached
+        if moved < _CONVERGED and not left:
+            break
+    return variances

@@ -1,0 +1,94 @@
+"""How many women and captures a claim needs, and whether a study supports it.
+
+The claim is that the smallest detectable change is at most a stated one. It is shown if the upper 95 % bound of the
+standard error of measurement, from χ², supports it: Obuchowski and Bullen, Statistical Methods in Medical Research 27
+(2018) 2516, as in QIBA's tests of conformance.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import scipy  # it imports scipy.stats, which takes half a second, when that is used
+
+from mammometry.base.value import value
+
+DETECTABLE = float(scipy.special.ndtri(0.975)) * math.sqrt(2)
+"""Smallest detectable change by standard errors of measurement: 1.96 √2."""
+CAPTURES = (2, 3, 4, 5)
+"""Numbers of captures that a plan shows."""
+_CONFIDENCE = 0.95  # one-sided, of the upper bound
+_MOST_WOMEN = 2000  # a plan that needs more is none
+Verdict: TypeAlias = Literal["shown", "undecided", "contradicted"]
+
+
+@value
+class Plan:
+    """Women and captures for a claim."""
+
+    claim_cc: float
+    """Smallest detectable change that is to be shown, cc."""
+    sem_cc: float
+    """Standard error of measurement that is expected, cc."""
+    power: float
+    """Probability that the study shows the claim if the expectation is right."""
+    sizes: tuple[tuple[int, int], ...]
+    """Captures of each woman, and the number of women. Empty: the expected error does not allow the claim."""
+
+
+def plan(claim_cc: float, sem_cc: float, power: float = 0.8) -> Plan:
+    """Find the least number of women for each number of captures.
+
+    Each woman counts once, even if both breasts are measured: they share a capture.
+    """
+    return Plan(claim_cc=claim_cc, sem_cc=sem_cc, power=power, sizes=tuple(_sizes(claim_cc, sem_cc, power)))
+
+
+def _sizes(claim_cc: float, sem_cc: float, power: float) -> Iterator[tuple[int, int]]:
+    for captures in CAPTURES:
+        found = next(
+            (women for women in range(2, _MOST_WOMEN + 1)
+             if chance_to_show(claim_cc, sem_cc, women * (captures - 1)) >= power),
+            None,
+        )  # fmt: skip
+        if found is not None:
+            yield captures, found
+
+
+def chance_to_show(claim_cc: float, sem_cc: float, df: float) -> float:
+    """Probability that the upper bound of the detectable change is at most the claim."""
+    ratio = (claim_cc / (DETECTABLE * sem_cc)) ** 2
+    return float(scipy.stats.chi2.cdf(ratio * scipy.stats.chi2.ppf(1 - _CONFIDENCE, df), df))
+
+
+def upper_bound(deviation: float, df: float) -> float:
+    """One-sided upper 95 % bound of a standard deviation. Infinite without degrees of freedom."""
+    return deviation * math.sqrt(df / scipy.stats.chi2.ppf(1 - _CONFIDENCE, df)) if df > 0 else math.inf
+
+
+def lower_bound(deviation: float, df: float) -> float:
+    """One-sided lower 95 % bound of a standard deviation."""
+    return deviation * math.sqrt(df / scipy.stats.chi2.ppf(_CONFIDENCE, df)) if df > 0 else 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClaimCheck:
+    """Whether a study supports a claim."""
+
+    claim_cc: float
+    detectable_cc: float
+    """Smallest detectable change of the study, cc."""
+    upper_cc: float
+    """Its one-sided upper 95 % bound, cc."""
+    verdict: Verdict
+    """``shown``: the upper bound is at most the claim. ``contradicted``: the lower bound is above it."""
+
+
+def check_claim(claim_cc: float, sem_cc: float, df: float) -> ClaimCheck:
+    """Decide on a claim from a standard error of measurement and its degrees of freedom."""
+    upper, lower = (DETECTABLE * bound(sem_cc, df) for bound in (upper_bound, lower_bound))
+    verdict: Verdict = "shown" if upper <= claim_cc else "contradicted" if lower > claim_cc else "undecided"
+    return ClaimCheck(claim_cc=claim_cc, detectable_cc=DETECTABLE * sem_cc, upper_cc=upper, verdict=verdict)

@@ -1,0 +1,262 @@
+"""Repeatability from repeated captures: components, standard error, detectable change, correlation, limits."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy  # it imports scipy.stats, which takes half a second, when that is used
+
+from mammometry.base.value import value
+from mammometry.study.agreement import Estimate
+from mammometry.study.repeatability.components import Components, chi_square_bounds, components
+from mammometry.study.repeatability.design import SUBJECT, Design, Reading, design, volumes_of
+from mammometry.study.repeatability.limits import RepeatedLimits, repeated_limits
+from mammometry.study.repeatability.plan import DETECTABLE
+
+SIZES_CC = ((0.0, 250.0), (250.0, 500.0), (500.0, math.inf))
+"""Classes of the breast's volume, cc: thirds of published series of women before breast surgery, rounded."""
+MOVED_MM = 4.0
+"""Spread of a length of one woman between captures that is listed, mm: as breathing in moves a nipple (Wang et al.,
+Aesthetic Plastic Surgery 43 (2019) 53)."""
+_FAR = 50.0  # of logarithms of ratios of variances: e⁵⁰ is as good as infinite
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Component:
+    """One random effect."""
+
+    name: str
+    levels: int
+    sd_cc: Estimate
+    """Standard deviation by REML, cc."""
+    variance_cc2: float
+    moments_cc2: float
+    """Variance by the analysis of variance, cc². It may be negative. NaN for a table that is not balanced."""
+    share: float
+    """Of the variance of all effects but the breast; of the breast's effects, NaN."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Repetition:
+    """Scatter of one measurement if some things change and others do not."""
+
+    level: str
+    """What changes: see `design`."""
+    effects: tuple[str, ...]
+    sem_cc: Estimate
+    """Standard error of measurement, cc."""
+    df: float
+    """Its degrees of freedom."""
+    cv_percent: Estimate
+    """Coefficient of variation, %: √(exp s² − 1) of the logarithms."""
+    detectable_percent: Estimate
+    """Smallest detectable increase, %: exp(1.96 √2 s) − 1."""
+    icc: Estimate
+    """Share of the variance that two measurements at this level have in common: intraclass correlation for absolute
+    agreement, single measurement, all effects random: ICC(A,1). For a new capture by the same rater, ICC(1)."""
+
+    @property
+    def detectable_cc(self) -> Estimate:
+        """Smallest detectable change, cc: 1.96 √2 SEM. Two repetitions have the limits of agreement ± this."""
+        low, high = self.sem_cc.interval
+        return Estimate(value=DETECTABLE * self.sem_cc.value, interval=(DETECTABLE * low, DETECTABLE * high))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SizeClass:
+    """Scatter of repeated captures of breasts of some size."""
+
+    from_cc: float
+    to_cc: float
+    breasts: int
+    sem_cc: Estimate
+    cv_percent: float
+    """Root mean square of the scatter by the breast's mean, %."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConditionChange:
+    """Something that was not the same at all captures of a woman."""
+
+    woman: str
+    condition: str
+    found: tuple[str, ...]
+    """Values that occurred, or the least and the largest length."""
+
+
+@value
+class RepeatabilityStudy:
+    """Everything about the repeatability of volumes."""
+
+    women: int
+    breasts: int
+    captures: int
+    readings: int
+    mean_cc: float
+    balanced: bool
+    merged: tuple[tuple[str, str], ...]
+    """Effects that the design cannot separate from another one."""
+    components: tuple[Component, ...]
+    repetitions: tuple[Repetition, ...]
+    """From the narrowest to the widest."""
+    sizes: tuple[SizeClass, ...]
+    size_trend_p: float
+    """Of Kendall's correlation of scatter and size: below 0.05, percentages describe it better. NaN: unknown."""
+    limits: tuple[RepeatedLimits, ...]
+    """Of each pair of raters, devices and readers."""
+    changes: tuple[ConditionChange, ...]
+
+
+def repeatability(readings: Sequence[Reading]) -> RepeatabilityStudy:
+    """Analyse repeated captures.
+
+    Raises:
+        ValueError: see `design` and `components`; a volume that is not positive.
+    """
+    volumes = volumes_of(readings)
+    if not (volumes > 0).all():
+        raise ValueError("a volume that is not positive")
+    planned = design(readings)
+    found, of_logarithms = (components(values, planned.groups) for values in (volumes, np.log(volumes)))
+    cells: dict[tuple[str, ...], list[float]] = {}
+    for one in readings:
+        cells.setdefault(one.cell, []).append(one.volume_cc)
+    repeated = [np.array(own) for own in cells.values() if len(own) > 1]
+    return RepeatabilityStudy(
+        women=len({one.woman for one in readings}),
+        breasts=len({one.breast for one in readings}),
+        captures=len({(one.woman, one.device, one.rater, one.day, one.capture) for one in readings}),
+        readings=len(readings),
+        mean_cc=float(volumes.mean()),
+        balanced=planned.balanced,
+        merged=planned.merged,
+        components=tuple(_component(planned, found, place) for place in range(len(planned.effects))),
+        repetitions=tuple(
+            _repetition(level, planned, places, found, of_logarithms)
+            for level, places in planned.levels_of_repetition().items()
+        ),
+        sizes=tuple(_by_size(repeated)),
+        size_trend_p=_trend_p(repeated),
+        limits=tuple(_limits(readings)),
+        changes=tuple(condition_changes(readings)),
+    )
+
+
+def _component(planned: Design, found: Components, place: int) -> Component:
+    sd, interval, _ = found.deviation([place])
+    error = float(sum(variance for effect, variance in zip(planned.effects, found.variances, strict=True)
+                      if effect not in SUBJECT))  # fmt: skip
+    name, variance = planned.effects[place], float(found.variances[place])
+    return Component(
+        name=name,
+        levels=planned.levels[place],
+        sd_cc=Estimate(value=sd, interval=interval),
+        variance_cc2=variance,
+        moments_cc2=float(found.moments[place]) if planned.balanced else math.nan,
+        share=math.nan if name in SUBJECT or not error else variance / error,
+    )
+
+
+def _repetition(
+    level: str, planned: Design, places: tuple[int, ...], found: Components, of_logarithms: Components
+) -> Repetition:
+    sem, interval, df = found.deviation(places)
+    relative, bounds, _ = of_logarithms.deviation(places)
+    return Repetition(
+        level=level,
+        effects=tuple(planned.effects[place] for place in places),
+        sem_cc=Estimate(value=sem, interval=interval),
+        df=df,
+        cv_percent=Estimate(value=_cv(relative), interval=(_cv(bounds[0]), _cv(bounds[1]))),
+        detectable_percent=Estimate(value=_increase(relative), interval=(_increase(bounds[0]), _increase(bounds[1]))),
+        icc=_icc(found, places),
+    )
+
+
+def _cv(deviation: float) -> float:
+    return 100 * math.sqrt(math.expm1(deviation**2)) if deviation < 10 else math.inf  # larger ones overflow
+
+
+def _increase(deviation: float) -> float:
+    return 100 * math.expm1(DETECTABLE * deviation) if deviation < 10 else math.inf  # larger ones overflow
+
+
+def _icc(found: Components, places: tuple[int, ...]) -> Estimate:
+    """Common variance by all of it. Interval of the logarithm of the ratio of both by MOVER (Zou 2013)."""
+    common = [place for place in range(len(found.variances)) if place not in places]
+    shared, error = found.sum_of(common), found.sum_of(places)
+    if not shared or not error:
+        return Estimate(value=shared / (shared + error) if shared + error else math.nan, interval=(0.0, 1.0))
+    (own_low, own_high), (low, high) = found.interval_of(common), found.interval_of(places)
+    reaches = (
+        math.hypot(_log_ratio(high, error), _log_ratio(shared, own_low)),
+        math.hypot(_log_ratio(error, low), _log_ratio(own_high, shared)),
+    )
+    ratio = error / shared
+    return Estimate(
+        value=1 / (1 + ratio),
+        interval=(1 / (1 + ratio * math.exp(reaches[0])), 1 / (1 + ratio * math.exp(-reaches[1]))),
+    )
+
+
+def _log_ratio(larger: float, smaller: float) -> float:
+    """Logarithm of a ratio; a bound of 0, or an infinite one, counts as `_FAR`."""
+    return min(math.log(larger / smaller), _FAR) if smaller > 0 else _FAR
+
+
+def _by_size(cells: Sequence[np.ndarray]) -> Iterator[SizeClass]:
+    for low, high in SIZES_CC:
+        own = [values for values in cells if low <= values.mean() < high]
+        if not own:
+            continue
+        df = sum(len(values) - 1 for values in own)
+        variance = sum(float(((values - values.mean()) ** 2).sum()) for values in own) / df
+        relative = sum(float(((values / values.mean() - 1) ** 2).sum()) for values in own) / df
+        bounds = chi_square_bounds(df)
+        yield SizeClass(
+            from_cc=low,
+            to_cc=high,
+            breasts=len(own),
+            sem_cc=Estimate(
+                value=math.sqrt(variance), interval=(math.sqrt(variance * bounds[0]), math.sqrt(variance * bounds[1]))
+            ),
+            cv_percent=100 * math.sqrt(relative),
+        )
+
+
+def _trend_p(cells: Sequence[np.ndarray]) -> float:
+    if len(cells) < 4:
+        return math.nan
+    return float(scipy.stats.kendalltau([own.mean() for own in cells], [own.std(ddof=1) for own in cells]).pvalue)
+
+
+def _limits(readings: Sequence[Reading]) -> Iterator[RepeatedLimits]:
+    for what in ("device", "rater", "reader"):
+        by_name: dict[str, dict[str, list[float]]] = {}
+        of_woman = {one.breast: one.woman for one in readings}
+        for one in readings:
+            by_name.setdefault(getattr(one, what), {}).setdefault(one.breast, []).append(one.volume_cc)
+        for first, second in itertools.combinations(by_name, 2):
+            women = len({of_woman[breast] for breast in by_name[first] if breast in by_name[second]})
+            found = repeated_limits(by_name[first], by_name[second], women, names=(what, first, second))
+            if found is not None:
+                yield found
+
+
+def condition_changes(readings: Sequence[Reading]) -> Iterator[ConditionChange]:
+    """Yield what differs between the captures of a woman: words that differ, lengths that spread by `MOVED_MM`."""
+    found: dict[tuple[str, str], dict[str, None]] = {}
+    for one in readings:
+        for name, text in one.conditions:
+            found.setdefault((one.woman, name), {})[text] = None
+    for (woman, name), texts in found.items():
+        if name.endswith("_mm"):
+            lengths = sorted(texts, key=float)
+            if float(lengths[-1]) - float(lengths[0]) > MOVED_MM:
+                yield ConditionChange(woman=woman, condition=name, found=(lengths[0], lengths[-1]))
+        elif len(texts) > 1:
+            yield ConditionChange(woman=woman, condition=name, found=tuple(texts))
