@@ -20,7 +20,7 @@ _MOST_NAMES = 8  # in a legend; colours repeat after them
 
 
 def capture_differences(readings: Sequence[Reading], found: RepeatabilityStudy) -> bytes:
-    """Bland–Altman plot of each capture against the capture before it, with the limits of repeated measurements."""
+    """Bland–Altman plot of each capture against the one before it."""
     pairs: list[tuple[str, float, float]] = []
     cells: dict[tuple[str, ...], list[Reading]] = {}
     for one in readings:

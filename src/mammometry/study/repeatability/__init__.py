@@ -1,1 +1,1 @@
-"""Repeatability of volumes when women are captured again: components of variance, detectable change, plan."""
+"""Repeatability of volumes of women who are captured again."""

@@ -29,7 +29,7 @@ _TAIL = 0.025  # probability on either side of a 95 % interval
 
 @value(eq=False)
 class Components:
-    """Variances of the random effects and of the residual, the residual last. In the squared unit of the values."""
+    """Variances of the random effects, and last of the residual. Squared unit of the values."""
 
     variances: Float64[Array, " k"]
     """By REML, 0 or more."""

@@ -1,4 +1,4 @@
-"""Repeatability from repeated captures: components, standard error, detectable change, correlation, limits."""
+"""Repeatability from repeated captures: errors, detectable change, correlation."""
 
 from __future__ import annotations
 
@@ -248,7 +248,10 @@ def _limits(readings: Sequence[Reading]) -> Iterator[RepeatedLimits]:
 
 
 def condition_changes(readings: Sequence[Reading]) -> Iterator[ConditionChange]:
-    """Yield what differs between the captures of a woman: words that differ, lengths that spread by `MOVED_MM`."""
+    """Yield what differs between the captures of a woman.
+
+    Words that differ, and lengths that spread by `MOVED_MM`.
+    """
     found: dict[tuple[str, str], dict[str, None]] = {}
     for one in readings:
         for name, text in one.conditions:

@@ -62,7 +62,9 @@ def repeatability_summary(found: RepeatabilityStudy, claim: ClaimCheck | None = 
         lines.append("So few repetitions leave wide intervals.")
     if found.changes:
         women = len({change.woman for change in found.changes})
-        lines.append(f"Posture, breath or arms differed between the captures of {women} of {found.women} women: see the table.")
+        lines.append(
+            f"Posture, breath or arms differed between the captures of {women} of {found.women} women: see the table."
+        )
     return lines
 
 
