@@ -200,7 +200,8 @@ def fold_curve(border: Float64[Array, "b 3"], frame: Float64[Array, "3 3"]) -> F
 def lowest_point(border: Float64[Array, "b 3"], frame: Float64[Array, "3 3"]) -> Float64[Array, "1 3"]:
     """The fold's lowest point, mm.
 
-    It is the middle of the border's part within 0.3 mm of the border's greatest distance from the head. Arguments as for `fold_curve`.
+    It is the middle of the border's part within 0.3 mm of the border's greatest distance from the head. Arguments as
+    for `fold_curve`.
     """
     dense = resampled(border)
     depth = -dense @ frame[1]
