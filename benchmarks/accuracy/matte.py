@@ -22,12 +22,12 @@ from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import Studio
-from mammometry.surface.motion.motion_test import Stillness, summary
+from mammometry.surface.motion.motion_detection import MotionEstimate, summary
 
 _RIG = Path(__file__).parent / "rigs" / "seven.toml"
 
 
-def found(out: Path, seed: int, scale: float, contrast: float) -> Stillness:
+def found(out: Path, seed: int, scale: float, contrast: float) -> MotionEstimate:
     """Simulate a cast if it is not there, and find what moved."""
     session = out / f"plaster_{seed}-{scale:g}-{contrast:g}"
     if not session.exists():

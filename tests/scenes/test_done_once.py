@@ -13,7 +13,7 @@ from mammometry.calibration.judge import quality
 from mammometry.io import session as session_file
 from mammometry.measure.wall import open_breast
 from mammometry.settings import Settings
-from mammometry.surface.motion.motion_test import Stillness
+from mammometry.surface.motion.motion_detection import MotionEstimate
 
 
 @pytest.mark.slow
@@ -33,7 +33,7 @@ def test_a_run_does_nothing_twice(tiny_finished: Path, tiny_settings: Path, monk
     counted(session_file, "read_photograph", lambda path, *_: "/".join(path.parts[-3:]), decoded)
     counted(quality, "view_qualities", lambda *_: "judged", done)
     counted(open_breast, "open_breasts", lambda *_: "cut out", done)
-    counted(Stillness, "carry", lambda _, image, *__: f"moved {image.name}", done)
+    counted(MotionEstimate, "apply_motion", lambda _, image, *__: f"moved {image.name}", done)
     quality._assessed.cache_clear()
     job = open_session(tiny_finished, Settings.load(tiny_settings))
     job.run()

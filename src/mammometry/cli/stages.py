@@ -145,7 +145,7 @@ def surface(options: Options, session: SessionFolder) -> Answer:
 
     job, table = _stage("surface", session, options)
     from mammometry.report.words.notices import in_json, lines_of
-    from mammometry.surface.motion.motion_test import concerns, summary
+    from mammometry.surface.motion.motion_detection import concerns, summary
 
     mesh, stillness = job.surface().repaired.mesh, job.plan[product]()
     path = job.store.folder / "surface" / "mesh.ply"

@@ -1,7 +1,7 @@
-"""The products of a session, as the method lays them out, and on which threads they are made.
+"""The products of a session, as planned by the method, and the threads that compute them.
 
-It computes nothing by itself: each product knows its key and is made, or read back, when its value is first needed. So
-one plan runs a job, resumes it, and knows what is stale.
+Each product knows its key, and is computed or read back when its value is first needed. So one plan runs a job, resumes
+it, and knows which results are stale.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ T = TypeVar("T")
 
 
 class Background:
-    """A thread for products that no later stage needs. With a single core they are made at once."""
+    """A thread for products that no later stage needs. With a single core they are computed at once."""
 
     def __init__(self) -> None:
         self._pool = ThreadPoolExecutor(1) if available_cores() > 1 else None
@@ -44,29 +44,29 @@ class Background:
         return self
 
     def __exit__(self, kind: object, error: object, where: object) -> None:
-        """Wait for what was begun. After an error nothing new is begun."""
+        """Wait for products in progress. After an error no other product is started."""
         if self._pool is not None:
             self._pool.shutdown(wait=True, cancel_futures=kind is not None)
 
     def ensure(self, product: Product[Any]) -> None:
-        """Have a product made."""
+        """Compute a product in the background if it is missing."""
         if self._pool is None:
             product.ensure()
         else:
             self._begun.append(self._pool.submit(product.ensure))
 
     def wait(self) -> None:
-        """Wait for all background products. Raises what stood in the way of one."""
+        """Wait for all background products. Raises the first error."""
         while self._begun:
             self._begun.pop().result()
 
 
 Method: TypeAlias = "Callable[[Plan], None]"
-"""Calls a plan for each product: `job.method.method`, or a longer one."""
+"""Function that calls a plan once for each product: `job.method.method`, or a longer one."""
 
 
 class Plan:
-    """Every product of a session, not yet made."""
+    """All products of a session, not yet computed."""
 
     def __init__(
         self,
@@ -78,41 +78,41 @@ class Plan:
         stages: Sequence[Stage] = STAGES,
         given: Given = NONE_GIVEN,
     ) -> None:
-        """Lay out the method for a session.
+        """Apply the method to a session.
 
         Args:
-            method: calls the plan once for each product, those first from which others are made.
-            inputs: of the session.
-            settings: of all stages.
-            memo: remembers products between runs. None: nothing is remembered.
-            stages: whose products are planned.
-            given: what stands in for products of the method.
+            method: calls the plan once for each product, parents first.
+            inputs: inputs of the session.
+            settings: settings of all stages.
+            memo: store of products. None: nothing is stored.
+            stages: stages whose products are planned.
+            given: replacements of products of the method.
         """
         self.inputs, self.settings = inputs, settings
         self._memo = memo
         self._stages = stages
         self.method, self.given = method, given
         self.bound: dict[Definition[Any], dict[str, Product[Any]]] = {}
-        """Definition → its products by item, one of no name for a single one."""
+        """Definition → item → product. A single product's item is empty."""
         method(self)
 
     def plans(self, stage: Stage) -> bool:
-        """Whether a stage's products are planned, and not only those that are given."""
+        """Whether a stage's products are planned. Given products are planned in any case."""
         return stage in self._stages
 
     def __call__(self, definition: Definition[T], *made: Parents, item: str = "") -> Product[T] | None:
-        """Enter a product, which is not made yet. A line of the method.
+        """Plan a product: one line of the method. Nothing is computed.
 
         Args:
-            definition: the function that makes it.
-            made: what its parameters get the values of, in their order.
-            item: the pose, camera or pair that it is of.
+            definition: the product.
+            made: sources of its parameters, in order.
+            item: its pose, camera or pair.
 
         Returns:
-            The product. None where its stage is not planned.
+            The product. None if its stage is not planned.
 
         Raises:
-            TypeError: the function takes other parameters, or the product was entered before.
+            TypeError: the function has other parameters, or the product was entered before.
         """
         instead: Definition[T] = self.given.get(definition, definition)
         if instead is definition and not self.plans(definition.stage):
@@ -136,7 +136,7 @@ class Plan:
     def __getitem__(self, definition: Family[T]) -> Mapping[str, Product[T]]: ...
 
     def __getitem__(self, definition: Definition[T]) -> Product[T] | Mapping[str, Product[T]]:
-        """The product of a definition, or all of a family by item.
+        """The product of a definition, or a family's products by item.
 
         Raises:
             KeyError: the session has no such product.
@@ -145,21 +145,21 @@ class Plan:
         return products if isinstance(definition, Family) else products[""]
 
     def get(self, definition: Single[T]) -> Product[T] | None:
-        """The product, or None where the session has none."""
+        """The product. None if the session has no such product."""
         return self.bound.get(definition, {}).get("")
 
     def value(self, definition: Single[T]) -> T | None:
-        """Value of a product, made or read back. None where the session has no such product."""
+        """Value of a product, computed or read back. None if the session has no such product."""
         product = self.get(definition)
         return None if product is None else product()
 
     def current(self, definition: Single[T]) -> T | None:
-        """Value of a product that was made before. None where it is missing, or the session has none."""
+        """Value of a product that exists already. None if it is missing, or the session has no such product."""
         product = self.get(definition)
         return None if product is None or product.missing else product()
 
     def products(self, *stages: Stage) -> tuple[Product[Any], ...]:
-        """All stored products, or those of some stages, in the order of their declaration."""
+        """All stored products, or those of some stages, in the order of declaration."""
         return tuple(
             product
             for definition, products in self.bound.items()
@@ -168,14 +168,14 @@ class Plan:
         )
 
     def ensure(self, stage: Stage, background: Background | None = None) -> None:
-        """Make all products of a stage that are missing.
+        """Compute all missing products of a stage.
 
-        Products that take few threads are made side by side, those at the end of a path first: each makes what it is
-        made from, so that little is in memory at a time.
+        Products that use few threads are computed in parallel, those at the end of the longest path first: each also
+        computes its parents, which keeps few values in memory at a time.
 
         Args:
-            stage: whose products.
-            background: makes those that no later stage needs, for which nobody waits here.
+            stage: the stage.
+            background: computes those that no later stage needs, without waiting here.
         """
         products = self.products(stage)
         if any(product.missing for product in products):

@@ -1,4 +1,4 @@
-"""Inputs of the job as values, and what stages hand on to one another."""
+"""Inputs of a session, and values that several stages share."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ if TYPE_CHECKING:
 
 SubjectKind: TypeAlias = Literal["model", "torso", "surface"]
 MISSING = "missing"
-"""Digest of a photograph that the pairs name but that does not exist yet."""
+"""Digest of a photograph that a pair names but that does not exist yet."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Walk:
-    """What is known of photographs by one telephone on a walk around the patient."""
+    """Region and uncertainty of photographs taken with one telephone on a walk around the patient."""
 
     region: Region
-    """In which the body is, world frame."""
+    """Box that contains the body, world frame."""
     scale_std: float
     """Relative standard uncertainty of all lengths."""
     point_std_mm: float
-    """Standard uncertainty of a reconstructed point from the telephone's places and lens, mm."""
+    """Standard uncertainty of a reconstructed point due to the telephone's poses and lens, mm."""
 
     @property
     def key(self) -> str:
@@ -48,54 +48,51 @@ class Walk:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Inputs:
-    """All that a session brings: photographs and what is known about them.
-
-    Photographs are read when looked up.
-    """
+    """All inputs of a session. Photographs are read when looked up."""
 
     rig_name: str
     pair_names: Mapping[str, tuple[str, str]]
     """Pair → names of its left and right camera."""
     subject_kind: SubjectKind
-    """``model``: one closed cast. ``torso``: both breasts. ``surface``: an open surface, no volume."""
+    """``model``: one closed cast. ``torso``: a trunk with both breasts. ``surface``: an open surface, no volume."""
     photographs: Mapping[str, Photograph]
     """Camera → its photograph of the subject."""
     rim_radius_mm: float | None = None
-    """Radius by which a cast's rim is rounded, mm. None if not measured."""
+    """Rounding radius of a cast's rim, mm. None if not measured."""
     mounting: Mapping[str, Mounting] = field(default_factory=dict)
     """Camera → how it is mounted. Cameras not listed are upright."""
     target: Target | None
-    """The calibration target. None where the cameras come ready-made."""
+    """The calibration target. None if cameras are given."""
     calibration_photographs: Mapping[tuple[str, str], Photograph]
     """(pose, camera) → photograph of the target."""
     measured_points: Mapping[tuple[str, str], MeasuredPoints] = field(default_factory=dict)
     """(pose, camera) → the target's points in that photograph, measured elsewhere."""
     intrinsics_target: Target | None = None
-    """Target of the separate, unsynchronised photographs that give each camera's lens. None if there are none."""
+    """Target of the separate, unsynchronised photographs for each camera's lens. None if there are none."""
     intrinsics_photographs: Mapping[str, Mapping[tuple[str, str], Photograph]] = field(default_factory=dict)
     """Camera → (exposure, camera) → photograph of the intrinsics target."""
     cameras: Mapping[str, Camera] | None = None
-    """Ready-made cameras. None: calibrate from the photographs."""
+    """Given cameras. None: calibrate from the photographs."""
     priors: Mapping[str, CameraPrior] = field(default_factory=dict)
-    """Camera → its lens as it was known before the calibration photographs."""
+    """Camera → its lens as known before the calibration."""
     masks: Mapping[str, Bool[Array, "h w"]] = field(default_factory=dict)
     """Camera → foreground mask given by the user."""
     boundaries: Mapping[str, Float64[Array, "n 3"]] = field(default_factory=dict)
     """Breast → closed boundary curve given by the user, world frame, mm. Empty: found automatically."""
     automatic: tuple[str, ...] = ()
-    """Breasts whose boundary is found automatically beside those that are given."""
+    """Breasts whose boundary is found automatically, in addition to those that are given."""
     removed: tuple[Literal["left", "right"], ...] = ()
-    """Breasts that are said to be removed. They are not looked for."""
+    """Breasts that the user stated to be removed. They are not searched for."""
     head_stated: bool = False
-    """Whether the user said where a mesh's head is. Then no sign of the body contradicts it."""
+    """Whether the user stated where a mesh's head is. The program then does not check it."""
     attributions: Mapping[str, Attribution] = field(default_factory=dict)
     """Breast → who drew its boundary, and who confirmed it by eye."""
     landmarks: Mapping[str, Float64[Array, "k 3"]] = field(default_factory=dict)
     """Landmark (`measure.landmarks.landmarks`) → point or line picked by the user, world frame, mm."""
     scale_std: float | None = None
-    """Relative standard uncertainty of all lengths of a scanner's mesh. None if a calibration gives it."""
+    """Relative standard uncertainty of all lengths of a scan. None if a calibration gives it."""
     walk: Walk | None = None
-    """How the cameras came about, where they are one telephone's. None: a rig."""
+    """Set if the photographs are one telephone's. None: a rig."""
     wall: TriangleMesh | None = None
     """Measured wall behind the breast, or back of a cast, world frame, mm. None: not measured."""
     digests: Mapping[str, str] = field(default_factory=dict)
@@ -106,12 +103,12 @@ class Inputs:
 
     @property
     def all_removed(self) -> bool:
-        """Whether both breasts of a torso are said to be removed."""
+        """Whether both breasts of a torso are stated to be removed."""
         return len(set(self.removed)) == 2
 
     @property
     def calibrates(self) -> bool:
-        """Whether the cameras are calibrated from photographs of a target, and not ready-made.
+        """Whether the cameras are calibrated from photographs of a target, not given.
 
         Raises:
             CalibrationError: there is neither a target nor a camera.
@@ -125,7 +122,7 @@ class Inputs:
 
     @property
     def all_masks_given(self) -> bool:
-        """Whether the user gave a mask of every photograph."""
+        """Whether the user gave a mask for every photograph."""
         return set(self.photographs) <= set(self.masks)
 
     @property
@@ -134,7 +131,7 @@ class Inputs:
         return tuple(sorted({pose for pose, _ in self.calibration_photographs}))
 
     def key_part(self, *names: str) -> dict[str, str]:
-        """Digests of some inputs, for a product's key. What the session lacks is left out.
+        """Digests of some inputs, for a product's key. Inputs that the session lacks are left out.
 
         Args:
             names: as in `digests`; or ``capture`` and ``masks`` for all of them, ``mounting``, ``rim``, ``scale``,
@@ -154,7 +151,7 @@ class Inputs:
 
     @property
     def _plain(self) -> Mapping[str, object]:
-        """Inputs that are short enough to stand in a key as they are."""
+        """Short inputs, which are in the key themselves rather than their digests."""
         return {
             "mounting": sorted(self.mounting.items()) or None,
             "rim": self.rim_radius_mm,
@@ -173,25 +170,25 @@ class Inputs:
 
     @property
     def upside_down(self) -> tuple[str, ...]:
-        """Cameras that are mounted with their tops down."""
+        """Cameras that are mounted upside down."""
         return tuple(name for name, mounting in self.mounting.items() if mounting == "upside-down")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraSet:
-    """A rig calibrated here or read from a file, with its quality."""
+    """A rig, calibrated here or read from a file, with its quality."""
 
     rig: Rig
     std: Mapping[str, Mapping[str, float]]
-    """Camera → parameter → standard deviation. Empty where the cameras came ready-made."""
+    """Camera → parameter → standard deviation. Empty for given cameras."""
     world: str
-    """One sentence that says what the world frame is."""
+    """One sentence that defines the world frame."""
     rms_px: float | None
-    """Root mean square reprojection error, pixels. None where the cameras came ready-made."""
+    """Root mean square reprojection error, px. None for given cameras."""
     verdict: str | None = None
-    """``pass`` or ``warn``, by `judge.quality`. None for a given rig. A refused calibration makes no cameras."""
+    """``pass`` or ``warn`` (`judge.quality`). None for given cameras. A refused calibration gives no cameras."""
     reasons: tuple[str, ...] = ()
-    """Why, one sentence each, the gravest first. For a given rig, what makes its lengths doubtful."""
+    """Reasons for the verdict, one sentence each, worst first. For given cameras: why their lengths are doubtful."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -203,7 +200,7 @@ class FinishedSurface:
 
 
 def earlier_errors(calibration: Calibration | None) -> EarlierErrors:
-    """A calibration's own errors. Empty if there is none."""
+    """Errors of a calibration that a volume inherits. Empty without a calibration."""
     import numpy as np
 
     from mammometry.calibration.judge.expected_error import expected_error

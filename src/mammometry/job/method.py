@@ -1,16 +1,13 @@
 """The whole method on one page, from photographs to volumes.
 
-Each line enters a product: the function that makes it, and what that function gets. Nothing is computed here. A product
-is made, or read back, when its value is wanted (`graph.Plan`). The functions stand in `job.stages`, a file a stage;
-what a product's key holds beside the products it is made from (version, settings, the session's own inputs) is said
-above each function.
+Each line enters a product: the function that computes it, and the products that the function gets. Nothing is computed
+here. `graph.Plan` computes a product, or reads it back, when its value is needed. The functions are in `job.stages`,
+one file per stage. Above each function: what else is in the product's key (version, settings, inputs of the session).
 
-To work with another function in a line, or with a line more::
+To replace the function of a line, or to add a line (docs/how-to/extend.md)::
 
     mm.open_session("SESSION", given={match.disparity: mine})
     mm.open_session("SESSION", method=longer)
-
-docs/how-to/extend.md shows both.
 """
 
 from collections.abc import Iterable, Mapping
@@ -53,48 +50,48 @@ def method(plan: Plan) -> None:
 
     # Surface: from disparities to the closed, coloured surface. Paper 2.4 to 2.6.
     ranges = {pair: plan(surface.range_image, disparities[pair], item=pair) for pair in pairs}
-    still = plan(surface.stillness, cameras, calibration, ranges, rows, subjects)
-    walked = plan(surface.walk_motion, cameras, ranges, rows) if inputs.walk is not None else None
-    stood = plan(surface.corrected_cameras, cameras, still, walked)
-    moved = plan(surface.moved_ranges, cameras, still, walked, ranges)
+    motion = plan(surface.stillness, cameras, calibration, ranges, rows, subjects)
+    walk = plan(surface.walk_motion, cameras, ranges, rows) if inputs.walk is not None else None
+    corrected = plan(surface.corrected_cameras, cameras, motion, walk)
+    moved = plan(surface.moved_ranges, cameras, motion, walk, ranges)
     kept = plan(surface.keep_masks, cameras, moved, subjects)
     strands = plan(surface.strands, cameras, ranges) if subject == "torso" else None
     data = plan(surface.valid_patches, moved, kept, strands)
-    blocked = plan(surface.occlusions, stood, data, foregrounds)
-    solid = plan(surface.solid, stood, data, foregrounds, blocked, subjects)
+    occluded = plan(surface.occlusions, corrected, data, foregrounds)
+    solid = plan(surface.solid, corrected, data, foregrounds, occluded, subjects)
     first = plan(surface.initial_surface, data, solid)
     repaired = plan(surface.repaired, first, data)
-    plan(surface.model, stood, repaired)
-    mesh = plan(surface.mesh, stood, repaired)
+    plan(surface.model, corrected, repaired)
+    mesh = plan(surface.mesh, corrected, repaired)
 
     # Measure: from the surface to boundaries, volumes and lengths. An open surface has none.
     if subject == "surface":
         return
     is_torso = subject == "torso"
-    sides = plan(measure.sides, stood, repaired) if measure.are_breasts_sought(inputs, plan.settings) else None
-    boundaries = plan(measure.boundaries, stood, repaired, sides, foregrounds)
-    body = plan(measure.body, stood, repaired, sides, boundaries) if is_torso else None
+    sides = plan(measure.sides, corrected, repaired) if measure.are_breasts_sought(inputs, plan.settings) else None
+    boundaries = plan(measure.boundaries, corrected, repaired, sides, foregrounds)
+    body = plan(measure.body, corrected, repaired, sides, boundaries) if is_torso else None
     breasts = plan(measure.breasts, repaired, boundaries, body)
     size = plan(measure.size, repaired, breasts, body) if is_torso else None
     covers = plan(measure.overlaps, repaired, boundaries) if is_torso else None
-    views = plan(measure.views, stood, data, foregrounds) if pairs and not is_torso else None
-    evidence = plan(measure.evidence, stood, views, calibration, still, walked)
+    views = plan(measure.views, corrected, data, foregrounds) if pairs and not is_torso else None
+    evidence = plan(measure.evidence, corrected, views, calibration, motion, walk)
     volumes = plan(measure.measurements, breasts, size, covers, evidence)
     if is_torso:
         plan(measure.absent, repaired, sides, breasts, body, volumes, covers)
         plan(measure.lacking, repaired, volumes, body)
     landmarks = plan(measure.landmarks, mesh, boundaries, volumes, body)
-    plan(measure.symmetry, stood, mesh, volumes, body)
-    plan(measure.dimensions, stood, mesh, volumes, body, landmarks, boundaries)
+    plan(measure.symmetry, corrected, mesh, volumes, body)
+    plan(measure.dimensions, corrected, mesh, volumes, body, landmarks, boundaries)
 
 
 def of(cameras: Iterable[str], products: Mapping[str, Product[T] | None]) -> dict[str, Product[T] | None]:
-    """The products of some cameras, without the cameras that have none."""
+    """Products of these cameras. Cameras without a product are left out."""
     return {camera: products[camera] for camera in cameras if camera in products}
 
 
 def versions() -> dict[str, int]:
-    """Kind of product → version of its making."""
+    """Kind of product → version of its function."""
     known = (value for stage in (calibrate, match, surface, measure) for value in vars(stage).values())
     declared: list[Definition[Any]] = [value for value in known if isinstance(value, Definition)]
     return {kind.name.partition("/")[0]: kind.version for kind in declared if kind.version is not None}

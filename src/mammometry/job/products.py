@@ -1,11 +1,11 @@
-"""Products: what each is made from, its key, its storage, and its release from memory.
+"""Products: the values that a run computes, with their keys, storage and release from memory.
 
-A product is a function (`job.stages`) of other products' values::
+A product is declared by a function (`job.stages`) of other products' values::
 
     @product_of_each("surface", version=3, settings="surface.triangulate")
     def range_image(disparity: DisparityMap, *, job: Context) -> RangeImage: ...
 
-`job.method` calls all such functions, top to bottom. `graph.Plan` makes a product of each call, for one session.
+`job.method` names all these functions, from top to bottom. `graph.Plan` makes a product of each for one session.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
 Stage: TypeAlias = Literal["calibrate", "match", "surface", "measure", "report"]
 
-_WORKERS_AT_MOST = 4  # each may hold half a gigabyte at full image size
+_WORKERS_AT_MOST = 4  # each may need half a gigabyte at full image size
 
 STAGES: tuple[Stage, ...] = ("calibrate", "match", "surface", "measure", "report")
-"""In the order in which data flows."""
+"""In the order in which data flow."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Key:
-    """Digest of all that a product depends on. Equal digests mean equal products."""
+    """Everything that a product depends on. Equal digests mean equal products."""
 
     stage: Stage
     product: str
@@ -56,17 +56,14 @@ class Key:
 
 
 class Memo(Protocol):
-    """Remembers products between runs."""
+    """Store of products, kept between runs."""
 
     def has(self, key: Key) -> bool:
-        """Whether the product of `key` is remembered."""
+        """Whether the product of `key` is stored."""
         ...
 
     def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
-        """Return the remembered value of `key`, or make and remember it.
-
-        To make it, `prepare` gathers the inputs first.
-        """
+        """The stored value of `key`. If there is none, `prepare` its inputs, compute and store it."""
         ...
 
 
@@ -75,52 +72,56 @@ class Memo(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Context:
-    """Inputs, settings and progress, which the function of a product gets beside other products."""
+    """Inputs, settings and progress: what a product's function gets besides other products."""
 
     inputs: Inputs
     settings: Settings
-    """Of all stages. A function reads only those that its product declares: they alone are in its key."""
+    """Of all stages. A function may read only those that its product declares: only they are in its key."""
     item: str = ""
-    """The pose, camera or pair that this product is of. Empty: the session has one such product."""
+    """Pose, camera or pair of this product. Empty: the session has a single one."""
     progress: Progress = no_progress
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Definition(Generic[T_co]):
-    """A declared product: the function that makes it, and what else is to be known of it."""
+    """A declared product: the function that computes it, and its metadata."""
 
     function: Callable[..., T_co]
     stage: Stage
     version: int | None = None
     """Raise it when the result changes for the same inputs and settings. None: an intermediate value, never stored.
-    What is made from it depends on what it is made from.
-    """
+    The keys of its children then depend on its parents."""
     name: str
     """In keys and on disk, with ``{item}``: the function's name if not given."""
     settings: str | Callable[[Context], object] = ""
-    """Its own settings: their place in `Settings`, or a function that gives a dataclass or a tuple of them."""
+    """Its own settings: their path in `Settings`, or a function that returns a dataclass or a tuple of them."""
     inputs: tuple[str, ...] | Callable[[Context], Mapping[str, str]] = ()
-    """The session's own inputs in its key: names for `Inputs.key_part`, or a function that gives the part."""
+    """The session's own inputs in its key: names for `Inputs.key_part`, or a function that returns that part."""
     maker: str = ""
-    """Name of the function, in the key, where it is not the one of the method (`instead_of`)."""
+    """Name of the function that replaces the method's own (`instead_of`), for the key."""
     stored: bool = True
-    """Whether it is written. False: made from others in a moment."""
+    """Whether it is written to disk. False: it is quickly computed from other products."""
     large: bool = False
-    """Whether it leaves the memory once the stage at work needs it no more. It is read back where it is wanted."""
+    """Whether it is freed once the current stage no longer needs it. It is read back when needed."""
     threads: int | None = None
-    """Threads that its making takes: it is made side by side with others. None: it takes all, and is made alone."""
+    """Threads that its function uses: several products are computed in parallel. None: all, so it is computed alone."""
     deferrable: bool = False
-    """Whether no later stage needs it, so that it may be made in the background."""
+    """Whether no later stage needs it, so that it may be computed in the background."""
     check: bool = False
-    """Whether it only checks what a stage begins with. It is made before the others, if any of them is missing."""
+    """Whether it only checks a stage's inputs. It runs first, if any product of the stage is missing."""
 
     @property
     def parents(self) -> tuple[str, ...]:
-        """Parameters of the function that get values of products, in their order."""
+        """Parameters of the function that get values of products, in order."""
         return tuple(name for name in inspect.signature(self.function).parameters if name != "job")
 
     def key(self, job: Context, inputs: Mapping[str, str]) -> Key:
-        """Key of this product of a session, made also from `inputs`: name → digest."""
+        """Key of this product in a session.
+
+        Args:
+            job: the session's inputs and settings.
+            inputs: name → digest of its parents.
+        """
         named, chosen = self.inputs, self.settings
         own = named(job) if callable(named) else job.inputs.key_part(*(name.format(item=job.item) for name in named))
         table = _table(chosen(job)) if callable(chosen) else keyed(job.settings, chosen)
@@ -140,25 +141,25 @@ def _table(settings: object) -> dict[str, Any]:
 
 
 class Single(Definition[T_co]):
-    """A product of which a session has one."""
+    """A product that a session has once."""
 
     __slots__ = ()
 
 
 class Family(Definition[T_co]):
-    """A product of which a session has one for each pose, camera or pair."""
+    """Products that a session has for each pose, camera or pair."""
 
     __slots__ = ()
 
 
 def product(stage: Stage, **facts: Any) -> Callable[[Callable[..., T]], Single[T]]:
-    """Declare that a function makes a product, of which a session has one.
+    """Decorate a function that computes a product which a session has once.
 
-    Its parameters are values of the products that it is made from: those that `job.method` gives it, in the same order.
-    The last parameter, ``job``, is the `Context`.
+    Its parameters are the values of the product's parents, in the order in which `job.method` gives them. The last one,
+    ``job``, is the `Context`.
 
     Args:
-        stage: that it belongs to.
+        stage: stage of the product.
         facts: further fields of `Definition`.
     """
 
@@ -169,7 +170,7 @@ def product(stage: Stage, **facts: Any) -> Callable[[Callable[..., T]], Single[T
 
 
 def product_of_each(stage: Stage, **facts: Any) -> Callable[[Callable[..., T]], Family[T]]:
-    """Declare, as `product` does, what makes a product of each pose, camera or pair (`Context.item`)."""
+    """Decorate a function as `product` does, for a product of each pose, camera or pair."""
 
     def declare(function: Callable[..., T]) -> Family[T]:
         return Family(function=function, stage=stage, **({"name": f"{function.__name__}/{{item}}"} | facts))
@@ -178,15 +179,15 @@ def product_of_each(stage: Stage, **facts: Any) -> Callable[[Callable[..., T]], 
 
 
 def instead_of(known: Definition[T], *, version: int, **facts: Any) -> Callable[[Callable[..., T]], Definition[T]]:
-    """Declare that a function makes a product of the method in another way, for `Plan(given=…)`.
+    """Decorate a function that replaces that of a product of the method, for `Plan(given=…)`.
 
-    It takes what the other function takes, and its result lies in the same place. Its name is in the key: what is made
-    from it is made anew.
+    It has the same parameters, and its result is stored in the same place. Its name is in the key, so that all products
+    that depend on it are computed again.
 
     Args:
         known: the product.
-        version: raise it when the function gives another result for the same inputs and settings.
-        facts: further fields of `Definition`. Those that are not given are as they are of `known`.
+        version: raise it when the function's result changes for the same inputs and settings.
+        facts: further fields of `Definition`. The others are those of `known`.
     """
 
     def declare(function: Callable[..., T]) -> Definition[T]:
@@ -196,12 +197,12 @@ def instead_of(known: Definition[T], *, version: int, **facts: Any) -> Callable[
 
 
 Given: TypeAlias = Mapping[Definition[Any], Definition[Any]]
-"""Product of the method → the one instead of it: a value (`at_hand`) or another function (`instead_of`)."""
+"""Product of the method → its replacement: a value (`at_hand`) or another function (`instead_of`)."""
 NONE_GIVEN: Given = MappingProxyType({})
 
 
 def at_hand(value: T, *, stage: Stage, name: str, version: int | None, inputs: Mapping[str, str]) -> Single[T]:
-    """Declare a product whose value is given. It is never written, but part of the keys of its children."""
+    """Declare a product whose value is given. It is never written, but is in the keys of its children."""
     return Single(
         function=lambda job: value, stage=stage, version=version, name=name, inputs=lambda job: inputs, stored=False,
     )  # fmt: skip
@@ -211,25 +212,25 @@ def at_hand(value: T, *, stage: Stage, name: str, version: int | None, inputs: M
 
 
 class Product(Generic[T]):
-    """A value that is made, or read back, when it is first wanted."""
+    """A value that is computed, or read back, when it is first needed."""
 
     __slots__ = ("_lock", "_memo", "_value", "children", "definition", "depth", "job", "key", "parents")
 
     def __init__(self, definition: Definition[T], job: Context, parents: Mapping[str, Parents], memo: Memo | None):
-        """Describe a value. Nothing is made yet.
+        """Describe a product. Nothing is computed yet.
 
         Args:
-            definition: how it is made.
-            job: what it is made from beside other products.
+            definition: its declaration.
+            job: inputs, settings and item.
             parents: parameter → product, or several by name, or None. Those not planned are left out.
-            memo: remembers it. None: nobody does.
+            memo: the store. None: the product is not stored.
         """
         self.definition = definition
         self.job = job
         self.parents = {name: _planned(parent) for name, parent in parents.items()}
         self.children: list[Product[Any]] = []
         self.depth: int = 1 + max((parent.depth for parent in self.made_from), default=0)
-        """Products on the longest path to it."""
+        """Number of products on the longest path to it."""
         inputs: dict[str, str] = {}
         for parent in self.made_from:
             parent.children.append(self)
@@ -242,7 +243,7 @@ class Product(Generic[T]):
 
     @property
     def is_stored(self) -> bool:
-        """Whether its value is written."""
+        """Whether its value is written to disk."""
         return self.definition.stored and self.definition.version is not None
 
     @property
@@ -251,32 +252,32 @@ class Product(Generic[T]):
         return tuple(_flat(self.parents.values()))
 
     def __call__(self) -> T:
-        """Return the value, which then stays in memory until it is released."""
-        with self._lock:  # two that need it at once wait for one making of it
+        """Return the value and keep it in memory until it is released."""
+        with self._lock:  # so that two threads do not compute it twice
             if not self._value:
                 made = self._memo.recall(self.key, self._prepare) if self._memo else self._prepare()(no_progress)
                 self._value.append(made)
             return self._value[0]
 
     def uncached(self) -> T:
-        """Return the value. It does not stay in memory."""
+        """Return the value without keeping it in memory."""
         value = self()
         self.release()
         return value
 
     @property
     def missing(self) -> bool:
-        """Whether the product is neither in memory nor remembered."""
+        """Whether the product is neither in memory nor stored."""
         return not self._value and not (self._memo is not None and self._memo.has(self.key))
 
     def ensure(self) -> None:
-        """Make the value if it is missing. Otherwise it is not loaded."""
+        """Compute the value if it is missing. A stored value is not read."""
         if self.missing:
             self()
             self._release_if_unneeded(self.key.stage)
 
     def release(self) -> None:
-        """Forget the value in memory."""
+        """Free the value in memory."""
         with self._lock:
             self._value.clear()
 
@@ -293,21 +294,21 @@ class Product(Generic[T]):
         return make
 
     def _release_if_unneeded(self, stage: Stage, made: Product[Any] | None = None) -> None:
-        """Release a large value unless this stage makes something else from it."""
+        """Free a large value unless this stage needs it for another product."""
         if self.definition.large and not any(
             child._is_to_be_made(stage) for child in self.children if child is not made
         ):
             self.release()
 
     def _is_to_be_made(self, stage: Stage) -> bool:
-        """Whether a stage is still to make it: for itself, or if it is not stored for what is made from it."""
+        """Whether a stage will still compute it: for itself, or for its children if it is not stored."""
         if self.key.stage != stage or not self.missing:
             return False
         return self.is_stored or any(child._is_to_be_made(stage) for child in self.children)
 
 
 Parents: TypeAlias = "Product[Any] | Mapping[str, Product[Any] | None] | None"
-"""What a parameter gets the value of: one product, several by pose, camera or pair, or none."""
+"""Source of a parameter's value: one product, several by pose, camera or pair, or none."""
 
 
 def _planned(parents: Parents) -> Product[Any] | Mapping[str, Product[Any]] | None:
@@ -325,7 +326,7 @@ def _flat(parents: Iterable[Product[Any] | Mapping[str, Product[Any]] | None]) -
 
 
 def _values(parents: Product[Any] | Mapping[str, Product[Any]] | None) -> Any:
-    """Value that a function gets for one parameter."""
+    """Value of one parameter of a product's function."""
     if parents is None:
         return None
     if isinstance(parents, Product):
@@ -335,12 +336,12 @@ def _values(parents: Product[Any] | Mapping[str, Product[Any]] | None) -> Any:
 
 
 def threads_of(products: Iterable[Product[Any]]) -> int:
-    """Threads that the greediest of them takes."""
+    """Largest number of threads that one of them uses."""
     return max((product.definition.threads or available_cores() for product in products), default=1)
 
 
 def side_by_side(tasks: Iterable[Callable[[], object]], *, threads: int = 1) -> None:
-    """Run independent tasks on all cores. Each task itself takes `threads` threads."""
+    """Run independent tasks in parallel on all cores. Each task uses `threads` threads itself."""
     with ThreadPoolExecutor(max(1, min(_WORKERS_AT_MOST, available_cores() // threads))) as pool:
         waiting = [pool.submit(task) for task in tasks]
         try:
@@ -352,7 +353,7 @@ def side_by_side(tasks: Iterable[Callable[[], object]], *, threads: int = 1) -> 
 
 
 class Uncached(Mapping[str, T]):
-    """Values of products by name, made or read back at each look-up. They do not stay in memory."""
+    """Values of products by name, computed or read back at each look-up. They do not stay in memory."""
 
     def __init__(self, products: Mapping[str, Product[T]]) -> None:
         self._products = products

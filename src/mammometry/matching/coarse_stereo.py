@@ -42,8 +42,8 @@ _AROUND_PX, _TEXTURE = 9, 4.0  # neighbourhood, and its variance over noise: a b
 _SMALLEST_FAR = 0.015  # smallest far part, as a share of the image: smaller ones near the border may match by chance
 _POINTS = 1500  # points of a pair that are compared with the silhouettes
 _LEAST_COMMON = 0.25  # share of the width that both images show at the nearest depth, if no target was seen
-_LEAST_THING, _GAP, _DEPTHS_TRIED = 0.05, 0.1, 60  # of what is known: nearest things, the gap behind them; by eye
-_CALM, _LEAST_SURFACE = 0.06, 0.003  # relative change of depth within 3 × 3 pixels; of the picture; by eye
+_LEAST_THING, _GAP, _DEPTHS_TRIED = 0.05, 0.1, 60  # least share of near objects, relative gap in depth behind them
+_CALM, _LEAST_SURFACE = 0.06, 0.003  # largest relative change of depth within 3 × 3 pixels; least share of the image
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,8 +1,7 @@
 """Compiled image filters: blur, halve, double, compare fields of shifts.
 
 They work on C-contiguous float32 arrays, release the GIL and have NumPy versions in the tests. Each reads its image
-once,
-row by row, since memory access takes most of the time at full size.
+once, row by row, since memory access takes most of the time at full size.
 """
 
 import numpy as np

@@ -22,8 +22,7 @@ _FEWEST_PX = 400  # fewest pixels of a level for a decision
 _SOFT = 0.5
 """Ratio of the power of steps between pixels on the next coarser level to that on the one after, below which a level is
 empty: in-focus plaster has 0.73 to 0.80, torsos 0.85, a head 0.58; with a blur of 0.8, 1.4 and 3.6 px 0.46, 0.36 and
-    0.32
-(docs/decisions/0015)."""
+0.32 (docs/decisions/0015)."""
 
 
 def empty_levels(image: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> int:
@@ -112,7 +111,7 @@ _LOWEST_NOISE = 1e-4  # of luma 0…1: a tenth of an 8-bit step's rounding
 
 
 def unexplained(level: Level, matches: Estimate, sigma_px: float) -> Float32[Array, "h w"]:
-    """Factor on a match's variance, 1 … 4. 1 where noise explains the residual after gain and offset.
+    """Factor on a match's variance, 1 … 4. It is 1 if noise explains the residual after gain and offset.
 
     In weak texture a match is uncertain but right, as its variance shows. If the residual is much larger than both
     images' noise, they show different things: a partly hidden surface, a highlight, a wrong match.

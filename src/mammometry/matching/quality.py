@@ -1,4 +1,4 @@
-"""Judge a disparity map, and the calibration, without a truth. In a few figures and sentences."""
+"""Quality of a disparity map and of the calibration, without a truth: figures and warnings."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -11,18 +11,18 @@ from mammometry.matching.dense.match import DisparityMap
 from mammometry.matching.foreground.outlines_first import outline_first
 
 ALARMING_D_V_PX = 0.3
-"""Smooth vertical disparity above which calibration and photographs do not fit, px. Chosen by eye: a right calibration
-leaves less than 0.1 (docs/decisions/0011)."""
-_CERTAIN_SIGMAS = 3.0  # of the smooth part, before it is called one: single pixels scatter where texture is poor
-_BLOCKS = 6  # down and across the map, whose medians show the smooth part
-_LEAST_PIXELS = 20  # matched in a block, so that its median counts
-_SMOOTH_TERMS = 6  # 1, x, y, x², xy, y²: what turns of cameras and other lenses do to rows
-_MUCH_WEAK_PERCENT = 10.0  # of the surface, worth a warning; chosen by eye
+"""Smooth vertical disparity above which calibration and photographs do not fit, px: three times the 0.1 that a correct
+calibration leaves (docs/decisions/0011)."""
+_CERTAIN_SIGMAS = 3.0  # significance of the smooth part: single pixels scatter where texture is weak
+_BLOCKS = 6  # blocks along each side of the map, whose medians show the smooth part
+_LEAST_PIXELS = 20  # fewest matched pixels of a block for a median
+_SMOOTH_TERMS = 6  # 1, x, y, x², xy, y²: effect of turned cameras and other lenses on rows
+_MUCH_WEAK_PERCENT = 10.0  # of the surface, from which there is a warning; no volume depends on it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MatchQuality:
-    """One pair's figures."""
+    """Figures of one pair."""
 
     size_wh: tuple[int, int]
     """Of the map, pixels."""
@@ -30,13 +30,13 @@ class MatchQuality:
     weak_percent: float
     """Share of matched and weak pixels with texture too weak to match, %."""
     d_v_median_px: float
-    """Median vertical disparity: 0 with a right calibration. Here and below pixels of the rectified pair."""
+    """Median vertical disparity: 0 with a correct calibration. Here and below in pixels of the rectified pair."""
     d_v_spread_px: float
     """Half the width of its middle 68 %, px."""
     d_v_smooth_px: float
-    """RMS of its smooth part over the picture: what a moved camera or another lens does. 0 where too little matched."""
+    """RMS of its smooth part over the image: effect of a moved camera or another lens. 0 if too little is matched."""
     d_v_smooth_std_px: float
-    """Standard error of that, px."""
+    """Standard error of the smooth part, px."""
     sigma_median_px: float
     """Median expected standard deviation of the horizontal disparity, px."""
     confidence_median: float
@@ -44,12 +44,12 @@ class MatchQuality:
 
     @property
     def calibration_alarm(self) -> bool:
-        """Whether the vertical disparity shows that something else was matched than the calibration fits."""
+        """Whether the vertical disparity contradicts the calibration."""
         return self.d_v_smooth_px > max(ALARMING_D_V_PX, _CERTAIN_SIGMAS * self.d_v_smooth_std_px)
 
 
 def assess(found: DisparityMap) -> MatchQuality:
-    """Judge a disparity map by itself. No truth is needed."""
+    """Quality of a disparity map, without a truth."""
     matched, weak = int(found.valid.sum()), int((found.weak & ~found.valid).sum())
     d_v = found.pair_px * found.d_v_px[found.valid].astype(np.float64)
     low, median, high = np.percentile(d_v, (16, 50, 84)) if matched else (0.0, 0.0, 0.0)

@@ -91,8 +91,7 @@ def aggregate(
     """Sum of the costs along eight paths ending at each pixel.
 
     Semi-global matching (Hirschmüller 2008). A change of the shift by one pixel costs `small_step`, by more
-    `large_step`,
-    all in hundredths. Paths do not cross unmasked pixels.
+    `large_step`, all in hundredths. Paths do not cross unmasked pixels.
     """
     height, width, count = costs.shape
     total = np.zeros((height, width, count), dtype=np.uint16)

@@ -1,4 +1,4 @@
-"""All settings of matching."""
+"""Settings of matching."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -8,10 +8,10 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForegroundSettings:
-    """How the subject is separated from the background."""
+    """Separation of the subject from the background."""
 
     mode: Literal["auto", "all"] = "auto"
-    """auto: a pale subject in front of a darker background. all: every pixel may be surface (cluttered scenes), and
+    """auto: a pale subject in front of a darker background. all: every pixel may be the subject (cluttered scenes), and
     there is no silhouette. A given mask overrides both."""
 
 

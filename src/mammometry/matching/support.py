@@ -2,9 +2,7 @@
 
 Every pair sees it, and it is not the subject. If half of what is near is in a plane and the rest in front of it, the
 plane is a support: a body curves away behind the plane that fits it best. All pairs are used together first: a plane
-that one
-    of
-them sees clearly is the support of all, also of those that see little of it or at a grazing angle.
+that one of them sees clearly is the support of all, also of those that see little of it or at a grazing angle.
 """
 
 from __future__ import annotations
@@ -174,8 +172,7 @@ def _is_support(splits: Sequence[_Split]) -> bool:
     """Whether the subject is on a plane, by what pairs see of both.
 
     Half of what is near is in the plane and the rest in front of it. On a table, which may be nearly all of what is
-    near,
-    the subject may be small.
+    near, the subject may be small.
     """
     lying, standing, behind = (
         float(sum(getattr(one, part) for one in splits)) for part in ("lying", "standing", "behind")

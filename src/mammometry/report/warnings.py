@@ -29,7 +29,7 @@ from mammometry.report.content import sentence
 from mammometry.report.words import describe
 from mammometry.report.words.anthropometry import without_nipple
 from mammometry.report.words.doubts import body_doubts
-from mammometry.surface.motion.motion_test import concerns
+from mammometry.surface.motion.motion_detection import concerns
 from mammometry.surface.occlusion import Occlusion
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 from mammometry.walk.motion import WalkMotion

@@ -1,20 +1,18 @@
-"""Places where a silhouette does not bound the subject.
+"""Places where a silhouette does not bound the subject, because something stands in front of it.
 
-Something else stands in front. A rail of a posing frame cuts a body in two in a photograph, and a dark strap looks
-like background. A silhouette alone would then carve away what other cameras see. Measured skin shows it: a point that
-a pair has measured, and that most other cameras see on the subject too, cannot lie beside the subject in the rest.
-Something hides it there. Such places are unknown and carve nothing. A point that most others see beside the subject is
-no part of it: their silhouettes hold. A camera that is blocked at a place does not know what lies behind it, and has no
-vote there: votes are taken anew until no camera is found blocked at further places.
+In a photograph a rail of a posing frame cuts a body in two, and a dark strap looks like background. The silhouette
+alone would then remove what other cameras see. Measured skin shows such places: a point that a pair has measured and
+most other cameras see on the subject cannot be outside the subject in the remaining ones, so something hides it there.
+These places are unknown and remove nothing. A point that most others see outside the subject is not part of it: their
+silhouettes are used. A camera has no vote where its view is blocked; votes are repeated until no camera is blocked at
+further places.
 
-Skin is measured up to half a window before what hides it. Where it faces the camera, a little more of it counts as
-measured (`continued_world`): matching ends before what hides skin does, since windows near the edge see both.
-Where the subject really ends, its skin turns away.
+Matching ends up to half a window before an occluding edge, since windows near it see both sides. So skin that faces the
+camera is continued a little (`continued_world`). Where the subject really ends, its skin turns away.
 
-Where no pair has measured the skin, since all see the same dark band on it, the skin on both sides tells
-(`spanned_mm`). What spans a slit counts like a measured point. Skin turns away from the camera where the subject really
-ends: it is seen at a grazing angle there, or not measured at all. Skin that faces the camera right up to a slit, on
-both sides and in line, goes on behind it.
+If no pair has measured the skin, since all see the same dark band on it, the skin on both sides decides
+(`spanned_mm`). At a real end of the subject, skin is seen at a grazing angle or not measured at all. Skin that faces
+the camera up to both edges of a slit, and is in line, continues behind it. Spans count like measured points.
 """
 
 from __future__ import annotations
@@ -35,29 +33,29 @@ from mammometry.surface.ranges.range_image import RangeImage
 from mammometry.surface.ranges.strands import EDGE_PX
 from mammometry.surface.ranges.visibility import LEAST_COSINE
 
-_GUARD_PX = 3.0  # of `block_of`: nearer to a silhouette a datum's own error may put it beside; chosen by eye
+_GUARD_PX = 3.0  # px of `block_of`: within it a datum's own error may put it outside a silhouette; not critical
 SAMPLES = 300_000
-"""Of a view's data that are looked up in others: a dozen a block that the subject fills."""
-_LEAST_SHARE = 2e-4  # of the subject's blocks that a blocked place covers, at least: fewer are outliers; chosen by eye
-_GAP_BLOCKS = 4  # gaps between data that are narrower than twice this belong to the place, at least; chosen by eye
-_ROUNDS = 4  # of votes, at most; two are usual
-_LONG = 3.5  # widths² that a bar covers at least: most rails and bands 5 to 10, hair below 3.7 (docs/decisions/0025)
-_WIDENING = 1.25  # of the widest blocked place: gaps as wide as what blocks the view belong to it; chosen by eye
+"""Data of a view that are looked up in others: about a dozen per block of the subject."""
+_LEAST_SHARE = 2e-4  # smallest place, relative to the subject's blocks: fewer are outliers; not critical
+_GAP_BLOCKS = 4  # gaps between data narrower than twice this belong to the place; not critical
+_ROUNDS = 4  # most rounds of votes; two are usual
+_LONG = 3.5  # least area of a bar in widths²: most rails and bands have 5 to 10, hair below 3.7 (docs/decisions/0025)
+_WIDENING = 1.25  # gaps up to this times the width of the widest place belong to it; not critical
 
 
 @value(eq=False)
 class Occlusion:
-    """Places where one camera's view of the subject is blocked."""
+    """Places where something hides the subject from one camera."""
 
     camera: str
     blocks: Bool[Array, "H W"]
-    """Squares of `step` pixels that show something before the subject."""
+    """Squares of `step` pixels in which something is in front of the subject."""
     step: int
     share: float
-    """Of the subject in that photograph, the blocked places included."""
+    """Hidden share of the subject in that photograph."""
 
     def pixels(self, shape_hw: tuple[int, int]) -> Bool[Array, "h w"]:
-        """The blocked pixels of the photograph."""
+        """Mask of the hidden pixels of the photograph."""
         whole = self.blocks.repeat(self.step, axis=0).repeat(self.step, axis=1)
         return whole[: shape_hw[0], : shape_hw[1]]
 
@@ -65,18 +63,18 @@ class Occlusion:
 def find_occlusions(
     range_images: Sequence[RangeImage], foregrounds: Mapping[str, Foreground], rig: Rig
 ) -> dict[str, Occlusion]:
-    """Find the places where cameras see something before the subject.
+    """Find the places where something hides the subject from a camera.
 
-    A datum counts if, of the cameras of other pairs that have it in their picture, at least one sees it on the subject,
-    and no more see it beside the subject than on it.
+    A datum counts as skin if at least one camera of another pair sees it on the subject, and at least as many see it on
+    the subject as outside.
 
     Args:
-        range_images: measured skin of each pair, without what is dented.
-        foregrounds: silhouettes by camera; those that are not known have no say.
+        range_images: measured skin of each pair, without dents.
+        foregrounds: silhouettes by camera. Unknown ones are ignored.
         rig: the calibrated cameras.
 
     Returns:
-        Camera → where it is blocked, for the cameras that are.
+        Camera → its hidden places. Cameras without such places are left out.
     """
     views = {
         name: _View.of(foreground, rig.cameras[name])
@@ -122,7 +120,7 @@ def find_occlusions(
 
 
 def without_occluded(foregrounds: Mapping[str, Foreground], blocked: Mapping[str, Occlusion]) -> dict[str, Foreground]:
-    """Silhouettes that carve nothing where the view is blocked. The others as they are."""
+    """The silhouettes without their edges at hidden places."""
     opened = {}
     for name, foreground in foregrounds.items():
         if name in blocked:
@@ -136,20 +134,20 @@ def without_occluded(foregrounds: Mapping[str, Foreground], blocked: Mapping[str
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _View:
-    """One camera's silhouette in blocks, and the depths gathered there."""
+    """One camera's silhouette in blocks, and the depths measured there."""
 
     camera: Camera
     step: int
-    """Pixels a block."""
+    """Pixels per block."""
     subject: Bool[Array, "H W"]
     near: Bool[Array, "H W"]
-    """On the subject or so near to it that a datum's error may put it there."""
+    """On the subject, or so close to it that a datum's error may put it there."""
     depth_mm: Float64[Array, "H W"]
-    """Of the nearest datum of any pair, along the optical axis; infinite where there is none."""
+    """Depth of the nearest datum of any pair along the optical axis. Infinite without a datum."""
 
     @classmethod
     def of(cls, foreground: Foreground, camera: Camera) -> _View:
-        """Nothing gathered yet."""
+        """A view without measured depths."""
         step, unit = block_of(foreground.coverage.shape)
         subject = foreground.mask[::step, ::step]
         outside_px = ndimage.distance_transform_edt(~subject) * (step / unit)
@@ -162,7 +160,7 @@ class _View:
         )
 
     def places(self, points_world: Float64[Array, "n 3"]) -> tuple[_Places, Float64[Array, " k"]]:
-        """Points in each of the picture's places, with their depths along the optical axis, mm."""
+        """Blocks of the points that are in the image, and their depths along the optical axis, mm."""
         height, width = self.subject.shape
         column, row, depth_mm = projected(self.camera, points_world).T
         column, row = column / self.step, row / self.step
@@ -175,10 +173,7 @@ class _View:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Places:
-    """The points that a picture holds, and their blocks.
-
-    All pictures' together are most of what is held in memory here.
-    """
+    """Points in an image and their blocks. Those of all images take most of the memory of this module."""
 
     index: Int32[Array, " n"]
     row: Int32[Array, " n"]
@@ -187,16 +182,16 @@ class _Places:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Poll:
-    """Points of which views decide whether they are skin."""
+    """Points about which views vote whether they are skin."""
 
     count: int
-    """Of points."""
+    """Number of points."""
     places: Mapping[str, _Places]
-    """Camera → where its picture holds which of them."""
+    """Camera → the points in its image, and their blocks."""
     voters: Sequence[str]
-    """Cameras that have a vote, and in which such points are counted."""
+    """Cameras that vote, and in which hidden points are counted."""
     shown: Mapping[str, Bool[Array, "H W"]] | None = None
-    """Camera → what shows the subject. None: each silhouette."""
+    """Camera → blocks that count as the subject. None: its silhouette."""
 
 
 def _shown(points_world: Float64[Array, "n 3"], views: Sequence[_View]) -> Float64[Array, "m 3"]:
@@ -216,9 +211,9 @@ def _vote(
     blocked: Mapping[str, Bool[Array, "H W"]],
     hits: Mapping[str, Bool[Array, "H W"]],
 ) -> None:
-    """Let views decide which points are skin, and mark in `hits` where those lie beside the subject.
+    """Let views vote which points are skin, and mark in `hits` where such points are outside the subject.
 
-    A camera has no vote where it is known to be blocked.
+    A camera has no vote where its view is known to be blocked.
     """
     on, beside = (np.zeros(poll.count, dtype=np.int32) for _ in range(2))
     for name in poll.voters:
@@ -241,12 +236,12 @@ def _joined(hit: Bool[Array, "H W"], subject: Bool[Array, "H W"]) -> Bool[Array,
     large = (sizes >= max(_LEAST_SHARE * np.count_nonzero(subject), 2))[labels]
     if not large.any():
         return large
-    # A bar is about as wide where nobody has measured the skin behind it.
+    # Where the skin behind a bar was not measured, assume that it is about as wide.
     radius = max(_GAP_BLOCKS, _WIDENING * float(_depths(large).max()))
     closed = _closed(large | subject, radius)
     around = ndimage.distance_transform_edt(~large) <= 2 * radius
     joined: Bool[Array, "H W"] = (closed & around & ~subject) | large
-    # With the subject on both sides, a bar goes on to where it leaves the subject. Hair is as wide as it is long.
+    # A bar with the subject on both sides continues to where it leaves the subject. Hair is as wide as it is long.
     labels, count = ndimage.label(joined, structure=np.ones((3, 3)))
     half_widths = ndimage.maximum(_depths(joined), labels, np.arange(count + 1))
     bars = np.bincount(labels.ravel()) >= _LONG * (2 * half_widths) ** 2
@@ -261,39 +256,39 @@ def _joined(hit: Bool[Array, "H W"], subject: Bool[Array, "H W"]) -> Bool[Array,
 
 
 def _closed(place: Bool[Array, "H W"], radius: float) -> Bool[Array, "H W"]:
-    """A place with gaps closed that are narrower than twice the radius, blocks."""
+    """The place with gaps narrower than twice the radius (blocks) closed."""
     pad = int(radius) + 2
     near = ndimage.distance_transform_edt(~np.pad(place, pad, mode="edge")) <= radius
     return np.asarray((ndimage.distance_transform_edt(near) > radius)[pad:-pad, pad:-pad])
 
 
 def _depths(place: Bool[Array, "H W"]) -> Float64[Array, "H W"]:
-    """Distance of each block from the place's edge, blocks: half of its width where that is greatest."""
+    """Distance of each block from the place's edge, blocks. At its largest it is half the place's width."""
     return np.asarray(ndimage.distance_transform_edt(np.pad(place, 1))[1:-1, 1:-1])
 
 
-_WIDEST_MM = 90.0  # between both sides of a slit: a band or a rail has 15 to 50 mm; chosen by eye
-_SIDE_MM = 12.0  # of skin on each side, from which its direction and bend are taken; chosen by eye
+_WIDEST_MM = 90.0  # between both sides of a slit: a band or a rail has 15 to 50 mm; not critical
+_SIDE_MM = 12.0  # width of the skin on each side from which its slope and curvature are measured; not critical
 _LEAST_BLOCKS = 4  # of measured skin on each side
-_EDGE_BLOCKS = 4  # from the slit to the nearest measured skin, at most: windows end before an edge; chosen by eye
-_STEEPEST = np.tan(np.radians(60.0))  # of skin that faces the camera: at an occluding edge it is steeper; chosen by eye
-_SQUARE = np.cos(np.radians(50.0))  # a line crosses a slit's edges: others are chords of a bent outline; chosen by eye
-_OUTLINE_BLOCKS = 2.0  # Gaussian by which an outline's direction is taken; chosen by eye
-_BEND = 0.5  # of the slit's width: how far apart in depth both sides' continuations may meet; chosen by eye
+_EDGE_BLOCKS = 4  # largest distance from the slit to measured skin: windows end before an edge; not critical
+_STEEPEST = np.tan(np.radians(60.0))  # largest slope of skin at a slit: at the subject's end it is larger; not critical
+_SQUARE = np.cos(np.radians(50.0))  # a line must cross both edges: others are chords of a curved outline; not critical
+_OUTLINE_BLOCKS = 2.0  # Gaussian σ with which an outline's direction is measured; not critical
+_BEND = 0.5  # largest difference in depth between both sides' continuations, in slit widths; not critical
 
 
 def spanned_mm(
     camera: Camera, subject: Bool[Array, "H W"], step: int, depth_mm: Float64[Array, "H W"]
 ) -> Float64[Array, "H W"]:
-    """Depth of what spans the slits in a silhouette, infinite elsewhere.
+    """Depth along the optical axis of spans across the slits in a silhouette. Infinite elsewhere.
 
-    Along the optical axis. Rows and columns are scanned. Where both cross a slit, the shorter way counts.
+    Rows and columns are scanned. If both cross a slit, the shorter one counts.
 
     Args:
-        camera: whose silhouette it is.
+        camera: camera of the silhouette.
         subject: blocks of `step` pixels on the subject.
-        step: pixels a block.
-        depth_mm: measured depth along the optical axis of each block, infinite where none is measured.
+        step: pixels per block.
+        depth_mm: measured depth along the optical axis of each block. Infinite if not measured.
     """
     spans = np.full(subject.shape, np.inf)
     widths = np.full(subject.shape, np.inf)
@@ -309,13 +304,13 @@ def spanned_mm(
                 shorter = len(across_mm) < width[slit]
                 span[slit][shorter] = across_mm[shorter]
                 width[slit][shorter] = len(across_mm)
-    whole = ndimage.binary_opening(np.isfinite(spans), np.ones((3, 3), dtype=bool))  # one line alone is an outlier
+    whole = ndimage.binary_opening(np.isfinite(spans), np.ones((3, 3), dtype=bool))  # a single line is an outlier
     spans[~whole] = np.inf
     return spans
 
 
 def points_world(camera: Camera, step: int, depth_mm: Float64[Array, "H W"]) -> Float64[Array, "n 3"]:
-    """Points of the blocks that have a depth, mm."""
+    """World points of the blocks with a depth, mm."""
     row, column = np.nonzero(np.isfinite(depth_mm))
     xy = camera.normalised_from_pixels(np.stack([column, row], axis=1) * float(step))
     points = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) * depth_mm[row, column, None]
@@ -325,7 +320,7 @@ def points_world(camera: Camera, step: int, depth_mm: Float64[Array, "H W"]) -> 
 def _bridged(
     subject: Bool[Array, " w"], depth_mm: Float64[Array, " w"], crossed: Bool[Array, " w"], block_per_mm: float
 ) -> Iterator[tuple[slice, Float64[Array, " k"]]]:
-    """Yield the slits of one line, and the depth of what spans each, block by block."""
+    """Yield the slits of one line, and the depth of each block of their spans."""
     edges = np.flatnonzero(np.diff(subject.astype(np.int8)))
     for before, after in zip(edges[:-1], edges[1:] + 1, strict=True):
         if not (subject[before] and crossed[before] and crossed[after]):  # a run of subject, or a chord
@@ -339,7 +334,7 @@ def _bridged(
         ahead, back = (side.inverse + side.slope * blocks / 2 for side in (near, far))
         if width_mm > _WIDEST_MM or min(ahead, back) <= 0 or abs(1 / ahead - 1 / back) > _BEND * width_mm:
             continue
-        # The cubic that continues both sides (Hermite's), in inverse depth, where planes are straight.
+        # Hermite's cubic continues both sides. In inverse depth, planes are straight.
         t = np.arange(1, blocks) / blocks
         inverse = (
             near.inverse * (1 + 2 * t) * (1 - t) ** 2
@@ -351,16 +346,16 @@ def _bridged(
 
 @dataclass(frozen=True, slots=True)
 class _Side:
-    """Skin beside a slit."""
+    """Skin at one side of a slit."""
 
     inverse: float
     """Inverse depth at the edge, 1/mm."""
     slope: float
-    """Its change per block from the edge into the slit: constant on a plane."""
+    """Change of the inverse depth per block, from the edge into the slit. Constant on a plane."""
 
 
 def _side(outward_mm: Float64[Array, " k"], block_per_mm: float) -> _Side | None:
-    """Skin from a slit's edge outward. None unless it is measured up to the edge and faces the camera."""
+    """Skin from a slit's edge outwards. None unless it is measured up to the edge and faces the camera."""
     known = np.isfinite(outward_mm[:_EDGE_BLOCKS])
     if not known.any():
         return None
@@ -375,15 +370,14 @@ def _side(outward_mm: Float64[Array, " k"], block_per_mm: float) -> _Side | None
     return _Side(float(inverse), float(-slope))
 
 
-_NEIGHBOURHOOD_MM = 6.0  # half-width of the window that gives the skin's direction; chosen by eye
-_TURNED_MM = 0.5  # by which data lie behind the tangent plane where skin turns away; chosen by eye
+_NEIGHBOURHOOD_MM = 6.0  # half-width of the window for the skin's normal; not critical
+_TURNED_MM = 0.5  # distance of data behind the tangent plane from which skin turns away; not critical
 
 
 def continued_world(image: RangeImage) -> Float64[Array, "n 3"]:
-    """Continue a pair's data past their edges.
+    """Points beyond the edges of a pair's data, on tangent planes of the nearest data, world frame, mm.
 
-    Points on their tangent planes, world frame, mm. Only of skin that faces the camera and does not turn away. Data
-    nearer to an edge than half a window say no more than that.
+    Only of skin that faces the camera and does not turn away. Data within half a window of an edge are replaced too.
     """
     unit = block_of(image.valid.shape)[1]
     if image.valid.all():  # no datum has an edge
@@ -399,7 +393,7 @@ def continued_world(image: RangeImage) -> Float64[Array, "n 3"]:
     near = np.hypot(row - own_row, column - own_column) <= 2 * EDGE_PX * unit  # as far past the edge
     near &= cosines[row, column] >= LEAST_COSINE  # never where there is no normal
     own_row, own_column, row, column = (indices[near] for indices in (own_row, own_column, row, column))
-    # Not `image.ray_directions`: of a whole picture they take 90 MB.
+    # `image.ray_directions` would need 90 MB for a full image.
     datum, ray = (
         image.camera.rays_world(np.stack(at, axis=-1).astype(np.float64))
         for at in ((column, row), (own_column, own_row))

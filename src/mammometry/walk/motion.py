@@ -1,8 +1,8 @@
 """Motion of the body between the photographs of a walk, from the disagreement of its pairs.
 
-The board is at the belly, the breasts are not: breathing and swaying move them against it. Each photograph gets one
-small rigid motion of the body against the board, which all its pairs share. Pairs that see the same skin then agree,
-and the rows of each pair. The motions are the most probable ones: no larger than the disagreement makes likely.
+The board is on the belly, and the breasts move relative to it by breathing and swaying. Each photograph gets a small
+rigid motion of the body relative to the board, the same in all its pairs, so that pairs that see the same skin agree,
+as do the rows of each pair. The motions are the most probable ones, no larger than the disagreement requires.
 """
 
 from __future__ import annotations
@@ -26,48 +26,47 @@ from mammometry.surface.motion.moved_images import retriangulated
 from mammometry.surface.motion.rigid_motion import Effects, Observed, observed
 from mammometry.surface.ranges.range_image import RangeImage
 
-_OTHER_SKIN_MM = 12.0  # pairs further apart see different skin; a breath held badly makes them disagree by some mm
+_OTHER_SKIN_MM = 12.0  # pairs that differ by more see different skin; a badly held breath makes some mm
 _SIZES_MM = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
 """Standard deviations of a photograph's motion that are tried, mm."""
-_LEVER_MM = 150.0  # from the body's middle to its sides: a turn moves them as much as a shift moves all
+_LEVER_MM = 150.0  # from the body's centre to its sides: ratio of the shift to the turn that moves skin as much
 _CELL_MM = 0.05  # own error of a cell's distance
-_HUBER = 2.0  # standard deviations beyond which a cell counts less
-_ROUNDS = 5  # of reweighting
+_HUBER = 2.0  # threshold of Huber's loss, standard deviations
+_ROUNDS = 5  # rounds of reweighting
 _REST_MM = 1.0
-"""Disagreement after the correction from which a walk is refused: half of it in each pair, over the 300 cm² of a
-breast's skin, is 15 cc."""
+"""Largest disagreement after the correction. Half of it in each pair, over the 300 cm² of a breast's skin, is 15 cc."""
 
 
 @value(eq=False)
 class WalkMotion:
-    """Motion of the body against the board, photograph by photograph."""
+    """Motion of the body relative to the board at each photograph."""
 
     cameras: tuple[str, ...]
-    """Photographs of the pairs."""
+    """Photographs that are in pairs."""
     turn_rad: Float64[Array, "n 3"]
     """Rotation of the body about `centre_world`, world axes."""
     shift_mm: Float64[Array, "n 3"]
     """Shift of the body, world axes."""
     centre_world: Float64[Array, 3]
     size_mm: float
-    """Most probable standard deviation of a photograph's motion."""
+    """Most probable standard deviation of a photograph's motion, mm."""
     before_mm: float
-    """Disagreement of pairs that see the same skin, standard deviation, mm, with the places that the board shows."""
+    """Disagreement of pairs that see the same skin before the correction, standard deviation, mm."""
     rest_mm: float
-    """The same after the correction."""
+    """The same after the correction, mm."""
     point_std_mm: float
-    """Standard uncertainty of a reconstructed point that the correction leaves, mm."""
+    """Standard uncertainty of a reconstructed point after the correction, mm."""
 
     def rig(self, calibrated: Rig) -> Rig:
-        """The cameras relative to a body at rest."""
+        """The cameras' poses relative to a body at rest."""
         cameras = {
             name: before_still_body(calibrated.cameras[name], np.concatenate([turn, shift]), self.centre_world)
             for name, turn, shift in zip(self.cameras, self.turn_rad, self.shift_mm, strict=True)
         }
         return replace(calibrated, cameras={**calibrated.cameras, **cameras})
 
-    def carry(self, image: RangeImage, calibrated: Rig) -> RangeImage:
-        """A range image with the cameras relative to a body at rest."""
+    def apply_motion(self, image: RangeImage, calibrated: Rig) -> RangeImage:
+        """A range image, triangulated again with the cameras relative to a body at rest."""
         return retriangulated(image, calibrated.pair(image.name), self.rig(calibrated).pair(image.name))
 
 
@@ -75,8 +74,8 @@ def find_motion(rig: Rig, range_images: Sequence[RangeImage], rows: Mapping[str,
     """Most probable motion of the body at each photograph.
 
     Args:
-        rig: photographs' places by the board, and their pairs.
-        range_images: what each pair measured with them.
+        rig: poses of the photographs relative to the board, and their pairs.
+        range_images: range images of the pairs with these poses.
         rows: pair → its vertical disparity.
 
     Raises:
@@ -111,12 +110,12 @@ def find_motion(rig: Rig, range_images: Sequence[RangeImage], rows: Mapping[str,
 def _effects(
     cameras: tuple[str, ...], centre: Float64[Array, 3], rig: Rig, pair: str, points: Float64[Array, "n 3"]
 ) -> Effects:
-    """Effects of the body's motion at each photograph, a twist about the centre, on one pair's points."""
+    """Effects of the body's motion at each photograph (a twist about the centre) on one pair's points."""
     names = tuple(f"{camera}.{name}" for camera in rig.pair_names[pair] for name in POSE_NAMES_CAMERA)
     moved = shifts(rig.pair(pair), points, names)
     by_point, by_angle = np.zeros((len(points), 3, 6 * len(cameras))), np.zeros((len(points), 6 * len(cameras)))
     for number, name in enumerate(rig.pair_names[pair]):
-        # The camera before a body that is held still: turned by R r, its centre moved by −s − r × (C − centre).
+        # The camera relative to a body at rest: turned by R r, its centre moved by −s − r × (C − centre).
         of_pose = np.zeros((6, 6))
         of_pose[:3, :3] = rig.cameras[name].camera_from_world.rotation
         of_pose[3:] = -rigid_motions((rig.cameras[name].centre_world - centre)[None])[0]
@@ -127,12 +126,12 @@ def _effects(
 
 
 def _noise_mm2(comparison: Differences) -> Float64[Array, "n n"]:
-    """Variances of two pairs' distances, mm², with cells taken as independent."""
+    """Variances of two pairs' distances, mm². Cells are assumed to be independent."""
     return np.diag(comparison.scatter_mm**2 + comparison.expected_mm**2 + _CELL_MM**2)
 
 
 def _robust_fit(seen: Observed, size_mm: float) -> tuple[float, Fit]:
-    """Log evidence and fit of motions of a certain size. Huber's loss by reweighting."""
+    """Log evidence and fit of motions of one size. Huber's loss by reweighting."""
     count = seen.by_unknown.shape[1]
     rows = np.column_stack([seen.by_unknown, seen.values]) / np.sqrt(seen.variance)[:, None]
     std = np.tile(np.repeat([size_mm / _LEVER_MM, size_mm], 3), count // 6)
@@ -143,14 +142,14 @@ def _robust_fit(seen: Observed, size_mm: float) -> tuple[float, Fit]:
         length = np.abs(rows[:, -1] - rows[:, :-1] @ fit.motions)
         weight = np.minimum(1.0, _HUBER / np.maximum(length, 1e-12))
     loss = np.where(length <= _HUBER, length**2, 2 * _HUBER * length - _HUBER**2).sum()
-    return fit.log_evidence + float(used @ length**2 - loss) / 2, fit  # the loss in place of the weighted squares
+    return fit.log_evidence + float(used @ length**2 - loss) / 2, fit  # Huber's loss instead of the weighted squares
 
 
 def before_still_body(camera: Camera, twist: Float64[Array, 6], centre_world: Float64[Array, 3]) -> Camera:
     """The camera relative to a body at rest.
 
     Args:
-        camera: with the pose of the photograph.
+        camera: camera with the pose of the photograph.
         twist: motion of the body about the centre.
         centre_world: the centre, mm.
     """
@@ -158,7 +157,7 @@ def before_still_body(camera: Camera, twist: Float64[Array, 6], centre_world: Fl
 
 
 def _robust(lengths: Float64[Array, " n"]) -> float:
-    """Standard deviation by the median: a few cells of other skin do not count."""
+    """Robust standard deviation, from the median absolute value."""
     return float(MAD * np.median(np.abs(lengths))) if len(lengths) else 0.0
 
 

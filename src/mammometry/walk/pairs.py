@@ -1,9 +1,9 @@
-"""Choose which photographs of a walk are matched with each other.
+"""Select the photographs of a walk that are matched with each other.
 
-Two photographs make a pair where they see the body from directions 8 to 25 degrees apart, at about the same distance.
-Wider pairs measure depth more surely, and a body that moved between the two photographs spoils them less: an error of
-a point across the line of sight becomes 6 times as large in depth at 10 degrees, 3 times at 20. Beyond 25 degrees
-matching fails where the skin turns away.
+Two photographs make a pair if they see the body from directions 8 to 25 degrees apart, at about the same distance.
+Wider pairs measure depth more precisely and suffer less from motion of the body between the two photographs: an error
+across the line of sight becomes 6 times as large in depth at 10 degrees, 3 times at 20. Beyond 25 degrees matching
+fails where the skin turns away.
 """
 
 from __future__ import annotations
@@ -18,33 +18,31 @@ from mammometry.base.errors import CalibrationError
 from mammometry.geometry import Array, Camera, Float64, Rig
 
 NARROWEST_DEG, BEST_DEG, WIDEST_DEG = 8.0, 14.0, 25.0
-"""Between the directions from which a pair sees the body. Chosen on three virtual walks (RECIPES 7)."""
+"""Angle between the directions from which a pair sees the body. From three virtual walks (RECIPES 7)."""
 MOST = 16
-"""Pairs of a walk: more cost time and measure the same skin again."""
-_FORWARD = 0.15  # most relative difference of the two distances: else one picture shows the skin larger
-_FORWARD_DEG = 40.0  # degrees off the best angle that a relative difference of distances of 1 counts
-_AGAIN_DEG = 6.0  # degrees off the best angle that each earlier pair of the same photograph counts
-_NEAR_DEG = 12.0  # a pair that looks from this near to the direction of an earlier one adds little
-_GAP_DEG = 35.0  # between neighbouring photographs: more, and no pair sees the skin between them
-_ASIDE_DEG = (
-    30.0  # from straight before the board that the arc reaches at least: less, and the breasts' sides are unseen
-)
+"""Most pairs of a walk: more take time and measure the same skin again."""
+_FORWARD = 0.15  # largest relative difference of the two distances: beyond it, the scales differ too much
+_FORWARD_DEG = 40.0  # cost of a relative difference of 1 between the distances, degrees off the best angle
+_AGAIN_DEG = 6.0  # cost of each other pair with the same photograph
+_NEAR_DEG = 12.0  # a pair closer than this to the direction of an earlier one adds little
+_GAP_DEG = 35.0  # largest gap between neighbouring photographs: beyond it, no pair sees the skin in between
+_ASIDE_DEG = 30.0  # least extent of the arc to either side of the board's normal: shows the breasts' sides
 
 
 class Candidate(NamedTuple):
-    """Two photographs that may make a pair."""
+    """Two photographs that may form a pair."""
 
     left: str
     right: str
     angle_deg: float
     cost_deg: float
-    """Degrees off the best angle, plus penalties."""
+    """Difference from the best angle, plus penalties."""
     direction: Float64[Array, 3]
-    """Unit vector from the body to the middle between the cameras."""
+    """Unit vector from the body to the middle between the two cameras."""
 
 
 def candidates(cameras: Sequence[Camera], middle_world: Float64[Array, 3]) -> list[Candidate]:
-    """All pairs of photographs that can be matched, the best first."""
+    """All pairs of photographs that can be matched, best first."""
     found = []
     for one, other in combinations(cameras, 2):
         to_one, to_other = one.centre_world - middle_world, other.centre_world - middle_world
@@ -69,15 +67,15 @@ def candidates(cameras: Sequence[Camera], middle_world: Float64[Array, 3]) -> li
 
 
 def choose_pairs(rig: Rig, middle_world: Float64[Array, 3], most: int = MOST) -> dict[str, tuple[str, str]]:
-    """Pairs that see the body from all the directions of the walk: name → left and right photograph.
+    """Pairs that see the body from all directions of the walk: name → left and right photograph.
 
-    One after the other the candidate is taken that adds most: far from the directions of those that are chosen, at a
-    good angle, of photographs that are in few pairs.
+    They are selected one by one by cost: far from the directions of pairs selected before, near the best angle, with
+    photographs that are in few pairs.
 
     Args:
         rig: the photographs' cameras, in the board's frame.
-        middle_world: middle of the body's region, mm.
-        most: pairs to choose.
+        middle_world: centre of the body's region, mm.
+        most: largest number of pairs.
 
     Raises:
         CalibrationError: the photographs leave a gap, or no two of them can be matched.
@@ -114,11 +112,11 @@ def require_arc(cameras: Sequence[Camera], middle_world: Float64[Array, 3]) -> N
     """Refuse photographs that do not cover the front of the body.
 
     Args:
-        cameras: in the board's frame: x along its rows, z away from the reader.
-        middle_world: middle of the body's region, mm.
+        cameras: in the board's frame (x along its rows, z away from the reader).
+        middle_world: centre of the body's region, mm.
 
     Raises:
-        CalibrationError: names the gap, in degrees from straight ahead, the patient's left positive.
+        CalibrationError: states the gap, in degrees from the board's normal, positive to the patient's left.
     """
     away = [camera.centre_world - middle_world for camera in cameras]
     around = sorted(float(np.degrees(np.arctan2(place[0], -place[2]))) for place in away)

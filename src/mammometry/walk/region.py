@@ -1,7 +1,7 @@
-"""Where the body is, by the board that it wears: a box in the board's frame.
+"""Position of the body relative to the board on it: a box in the board's frame.
 
-The board hangs on the belly, its upper edge below the breasts. Its x axis points along its rows, y down, z away from
-the reader. What lies outside the box is room, wall, legs, hands and the board itself.
+The board hangs on the belly, its upper edge below the breasts. Its x axis is along its rows, y down, z away from the
+reader. Outside the box are the room, walls, legs, hands and the board itself.
 """
 
 from __future__ import annotations
@@ -15,43 +15,43 @@ import numpy as np
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Camera, Float64
 
-if TYPE_CHECKING:  # A manifest is read without the algorithms.
+if TYPE_CHECKING:  # a manifest is read without the algorithms
     from mammometry.calibration.targets.target import Target
 
 TELEPHONE_BOARD: Mapping[str, object] = MappingProxyType(
     {"kind": "charuco", "squares": [11, 7], "square_mm": 24.0, "marker_mm": 17.0, "dictionary": "DICT_5X5_100"}
 )
-"""``[target]`` of the board that `mammometry target --telephone` draws: it fills an A4 page that lies across."""
+"""``[target]`` of the board drawn by `mammometry target --telephone`: it fills an A4 page in landscape."""
 HALF_WIDTH_MM = 260.0
-"""From the board's middle to either side: half the shoulder breadth of 99 in 100 adults is below 255 mm (ANSUR II)."""
+"""From the board's middle to each side: half the shoulder breadth of 99 in 100 adults is below 255 mm (ANSUR II)."""
 HEIGHT_MM = 400.0
-"""Above the board: from below the breasts to the neck of tall adults, and hardly a face."""
+"""Above the board: from below the breasts to the neck of tall adults, almost without the face."""
 BEFORE_MM, BEHIND_MM = 220.0, 130.0
-"""Before the board's plane and behind it: breasts that stand out, and the trunk's sides, but not a wall of the room."""
+"""In front of the board's plane and behind it: includes breasts and the trunk's sides, but no wall of the room."""
 _EDGE_SHARE = 1.6  # squares between the highest inner corner and the card's edge: the outer squares, the white border
 _GAP_MM = 8.0  # between the card and the first skin above it
-_GRID = 9  # points along each edge of the box whose pictures are enclosed by its outline
+_GRID = 9  # points along each edge of the box that are projected for its outline
 
 
 @value(eq=False)
 class Region:
-    """A box along the world's axes, mm."""
+    """A box along the world axes, mm."""
 
     low_world: Float64[Array, 3]
     high_world: Float64[Array, 3]
 
     @property
     def middle_world(self) -> Float64[Array, 3]:
-        """Its middle, mm."""
+        """Centre of the box, mm."""
         middle: Float64[Array, 3] = (self.low_world + self.high_world) / 2
         return middle
 
     def contains(self, points_world: Float64[Array, "*n 3"]) -> Bool[Array, "*n"]:
-        """Whether points, mm, are inside."""
+        """Whether points, mm, are inside the box."""
         return np.all((points_world > self.low_world) & (points_world < self.high_world), axis=-1)
 
     def mask(self, camera: Camera) -> Bool[Array, "h w"]:
-        """Pixels of a camera in which the box may be: the convex hull of its projection."""
+        """Pixels of a camera that may show the box: the convex hull of its projection."""
         from PIL import Image, ImageDraw
         from scipy.spatial import ConvexHull
 
@@ -66,7 +66,7 @@ class Region:
 
 
 def region_above(target: Target) -> Region:
-    """The box above a board that is worn at the belly, in the board's frame, mm."""
+    """The box above a board on the belly, in the board's frame, mm."""
     points = target.points_target
     square_mm = float(np.diff(np.unique(points[:, 1])).min())
     middle = (points[:, 0].min() + points[:, 0].max()) / 2

@@ -1,8 +1,8 @@
 """Pose of the telephone at each photograph of a walk, from the board in the photograph.
 
 The telephone is one camera, and each photograph shows the board in another pose. So the calibration of a rig gives the
-lens, all poses, the board's bow and their joint covariance at once. Here its result is written in the board's frame: a
-rig with a camera a photograph, which all have one lens.
+lens, all poses, the board's bow and their joint covariance at once. Here the result is converted to the board's frame:
+a rig with one camera per photograph, all with the same lens.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from mammometry.geometry import Array, Camera, Float64, Rig, Transform
 from mammometry.walk.region import Region
 
 TELEPHONE = "telephone"
-"""Name of the one camera of a walk's calibration."""
+"""Name of the single camera of a walk's calibration."""
 FEWEST = 8
-"""Photographs that must show the board: fewer do not fix the lens, and leave most of the skin to a single pair."""
+"""Fewest photographs that must show the board. With fewer, the lens is not determined and most skin is in one pair."""
 _MOST_RMS_PX, _MOST_BOW_MM = 1.5, 3.0
-"""Fit and bow of a board that is of use: good ones fit to 0.05 px, blurred pictures to 0.3; one that was bent round the
-belly fitted to 8 px, and a bow of 3 mm was still corrected (RECIPES 7)."""
-_STEPS = 7  # points along each side of the grid on which the stations' errors are averaged
+"""Largest residual and bow of a usable board. Good boards fit to 0.05 px, blurred photographs to 0.3 px, a board bent
+round the belly to 8 px; a bow of 3 mm was still corrected (RECIPES 7)."""
+_STEPS = 7  # points along each side of the grid over which the stations' errors are averaged
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -40,12 +40,11 @@ class Stations:
     """The telephone at each photograph that shows the board."""
 
     calibration: Calibration
-    """Of the one camera. Its poses are the photographs."""
+    """Of the single camera. Its poses are the photographs."""
     expanded: Calibration
-    """The same with a camera a photograph, in the board's frame, without pairs. Its covariance is that of all cameras
-    together, which share one lens."""
+    """The same with one camera per photograph, in the board's frame, without pairs. Its covariance is the joint one."""
     without_board: Mapping[str, str]
-    """Photograph → why its board was not found."""
+    """Photograph → reason why its board was not found."""
 
     @property
     def rig(self) -> Rig:
@@ -53,14 +52,14 @@ class Stations:
         return self.expanded.rig
 
     def point_std_mm(self, rig: Rig, region: Region) -> float:
-        """Standard uncertainty of reconstructed points from the telephone's places and lens, mm.
+        """Standard uncertainty of reconstructed points due to the telephone's poses and lens, mm.
 
-        The root mean square over the body's region, near its middle, of what the pairs' triangulation makes of the
-        covariance. A common motion and the scale count as none.
+        Root mean square over the middle of the body's region, propagated from the covariance through the pairs'
+        triangulation. A common motion and a common scale are not errors.
 
         Args:
             rig: the cameras with their pairs.
-            region: of the body.
+            region: region of the body.
         """
         third = (region.high_world - region.low_world) / 6
         steps = [np.linspace(middle - half, middle + half, _STEPS) for middle, half in
@@ -71,7 +70,7 @@ class Stations:
 
     @property
     def bow_mm(self) -> float:
-        """Height of the board's bow: what its points were moved by along its normal, highest less lowest, mm."""
+        """Bow of the board: range of the shifts of its points along its normal, mm."""
         moved = self.calibration.target_points - self.calibration.observations.target.points_target
         return float(np.ptp(moved[:, 2]))
 
@@ -82,12 +81,12 @@ def find_stations(
     settings: CalibrateSettings = CalibrateSettings(),
     progress: Progress = no_progress,
 ) -> Stations:
-    """Find the board in each photograph, and calibrate the telephone and its places.
+    """Find the board in each photograph, and calibrate the telephone's lens and poses.
 
     Args:
-        photographs: name → picture, all of one size.
+        photographs: name → photograph, all of one size.
         target: the board.
-        settings: of the adjustment.
+        settings: settings of the adjustment.
         progress: of the search for the board.
 
     Raises:
@@ -119,7 +118,7 @@ def find_stations(
 
 
 def expanded(calibration: Calibration) -> Calibration:
-    """A camera for each pose of a single camera's calibration, in the target's frame."""
+    """A single camera's calibration as one camera per pose, in the target's frame."""
     (camera,) = calibration.rig.cameras.values()
     cameras, covariance = station_cameras(camera, calibration.world_from_target, calibration.covariance)
     middle = calibration.target_points.mean(axis=0)
@@ -135,18 +134,18 @@ def expanded(calibration: Calibration) -> Calibration:
 def station_cameras(
     camera: Camera, poses: Mapping[str, Transform], covariance: ParameterCovariance
 ) -> tuple[dict[str, Camera], ParameterCovariance]:
-    """Pose → the camera in the target's frame, and the covariance of all of them.
+    """Pose → its camera in the target's frame, and the joint covariance of these cameras.
 
     With the camera x_c = R_c (x_w − C) and a pose x_w = R_s x_b + t, the station is R = R_c R_s with its centre at
-    R_sᵀ (C − t). Small changes of the calibration's parameters move it to first order by
+    R_sᵀ (C − t). To first order, small changes of the calibration's parameters change it by
 
     - rotation: ω = ω_c + R_c ω_s
     - centre: R_sᵀ (dC − dt − ω_s × (C − t))
 
     Args:
-        camera: of the calibration.
+        camera: camera of the calibration.
         poses: pose → world_from_target.
-        covariance: of the camera and its poses.
+        covariance: covariance of the camera and its poses.
     """
     column = {name: index for index, name in enumerate(covariance.names)}
     own = [name.removeprefix(f"{camera.name}.") for name in column if name.startswith(f"{camera.name}.")]
@@ -171,7 +170,7 @@ def _station_rows(
     turn, centre = np.zeros((3, len(column))), np.zeros((3, len(column)))
     rotation, back = camera.camera_from_world.rotation, world_from_target.rotation.T
     lever = camera.centre_world - world_from_target.translation_mm
-    # What was held, as the first pose, has no column and adds nothing.
+    # Fixed parameters, such as the first pose, have no column and contribute nothing.
     for axis in range(3):
         unit = np.eye(3)[axis]
         if (of_camera := column.get(f"{camera.name}.{POSE_NAMES_CAMERA[axis]}")) is not None:
@@ -187,7 +186,7 @@ def _station_rows(
 
 
 class _Shots(Mapping[tuple[str, str], Photograph]):
-    """Photographs of a walk as (pose, camera) of a calibration, read when looked up."""
+    """Photographs of a walk by (pose, camera) of a calibration, read when looked up."""
 
     def __init__(self, photographs: Mapping[str, Photograph]) -> None:
         self._photographs = photographs

@@ -10,7 +10,7 @@ from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.volume.uncertainty import Evidence, Movement, interval, movement_cc, movement_of
-from mammometry.surface.motion.motion_test import Displaced, Stillness
+from mammometry.surface.motion.motion_detection import Displaced, MotionEstimate
 from mammometry.surface.motion.rigid_motion import MotionParameters, motion_parameters
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
@@ -51,8 +51,8 @@ def _surface() -> RepairedSurface:
     )
 
 
-def _found(covariance: np.ndarray, *, rest_mm: float = 0.0, moved: bool = True) -> Stillness:
-    return Stillness(
+def _found(covariance: np.ndarray, *, rest_mm: float = 0.0, moved: bool = True) -> MotionEstimate:
+    return MotionEstimate(
         compared=True, moved=moved, corrected=True, parameters=ASKED, motions=np.zeros(ASKED.count),
         covariance=covariance, rest_mm=rest_mm, evidence=20.0, distance_mm=(0.4, 0.1),
         displaced=(Displaced(pair="b", effect_mm=0.3, std_mm=0.1, body_mm=0.3),),

@@ -8,7 +8,7 @@ from moving_rig import RADII, calibrated_rig, measured, standing
 from spheres import ellipsoid_range
 
 from mammometry.surface.motion.feature_evidence import SharedFeatures, weigh_correction
-from mammometry.surface.motion.motion_test import concerns, find, summary
+from mammometry.surface.motion.motion_detection import concerns, find, summary
 
 RIG = calibrated_rig()
 
@@ -117,7 +117,7 @@ def test_a_correction_that_features_confirm_is_made(disagreeing):
 
 @pytest.mark.parametrize(("left", "made"), [(0.5, True), (0.0, False)])
 def test_where_features_are_silent_a_correction_must_explain_the_disagreement(disagreeing, left, made, monkeypatch):
-    monkeypatch.setattr("mammometry.surface.motion.motion_test._EXPLAINED_SHARE", left)
+    monkeypatch.setattr("mammometry.surface.motion.motion_detection._EXPLAINED_SHARE", left)
     _, images, rows = disagreeing
     found = find(RIG, images, rows, shared=list)
     assert found.confirmation.verdict == "silent"

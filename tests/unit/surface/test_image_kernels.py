@@ -133,7 +133,7 @@ def test_values_are_carried_over_through_a_coarse_grid_of_places():
     picture = rng.uniform(size=(40, 50)).astype(np.float32)
     places = np.stack(np.meshgrid(np.linspace(-3, 42, 7), np.linspace(-4, 53, 9), indexing="ij"), axis=-1)
     places += rng.normal(scale=0.8, size=places.shape)
-    carried = image_kernels.carried_over(picture, places, 61, 83)
+    carried = image_kernels.resampled(picture, places, 61, 83)
     whole = [ndimage.zoom(places[..., axis], (61 / 7, 83 / 9), order=1) for axis in (0, 1)]
     expected = ndimage.map_coordinates(picture, whole, order=1, mode="constant", cval=0.0)
     inside = (whole[0] >= 0) & (whole[0] <= 39) & (whole[1] >= 0) & (whole[1] <= 49)

@@ -13,10 +13,10 @@ from mammometry.base.photograph import Photograph
 from mammometry.calibration.judge.pose_motion import shifts
 from mammometry.geometry.twist import rigid_motions
 from mammometry.job.stages import surface as stages
-from mammometry.surface.motion import motion_test as stillness
+from mammometry.surface.motion import motion_detection as stillness
 from mammometry.surface.motion import rigid_motion as motions
 from mammometry.surface.motion.agreement import differences
-from mammometry.surface.motion.motion_test import concerns, find, summary
+from mammometry.surface.motion.motion_detection import concerns, find, summary
 from mammometry.surface.motion.moved_images import retriangulated
 from mammometry.surface.motion.rigid_motion import Observed, most_probable, motion_parameters
 from mammometry.surface.settings import StillnessSettings
@@ -36,7 +36,7 @@ def capture(turns_rad=None, shifts_mm=None, *, noise_mm=NOISE_MM, seed=0, radii=
 
 def off_mm(found, images):
     """RMS height of the carried points over the true body, what moves all together taken off."""
-    points = np.concatenate([found.carry(image, RIG).valid_points_world()[::7] for image in images])
+    points = np.concatenate([found.apply_motion(image, RIG).valid_points_world()[::7] for image in images])
     scaled = points / RADII
     gradient = scaled / RADII
     height = (np.linalg.norm(scaled, axis=1) - 1) * np.linalg.norm(scaled, axis=1) / np.linalg.norm(gradient, axis=1)
@@ -120,7 +120,7 @@ def test_a_still_capture_is_left_alone(still):
     found, images = still
     assert found.compared
     assert not found.moved
-    assert found.carry(images[0], RIG) is images[0]
+    assert found.apply_motion(images[0], RIG) is images[0]
     assert found.rig(RIG) is RIG
     assert not list(concerns(found))
     assert "nothing" in summary(found)
@@ -185,7 +185,7 @@ def test_what_is_left_is_as_large_as_claimed():
             retriangulated(image, RIG.pair(image.name), stood.pair(image.name)).valid_points_world()[::50]
             for image in images
         ]
-        ours = [found.carry(image, RIG).valid_points_world()[::50] for image in images]
+        ours = [found.apply_motion(image, RIG).valid_points_world()[::50] for image in images]
         away = np.concatenate(ours) - np.concatenate(true)
         whole = np.concatenate(points)
         together = rigid_motions(whole - whole.mean(axis=0)).reshape(-1, 6)
@@ -234,10 +234,10 @@ def test_a_chest_that_breathed_between_exposures_is_put_right_and_said():
     assert found.breathed
     assert found.distance_mm[1] < 0.2 * found.distance_mm[0]
     assert next(concerns(found)).code == "body-breathed"
-    moved = found.carry(front, RIG)
+    moved = found.apply_motion(front, RIG)
     assert moved.valid.sum() > 0.95 * front.valid.sum()  # but for pixels at the edge
     carried = [
-        comparison.distance_mm for comparison in differences([moved, *(found.carry(one, RIG) for one in others)])
+        comparison.distance_mm for comparison in differences([moved, *(found.apply_motion(one, RIG) for one in others)])
     ]
     assert np.sqrt(np.mean(np.concatenate(carried) ** 2)) == pytest.approx(found.distance_mm[1], rel=0.3)
 
@@ -256,7 +256,7 @@ def test_a_body_that_ripples_is_not_explained_and_refused_beyond_the_limit(monke
     unsure = find(RIG, images, rows)
     assert unsure.moved
     assert not unsure.corrected
-    assert unsure.carry(images[0], RIG) is images[0]
+    assert unsure.apply_motion(images[0], RIG) is images[0]
     assert np.linalg.eigvalsh(unsure.covariance - np.outer(unsure.motions, unsure.motions)).min() > -1e-9
     assert {notice.code for notice in concerns(unsure)} & {"motion-not-corrected", "motion-not-confirmed"}
 
@@ -301,7 +301,7 @@ def test_missing_outlines_are_named_before_cameras_are_said_to_have_moved():
 @pytest.mark.parametrize(("name", "least"), [("LEAST_MM", 5.0), ("LEAST_EVIDENCE", 1e6)])
 def test_smaller_effects_and_weaker_evidence_are_no_motion(turned, name, least, monkeypatch):
     _, images, rows = turned
-    monkeypatch.setattr(f"mammometry.surface.motion.motion_test.{name}", least)
+    monkeypatch.setattr(f"mammometry.surface.motion.motion_detection.{name}", least)
     assert not find(RIG, images, rows).moved
 
 

@@ -94,7 +94,7 @@ def test_a_body_that_swayed_is_put_right(walk):
     board, seen = as_by_the_board(true, images, np.zeros((len(ANGLES_DEG), 3)), shift_mm)
     found = find_motion(board, seen, {})
     assert found.before_mm > 4 * found.rest_mm
-    corrected = [found.carry(image, board) for image in seen]
+    corrected = [found.apply_motion(image, board) for image in seen]
     assert shape_errors(corrected) < 0.4 * shape_errors(seen)
 
 

@@ -89,10 +89,10 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "surface.motions:Unknowns": "mammometry.surface.motion.rigid_motion:MotionParameters",
         "surface.range_image:RangeImage": "mammometry.surface.ranges.range_image:RangeImage",
         "surface.repair:RepairedSurface": "mammometry.surface.repair.repair:RepairedSurface",
-        "surface.stillness:Displaced": "mammometry.surface.motion.motion_test:Displaced",
-        "surface.stillness:Stillness": "mammometry.surface.motion.motion_test:Stillness",
+        "surface.stillness:Displaced": "mammometry.surface.motion.motion_detection:Displaced",
+        "surface.stillness:Stillness": "mammometry.surface.motion.motion_detection:MotionEstimate",
         "walk.motion:WalkMotion": "mammometry.walk.motion:WalkMotion",
-        "surface.stillness:Turn": "mammometry.surface.motion.motion_test:Turn",
+        "surface.stillness:Turn": "mammometry.surface.motion.motion_detection:Turn",
     }
 )
 """Label on disk → current place of the type. A label never changes: a type that moves keeps its first label, so that

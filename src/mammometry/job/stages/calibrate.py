@@ -1,4 +1,4 @@
-"""Calibration stage: from photographs of the target to cameras to rely on. Paper 2.2."""
+"""Calibration stage: from photographs of the target to calibrated cameras. Paper 2.2."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mammometry.geometry.camera import Rig
 from mammometry.job.inputs import CameraSet, Inputs
 from mammometry.job.products import Context, product, product_of_each
 
-if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
+if TYPE_CHECKING:  # the stages import compilers and image libraries, which a plan does not need
     from mammometry.calibration.adjust.calibrated import Calibration
     from mammometry.calibration.detection.detect import Observations
     from mammometry.calibration.judge.suspects import Recalibrate
@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
 
 
 def _pose_inputs(job: Context) -> dict[str, str]:
-    """Digests of a pose's photographs, of points measured in them elsewhere, and of the target."""
+    """Digests of a pose's photographs, of points given for them, and of the target."""
     shots = [shot for shot in job.inputs.calibration_photographs if shot[0] == job.item]
     names = {f"{pose}/{camera}": f"calibration/{pose}/{camera}" for pose, camera in shots}
     points = [f"points/{pose}/{camera}" for pose, camera in shots if (pose, camera) in job.inputs.measured_points]
@@ -37,7 +37,7 @@ def _pose_inputs(job: Context) -> dict[str, str]:
     inputs=_pose_inputs,
 )
 def observation(*, job: Context) -> Observations:
-    """Points of the target that all cameras saw in one pose."""
+    """Points of the target found in the photographs of one pose."""
     shots = _OnePose(job.inputs.calibration_photographs, job.item)
     assert job.inputs.target is not None
     return _detect(shots, job.inputs.target, job)
@@ -57,7 +57,7 @@ def _lens_inputs(job: Context) -> dict[str, str]:
     inputs=_lens_inputs,
 )
 def lens_observation(*, job: Context) -> Observations:
-    """Points of the intrinsics target that one camera saw, in photographs that give its lens."""
+    """Points of the intrinsics target found in one camera's photographs of it."""
     assert job.inputs.intrinsics_target is not None
     return _detect(job.inputs.intrinsics_photographs[job.item], job.inputs.intrinsics_target, job)
 
@@ -82,11 +82,11 @@ def _judged_settings(job: Context) -> object:
 def calibration(
     observations: Mapping[str, Observations], lens_observations: Mapping[str, Observations], *, job: Context
 ) -> Calibration:
-    """The rig adjusted to what was seen of the target, without a photograph that all others contradict.
+    """The bundle adjustment's result. A photograph that contradicts all others is left out.
 
     Raises:
         CalibrationError: no photograph shows the target, cameras cannot be adjusted, or the result contradicts what
-            the session says of its rig.
+            the session states about its rig.
     """
     from mammometry.calibration.detection.detect import merged, set_duplicates_aside
     from mammometry.calibration.judge import no_target, quality, suspects
@@ -113,7 +113,7 @@ def calibration(
 
 
 def _recalibration(calibration: Calibration, job: Context) -> Recalibrate:
-    """The adjustment of other observations of a rig, with or without the board's shape."""
+    """Function that adjusts other observations of the rig, with or without the board's shape."""
     settings = job.settings.calibration
 
     def recalibrate(observations: Observations, target_prior_mm: tuple[float, float, float] | None) -> Calibration:
@@ -153,12 +153,12 @@ def _adjusted(
     inputs=lambda job: {} if job.inputs.calibrates else job.inputs.key_part("cameras", "rig", "subject"),
 )
 def cameras(calibration: Calibration | None, *, job: Context) -> CameraSet:
-    """The cameras of a calibration that is fit to measure with, or those that came with the session.
+    """The calibrated cameras, if the calibration is good enough, or the given ones.
 
     Raises:
-        CalibrationError: the quality does not suffice (names the board or the photographs that spoil it), a camera of
-            the rig is missing, or a pair's sides are wrong.
-        SessionError: lengths of cameras that came with the session are in another unit.
+        CalibrationError: the calibration is not good enough (the error names the board or photographs that cause it), a
+            camera of the rig is missing, or a pair's sides are exchanged.
+        SessionError: the given cameras' lengths are in another unit.
     """
     if calibration is None:
         return _imported(job.inputs)
@@ -180,7 +180,7 @@ def cameras(calibration: Calibration | None, *, job: Context) -> CameraSet:
 
 
 def _imported(inputs: Inputs) -> CameraSet:
-    """The cameras that came with the session."""
+    """The given cameras, checked."""
     from mammometry.calibration.judge.scale import require_camera_scale, require_sides
 
     assert inputs.cameras is not None
@@ -202,7 +202,7 @@ def _imported(inputs: Inputs) -> CameraSet:
 
 
 class _OnePose(Mapping[tuple[str, str], Photograph]):
-    """The part of the lazily read calibration photographs that shows one pose."""
+    """The calibration photographs of one pose, read when looked up."""
 
     def __init__(self, photographs: Mapping[tuple[str, str], Photograph], pose: str) -> None:
         self._photographs = photographs

@@ -12,7 +12,7 @@ from mammometry.base.photograph import Photograph
 from mammometry.job.inputs import CameraSet
 from mammometry.job.products import Context, product, product_of_each
 
-if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
+if TYPE_CHECKING:  # the stages import compilers and image libraries, which a plan does not need
     from mammometry.calibration.features.keypoints import Keypoints
     from mammometry.calibration.judge.camera_names import Names
     from mammometry.matching.dense.match import DisparityMap
@@ -21,17 +21,17 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.matching.rectify import RectifiedPair
     from mammometry.surface.motion.agreement import RowErrors
 
-_AT_ONCE = 4  # photographs in memory; at full size each has 40 MB
+_AT_ONCE = 4  # photographs in memory at once; 40 MB each at full size
 
 
 @product("match", version=2, stored=False, check=True)
 def names(cameras: CameraSet, *, job: Context) -> Names:
-    """Test of each photograph's name against its camera, before anything is matched.
+    """Check before matching that each photograph is from the camera that it is named after.
 
-    Nothing of it is stored: a run that is refused leaves the results as they were.
+    The result is not stored: after a refusal the stored results are unchanged.
 
     Raises:
-        MatchingError: names the photographs that have another camera's name, or show another exposure.
+        MatchingError: lists photographs of another camera or of another exposure.
     """
     from mammometry.calibration.features.keypoints import keypoints
     from mammometry.calibration.judge.camera_names import check_names, wrong_photographs
@@ -42,11 +42,11 @@ def names(cameras: CameraSet, *, job: Context) -> Names:
         return (width, height), keypoints(photograph)
 
     if job.inputs.walk is not None:
-        return check_names(cameras.rig, {})  # the places were found in the photographs themselves
+        return check_names(cameras.rig, {})  # the poses were found in the photographs themselves
     in_pairs = sorted({camera for pair in job.inputs.pair_names.values() for camera in pair})
     with ThreadPoolExecutor(min(_AT_ONCE, available_cores())) as pool:
         seen = dict(zip(in_pairs, pool.map(features, in_pairs), strict=True))
-    # Where sizes differ, rectification says so.
+    # Rectification reports photographs of a wrong size.
     fitting = {name: points for name, (size_wh, points) in seen.items() if size_wh == cameras.rig.cameras[name].size_wh}
     compared = check_names(cameras.rig, fitting)
     wrong = list(wrong_photographs(compared, job.inputs.pair_names))
@@ -59,13 +59,13 @@ def names(cameras: CameraSet, *, job: Context) -> Names:
 
 @product_of_each("match", inputs=("capture/{item}",), large=True, threads=1)
 def photograph(*, job: Context) -> Photograph:
-    """The photograph of one camera, decoded once for its foreground and its rectification."""
+    """The photograph of one camera, decoded once for foreground and rectification."""
     return job.inputs.photographs[job.item]
 
 
 @product("match", version=4, settings="matching.foreground", inputs=("capture", "masks"))
 def subjects(cameras: CameraSet, *, job: Context) -> Subjects:
-    """Place of the subject, and its blocks in each photograph. None where all masks are given."""
+    """Position of the subject, and its blocks in each photograph. None where all masks are given."""
     from mammometry.matching.foreground.all_cameras import find_subjects
 
     return find_subjects(cameras.rig, job.inputs.photographs, job.settings.matching.foreground, given=job.inputs.masks)
@@ -91,13 +91,13 @@ def foreground(photograph: Photograph, subjects: Subjects | None, *, job: Contex
 @product_of_each("match", large=True)
 def rectified(
     cameras: CameraSet,
-    photographs: Mapping[str, Photograph],  # before the foregrounds, which are then made of the same ones
+    photographs: Mapping[str, Photograph],  # first, so that the foregrounds use the decoded ones
     foregrounds: Mapping[str, Foreground],
     subjects: Subjects | None,
     *,
     job: Context,
 ) -> RectifiedPair:
-    """A pair's photographs, resampled so that equal rows show the same points."""
+    """Both photographs of a pair, resampled so that the same point is on the same row."""
     from mammometry.matching.rectify import rectify
 
     left, right = job.inputs.pair_names[job.item]
@@ -113,7 +113,7 @@ def rectified(
 
 @product_of_each("match", version=17, settings="matching", large=True, threads=2)
 def disparity(rectified: RectifiedPair, *, job: Context) -> DisparityMap:
-    """Place of each left pixel on the right."""
+    """Disparity at each pixel of the left photograph."""
     from mammometry.matching.dense.match import match
 
     return match(rectified, job.settings.matching, progress=job.progress)
@@ -121,7 +121,7 @@ def disparity(rectified: RectifiedPair, *, job: Context) -> DisparityMap:
 
 @product_of_each("match", version=1, name="rows/{item}", threads=2)
 def vertical_residual(disparity: DisparityMap, *, job: Context) -> RowErrors:
-    """The vertical disparity of a pair, summed up while the whole of it is in memory."""
+    """Vertical disparity of a pair, summarised while the whole map is in memory."""
     from mammometry.surface.motion.agreement import row_errors
 
     return row_errors(disparity)

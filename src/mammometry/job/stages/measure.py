@@ -12,7 +12,7 @@ from mammometry.job.inputs import CameraSet, FinishedSurface, Inputs, earlier_er
 from mammometry.job.products import Context, product
 from mammometry.settings import Settings
 
-if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
+if TYPE_CHECKING:  # the stages import compilers and image libraries, which a plan does not need
     from mammometry.calibration.adjust.calibrated import Calibration
     from mammometry.matching.foreground.foreground import Foreground
     from mammometry.measure.boundary.boundary import Boundary, TorsoSides
@@ -27,20 +27,20 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.measure.volume.uncertainty import Evidence
     from mammometry.measure.volume.unseen_space import Bound
     from mammometry.measure.wall.open_breast import OpenBreast
-    from mammometry.surface.motion.motion_test import Stillness
+    from mammometry.surface.motion.motion_detection import MotionEstimate
     from mammometry.surface.ranges.dents import ValidPatches
     from mammometry.surface.repair.repair import RepairedSurface
     from mammometry.walk.motion import WalkMotion
 
 
 def are_breasts_sought(inputs: Inputs, settings: Settings) -> bool:
-    """Whether a torso's breasts are looked for: not if all are drawn, removed, or given by landmarks."""
+    """Whether breasts are searched for on a torso: not if all are drawn, removed, or given by landmarks."""
     wanted = inputs.automatic or not (inputs.boundaries or inputs.all_removed)
     return inputs.subject_kind == "torso" and settings.measure.boundary != "landmarks" and bool(wanted)
 
 
 def _frame(cameras: CameraSet, job: Context, body: Body | None = None) -> Float64[Array, "3 3"]:
-    """Rows: left, up, ahead. The body's own, or the cameras'."""
+    """Unit vectors (rows): left, up, ahead. The body's own, or the cameras'."""
     from mammometry.measure.trunk.body import rig_frame
 
     return rig_frame(cameras.rig, job.inputs.mounting) if body is None else body.frame
@@ -66,12 +66,12 @@ def _boundary_inputs(job: Context) -> dict[str, str]:
 def boundaries(
     corrected_cameras: CameraSet,
     repaired: RepairedSurface,
-    sides: TorsoSides | None,  # before the foregrounds, which are large, are read back
+    sides: TorsoSides | None,  # first, before the large foregrounds are read back
     foregrounds: Mapping[str, Foreground],
     *,
     job: Context,
 ) -> tuple[Boundary, ...]:
-    """One closed curve for each breast: drawn, by picked landmarks, or found."""
+    """One closed curve for each breast: drawn, from landmarks, or found automatically."""
     from mammometry.measure.boundary import boundary
     from mammometry.measure.shape.body_lengths import size_remarked
     from mammometry.measure.volume.volumes import wanted_boundaries
@@ -122,11 +122,11 @@ def body(
     *,
     job: Context,
 ) -> Body:
-    """A torso's own axes (left, up, ahead) and mid-sagittal plane, the breasts left out."""
+    """Axes (left, up, ahead) and mid-sagittal plane of a torso, determined without the breasts."""
     from mammometry.measure.trunk.body import find_body
 
     curves, frame = [curve.points_world for curve in boundaries], _frame(corrected_cameras, job)
-    # One curve does not show which way the trunk lies; where the sides were looked for, that is known.
+    # One curve does not show which end of the trunk is up. The search for the sides has already decided it.
     stated = job.inputs.head_stated or (sides is not None and len(curves) < 2)
     return find_body(repaired, frame, boundaries=curves, stated=stated)
 
@@ -135,7 +135,7 @@ def body(
 def breasts(
     repaired: RepairedSurface, boundaries: tuple[Boundary, ...], body: Body | None, *, job: Context
 ) -> tuple[OpenBreast, ...]:
-    """Each breast cut out along its boundary, to be closed with a wall."""
+    """Each breast, cut out along its boundary and still open at the back."""
     from mammometry.measure.wall.open_breast import open_breasts
 
     frame = None if body is None else body.frame
@@ -144,7 +144,7 @@ def breasts(
 
 @product("measure", version=1, settings="measure", threads=1)
 def size(repaired: RepairedSurface, breasts: tuple[OpenBreast, ...], body: Body, *, job: Context) -> BodySize:
-    """Lengths of a torso that show a wrong scale."""
+    """Lengths of a torso that reveal a wrong scale."""
     from mammometry.measure.shape.body_lengths import find_body_size
 
     return find_body_size(repaired, breasts, body, job.settings.measure)
@@ -162,7 +162,7 @@ def overlaps(repaired: RepairedSurface, boundaries: tuple[Boundary, ...], *, job
 def views(
     corrected_cameras: CameraSet, valid_patches: ValidPatches, foregrounds: Mapping[str, Foreground], *, job: Context
 ) -> tuple[Bound, ...]:
-    """Space that each view shows to be free of a cast."""
+    """Space that each view shows to be outside a cast."""
     from mammometry.measure.volume.unseen_space import bounds
 
     return bounds(foregrounds, valid_patches.range_images, corrected_cameras.rig)
@@ -173,15 +173,15 @@ def evidence(
     corrected_cameras: CameraSet,
     views: tuple[Bound, ...] | None,
     calibration: Calibration | None,
-    stillness: Stillness | None,
+    stillness: MotionEstimate | None,
     walk_motion: WalkMotion | None,
     *,
     job: Context,
 ) -> Evidence:
-    """The earlier stages' results on the errors of a volume.
+    """Results of earlier stages that determine the errors of a volume.
 
-    Views bound a cast alone: it is round where it is not seen. A patient's folds are closed too far out, and no view
-    says how far in the skin lies (docs/decisions/0043).
+    Views are used for casts only, which are convex where they are not seen. A patient's folds are closed too far
+    outside, and no view shows how deep the skin is (docs/decisions/0043).
     """
     from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence, movement_of
 
@@ -215,18 +215,18 @@ def measurements(
     *,
     job: Context,
 ) -> tuple[VolumeMeasurement, ...]:
-    """The volume of each breast with its interval: ``model``, or the patient's ``left`` and ``right``.
+    """Volume and interval of each breast: ``model``, or the patient's ``left`` and ``right``.
 
     Raises:
-        MeasureError: no breast can be measured, a drawn one cannot (something lies on it, for example), or no adult is
-            of this size.
+        MeasureError: no breast can be measured, a drawn one cannot (for example, something covers it), or the body's
+            size is impossible for an adult.
     """
     from mammometry.measure.shape.body_size import require_adult
     from mammometry.measure.volume.volumes import measured_or_refused
 
     if size is not None:
         require_adult(size, job.settings.measure)
-    remark = size.warning if size is not None and size.is_rare else ""  # a wrong scale may be the reason
+    remark = size.warning if size is not None and size.is_rare else ""  # a wrong scale may be the cause
     outcomes: dict[str, VolumeMeasurement | MeasureError] = {**_covered(overlaps, job)}
     bare = [breast for breast in breasts if breast.boundary.name not in outcomes]
     results = measured_or_refused(bare, evidence, progress=job.progress)
@@ -239,14 +239,14 @@ def measurements(
         elif breast.boundary.name in job.inputs.boundaries:
             raise result.with_remark(remark)  # a drawn breast must not fail silently
         else:
-            refusals.append(result)  # of this side alone
+            refusals.append(result)  # the other side may be measured
     if refusals and not measured:
         raise refusals[0].with_remark(remark)
     return tuple(measured)
 
 
 def _covered(overlaps: tuple[Overlap, ...] | None, job: Context) -> dict[str, MeasureError]:
-    """Breast on which something lies → why it is not measured."""
+    """Covered breast → why it is not measured."""
     if job.settings.measure.bare_confirmed:
         return {}
     return {found.name: found.refusal for found in overlaps or () if found.is_covered}
@@ -263,7 +263,7 @@ def absent(
     *,
     job: Context,
 ) -> tuple[NoBreast, ...]:
-    """Sides that were not measured, with reasons: without a breast, removed, unclear or refused."""
+    """Sides without a volume, each with its reason: no breast, removed, unclear or refused."""
     from mammometry.measure.volume.volumes import refused_side, removed_side
 
     inputs = job.inputs
@@ -281,7 +281,7 @@ def absent(
 def lacking(
     repaired: RepairedSurface, measurements: tuple[VolumeMeasurement, ...], body: Body, *, job: Context
 ) -> tuple[VolumeDeficit, ...]:
-    """Volume that the smaller side of a torso lacks to the larger one, mirrored."""
+    """Volume by which the smaller breast of a torso is smaller than the mirrored larger one."""
     from mammometry.measure.volume.deficit import volume_deficit
 
     try:
@@ -300,7 +300,7 @@ def landmarks(
     *,
     job: Context,
 ) -> tuple[Landmark, ...]:
-    """Picked landmarks and proposed nipples."""
+    """Landmarks picked by the user, and proposed nipples."""
     from mammometry.measure.shape.anthropometry import find_landmarks
 
     colours, picked, settings = mesh.textured.colours, job.inputs.landmarks, job.settings.measure
@@ -316,7 +316,7 @@ def symmetry(
     *,
     job: Context,
 ) -> Symmetry | None:
-    """Left against mirrored right. None if the trunk shows no mid-sagittal plane. No volume depends on it."""
+    """Left breast compared with the mirrored right one. None without a mid-sagittal plane."""
     from mammometry.measure.shape.symmetry import symmetry
 
     if body is None or body.plane is None:
@@ -338,7 +338,7 @@ def dimensions(
     *,
     job: Context,
 ) -> Dimensions:
-    """Shape, lengths and ptosis."""
+    """Shape, lengths and ptosis of each breast."""
     from mammometry.measure.shape.anthropometry import dimensions
 
     frame, plane = _frame(corrected_cameras, job, body), None if body is None else body.plane

@@ -1,6 +1,6 @@
-"""Report stage: what its pages depend on. They are folders of files, written by `api`, not values.
+"""Report stage: keys of its pages, which are folders of files written by `api`, not values.
 
-The key of a page holds all that it shows, so that nothing can be shown and forgotten.
+A page's key covers everything that the page shows.
 """
 
 from collections.abc import Iterable, Mapping
@@ -16,28 +16,28 @@ from mammometry.measure.volume.attribution import Attribution
 from mammometry.settings import Settings, key_table
 
 VERSIONS: Mapping[str, int] = MappingProxyType({"previews": 10, "content": 10, "report": 21})
-"""Kind of page → version of its making. Raise it when a page changes for the same products."""
+"""Kind of page → its version. Raise it when a page changes for the same products."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PageInputs:
-    """All that a page shows and no product tells."""
+    """Everything that a page shows besides products."""
 
     identity: Identity
-    """Whose results: names and dates of the page come from here only."""
+    """Whose results these are. All names and dates on the page come from here."""
     settings: Settings
-    """Of all stages. The page lists them."""
+    """Of all stages, as listed on the page."""
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
-    """Stage → what it took when it was made, s."""
+    """Stage → duration of its computation, s."""
     posture: str = ""
-    """How the patient held herself. Empty: nobody said."""
+    """Posture of the patient. Empty: unknown."""
 
     def key(self, products: Iterable[Product[Any]], inputs: Mapping[str, str] | None = None) -> Key:
-        """Key of a report's content that shows this and these products.
+        """Key of a report's content with this and these products.
 
         Args:
-            products: all that the page shows.
-            inputs: name → digest of what else it shows.
+            products: all products that the page shows.
+            inputs: name → digest of other inputs that it shows.
         """
         made = {f"{product.key.stage}/{product.key.product}": product.key.digest for product in products}
         return Key(
@@ -56,7 +56,7 @@ def report_key(content: Key, attributions: Mapping[str, Attribution]) -> Key:
 
 
 def previews_key(stage: Stage, plan: Plan) -> Key:
-    """Key of a stage's pictures: its products, the cameras, the photographs."""
+    """Key of the pictures of a stage: its products and the cameras."""
     shown = [*plan.products(stage), plan[calibrate.cameras]]
     inputs = {product.key.product: product.key.digest for product in shown}
     return Key(stage=stage, product="previews", version=VERSIONS["previews"], settings={}, inputs=inputs)

@@ -10,7 +10,7 @@ from mammometry.geometry.arrays import Array, Bool
 from mammometry.job.inputs import CameraSet, FinishedSurface
 from mammometry.job.products import Context, product, product_of_each
 
-if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
+if TYPE_CHECKING:  # the stages import compilers and image libraries, which a plan does not need
     from mammometry.calibration.adjust.calibrated import Calibration
     from mammometry.geometry.mesh import TriangleMesh
     from mammometry.matching.dense.match import DisparityMap
@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.matching.foreground.foreground import Foreground
     from mammometry.surface.fusion.fuse import Solid
     from mammometry.surface.motion.agreement import RowErrors
-    from mammometry.surface.motion.motion_test import Stillness
+    from mammometry.surface.motion.motion_detection import MotionEstimate
     from mammometry.surface.occlusion import Occlusion
     from mammometry.surface.ranges.dents import KeepMasks, ValidPatches
     from mammometry.surface.ranges.range_image import RangeImage
@@ -37,7 +37,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     threads=1,
 )
 def range_image(disparity: DisparityMap, *, job: Context) -> RangeImage:
-    """The range image of a pair, with the cameras as calibrated. Paper 2.4."""
+    """Range image of a pair, with the cameras as calibrated. Paper 2.4."""
     from mammometry.surface.ranges.range_image import triangulate
 
     image = triangulate(disparity, job.settings.surface.triangulate)
@@ -57,11 +57,11 @@ def stillness(
     subjects: Subjects | None,
     *,
     job: Context,
-) -> Stillness:
-    """Motion between calibration and exposures, by pairs that see the same skin."""
+) -> MotionEstimate:
+    """Motion between the calibration and the exposures, estimated from pairs that see the same skin."""
     from mammometry.matching.foreground.outlines_first import outlines_first
     from mammometry.surface.motion import feature_evidence
-    from mammometry.surface.motion import motion_test as stillness
+    from mammometry.surface.motion import motion_detection as stillness
 
     if job.inputs.walk is not None:
         return stillness.assumed_still(cameras.rig)
@@ -86,7 +86,7 @@ def walk_motion(
     *,
     job: Context,
 ) -> WalkMotion:
-    """Motion of the body at each photograph of a walk, by pairs that see the same skin."""
+    """Motion of the body at each photograph of a walk, estimated from pairs that see the same skin."""
     from mammometry.walk.motion import find_motion
 
     return find_motion(cameras.rig, tuple(range_images.values()), vertical_residuals)
@@ -94,9 +94,9 @@ def walk_motion(
 
 @product("surface", version=2, name="stood")
 def corrected_cameras(
-    cameras: CameraSet, stillness: Stillness, walk_motion: WalkMotion | None, *, job: Context
+    cameras: CameraSet, stillness: MotionEstimate, walk_motion: WalkMotion | None, *, job: Context
 ) -> CameraSet:
-    """The cameras where they most probably stood at the exposures: as calibrated, if nothing moved."""
+    """The cameras in their most probable poses at the exposures: as calibrated, if nothing moved."""
     return replace(cameras, rig=(walk_motion or stillness).rig(cameras.rig))
 
 
@@ -107,22 +107,22 @@ def _dent_settings(job: Context) -> object:
 @product("surface", large=True)
 def moved_ranges(
     cameras: CameraSet,
-    stillness: Stillness,
+    stillness: MotionEstimate,
     walk_motion: WalkMotion | None,
     range_images: Mapping[str, RangeImage],
     *,
     job: Context,
 ) -> Mapping[str, RangeImage]:
-    """Pair → its range image with the cameras where they stood at the exposures."""
+    """Pair → its range image with the cameras' poses at the exposures."""
     motion = walk_motion or stillness
-    return {name: motion.carry(image, cameras.rig) for name, image in range_images.items()}
+    return {name: motion.apply_motion(image, cameras.rig) for name, image in range_images.items()}
 
 
 @product("surface", version=5, name="valid", settings=_dent_settings, inputs=("subject",), large=True)
 def keep_masks(
     cameras: CameraSet, moved_ranges: Mapping[str, RangeImage], subjects: Subjects | None, *, job: Context
 ) -> KeepMasks:
-    """Masks of the range data that survive the removal of dents (paper 2.6.1, 2.6.2)."""
+    """Masks of the range data that remain after the removal of dents (paper 2.6.1, 2.6.2)."""
     from mammometry.surface.ranges import dents
 
     settings, rig, images = job.settings.surface, cameras.rig, tuple(moved_ranges.values())
@@ -130,9 +130,9 @@ def keep_masks(
     valid = dents.remove_dents(images, patches, settings.dents)
     keep = [image.valid for image in valid.range_images]
     unseen = set() if subjects is None else set(subjects.blind)
-    # Masks of a walk hold all that is near the body.
+    # Masks of a walk contain everything near the body.
     blind = [name for name, pair in rig.pair_names.items() if job.inputs.walk or unseen & set(pair)]
-    if blind or job.inputs.subject_kind == "surface":  # a solid's smaller pieces are left out when it is meshed
+    if blind or job.inputs.subject_kind == "surface":  # a solid's smaller pieces are removed when it is meshed
         middle_world = None if subjects is None else subjects.middle_world
         keep = dents.subject_data(valid.range_images, blind, middle_world)
     return dents.KeepMasks(keep=tuple(keep), angles_rad=valid.angles_rad)
@@ -142,7 +142,7 @@ def keep_masks(
 def strands(
     cameras: CameraSet, range_images: Mapping[str, RangeImage], *, job: Context
 ) -> Mapping[str, Bool[Array, "h w"]]:
-    """Pair → data that show hair, straps or cords before a torso's skin."""
+    """Pair → data on hair, straps or cords in front of a torso's skin."""
     from mammometry.base.machine.cores import map_in_threads
     from mammometry.surface.ranges.strands import strands_in
 
@@ -161,7 +161,7 @@ def valid_patches(
     *,
     job: Context,
 ) -> ValidPatches:
-    """Range data that survive and show no strand, taken from the range images when they are wanted."""
+    """The range data that remain, without strands. They are read from the range images when needed."""
     masks = keep_masks if strands is None else keep_masks.without([strands[name] for name in moved_ranges])
     return masks.of(list(moved_ranges.values()))
 
@@ -170,7 +170,7 @@ def valid_patches(
 def occlusions(
     corrected_cameras: CameraSet, valid_patches: ValidPatches, foregrounds: Mapping[str, Foreground], *, job: Context
 ) -> Mapping[str, Occlusion]:
-    """Camera → places with something in front of the subject, for cameras that have such places."""
+    """Camera → places where something hides the subject. Cameras without such places are left out."""
     from mammometry.surface.occlusion import find_occlusions
 
     return find_occlusions(valid_patches.range_images, foregrounds, corrected_cameras.rig)
@@ -186,7 +186,7 @@ def solid(
     *,
     job: Context,
 ) -> Solid | None:
-    """Space of a cast or torso by range data and silhouettes (paper 2.5). None for an open surface."""
+    """Solid from range data and silhouettes (paper 2.5). None for an open surface."""
     from mammometry.matching.foreground.outlines_first import outlines_first
     from mammometry.surface import occlusion
     from mammometry.surface.fusion import fuse as extract
@@ -205,7 +205,7 @@ def _extraction(job: Context) -> object:
 
 @product("surface", version=10, name="first", settings=_extraction, inputs=("subject",), large=True)
 def initial_surface(valid_patches: ValidPatches, solid: Solid | None, *, job: Context) -> TriangleMesh:
-    """The first surface, from the average of the views' signed distances. Paper 2.5."""
+    """The first surface: the zero level of the views' averaged signed distances. Paper 2.5."""
     from mammometry.surface.fusion import fuse as extract
 
     extraction = job.settings.surface.extract.of(job.inputs.subject_kind)
@@ -216,7 +216,7 @@ def initial_surface(valid_patches: ValidPatches, solid: Solid | None, *, job: Co
 
 @product("surface", version=6, name="repaired", settings="surface.repair")
 def repaired(initial_surface: TriangleMesh, valid_patches: ValidPatches, *, job: Context) -> RepairedSurface:
-    """The surface, drawn elastically to the range data. An open one stays as measured. Paper 2.6.3."""
+    """The surface after elastic repair (paper 2.6.3). An open one is returned as measured."""
     from mammometry.surface.repair import repair
 
     if job.inputs.subject_kind == "surface":
@@ -226,7 +226,7 @@ def repaired(initial_surface: TriangleMesh, valid_patches: ValidPatches, *, job:
 
 @product("surface", version=6, settings="surface.texture", inputs=("capture",), threads=1, deferrable=True)
 def model(corrected_cameras: CameraSet, repaired: RepairedSurface, *, job: Context) -> Atlas:
-    """For looking: fewer triangles, the photographs at full resolution."""
+    """Atlas for viewing: fewer triangles, with the photographs at full resolution."""
     from mammometry.surface.texture import texture_atlas, unmeasured
 
     rig = corrected_cameras.rig

@@ -215,8 +215,7 @@ def smooth(
     side. Pixels without any weighted neighbour are filled from wider surroundings.
 
     Wide windows are fitted to means of blocks of pixels, in an eighth of the time. `near` is a smooth field close to
-    the
-    values: within a block only differences from it are averaged, so that unequal weights on slopes cause no bias.
+    the values: within a block only differences from it are averaged, so that unequal weights on slopes cause no bias.
     """
     if near is not None and sigma_px / 2 >= _NARROWEST_PX and min(values.shape) > 2:
         coarse_near, _ = pull(near, np.ones_like(near))

@@ -91,7 +91,7 @@ def find_subjects(
     with ThreadPoolExecutor(min(_AT_ONCE, available_cores())) as pool:
         searched = dict(zip(wanted, pool.map(search, wanted), strict=True))
     doubts = {
-        name: "neither brightness nor colour nor depth parts the subject from the rest"
+        name: "neither brightness nor colour nor depth separates the subject from the rest"
         for name, (_, mask) in searched.items()
         if mask is None
     }

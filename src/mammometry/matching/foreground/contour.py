@@ -72,8 +72,7 @@ def outline(foreground: Foreground) -> Contour:
     """The subject's outline in one photograph.
 
     It is the longest contour of the coverage, moved to the true edge, without borders of shadows and points at the
-    frame.
-    Empty if there is none.
+    frame. Empty if there is none.
     """
     contour = _sampled_contour(foreground)
     place = _edge_in_px(contour, foreground)

@@ -1,7 +1,7 @@
-"""Name photographs without an outline before a disagreement is put down to moved cameras.
+"""Report photographs without an outline before moved cameras.
 
-Where the outline of the subject is not known, everything near is matched, also what is not the subject. Pairs then
-disagree, and a later check says that a camera has moved. The outline comes first: it can be drawn.
+If the outline of the subject is unknown, everything near is matched, including other objects. Pairs then disagree as if
+a camera had moved. The missing outline is reported first, since it can be drawn.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ def without_outline(cameras: Sequence[str], doubts: Mapping[str, str]) -> tuple[
     """Cameras whose outlines must be drawn before a disagreement shows that cameras moved.
 
     Args:
-        cameras: those of the pair that disagrees.
-        doubts: camera → why its silhouette is not known. Empty: because its partner's is not.
+        cameras: cameras of the pair that disagrees.
+        doubts: camera → reason why its silhouette is unknown. Empty: because its partner's is.
     """
     return tuple(name for name in cameras if doubts.get(name))
 
@@ -35,13 +35,13 @@ def outline_first(missing: Sequence[str]) -> Notice:
 
 @contextmanager
 def outlines_first(doubts: Mapping[str, str]) -> Iterator[None]:
-    """Turn a disagreement of the pairs into a demand for the missing outlines, if any are missing.
+    """Convert an error about disagreeing pairs to one about missing outlines, if any are missing.
 
     Args:
-        doubts: camera → why its silhouette is not known. With none, errors pass unchanged.
+        doubts: camera → reason why its silhouette is unknown. With none, errors pass unchanged.
 
     Raises:
-        MatchingError: the pairs disagree, and outlines are missing. Names the photographs.
+        MatchingError: the pairs disagree, and outlines are missing. The message lists the photographs.
     """
     try:
         yield
@@ -54,7 +54,7 @@ def outlines_first(doubts: Mapping[str, str]) -> Iterator[None]:
         raise MatchingError(
             f"capture, {', '.join(missing)}",
             found=f"no usable outline of the subject ({reasons}), and {error.subject} with {error.found}",
-            expected="the subject's outline in every photograph, before cameras can be said to have moved",
+            expected="the subject's outline in every photograph, before motion of cameras can be tested",
             remedy=f"Draw the subject as {files} (white where the subject is, black elsewhere, as large as the "
             "photograph), and run again",
         ) from error

@@ -119,9 +119,9 @@ def agreed(
 
 
 def _by_a_neck(bright: Bool[Array, "h w"], kept: Bool[Array, "h w"], far: Bool[Array, "h w"]) -> bool:
-    """Whether the far part is connected to the rest by a small part of its border only.
+    """Whether only a small part of the far part's border is connected to the rest, as of an arm.
 
-    An arm is. An object behind the body borders on it everywhere.
+    An object behind the body borders on it everywhere.
     """
     lost = bright & ~kept
     labels, count = ndimage.label(lost)

@@ -141,8 +141,7 @@ def compare(
     """Position of each pixel's light between background (0) and subject (1), and its zone.
 
     Farther than guard + feather from the blocks' contour a pixel is inside (2) or outside (0); the rest is the band
-    (1).
-    Where both lights are alike, the distance to the blocks' contour is used instead.
+    (1). Where both lights are alike, the distance to the blocks' contour is used instead.
 
     Args:
         pixels: sRGB-encoded, 8 or 16 bit.

@@ -35,7 +35,7 @@ from mammometry.measure.volume.sources import (
 from mammometry.measure.volume.unseen_space import Bound, outward_room_mm
 from mammometry.measure.wall.chest_wall import ChestWall
 from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS
-from mammometry.surface.motion.motion_test import Stillness
+from mammometry.surface.motion.motion_detection import MotionEstimate
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _SAMPLES = 2000  # vertices of the skin at which displacements are computed; chosen for speed
@@ -48,12 +48,12 @@ eye."""
 class Movement:
     """Motion of cameras or body, and the rig that measured."""
 
-    found: Stillness
+    found: MotionEstimate
     rig: Rig
     """The cameras where they were taken to stand."""
 
 
-def movement_of(found: Stillness, rig: Rig) -> Movement | None:
+def movement_of(found: MotionEstimate, rig: Rig) -> Movement | None:
     """Motion between calibration and exposures. None if nothing moved."""
     return Movement(found=found, rig=rig) if found.moved else None
 

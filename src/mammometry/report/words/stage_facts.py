@@ -19,7 +19,7 @@ from mammometry.report.figures.stage_results import MatchingResult, SurfaceResul
 from mammometry.report.figures.thinning import matched_shares, thinned_foreground, thinned_maps, thinned_ranges
 from mammometry.report.scene import ViewerScene
 from mammometry.report.words.describe import surface_report
-from mammometry.surface.motion.motion_test import summary
+from mammometry.surface.motion.motion_detection import summary
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,4 +1,4 @@
-"""Cameras and pictures as table rows, for compiled code."""
+"""Cameras and images as table rows, for compiled code."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from mammometry.base.machine.compiled import kernel
 from mammometry.geometry import Array, Camera, Float64, lens_kernels
 
 COLUMNS = 24
-"""Of a row: the fields of `View`, one after another."""
+"""Columns of a row: the fields of `View`."""
 LEAST_DEPTH_MM = 1.0
-"""Nearer points are behind the camera, or as good as."""
-_WIDEST_R2 = 4.0  # squared tangent of 63° off the axis: no lens model holds so far outside its picture
+"""Least depth of a point in front of the camera."""
+_WIDEST_R2 = 4.0  # squared tangent of 63° off the axis: no lens model is valid so far outside its image
 
 
 class View(NamedTuple):
-    """A camera, and where its pixels begin in the flat picture array."""
+    """A camera, and the index of its first pixel in the flat image array."""
 
     rotation: tuple[float, float, float, float, float, float, float, float, float]
     """Camera from world, row by row."""
     translation: tuple[float, float, float]
-    """Of the same, mm."""
+    """Camera from world, mm."""
     fx: float
     fy: float
     cx: float
@@ -35,7 +35,7 @@ class View(NamedTuple):
 
 
 def view_row(camera: Camera, shape_hw: tuple[int, ...], start: int) -> Float64[Array, 24]:
-    """Pack a camera, its picture's size, and its first pixel's place. Size is height and width."""
+    """A camera, its image's size (height, width) and first pixel's index, as a row."""
     pose = camera.camera_from_world
     return np.concatenate(
         [
@@ -50,7 +50,7 @@ def view_row(camera: Camera, shape_hw: tuple[int, ...], start: int) -> Float64[A
 
 @kernel
 def view_of(row: Float64[Array, " 24"]) -> View:
-    """Unpack what `view_row` packed."""
+    """The `View` of a row from `view_row`."""
     return View(
         (row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8]),
         (row[9], row[10], row[11]),
@@ -78,10 +78,7 @@ def in_camera(view, x, y, z):  # type: ignore[no-untyped-def]
 
 @kernel
 def pixel(view, xc, yc, zc):  # type: ignore[no-untyped-def]
-    """Column and row of a point in the camera's frame.
-
-    Column −1 where it is not in the picture. Without branches.
-    """
+    """Column and row of a point in the camera's frame. Column −1 if it is outside the image."""
     inverse = 1.0 / max(zc, LEAST_DEPTH_MM)
     xn, yn = xc * inverse, yc * inverse
     xd, yd = lens_kernels.distorted(xn, yn, view.lens)

@@ -1,7 +1,6 @@
-"""Signed distance field of the solid (paper 2.5).
+"""Signed distance field of the solid, from range images, silhouettes and a closing box (paper 2.5).
 
-It comes from range images, silhouettes and a closing box. A signed distance in mm, positive outside the solid, cut at
-± the truncation.
+In mm, positive outside the solid, limited to ± the truncation.
 """
 
 from __future__ import annotations
@@ -26,20 +25,16 @@ from mammometry.surface.ranges.range_image import NORMAL_MM, SIGMA_FLOOR_MM, Ran
 from mammometry.surface.settings import TAPER_MM
 
 TRUNCATION_MM = 2.0
-"""Half-width of the band around a measured surface in which it is averaged, mm. 2 measured best."""
+"""Half-width of the band around a measured surface in which views are averaged, mm. 2 gave the smallest errors."""
 EXTEND_MM = 16.0
-"""Distance by which range data are continued outwards along their tangent plane, mm across the ray. The matcher
-loses the rim and a band beside every occluding edge, which otherwise swell: 4 mm left 10 % more error on a torso.
-"""
+"""Distance by which range data are continued outwards along their tangent plane, mm across the ray. Matching loses the
+rim and a band beside every occluding edge, which otherwise swell: with 4 mm, errors on a torso are 10 % larger."""
 SPAN_JUMP_MM = 20.0
-"""Gaps in a view's data whose sides lie further apart in range than this are spanned, mm: nothing that was not
-measured stands before the span. What lies hidden beside a breast (between two, under one) is closed by it. 10 to 40
-gave the same surfaces.
-"""
+"""Difference in range of a gap's sides above which it is spanned, mm: nothing unmeasured is in front of the span. This
+closes what is hidden beside a breast (between two, under one). 10 to 40 gave the same surfaces."""
 LOST_SLOPE = 0.1
-"""Where a shadow hides a silhouette's edge: how far outside it the subject is assumed to end, px per px of distance
-to the nearest visible edge. Casts' folds have .05 to .2 (docs/decisions/0017).
-"""
+"""Where a shadow hides a silhouette's edge: assumed distance of the subject's end outside it, px per px of distance to
+the nearest visible edge. Folds of casts have 0.05 to 0.2 (docs/decisions/0017)."""
 
 Rule: TypeAlias = Literal["default", "nearest", "furthest", "tsdf"]
 _RULES: dict[Rule, int] = {
@@ -49,26 +44,26 @@ _RULES: dict[Rule, int] = {
     "tsdf": kernels.RULE_TSDF,
 }
 EXTEND_WEIGHT = 0.05
-"""Weight of continued data relative to the datum they continue. Chosen by eye."""
+"""Weight of continued data relative to the datum that they continue. Not critical."""
 JUMP_MM = 2.0
-"""Difference of neighbouring ranges above which nothing is interpolated, mm: there is an edge."""
-_CONTOUR_BAND_PX = 12.0  # within it distances from a silhouette are exact; wider than the field's band in pixels
-_AROUND_PX = 64  # beyond it outside the subject's box a pixel counts as this far from the silhouette; chosen by eye
-_OUTLIERS = 0.002  # percent of the data at either end of an axis, one in 50,000, that do not widen the closing box
-_BOX_SAMPLES = 1_000_000  # data that the box's percentiles are taken of
-_SMALLEST_HOLE_SHARE = 2e-3  # of the subject's area: a larger hole in a mask is a gap between limbs; chosen by eye
-_SLOPE_MM = 4.0  # over which the slope of skin beside a gap is taken; chosen by eye
-_BLOCK_PX = 4  # side of the blocks in which other views' data are looked up; some data fall into each
-_BEFORE_MM = 5.0  # a datum of another view further before a span contradicts it; chosen by eye
-_CLOSING_MM = 4.0  # gaps in a view's data narrower than twice this belong to the subject without a silhouette; by eye
+"""Difference of neighbouring ranges above which there is an edge, and nothing is interpolated, mm."""
+_CONTOUR_BAND_PX = 12.0  # width of exact distances from a silhouette: more than the field's band in pixels
+_AROUND_PX = 64  # largest distance from a silhouette, and margin around the subject's box; not critical
+_OUTLIERS = 0.002  # percent of the data at either end of an axis that do not widen the closing box: one in 50,000
+_BOX_SAMPLES = 1_000_000  # data for the box's percentiles
+_SMALLEST_HOLE_SHARE = 2e-3  # of the subject's area: larger holes in a mask are gaps between limbs; not critical
+_SLOPE_MM = 4.0  # distance over which the slope of skin beside a gap is measured; not critical
+_BLOCK_PX = 4  # side of the blocks in which other views' data are looked up: each contains some data
+_BEFORE_MM = 5.0  # distance of other views' data in front of a span from which they contradict it; not critical
+_CLOSING_MM = 4.0  # without a silhouette, gaps in the data narrower than twice this are closed; not critical
 
 
 @value(eq=False)
 class ClosingBox:
-    """Box behind and around the measured data, which closes the solid."""
+    """Box behind and around the measured data that closes the solid."""
 
     planes: Float64[Array, "f 4"]
-    """Outward unit normal and offset of each side: ``n · x − d``, positive outside, mm. The back comes first."""
+    """Outward unit normal and offset of each side: ``n · x − d``, positive outside, mm. The back is first."""
     corners: Float64[Array, "8 3"]
     """World frame, mm."""
 
@@ -79,15 +74,14 @@ class ClosingBox:
 
 
 def closing_box(range_images: Sequence[RangeImage], *, back_mm: float, around_mm: float) -> ClosingBox:
-    """Bound the solid by a box along the views' mean direction.
+    """Box around the data along the views' mean direction, which bounds the solid.
 
-    Only the data's extent counts. The back side lies `back_mm` behind the furthest datum along that direction, the
-    others `around_mm` outside. One datum in fifty thousand at either end is taken for an outlier: what little is seen
-    of an arm stays inside.
+    Its back is `back_mm` behind the farthest datum along that direction, the other sides are `around_mm` outside the
+    data. One datum in 50,000 at either end is an outlier; the visible parts of an arm are inside.
     """
     points = block_seeds(range_images)
     inward = np.sum([image.camera.axis_world for image in range_images], axis=0)
-    if np.linalg.norm(inward) < 1e-3 * len(range_images):  # cameras all around: any direction will do
+    if np.linalg.norm(inward) < 1e-3 * len(range_images):  # cameras all around: any direction is suitable
         inward = range_images[0].camera.axis_world
     inward = inward / np.linalg.norm(inward)
     across = np.eye(3)[np.argmin(np.abs(inward))]
@@ -104,7 +98,7 @@ def closing_box(range_images: Sequence[RangeImage], *, back_mm: float, around_mm
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Field:
-    """Signed distance of the solid, as a function of the point."""
+    """Signed distance of the solid as a function of position."""
 
     views: Float64[Array, "v 24"]
     elements: Float32[Array, "p 3"]
@@ -115,7 +109,7 @@ class Field:
     rule: Rule
 
     def sample(self, origins: Float64[Array, "n 3"], side: int, spacing_mm: float) -> Float32[Array, "n s s s"]:
-        """Evaluate at side³ points, `spacing_mm` apart, from each origin, mm. Positive outside."""
+        """Values at side³ points, `spacing_mm` apart, from each origin, mm. Positive outside."""
 
         def sampled(part: slice) -> Float32[Array, "k s s s"]:
             return kernels.sample_field(
@@ -138,7 +132,7 @@ class Field:
 def build_field(
     range_images: Sequence[RangeImage], foregrounds: Mapping[str, Foreground], rig: Rig, box: ClosingBox, rule: Rule
 ) -> Field:
-    """Pack views with their weights, and all silhouettes. Each view has data (`fuse.usable`)."""
+    """Field of all views and silhouettes. Each view must have data (`fuse.usable`)."""
     starts = np.cumsum([0, *(image.valid.size for image in range_images)])
     elements = np.empty((starts[-1], 3), dtype=np.float32)
     view_rows = [
@@ -181,20 +175,14 @@ def build_field(
 
 
 def _silhouette_step(camera: Camera, range_images: Sequence[RangeImage]) -> int:
-    """Step between a camera's pixels for its silhouette.
-
-    It keeps them as close on the subject as the range images' elements.
-    """
+    """Step between a camera's pixels so that they are as dense on the subject as the range images' elements."""
     ranges = [np.linalg.norm(image.camera.centre_world - camera.centre_world) for image in range_images]
-    nearest = range_images[int(np.argmin(ranges))]  # stands beside it, so sees the subject at about the same distance
+    nearest = range_images[int(np.argmin(ranges))]  # at about the same distance from the subject
     return max(1, round(nearest.pixel_mm() / np.median(nearest.range_mm[nearest.valid]) * camera.matrix[0, 0]))
 
 
 def nearest_of_others_mm(image: RangeImage, all_images: Sequence[RangeImage]) -> Float32[Array, "H W"]:
-    """Range of the nearest datum of other views, mm.
-
-    For each block of pixels of a range image. Infinite where there is none.
-    """
+    """Range of other views' nearest datum in each block of pixels, mm. Infinite without one."""
     height, width = image.valid.shape
     nearest = np.full((-(-height // _BLOCK_PX), -(-width // _BLOCK_PX)), np.inf, dtype=np.float32)
     for other in all_images:
@@ -214,14 +202,13 @@ def nearest_of_others_mm(image: RangeImage, all_images: Sequence[RangeImage]) ->
 def view_elements(
     image: RangeImage, left: Camera, foreground: Foreground | None, others_mm: Float32[Array, "H W"]
 ) -> Float32[Array, "h w 3"]:
-    """Range, cosine of incidence and signed weight of every pixel.
+    """Range, cosine of incidence and signed weight of every pixel, for `kernels.sample_field`.
 
-    `kernels.sample_field` reads them. Measured data weigh cos²/(σ² + floor²), less near the edge of the data. Up to
-    `EXTEND_MM` outwards they are continued along the nearest datum's tangent plane; the rest of the subject's
-    silhouette (or of the data's own outline, where there is no silhouette) is filled with the nearest datum's range,
-    which only supports. A gap between near and far skin is spanned instead (`image_kernels.spans`): skin turns away
-    there and is hidden, and nothing that was not measured stands before the span. `others_mm` is of
-    `nearest_of_others_mm`.
+    Measured data have the weight cos²/(σ² + floor²), less near the edge of the data. Up to `EXTEND_MM` outwards they
+    are continued on the nearest datum's tangent plane. The rest of the subject's silhouette (or, without one, of the
+    data's outline) has the nearest datum's range, which only supports. Gaps between near and far skin are spanned
+    instead (`image_kernels.spans`): hidden skin turns away there, and nothing unmeasured is in front of the span.
+    `others_mm`: from `nearest_of_others_mm`.
     """
     normals = image.normals_camera(NORMAL_MM)
     subject = _subject_mask(image, left, foreground)
@@ -250,11 +237,11 @@ def view_elements(
 def silhouette_distance_px(foreground: Foreground, step: int = 1, lost_slope: float = 0.0) -> Float32[Array, "h w"]:
     """Distance of every `step`-th pixel from the silhouette, positive outside.
 
-    In such steps, sub-pixel near the silhouette. Beyond `_AROUND_PX` from the subject's bounding box it is
-    `_AROUND_PX`: nothing is measured so far outside. The silhouette is the `contour_level` line of the coverage, as
-    straight pieces; the frame's edge is none. Small holes inside the subject (a dark spot taken for background) are
-    closed first. The mask must not be empty. Where the line is not the subject's edge but the border of a shadow on
-    it, the subject reaches `lost_slope` times as far outside as the nearest edge that is seen is away along the line.
+    In steps, with sub-pixel precision. The silhouette is the `contour_level` line of the coverage, as straight pieces;
+    the image's border is not part of it. The mask must not be empty. Small holes in the subject (dark spots) are closed
+    first. Farther than `_AROUND_PX` from the subject's bounding box, the distance is `_AROUND_PX`: nothing is measured
+    there. Where the line is not the subject's edge but a shadow's, the subject extends outside it by `lost_slope` times
+    the distance along the line to the nearest visible edge.
     """
     height, width = (-(-side // step) for side in foreground.coverage.shape)
     mask = foreground.mask
@@ -265,7 +252,7 @@ def silhouette_distance_px(foreground: Foreground, step: int = 1, lost_slope: fl
     )
     inside = mask[window][::step, ::step]
     holes = _small_holes(inside)
-    if step > 1:  # what is dark between two steps belongs to the hole beside it
+    if step > 1:  # dark pixels between two steps belong to the hole beside them
         holes = ndimage.binary_dilation(holes)
     inside = inside | holes
     if inside.all():
@@ -279,12 +266,12 @@ def silhouette_distance_px(foreground: Foreground, step: int = 1, lost_slope: fl
         image_kernels.outline_distances(inside, starts, steps, _CONTOUR_BAND_PX)
     )
     if lost_slope > 0:
-        _let_out(distances, foreground, step, lost_slope)
+        _dilate(distances, foreground, step, lost_slope)
     return distances
 
 
-def _let_out(distances: Float32[Array, "h w"], foreground: Foreground, step: int, lost_slope: float) -> None:
-    """Join discs to the silhouette where its edge is lost. The discs are around points of the contour."""
+def _dilate(distances: Float32[Array, "h w"], foreground: Foreground, step: int, lost_slope: float) -> None:
+    """Dilate the silhouette where its edge is lost, by discs around points of the contour."""
     traced = follow(foreground)
     lost = traced.lost_px > 0
     for (column, row), radius in zip(traced.uv[lost] / step, lost_slope * traced.lost_px[lost] / step, strict=True):
@@ -296,7 +283,7 @@ def _let_out(distances: Float32[Array, "h w"], foreground: Foreground, step: int
 
 
 def _small_holes(mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
-    """Small background regions enclosed by the subject. They are too small to be a gap between body parts."""
+    """Small enclosed background regions: too small to be gaps between body parts."""
     holes, count = ndimage.label(~mask)
     sizes = np.bincount(holes.ravel(), minlength=count + 1)
     for border in (holes[0], holes[-1], holes[:, 0], holes[:, -1]):
@@ -306,25 +293,25 @@ def _small_holes(mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
 
 
 def _subject_mask(image: RangeImage, left: Camera, foreground: Foreground | None) -> Bool[Array, "h w"]:
-    """Pixels of the range image that show the subject. By its silhouette, else by the outline of the data."""
+    """Pixels of the range image on the subject, by its silhouette, or else by the outline of the data."""
     if foreground is None or foreground.everything:
         radius = max(1, round(_CLOSING_MM / image.pixel_mm()))
         padded = np.pad(image.valid, radius)
         near = ndimage.distance_transform_edt(~padded) <= radius
         closed = ndimage.distance_transform_edt(near) > radius
         return np.asarray(ndimage.binary_fill_holes(closed[radius:-radius, radius:-radius] | image.valid))
-    # The way from the ideal to the real image is smooth: exact on a coarse grid, linear between.
+    # The mapping from the ideal to the real image is smooth: exact on a coarse grid, linear in between.
     height, width = image.valid.shape
     rows, columns = np.linspace(0, height - 1, height // 16 + 2), np.linspace(0, width - 1, width // 16 + 2)
     u, v = np.meshgrid(columns, rows)
     directions = image.camera.rays_world(np.stack([u, v], axis=-1).reshape(-1, 2))
     original = left.project(left.centre_world + directions * 1000.0).reshape(len(rows), len(columns), 2)
     places = np.ascontiguousarray(original[..., ::-1])
-    coverage = image_kernels.carried_over(np.ascontiguousarray(foreground.coverage), places, height, width)
+    coverage = image_kernels.resampled(np.ascontiguousarray(foreground.coverage), places, height, width)
     mask = coverage >= foreground.contour_level
     return np.asarray(mask | _small_holes(mask) | image.valid)
 
 
 def block_seeds(range_images: Sequence[RangeImage]) -> Float64[Array, "n 3"]:
-    """Return all measured points, world frame, mm. The surface certainly passes near them."""
+    """All measured points, world frame, mm. The surface passes near them."""
     return np.concatenate([image.valid_points_world() for image in range_images])

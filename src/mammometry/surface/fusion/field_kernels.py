@@ -1,6 +1,6 @@
 """Compiled kernels: signed distance of the solid at millions of corners, contours of silhouettes.
 
-Their plain NumPy twins stand in tests/unit/surface/.
+Plain NumPy versions: tests/unit/surface/.
 """
 
 from typing import NamedTuple
@@ -13,23 +13,20 @@ from mammometry.surface.fusion.camera_records import LEAST_DEPTH_MM, View, in_ca
 from mammometry.surface.ranges.image_kernels import incidence_cosine
 
 RULE_DEFAULT, RULE_NEAREST, RULE_FURTHEST, RULE_TSDF = 0, 1, 2, 3
-"""Numbers of the rules by which the views of a voxel are merged."""
+"""Numbers of the rules by which views are merged."""
 
-_LEAST_COSINE = 0.1  # 84° off the normal: a smaller cosine would shrink every gap to nothing; chosen by eye
-_UNKNOWN_COSINE = 0.5  # of a datum without a normal: 60°; chosen by eye
+_LEAST_COSINE = 0.1  # 84° from the normal: with a smaller cosine every gap would shrink to nothing
+_UNKNOWN_COSINE = 0.5  # of a datum without a normal: 60°, the angle whose cosine is the mean of 0 and 1
 _STEEPEST = 6.0
 """Largest slope of a continued tangent plane, mm per mm across the ray: 80°. Seen edge-on it would diverge."""
 SPANNED = np.float32(1e-30)
-"""Weight of a range that spans a gap between measured ones: too small to count, it only bounds what nobody measured."""
+"""Weight of a range that spans a gap: too small to count. It only bounds what was not measured."""
 _DISTORTION = 1.5
-"""Largest ratio of a block's width in the picture to that of a ball around it without lens distortion."""
+"""Largest ratio of a block's width in the image to that of a ball around it without lens distortion."""
 
 
 class Block(NamedTuple):
-    """Corners of cubes at which the field is sampled.
-
-    side³ points from the origin (x, y, z), world frame, mm.
-    """
+    """Corners of cubes to be sampled: side³ points from the origin (x, y, z), world frame, mm."""
 
     x: float
     y: float
@@ -39,16 +36,16 @@ class Block(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """Evidence of the views about a block's samples, filled view by view."""
+    """Evidence of the views about a block's samples, accumulated view by view."""
 
     total: Float64[Array, " k"]
-    """Weighted sum of the signed distances. Under the paper's two rules, the extreme itself."""
+    """Weighted sum of the signed distances. With the paper's two rules, the minimum or maximum."""
     weights: Float64[Array, " k"]
     """Sum of the weights."""
     free: Bool[Array, " k"]
-    """Whether a view looks through."""
+    """Whether a view sees through the sample."""
     supported: Bool[Array, " k"]
-    """Whether the sample lies on or behind what a view shows."""
+    """Whether the sample is on or behind a view's surface."""
 
 
 @kernel
@@ -65,24 +62,23 @@ def sample_field(
     jump: float,
     rule: int,
 ) -> Float32[Array, "n s s s"]:
-    """Sample the signed distance in n blocks, mm, positive outside.
+    """Signed distance in n blocks, mm, positive outside, limited to ±truncation.
 
-    It is cut to ±truncation. Source by source, for all samples of a block. Silhouettes too far from a block to matter
-    are skipped.
+    Source by source, for all samples of a block. Silhouettes too far from a block to matter are skipped.
 
     Args:
         origins: first sample of each block, world, mm.
         side: samples along each edge of a block.
-        spacing: between them, mm.
-        views: the range images' cameras, as `view_rows.view_row` packs them.
+        spacing: distance between samples, mm.
+        views: the range images' cameras, as rows of `camera_records.view_row`.
         elements: range, cosine of incidence and weight per pixel of every view. Weight > 0: measured. −w: extrapolated
-            with weight w; says nothing of free space. `SPANNED`: spans a gap; what nobody measured is free before it. 0
-            with a range: filled; only supports what lies behind it. Range 0: nothing.
-        contours: the silhouettes' cameras.
+            with weight w, without evidence of free space. `SPANNED`: spans a gap; what was not measured is free in
+            front of it. 0 with a range: filled, supports only what is behind it. Range 0: nothing.
+        contours: the silhouettes' cameras, likewise.
         distances: pixels from the silhouette, positive outside.
-        planes: of the closing box: n·x − d, positive outside.
+        planes: planes of the closing box: n·x − d, positive outside.
         truncation: half-width of the band within which views are averaged, mm.
-        jump: neighbouring ranges that differ by more are not interpolated between, mm.
+        jump: difference of neighbouring ranges above which nothing is interpolated, mm.
         rule: one of ``RULE_…``.
     """
     n, samples = origins.shape[0], side * side * side
@@ -148,7 +144,7 @@ def _bound_by_planes(planes, block, truncation):  # type: ignore[no-untyped-def]
 
 @kernel
 def _merged(total: float, weight: float, free: bool, supported: bool, truncation: float, rule: int) -> float:
-    """Signed distance of one sample as all views together have it, mm. The first four are its `Evidence`."""
+    """Signed distance of one sample from all views, mm. The first four parameters are its `Evidence`."""
     averaged = rule in (RULE_DEFAULT, RULE_TSDF)
     if averaged and weight > 0.0:
         return total / weight
@@ -161,7 +157,7 @@ def _merged(total: float, weight: float, free: bool, supported: bool, truncation
 
 @kernel
 def _between(image, start, width, u, v):  # type: ignore[no-untyped-def]
-    """Bilinear value of a flat image at a place inside it."""
+    """Bilinear value of a flat image at a position inside it."""
     column, row = int(u), int(v)
     du, dv = u - column, v - row
     at = start + row * width + column
@@ -174,10 +170,10 @@ def _between(image, start, width, u, v):  # type: ignore[no-untyped-def]
 def _side_of_silhouette(
     view: View, distances: Float32[Array, " q"], block: Block, reach: float, truncation: float
 ) -> int:
-    """Side of a silhouette on which a block lies.
+    """Position of a block relative to a silhouette: 1 far outside, −1 far inside, 0 near it or unknown.
 
-    1 far outside, −1 far inside, 0 near it or not known. `reach` is the distance from the block's middle to its
-    corners, mm. The silhouette's distances change by one pixel a pixel at most.
+    `reach` is the distance from the block's centre to its corners, mm. The silhouette's distances change by at most
+    one pixel per pixel.
     """
     middle = 0.5 * (block.side - 1) * block.spacing
     xc, yc, depth = in_camera(view, block.x + middle, block.y + middle, block.z + middle)
@@ -198,10 +194,7 @@ def _side_of_silhouette(
 def _bound_by_silhouette(
     view: View, distances: Float32[Array, " q"], block: Block, truncation: float, bound: Float64[Array, " k"]
 ) -> bool:
-    """Raise `bound` to a silhouette's distances. Returns whether all is outside.
-
-    Pixel distances are multiplied by a pixel's size at each depth.
-    """
+    """Raise `bound` to a silhouette's distances (pixels times pixel size at each depth). Whether all is outside."""
     u, v, depth = np.empty_like(bound), np.empty_like(bound), np.empty_like(bound)
     _project_block(view, block, u, v, depth, np.empty_like(bound))
     outside = True
@@ -223,7 +216,7 @@ def _add_view(
     rule: int,
     evidence: Evidence,
 ) -> None:
-    """Add what one view says of a block's samples."""
+    """Add a view's evidence about a block's samples."""
     total, weights, free, supported = evidence
     u, v, distance = np.empty_like(total), np.empty_like(total), np.empty_like(total)
     _project_block(view, block, u, v, np.empty_like(total), distance)
@@ -277,10 +270,7 @@ def _project_block(
     depth: Float64[Array, " k"],
     distance: Float64[Array, " k"],
 ) -> None:
-    """Fill in column, row, depth and distance of a block's samples.
-
-    Many at once. The column is −1 outside the picture.
-    """
+    """Fill in column, row, depth and distance of a block's samples. The column is −1 outside the image."""
     side, spacing = block.side, block.spacing
     sx, sy, sz = view.rotation[2] * spacing, view.rotation[5] * spacing, view.rotation[8] * spacing
     for i in range(side):
@@ -298,7 +288,7 @@ def _project_block(
 def empty_cells(
     points: Float64[Array, "n 3"], origin: Float64[Array, " 3"], edge_mm: float, shape: tuple[int, int, int]
 ) -> Bool[Array, "x y z"]:
-    """Cells of a grid that hold none of the points. Points outside the grid do not count."""
+    """Cells of a grid without any of the points. Points outside the grid are ignored."""
     empty = np.ones(shape, dtype=np.bool_)
     for point in points:
         i = int(np.floor((point[0] - origin[0]) / edge_mm))
@@ -326,10 +316,10 @@ def view_elements(
     extend_weight: float,
     sigma_floor_mm: float,
 ) -> Float32[Array, "h w 3"]:
-    """A range image's values at each pixel, as `sample_field` reads them.
+    """Values of a range image at each pixel, for `sample_field`. See `field.view_elements`.
 
-    See `field.view_elements`. `normals`: camera frame; `rows`, `columns`: the nearest datum with a normal, −1 where
-    there is none at all; `spans_mm`: of `image_kernels.spans`.
+    `normals`: camera frame. `rows`, `columns`: the nearest datum with a normal, −1 if there is none. `spans_mm`: from
+    `image_kernels.spans`.
     """
     height, width = valid.shape
     elements = np.zeros((height, width, 3), dtype=np.float32)
@@ -370,8 +360,8 @@ def _clipped(cosine):  # type: ignore[no-untyped-def]
     return min(max(cosine, _LEAST_COSINE), 1.0) if np.isfinite(cosine) else _UNKNOWN_COSINE
 
 
-# Of a square's four sides top, right, bottom and left, those that the contour enters and leaves by, the subject on one
-# side of it: for each of its corners' 16 cases, up to two pieces. −1 for none.
+# For each of the 16 cases of a square's corners: up to two pieces of the contour, as the sides where each enters and
+# leaves, with the subject on the same hand. −1 for none.
 _TOP, _RIGHT, _BOTTOM, _LEFT, _NONE = 0, 1, 2, 3, -1
 _PIECES = np.array(
     [
@@ -401,15 +391,15 @@ def contour_pieces(
 ) -> tuple[Float64[Array, "n 2"], Float64[Array, "n 2"]]:
     """Straight pieces of the contours at a level.
 
-    One or two for each square of four pixels that they pass. Row and column of each piece's start, and its way to its
-    end, in steps from the window's first pixel. As skimage.measure.find_contours, in no order.
+    One or two in each square of four pixels that they cross. Row and column of each piece's start, and the vector to
+    its end, in steps from the window's first pixel. Like skimage.measure.find_contours, but unordered.
 
     Args:
         coverage: of each pixel.
-        window: first and last row and column, each end one further, in which contours are wanted.
-        holes: of every `step`-th pixel of the window: pixels beside it count as covered.
-        step: pixels a step.
-        level: of the contour.
+        window: first and last row (plus one), first and last column (plus one).
+        holes: holes at every `step`-th pixel of the window: pixels beside them count as covered.
+        step: pixels per step.
+        level: level of the contour.
     """
     starts, steps = np.empty((1024, 2)), np.empty((1024, 2))
     count = 0
@@ -465,7 +455,7 @@ def _case(upper_left, upper_right, lower_left, lower_right, level):  # type: ign
 
 @kernel
 def _share(start, end, level):  # type: ignore[no-untyped-def]
-    """Share of the way from one value to another at which the level is reached."""
+    """Fraction of the distance between two values at which the level is reached."""
     if end == start:
         return 0.0
     return (level - np.float64(start)) / (np.float64(end) - np.float64(start))

@@ -1,7 +1,4 @@
-"""First surface from range images (paper 2.5).
-
-Signed distances on a grid of cubes, then marching cubes.
-"""
+"""First surface from range images by signed distances and marching cubes (paper 2.5)."""
 
 from __future__ import annotations
 
@@ -32,10 +29,7 @@ from mammometry.surface.settings import CUBE_MM, ExtractSettings
 
 
 def largest_part(mesh: TriangleMesh) -> TriangleMesh:
-    """Return the connected part that encloses the largest volume.
-
-    This drops crumbs, and also cavities, whose volume is negative.
-    """
+    """The connected part that encloses the largest volume. Fragments and cavities are removed."""
     count, label = mesh.components()
     if count <= 1:
         return mesh
@@ -44,11 +38,10 @@ def largest_part(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def tunnel_places(mesh: TriangleMesh, cell_mm: float) -> Float64[Array, "n 3"]:
-    """Places of the tunnels and handles of a closed mesh, mm.
+    """Centres of the cells that contain a tunnel or handle of a closed mesh, mm.
 
-    They are cells whose total curvature is that of a handle. By Gauss and Bonnet the angles missing from 2π at the
-    vertices sum to 2π·(V − E + F); a handle takes 4π, which no saddle of a body does within a cell a few millimetres
-    wide.
+    By Gauss and Bonnet, the angle defects of all vertices sum to 2π·(V − E + F). A handle contributes −4π; a saddle of
+    a body is far from that within a cell of some millimetres.
     """
     defect = mesh_kernels.angle_defects(mesh.vertices, mesh.faces)
     low, _ = bounds(mesh.vertices)
@@ -62,22 +55,21 @@ def tunnel_places(mesh: TriangleMesh, cell_mm: float) -> Float64[Array, "n 3"]:
 SMOOTHING_CUBES = 1.0
 """Standard deviation of the Gaussian on the signed distance, cubes. Without it the surface has tunnels."""
 NEAR_MM = 2.0
-"""Distance from all range data beyond which the surface is only closed, mm, in cubes four times as large. The repair
-moves nothing so far away.
-"""
+"""Distance from all range data beyond which cubes are four times as large, mm. The repair moves nothing there."""
 BACK_MM = 10.0
+"""Distance of the closing box's back behind the farthest datum, mm."""
 """How far behind the furthest datum the unseen back is closed, mm."""
 AROUND_MM = 20.0
 """Distance of the closing box's other sides from the data, mm. Silhouettes bound the solid earlier."""
-_HEALING_ATTEMPTS = 5  # at smoothing a tunnel away, each wider by the growth; all chosen by eye
-_HEALING_GROWTH = 1.5  # factor on radius and Gaussian from attempt to attempt
-_HEALING_REACH_MM, _HEALING_SIGMA_MM = 4.0, 1.0  # radius of the first attempt, and its Gaussian
-_TUNNEL_CELL_MM = 6.0  # a cell holds a tunnel's whole curvature, and no bend of a body that curves as much
-_MIN_DATA = 50  # a view with fewer says nothing; chosen by eye
-_SILHOUETTE_SAMPLES = 5000  # data looked up in a mask: the share that misses it, to 1 %
-_MOST_BESIDE = 0.5  # share of a view's data that another camera may see beside the subject
-_LEAST_IN_PICTURE = 0.2  # share of a view's data that a camera must have in its picture to judge them; chosen by eye
-_LONGEST_SIDE_PX = 4.0  # of an open surface's triangles: neighbours on skin at 75° are that far apart
+_HEALING_ATTEMPTS = 5  # most attempts to smooth a tunnel away; not critical
+_HEALING_GROWTH = 1.5  # factor on radius and Gaussian from attempt to attempt; not critical
+_HEALING_REACH_MM, _HEALING_SIGMA_MM = 4.0, 1.0  # radius of the first attempt, and its Gaussian; not critical
+_TUNNEL_CELL_MM = 6.0  # contains a tunnel's whole curvature; no part of a body that size is as curved
+_MIN_DATA = 50  # fewest data of a usable view; not critical
+_SILHOUETTE_SAMPLES = 5000  # data looked up in a mask: gives the share outside it to 1 %
+_MOST_OUTSIDE = 0.5  # largest share of a view's data that another camera may see outside the subject
+_LEAST_IN_PICTURE = 0.2  # least share of a view's data in a camera's image for this test; not critical
+_LONGEST_SIDE_PX = 4.0  # of an open surface's triangles: distance of neighbours on skin at 75°
 
 
 def extract(
@@ -88,14 +80,13 @@ def extract(
     *,
     progress: Progress = no_progress,
 ) -> TriangleMesh:
-    """Build the first watertight surface from range images and silhouettes.
+    """Watertight first surface from range images and the silhouettes of all cameras (paper 2.5).
 
-    Paper 2.5, silhouettes of all cameras. World frame, mm. A cube's corner takes the weighted mean of the signed
-    distances of all views within whose band it lies (weights cos²/σ²); else it is free space where a view looks
-    through it, or where it lies before what spans a view's gap, else inside where some view's surface stands before
-    it. The silhouettes and a box behind the data bound the result. Of the isosurface the part with the largest volume
-    stays. Where it has tunnels, the field is smoothed more, there alone, a few times, ever wider; the surface with the
-    fewest stays.
+    World frame, mm. A cube's corner gets the weighted mean of the signed distances of all views in whose band it is
+    (weights cos²/σ²). Otherwise it is free if a view sees through it or it is in front of a view's span, and inside if
+    it is behind a view's surface. Silhouettes and a box behind the data bound the result. The isosurface's part with
+    the largest volume is kept. Tunnels are removed by smoothing the field more around them, several times with growing
+    radius; the surface with the fewest is kept.
 
     Raises:
         SurfaceError: no view has data, the views contradict each other or the silhouettes, or they enclose nothing.
@@ -105,17 +96,17 @@ def extract(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solid:
-    """The signed distance to mesh. Silhouettes, which are large, are needed no more."""
+    """Signed distance to be meshed. The silhouettes, which are large, are no longer needed."""
 
     distance: Field
     seen: tuple[RangeImage, ...]
-    """Range images with data: the surface passes near those."""
+    """Range images with data, which the surface passes near."""
 
 
 def solid_of(
     range_images: Sequence[RangeImage], foregrounds: Mapping[str, Foreground], rig: Rig, rule: Rule = "default"
 ) -> Solid:
-    """The first half of `extract`.
+    """Signed distance of the solid: the first half of `extract`.
 
     Raises:
         SurfaceError: no view has data, or the views contradict each other or the silhouettes.
@@ -131,7 +122,7 @@ def solid_of(
 def meshed(
     solid: Solid, settings: ExtractSettings = ExtractSettings(), *, progress: Progress = no_progress
 ) -> TriangleMesh:
-    """The second half of `extract`.
+    """Surface of the solid: the second half of `extract`.
 
     Raises:
         SurfaceError: views and silhouettes enclose nothing.
@@ -145,7 +136,7 @@ def meshed(
             break
         wider = _HEALING_GROWTH**attempt
         places = tunnel_places(candidate, _TUNNEL_CELL_MM)
-        if not len(places):  # what is left are rings as large as limbs, closed through what no camera saw
+        if not len(places):  # the rest are rings as large as limbs, closed where no camera saw
             break
         surface.heal(places, reach_mm=_HEALING_REACH_MM * wider, sigma_mm=_HEALING_SIGMA_MM * wider)
         healed = surface.mesh()
@@ -166,7 +157,7 @@ def meshed(
 def _surface(
     solid: Solid, settings: ExtractSettings, near_mm: float, progress: Progress
 ) -> tuple[Isosurface, TriangleMesh]:
-    """Sample and mesh. Where fine and coarse cubes do not fit together, all are fine."""
+    """Sample and mesh. If fine and coarse cubes do not fit together, all cubes are fine."""
     corners = solid.distance.box.corners
     grid = sample_blocks(
         solid.distance.sample,
@@ -183,11 +174,10 @@ def _surface(
 
 
 def extract_open(range_images: Sequence[RangeImage], *, progress: Progress = no_progress) -> TriangleMesh:
-    """Mesh the range data view by view, without closing or merging.
+    """Mesh of the range data, view by view, neither closed nor merged: for subjects that are not solid.
 
-    This is for subjects that are no solid. Each square of four neighbouring data gives two triangles, three give one;
-    none has an edge longer than `_LONGEST_SIDE_PX` pixels' widths on the surface. Faces are counter-clockwise seen
-    from the camera.
+    Each square of four neighbouring data gives two triangles, three data give one, none with an edge longer than
+    `_LONGEST_SIDE_PX` pixel widths on the surface. Faces are counter-clockwise seen from the camera.
 
     Raises:
         SurfaceError: no view has data.
@@ -231,10 +221,10 @@ def _euler_number(closed: TriangleMesh) -> int:
 
 
 def usable(range_images: Sequence[RangeImage]) -> list[RangeImage]:
-    """Return the views that have data. One that saw nothing is left out.
+    """The views that have data.
 
     Raises:
-        SurfaceError: none has any; names the pairs.
+        SurfaceError: no view has data.
     """
     seen = [image for image in range_images if int(image.valid.sum()) >= _MIN_DATA]
     if not seen:
@@ -251,11 +241,11 @@ def usable(range_images: Sequence[RangeImage]) -> list[RangeImage]:
 def check_silhouettes(range_images: Sequence[RangeImage], foregrounds: Mapping[str, Foreground], rig: Rig) -> None:
     """Refuse a view that has matched the background.
 
-    Other cameras see most of its data beside the subject. Other cameras tell whose foreground is known and in whose
-    picture a fair share of the data lies.
+    Another camera sees most of its data outside the subject. Only cameras with a known foreground and enough of the
+    data in their image count.
 
     Raises:
-        SurfaceError: names the pair, and the camera that excludes most of its data.
+        SurfaceError: names the pair, and the camera that sees most of its data outside.
     """
     masks = {name: foreground.mask for name, foreground in foregrounds.items() if not foreground.everything}
     for image in range_images:
@@ -272,7 +262,7 @@ def check_silhouettes(range_images: Sequence[RangeImage], foregrounds: Mapping[s
             if inside.mean() > _LEAST_IN_PICTURE:
                 excluded[name] = float((~mask[row, column]).mean())
         worst = max(excluded, key=lambda name: excluded[name], default=None)
-        if worst is not None and excluded[worst] > _MOST_BESIDE:
+        if worst is not None and excluded[worst] > _MOST_OUTSIDE:
             raise SurfaceError(
                 f"pair {image.name}",
                 found=f"range data of which camera {worst} sees {100 * excluded[worst]:.0f} % outside the subject",
@@ -283,5 +273,5 @@ def check_silhouettes(range_images: Sequence[RangeImage], foregrounds: Mapping[s
 
 
 def closing_box_of(range_images: Sequence[RangeImage]) -> ClosingBox:
-    """Box that closes what no camera saw, as `extract` uses it."""
+    """Box that closes the solid where no camera saw it."""
     return closing_box(range_images, back_mm=BACK_MM, around_mm=AROUND_MM)

@@ -1,11 +1,9 @@
-"""Closed surface of a field on a grid of cubes.
+"""Closed surface of a field on a grid of cubes, meshed chunk by chunk on all cores.
 
-It is smoothed, healed on demand, and meshed piece by piece on all cores.
-
-A coarse isosurface is sewn to a fine one (`stitched`) where their border runs along cube faces. Both are marching cubes
-of fields that agree on those faces: there the fine field is the bilinear interpolation of the coarse one. So each edge
-of the coarse cubes has its crossing in both meshes. Between two such crossings, the fine mesh's border follows the
-coarse triangle's side in several steps. The coarse triangle takes over those steps.
+A coarse isosurface is joined to a fine one (`stitched`) where their border is on cube faces. Both are marching cubes of
+fields that agree on those faces: there the fine field is the bilinear interpolation of the coarse one. So each crossed
+edge of a coarse cube has a vertex in both meshes. Between two such vertices, the fine mesh's border follows the coarse
+triangle's side in several steps, which are inserted into the coarse triangle.
 """
 
 from __future__ import annotations
@@ -32,9 +30,9 @@ class OpenMesh:
 
 
 def stitched(fine: OpenMesh, coarse: OpenMesh, step: int) -> OpenMesh | None:
-    """One closed mesh of both parts.
+    """One closed mesh of both parts. None if their borders do not match.
 
-    None where their borders do not correspond one to one. A coarse cube is `step` fine ones wide.
+    A coarse cube is `step` fine ones wide.
     """
     border_of_fine, _ = _border(fine)
     border_of_coarse, sides = _border(coarse)
@@ -73,7 +71,7 @@ def stitched(fine: OpenMesh, coarse: OpenMesh, step: int) -> OpenMesh | None:
 
 
 def _border(mesh: OpenMesh) -> tuple[Int64[Array, "e 2"], Int64[Array, " e"]]:
-    """Directed sides of faces that no other face shares, with their faces."""
+    """Directed sides of faces that no other face shares, and their faces."""
     n = len(mesh.vertices)
     ends = mesh_kernels.open_vertices(n, read_only(mesh.faces))
     a, b, c = ends[mesh.faces.T]
@@ -89,10 +87,7 @@ def _on_coarse_edge(vertices: Float64[Array, "n 3"], step: int) -> Bool[Array, "
 
 
 def edge_keys(vertices: Float64[Array, "n 3"], step: int) -> Int64[Array, " n"]:
-    """Number of the cube edge that holds each vertex.
-
-    Cubes are `step` wide. One edge has one vertex at most.
-    """
+    """Number of the cube edge on which each vertex is, of cubes that are `step` wide."""
     low = np.floor(vertices / step).astype(np.int64)
     axis = np.argmax(vertices % step != 0, axis=1)
     keys: Int64[Array, " n"] = (((low[:, 0] << 20) + low[:, 1] << 20) + low[:, 2]) * 3 + axis
@@ -100,10 +95,7 @@ def edge_keys(vertices: Float64[Array, "n 3"], step: int) -> Int64[Array, " n"]:
 
 
 def _chains(border: Int64[Array, "e 2"], ends: set[int]) -> dict[tuple[int, int], list[int]] | None:
-    """From (first, last) to the border's vertices in between.
-
-    One entry for each walk from one end to the next.
-    """
+    """(first, last) → vertices in between, for each part of the border between two consecutive ends."""
     following: dict[int, int] = {}
     starts = []
     for start, end in border.tolist():
@@ -124,13 +116,13 @@ def _chains(border: Int64[Array, "e 2"], ends: set[int]) -> dict[tuple[int, int]
         if (start, vertex) in chains:
             return None
         chains[start, vertex] = between
-    return None if following else chains  # a loop without an end would stay open
+    return None if following else chains  # a loop without an end would remain open
 
 
 def _fans(
     faces: Int32[Array, "m 3"], outlines: dict[int, dict[tuple[int, int], list[int]]], vertices: Float64[Array, "n 3"]
 ) -> tuple[Int32[Array, "k 3"], Float64[Array, "j 3"]]:
-    """Replace each face with stepped sides by a fan about its middle. Also gives the middles."""
+    """Replace each face with subdivided sides by a fan around its centre. Returns the fans and the centres."""
     fans: list[list[int]] = []
     middles: list[Float64[Array, 3]] = []
     for face, stepped in outlines.items():
@@ -147,33 +139,32 @@ def _fans(
     return np.array(fans, dtype=np.int32).reshape(-1, 3), np.array(middles).reshape(-1, 3)
 
 
-_CHUNK = 8  # blocks along the edge of what one thread meshes at a time; for speed alone
+_CHUNK = 8  # blocks along the edge of a chunk, which one thread meshes; affects speed only
 _APRON = 3  # fine cubes that the Gaussian reaches to either side
-_BLEND = TRANSITION - _APRON  # fine cubes over which the fine field turns into the coarse one
-_COARSE_SMOOTHING = 0.5  # σ at most, in large cubes: chosen by eye
-_LEVEL_CLEARANCE = 0.01  # share of a cube's edge that a vertex keeps from its ends; chosen by eye
+_BLEND = TRANSITION - _APRON  # fine cubes over which the fine field is blended into the coarse one
+_COARSE_SMOOTHING = 0.5  # largest σ, in large cubes; not critical
+_LEVEL_CLEARANCE = 0.01  # least distance of a vertex from the ends of its cube's edge, as a share of it; not critical
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Piece:
-    """One chunk's part of the surface."""
+    """A chunk's part of the surface."""
 
     mesh: OpenMesh
     border: Int64[Array, " k"]
-    """Vertices that it may share with other chunks: those on a plane between two."""
+    """Vertices that it may share with other chunks: those on the planes between chunks."""
 
 
 _EMPTY = OpenMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int32))
 
 
 class Isosurface:
-    """Marching cubes on a grid's field, smoothed by a Gaussian.
+    """Marching cubes on a grid's field, smoothed by a Gaussian of `smoothing` cubes.
 
-    The Gaussian has a standard deviation of `smoothing` cubes. Chunks of 8³ blocks are meshed side by side and joined
-    at the vertices that they share. Values within a hundredth of a cube of the level are moved off it, so that every
-    vertex lies strictly inside a cube's edge. The chunks' pieces are kept, so that healing a place redoes its
-    surroundings only. Towards far blocks the field is led over into the coarse one, so that fine and coarse cubes
-    agree where they meet.
+    Chunks of 8³ blocks are meshed in parallel and joined at their common vertices. Values within a hundredth of a cube
+    of the level are moved away from it, so that every vertex is strictly inside a cube's edge. The pieces are kept, so
+    that healing recomputes only the chunks around it. Towards far blocks the field is blended into the coarse one, so
+    that fine and coarse cubes agree where they meet.
     """
 
     def __init__(self, grid: BlockGrid, *, smoothing: float, progress: Progress = no_progress) -> None:
@@ -191,8 +182,8 @@ class Isosurface:
     def heal(self, points: Float64[Array, "n 3"], *, reach_mm: float, sigma_mm: float) -> None:
         """Blend the field into the coarse one near the points.
 
-        Fully within `reach_mm`, and less so up to twice that far. There the coarse field is smoothed by a Gaussian of
-        `sigma_mm`. Places healed before stay so. Only what the new points reach is redone.
+        Fully within `reach_mm`, decreasing up to twice that distance. The coarse field is smoothed there by a Gaussian
+        of `sigma_mm`. Earlier healing remains. Only chunks that the new points reach are recomputed.
         """
         self._healed = np.concatenate([np.column_stack([points, np.full(len(points), reach_mm)]), self._healed])
         touched = self._smoothed_coarse(points, reach_mm, sigma_mm)
@@ -204,7 +195,7 @@ class Isosurface:
     def _meshed(
         self, chunks: list[tuple[int, ...]], progress: Progress = no_progress
     ) -> dict[tuple[int, ...], _Piece | None]:
-        """Pieces of some chunks, on all cores. Filters and marching cubes hold no lock."""
+        """Pieces of some chunks, on all cores."""
         pieces: dict[tuple[int, ...], _Piece | None] = {}
         with ThreadPoolExecutor(available_cores()) as pool:
             for chunk, piece in zip(chunks, pool.map(self._piece, chunks), strict=True):
@@ -213,7 +204,7 @@ class Isosurface:
         return pieces
 
     def _reaching(self, chunk: tuple[int, ...]) -> Bool[Array, " n"]:
-        """Healed places that reach into a chunk."""
+        """Which healed places reach into a chunk."""
         edge = BLOCK * self._grid.cube_mm
         blocks = self._blocks(chunk)
         low = self._grid.origin + np.array([axis.start for axis in blocks]) * edge
@@ -222,7 +213,7 @@ class Isosurface:
         return np.asarray(((at > low - reach) & (at < high + reach)).all(axis=1))
 
     def _smoothed_coarse(self, points: Float64[Array, "n 3"], reach_mm: float, sigma_mm: float) -> bool:
-        """Smooth the coarse field around the points. Whether any far block is reached."""
+        """Smooth the coarse field around the points. Whether any far block is affected."""
         step, shape = self._grid.cube_mm * FAR_CUBES, np.array(self._coarse.shape)
         self._coarse, touched = self._coarse.copy(), False
         for point in points:
@@ -244,10 +235,9 @@ class Isosurface:
         return without_saddles(coarse, far, _LEVEL_CLEARANCE * self._grid.cube_mm * FAR_CUBES)
 
     def mesh(self) -> TriangleMesh | None:
-        """Join the pieces.
+        """The joined pieces, world frame, mm, with faces counter-clockwise seen from outside.
 
-        Faces counter-clockwise seen from outside, world frame, mm. None where fine and coarse cubes do not fit
-        together: a saddle that both decide differently.
+        None if fine and coarse cubes do not fit together: they treat a saddle differently.
         """
         near = _joined([piece for piece in self._pieces.values() if piece is not None])
         whole = near if self._far is None else stitched(near, self._far, FAR_CUBES)
@@ -262,7 +252,7 @@ class Isosurface:
         return tuple(slice(number * _CHUNK, min((number + 1) * _CHUNK, count)) for number, count in ends)
 
     def _piece(self, chunk: tuple[int, ...]) -> _Piece | None:
-        """Vertices, in cubes from the grid's origin, and faces of one chunk. None where no surface passes."""
+        """Vertices (in cubes from the grid's origin) and faces of one chunk. None if it contains no surface."""
         grid, blocks = self._grid, self._blocks(chunk)
         wide = tuple(slice(max(axis.start - 1, 0), axis.stop + 1) for axis in blocks)
         used = ndimage.find_objects((grid.index[wide] >= 0).astype(np.uint8))[0]  # a surface fills few of the blocks
@@ -271,7 +261,7 @@ class Isosurface:
         if (first >= last).any():
             return None
         field = _blurred(grid.dense(first - 1, last + 1), self._smoothing)
-        field = _off_level(self._led_over(field, first, last, self._healed[self._reaching(chunk)]), grid.cube_mm)
+        field = _off_level(self._blend(field, first, last, self._healed[self._reaching(chunk)]), grid.cube_mm)
         far = grid.far[tuple(slice(a, b) for a, b in zip(first, last, strict=True))]
         mesh = _marched(field, ~_repeated(far, BLOCK), first * BLOCK, 1)
         if mesh is None:
@@ -279,13 +269,12 @@ class Isosurface:
         on_plane = np.logical_or.reduce([axis % (_CHUNK * BLOCK) == 0 for axis in mesh.vertices.T])
         return _Piece(mesh=mesh, border=np.flatnonzero(on_plane))
 
-    def _led_over(
+    def _blend(
         self, field: Float32[Array, "x y z"], first: Int64[Array, 3], last: Int64[Array, 3], heal: Float64[Array, "n 4"]
     ) -> Float32[Array, "x y z"]:
-        """Field of some blocks, blended into the coarse one.
+        """Field of the blocks first ≤ block < last, blended into the coarse one where healed and towards far blocks.
 
-        The blocks are first ≤ block < last. It is blended where healed and towards far blocks. The share is known at
-        the coarse cubes' corners and linear between, as the coarse field itself.
+        The share is defined at the coarse cubes' corners and linear in between, like the coarse field itself.
         """
         times = BLOCK // FAR_CUBES
         low, high = np.maximum(first - 2, 0), np.minimum(last + 2, self._grid.far.shape)
@@ -297,7 +286,7 @@ class Isosurface:
         for corner in np.ndindex(2, 2, 2):
             touching[tuple(slice(c, c + n) for c, n in zip(corner, cells.shape, strict=True))] |= cells
         steps = ndimage.distance_transform_cdt(~touching, metric="chessboard")
-        steps = np.where(steps < 0, TRANSITION, FAR_CUBES * steps)  # -1 where nothing is far
+        steps = np.where(steps < 0, TRANSITION, FAR_CUBES * steps)  # −1 if nothing is far
         inner = tuple(slice((a - c) * times, (b - c) * times + 1) for a, b, c in zip(first, last, low, strict=True))
         share = np.clip((TRANSITION - steps[inner]) / _BLEND, 0.0, 1.0).astype(np.float32)
         cube_mm = self._grid.cube_mm
@@ -331,7 +320,7 @@ def _repeated(blocks: Bool[Array, "x y z"], times: int) -> Bool[Array, "x2 y2 z2
 
 
 def _interpolated(values: Float32[Array, "x y z"], axis: int) -> Float32[Array, "x2 y2 z2"]:
-    """Linear interpolation to `FAR_CUBES` steps along one axis. Exact at the corners given."""
+    """Linear interpolation to `FAR_CUBES` steps along one axis. Exact at the given corners."""
     values = np.moveaxis(values, axis, 0)
     between = np.arange(FAR_CUBES, dtype=np.float32)[:, None, None] / np.float32(FAR_CUBES)
     fine = values[:-1, None] + between * (values[1:] - values[:-1])[:, None]
@@ -350,10 +339,7 @@ def _smooth(field: Float32[Array, "x y z"], sigma: float) -> Float32[Array, "x y
 
 
 def _blurred(values: Float32[Array, "x y z"], sigma: float) -> Float32[Array, "x2 y2 z2"]:
-    """Gaussian of a chunk with a block's margin around it.
-
-    The margin is taken off, but for one layer of corners.
-    """
+    """Gaussian of a chunk with a margin of one block. The margin is removed, except for one layer of corners."""
     keep = tuple(slice(BLOCK - _APRON, size - BLOCK + 1 + _APRON) for size in values.shape)
     field = values[keep]
     if sigma > 0:
@@ -365,7 +351,7 @@ def _blurred(values: Float32[Array, "x y z"], sigma: float) -> Float32[Array, "x
 def _nearness(
     low: Float64[Array, 3], shape: tuple[int, ...], step_mm: float, places: Float64[Array, "n 4"]
 ) -> Float32[Array, "x y z"]:
-    """1 within reach of any place, 0 beyond twice that. Places are (x, y, z, reach), mm."""
+    """1 within reach of any place, decreasing to 0 at twice that. Places are (x, y, z, reach), mm."""
     strength = np.zeros(shape, dtype=np.float32)
     axes = [low[axis] + np.arange(shape[axis]) * step_mm for axis in range(3)]
     for *point, reach_mm in places:
@@ -376,7 +362,7 @@ def _nearness(
 
 
 def _joined(pieces: list[_Piece]) -> OpenMesh:
-    """Join the vertices that two pieces share. They lie on the same cube edge."""
+    """Join the common vertices of pieces, which are on the same cube edge."""
     if not pieces:
         return _EMPTY
     starts = np.cumsum([0] + [len(piece.mesh.vertices) for piece in pieces])[:-1]

@@ -1,10 +1,9 @@
-"""Compiled marching cubes whose surface always closes.
+"""Compiled marching cubes whose surface is always closed.
 
-What a cube's face shows is decided on the face alone. In each cube the level's crossings of the edges are linked face
-by face. Where all four edges of a face are crossed, the sign of the bilinear field at its saddle says which corners
-belong together (Nielson and Hamann 1991), so that both cubes at a face agree. The links form loops, which are filled
-with triangles. All loops that there can be are traced once, in plain Python; the plain NumPy twin of the kernel, the
-crossed edges, stands in tests/unit/surface/.
+In each cube the crossings of the edges are linked face by face. Where all four edges of a face are crossed, the sign of
+the bilinear field at its saddle decides which corners are connected (Nielson and Hamann 1991), so that both cubes at a
+face agree. The links form loops, which are filled with triangles. The tables of all possible loops are computed once,
+in plain Python. Plain NumPy version of the kernel (the crossed edges): tests/unit/surface/.
 """
 
 import numpy as np
@@ -12,35 +11,29 @@ import numpy as np
 from mammometry.base.machine.compiled import kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32
 
-# Corner c of a cube stands at (c >> 2, c >> 1 & 1, c & 1). Edges from the lower to the higher corner: first along x,
-# then y, then z, four each. Each face's corners counter-clockwise seen from outside.
+# Corner c of a cube is at (c >> 2, c >> 1 & 1, c & 1). Edges go from the lower to the higher corner, four each along x,
+# y and z. Corners of a face are counter-clockwise seen from outside.
 _EDGES = np.array([[a, a | 1 << bit] for bit in (2, 1, 0) for a in range(8) if not a & 1 << bit])
 _FACES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
 _EDGE_OF = {frozenset(edge): number for number, edge in enumerate(_EDGES.tolist())}
-_MOST_EDGES, _MOST_LOOPS = 12, 4  # of one cube: it has twelve edges, and a loop has three at least
+_MOST_EDGES, _MOST_LOOPS = 12, 4  # of one cube: a loop has at least three of the twelve edges
 
 
 def _ambiguous(code: int) -> list[int]:
-    """Faces around which the signs alternate.
-
-    Bit c of the code is set where the field is positive at corner c.
-    """
+    """Faces around which the signs alternate. Bit c of the code is set if the field is positive at corner c."""
     return [
         f for f, (a, b, c, d) in enumerate(_FACES) if code >> a & 1 == code >> c & 1 != code >> b & 1 == code >> d & 1
     ]
 
 
 def _loops(code: int, joined: set[int]) -> list[tuple[list[int], bool]]:
-    """Edges of each loop in order, with a mark.
-
-    The mark is whether it passes a face twice. `joined`: faces that connect inner corners.
-    """
+    """Edges of each loop in order, and whether it passes a face twice. `joined`: faces that connect inner corners."""
     following: dict[int, int] = {}
     twice = []
     for face, corners in enumerate(_FACES.tolist()):
         sides = list(zip(corners, corners[1:] + corners[:1], strict=True))
         changes = [(code >> b & 1, _EDGE_OF[frozenset((a, b))]) for a, b in sides if code >> a & 1 != code >> b & 1]
-        if changes and changes[0][0]:  # begin where the walk around the face enters the inside
+        if changes and changes[0][0]:  # start where the path around the face enters the inside
             changes = changes[1:] + changes[:1]
         enters, leaves = [edge for _, edge in changes[::2]], [edge for _, edge in changes[1::2]]
         if face in joined:
@@ -60,10 +53,10 @@ def _loops(code: int, joined: set[int]) -> list[tuple[list[int], bool]]:
 
 
 def _tables() -> tuple[Int32[Array, " 256"], Int32[Array, "256 6"], Int32[Array, "r 4"], Int32[Array, "r 12"]]:
-    """Tables of loops: first row of each code, ambiguous faces, all rows.
+    """Tables of loops: first row of each code, its ambiguous faces (then −1), loops' lengths and loops' edges by row.
 
-    Ambiguous faces end with −1. A row has the loops' lengths and their edges. A code's rows follow one another by the
-    faces that connect inner corners, as bits; the length of a loop that passes a face twice is negative.
+    The rows of a code are ordered by the faces that connect inner corners, as bits. The length of a loop that passes a
+    face twice is negative.
     """
     first = np.zeros(256, dtype=np.int32)
     faces = np.full((256, 6), -1, dtype=np.int32)
@@ -91,14 +84,14 @@ def march(
 ) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:
     """Vertices and faces of the level 0 in the chosen cells.
 
-    Vertices are in steps from the first corner. Faces are counter-clockwise seen from where the field is positive. No
-    value may be 0: every vertex lies strictly inside an edge, but for the middles of loops that pass a face twice,
-    which lie inside their cube.
+    Vertices are in steps from the first corner. Faces are counter-clockwise seen from the positive side. No value may
+    be 0: every vertex is strictly inside an edge, except the centres of loops that pass a face twice, which are inside
+    their cube.
     """
     nx, ny, nz = field.shape
     vertices, vertex_count = np.empty((1024, 3)), 0
     faces, face_count = np.empty((2048, 3), dtype=np.int32), 0
-    # The vertex on each edge that leaves a corner of this layer or the next, along x, y and z; 0 for none, else from 1.
+    # Vertex on each edge that starts at a corner of this layer or the next, along x, y and z, from 1. 0 for none.
     numbers = np.zeros((2, ny, nz, 3), dtype=np.int32)
     positive = np.zeros((2, ny, nz), dtype=np.uint8)
     for j in range(ny):
@@ -144,7 +137,7 @@ def march(
                             numbers[p, q, r, axis] = vertex_count
                         loop[n] = numbers[p, q, r, axis] - 1
                     at += length
-                    if _LENGTHS[row, number] < 0:  # a diagonal could lie in that face, and be the neighbour's, too
+                    if _LENGTHS[row, number] < 0:  # a diagonal could be in that face, like the neighbour's
                         for axis in range(3):
                             vertices[vertex_count, axis] = 0.0
                         for n in range(length):
@@ -166,10 +159,7 @@ def march(
 
 @kernel
 def _joined(field, i, j, k, code):  # type: ignore[no-untyped-def]
-    """Ambiguous faces of a cube that connect their inner corners, as bits.
-
-    The saddle of such a face is negative.
-    """
+    """Ambiguous faces of a cube that connect their inner corners (their saddle is negative), as bits."""
     bits = 0
     for n in range(6):
         face = _AMBIGUOUS[code, n]
@@ -186,7 +176,7 @@ def _joined(field, i, j, k, code):  # type: ignore[no-untyped-def]
 
 @kernel
 def _best_start(vertices, loop, length):  # type: ignore[no-untyped-def]
-    """Where the fan that fills a loop has the shortest diagonals."""
+    """Index in a loop from which a fan of triangles has the shortest diagonals."""
     best, least = 0, np.inf
     for first in range(length):
         total = 0.0
@@ -212,11 +202,10 @@ def _longer(rows):  # type: ignore[no-untyped-def]
 def without_saddles(
     field: Float32[Array, "x y z"], far: Bool[Array, "x1 y1 z1"], raised: float
 ) -> Float32[Array, "x y z"]:
-    """Remove alternating signs on faces between far and near cubes.
+    """The field without alternating signs on faces between far and near cubes.
 
-    Corners are turned from inside to outside until none is left. Such a face is cut twice, and fine and coarse cubes
-    may disagree which two of its four crossings belong together. The weaker of its two inner corners is set to
-    `raised`; never back, so that this ends.
+    On such a face fine and coarse cubes may disagree which of its four crossings are connected. The weaker of its two
+    inner corners is set to `raised`, until no such face is left. Corners are never set back, so this ends.
     """
     field = field.copy()
     nx, ny, nz = far.shape
@@ -238,10 +227,7 @@ def without_saddles(
 
 @kernel
 def _raise_weaker(face: Float32[Array, "2 2"], raised: float) -> bool:
-    """Whether the signs around a face alternate.
-
-    Then the inner corner nearer to the level is set to `raised`.
-    """
+    """Whether the signs around a face alternate. If so, the weaker inner corner is set to `raised`."""
     if (face[0, 0] > 0) != (face[1, 1] > 0) or (face[0, 1] > 0) != (face[1, 0] > 0):
         return False
     if (face[0, 0] > 0) == (face[0, 1] > 0):

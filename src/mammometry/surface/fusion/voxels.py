@@ -1,10 +1,9 @@
-"""Isosurface of a field evaluated only near the surface.
+"""A field sampled in blocks near its surface, so that the cost grows with area, not with volume.
 
-So the cost grows with area, not with volume. Space is cut in blocks of 8³ cubes, first of cubes four times as large. A
-block is evaluated when the coarser field changes sign in it, when measured data lie in it, or when an evaluated
-neighbour's face shows the other sign: the surface is followed until it closes. The rest is inside or outside as its
-centre says. Far from all data, where the surface is only closed, the large cubes are meshed themselves: see
-`isosurface`.
+Space is divided into blocks of 8³ cubes, first with cubes four times as large. A block is evaluated if the coarser
+field changes sign in it, if it contains measured data, or if the adjacent face of an evaluated neighbour has the other
+sign: the surface is followed until it closes. Other blocks are inside or outside according to their centre. Far from
+all data the large cubes themselves are meshed (`isosurface`).
 """
 
 from __future__ import annotations
@@ -20,9 +19,9 @@ from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64
 from mammometry.surface.fusion import field_kernels as kernels
 
-BLOCK = 8  # cubes along a block's edge; for speed alone
+BLOCK = 8  # cubes along a block's edge; affects speed only
 FAR_CUBES = 4  # edge of a large cube in small ones (docs/decisions/0016)
-TRANSITION = 7  # fine cubes between the large ones and what nothing changes
+TRANSITION = 7  # fine cubes from the large ones to where the field is unchanged
 
 Sampler = Callable[[Float64[Array, "n 3"], int, float], Float32[Array, "n s s s"]]
 """(origins, side, spacing) → field at side³ points from each origin, mm, positive outside."""
@@ -37,15 +36,15 @@ class BlockGrid:
     cube_mm: float
     """Edge of a cube, mm."""
     index: Int32[Array, "x y z"]
-    """Row of each block in `values`. −1 where it was not evaluated."""
+    """Row of each block in `values`. −1 if it was not evaluated."""
     outside: Bool[Array, "x y z"]
-    """Whether a block that was not evaluated lies outside the solid."""
+    """Whether a block that was not evaluated is outside the solid."""
     values: Float32[Array, "b 8 8 8"]
     """Field at the cubes' corners of each evaluated block, mm, positive outside."""
     truncation_mm: float
     """Value of blocks that were not evaluated, by their sign, mm."""
     far: Bool[Array, "x y z"]
-    """Blocks far from all data. None of them is evaluated here: `coarse` holds them."""
+    """Blocks far from all data. They are not evaluated here, but in `coarse`."""
     coarse: Float32[Array, "p q r"]
     """Field at every `FAR_CUBES`-th corner of the whole grid, mm."""
 
@@ -64,10 +63,10 @@ def sample_blocks(
     near_mm: float = np.inf,
     progress: Progress = no_progress,
 ) -> BlockGrid:
-    """Evaluate the field in all blocks that the surface passes.
+    """Evaluate the field in all blocks that contain the surface.
 
-    `box` is its lowest and its highest corner, mm. Blocks further than `near_mm` from all seeds, and some cubes for
-    the transition, are evaluated `FAR_CUBES` times as coarsely.
+    `box` is the lowest and highest corner, mm. Blocks farther than `near_mm` (plus a transition) from all seeds are
+    evaluated with cubes `FAR_CUBES` times as large.
     """
     low, high = box
     far_edge = BLOCK * cube_mm * FAR_CUBES
@@ -116,10 +115,7 @@ def _followed(
     barred: Bool[Array, "x y z"],
     progress: Progress = no_progress,
 ) -> tuple[Int32[Array, "x y z"], Float32[Array, "b 8 8 8"]]:
-    """Evaluate the wanted blocks, then follow the surface.
-
-    Barred blocks are skipped. Returns index and values.
-    """
+    """Evaluate the wanted blocks, then follow the surface. Barred blocks are skipped. Returns index and values."""
     index = np.full(outside.shape, -1, dtype=np.int32)
     parts = [np.zeros((0, BLOCK, BLOCK, BLOCK), dtype=np.float32)]
     count = 0

@@ -1,1 +1,1 @@
-"""Motion of cameras and body between calibration and photographs: found, corrected, said."""
+"""Motion of cameras and body between calibration and photographs: detection and correction."""

@@ -1,7 +1,4 @@
-"""Agreement of pairs: distance between common skin, and row errors.
-
-Both are summed up in cells of skin, because neighbouring data err alike.
-"""
+"""Disagreement of pairs, in cells: distances between common skin, and row errors."""
 
 from __future__ import annotations
 
@@ -20,21 +17,21 @@ from mammometry.surface.ranges.visibility import LEAST_COSINE, CommonSkin, commo
 from mammometry.surface.settings import TAPER_MM
 
 _CELL_MM = 16.0
-"""Edge of the cells, mm: several matching windows, so that errors of two cells are nearly independent. Chosen by eye.
-"""
-_SPACING_MM = 0.8  # between the data that are compared; chosen for speed
-_FEWEST_DATA = 6  # of a cell, for its median; chosen by eye
+"""Edge of the cells, mm: several matching windows, so that errors of two cells are nearly independent. Not critical."""
+_SPACING_MM = 0.8  # between the data that are compared; limits time
+_FEWEST_DATA = 6  # data of a cell for a median; not critical
 OTHER_SKIN_MM = 4.0
-"""Two pairs further apart than this, mm, see different skin, such as an arm in front of the trunk. Chosen by eye."""
-_INSIDE = 0.99  # trust of data that no edge of the data touches
+"""Distance from which two pairs see different skin, such as an arm in front of the trunk, mm: more than any motion that
+is corrected (`StillnessSettings.most_mm`)."""
+_INSIDE = 0.99  # weight (`RangeImage.trust`) of data away from the edge
 _MEDIAN_FACTOR = 1.2533  # standard deviation of a median over the mean's, √(π/2)
-_ROW_CELLS = 6  # along each side of a pair's picture: the vertical disparity has six terms; more say the same
-_FEWEST_ROWS = 50  # pixels of such a cell; chosen by eye
+_ROW_CELLS = 6  # cells along each side of a pair's image: the vertical disparity has only six terms
+_FEWEST_ROWS = 50  # pixels of such a cell for a median; not critical
 
 
 @value(eq=False)
 class Differences:
-    """Distances between two pairs' surfaces, a median a cell of common skin."""
+    """Median distance between two pairs' surfaces in each cell of common skin."""
 
     first: str
     second: str
@@ -46,29 +43,29 @@ class Differences:
     distance_mm: Float64[Array, " n"]
     """Distance of the first surface in front of the second, along the normal."""
     scatter_mm: Float64[Array, " n"]
-    """Standard deviation of that median from the scatter within the cell, data taken as independent."""
+    """Standard deviation of that median from the scatter within the cell. Data are assumed to be independent."""
     expected_mm: Float64[Array, " n"]
-    """Median standard deviation that both pairs' data expect of themselves."""
+    """Median expected standard deviation of both pairs' data."""
 
 
 @value(eq=False)
 class RowErrors:
-    """A pair's vertical disparity, a median a cell of its picture."""
+    """Median vertical disparity of a pair in each cell of its image."""
 
     points: Float64[Array, "n 3"]
-    """Where the pair sees the skin, world frame, mm."""
+    """Points of the skin, world frame, mm."""
     angle_rad: Float64[Array, " n"]
-    """By which the right ray leaves the epipolar plane (`shifts.Shifts.vertical_rad`)."""
+    """Angle of the right ray to the epipolar plane (`shifts.Shifts.vertical_rad`)."""
     pixel_rad: float
-    """Angle of a pixel at full resolution of the rectified picture."""
+    """Angle of a pixel of the rectified image at full resolution."""
 
 
 def differences(range_images: Sequence[RangeImage], other_skin_mm: float = OTHER_SKIN_MM) -> tuple[Differences, ...]:
-    """Compare each two views where they see the same skin well. Views without common skin are left out.
+    """Distances between any two views on skin that both see well. Views without common skin are left out.
 
     Args:
         range_images: one for each pair.
-        other_skin_mm: distance from which on two views are taken to see different skin.
+        other_skin_mm: distance from which two views are assumed to see different skin.
     """
     images = map_in_threads(lambda image: _thinned(image.keeping(image.trust(TAPER_MM) > _INSIDE)), range_images)
     normals = map_in_threads(RangeImage.normals_camera, images)
@@ -90,7 +87,7 @@ def differences(range_images: Sequence[RangeImage], other_skin_mm: float = OTHER
 
 
 def _thinned(image: RangeImage) -> RangeImage:
-    """Every few rows and columns: windows that give normals are wider."""
+    """Every few rows and columns. The windows that give normals are wider."""
     step = max(1, int(_SPACING_MM / image.pixel_mm())) if image.valid.any() else 1
     thin = (slice(None, None, step), slice(None, None, step))
     return replace(
@@ -111,7 +108,7 @@ def _well_seen(
 
 
 def _cells(points: Float64[Array, "n 3"]) -> list[Int64[Array, " k"]]:
-    """Indices of the points of each cell that holds enough."""
+    """Indices of the points of each cell with enough points."""
     if not len(points):
         return []
     number = np.unique(np.floor(points / _CELL_MM).astype(np.int64), axis=0, return_inverse=True)[1].ravel()
@@ -140,7 +137,7 @@ def _in_cells(
 
 
 def row_errors(disparity: DisparityMap) -> RowErrors:
-    """Sum up a pair's vertical disparity over its matched picture."""
+    """Medians of a pair's vertical disparity over its matched image."""
     left, right = disparity.left, disparity.right
     focal_px = disparity.pair_px * float(right.matrix[1, 1])
     parts = [_in_parts(np.flatnonzero(disparity.valid.any(axis=axis))) for axis in (1, 0)]
@@ -160,7 +157,7 @@ def row_errors(disparity: DisparityMap) -> RowErrors:
 
 
 def _in_parts(used: Int64[Array, " n"]) -> list[slice]:
-    """Divide rows or columns, from the first used one to the last, equally."""
+    """Divide rows or columns equally, from the first used one to the last."""
     if not len(used):
         return []
     edges = np.ceil(np.linspace(used[0], used[-1] + 1, _ROW_CELLS + 1)).astype(int)
@@ -179,7 +176,7 @@ def _point(left: Camera, right: Camera, at: tuple[int, int], d_h_px: float) -> F
 
 
 def _angle(right: Camera, point: Float64[Array, 3], d_v_px: float) -> float:
-    """Vertical disparity as an angle across the epipolar plane. The plane turns about the baseline."""
+    """Vertical disparity as an angle of rotation of the epipolar plane about the baseline."""
     x, y, z = right.camera_from_world.apply(point)
     from_baseline = float(np.hypot(y, z))
     return (

@@ -1,9 +1,9 @@
-"""Test a correction by features that cameras of different pairs share.
+"""Test a motion correction with image features that cameras of different pairs share.
 
-A correction is made from distances between pairs' surfaces, and not from features. Where pairs barely see the same
-skin, both see it aslant, and matching errs alike over all of it, which looks like motion. Natural features depend on no
-surface. If a correction is right, the features' distances from their epipolar lines shrink by as much as the corrected
-cameras say; if nothing moved, they grow by as much.
+A correction is estimated from distances between the pairs' surfaces. If pairs have little skin in common, both see it
+at a flat angle, and matching errors are alike over all of it, which looks like motion. Natural features do not depend
+on the surfaces: a correct correction reduces their distances from the epipolar lines by the predicted amount. If
+nothing moved, it increases them by as much.
 """
 
 from __future__ import annotations
@@ -25,61 +25,61 @@ Displacement: TypeAlias = Callable[[str, Float64[Array, "n 3"]], Float64[Array, 
 """Camera and points that it saw, world frame, mm → their displacements, mm."""
 
 _WIDEST_DEG = 60.0
-"""Angle between two cameras' axes up to which they share features: with SIFT, hardly any beyond 45°."""
+"""Largest angle between the axes of two cameras that are compared: SIFT matches hardly any features beyond 45°."""
 _WIDTHS = ((450, 1000), (1200, 3000))
-"""Columns, about, of the pictures in which features are found, and features of one, the strongest. Weak skin is matched
-in small ones, sharp marks are placed better in large ones."""
+"""Widths of the reduced photographs, px, and number of the strongest features in each. Weak skin is matched in small
+ones, sharp marks are located better in large ones."""
 _FEATURE_PX = 0.5
-"""Standard deviation of a feature's distance from its line, pixels of the reduced picture: .3 to .6 on clean ones."""
+"""Standard deviation of a feature's distance from its line, px of the reduced photograph: 0.3 to 0.6 on clean ones."""
 _ON_LINE = 3.0
-"""Standard deviations within which a match lies on its line."""
-_ASTRAY_PX = 16.0
-"""Distances from the lines that are used, in the same pixels: matches by chance are spread evenly within."""
+"""Standard deviations within which a match is on its line."""
+_OFFSET_PX = 16.0
+"""Largest distance from the line that is used, same px. Wrong matches are uniformly distributed up to it."""
 _BY_CHANCE = 0.3
-"""Share of those matches that are by chance; up to a half."""
+"""Share of wrong matches among those. Up to a half occur."""
 _COMMON_PX = np.linspace(-2.0, 2.0, 41)
-"""Errors that all features of two cameras may share, in the same pixels: what the calibration leaves, and what marks on
-round skin show differently from two sides."""
+"""Errors that all features of two cameras may share, same px: remaining calibration errors, and marks on curved skin that
+look different from two sides."""
 _COMMON_STD_PX = np.array([0.05, 0.1, 0.2, 0.4, 0.8])
-"""Standard deviations of those errors over all pairs of cameras, equally likely beforehand."""
+"""Standard deviations of those errors over all pairs of cameras, with equal prior probabilities."""
 _SHARES = np.linspace(-1.0, 2.0, 61)
 """Shares of a correction that are compared: 0 is none of it, 1 all."""
 _SURE = 2.0
-"""Standard deviations by which the share must differ from none, or from all."""
+"""Standard deviations by which the share must differ from 0 or 1."""
 _PARALLEL = 1e-6
-"""Rays whose cosine is nearer to 1 meet nowhere."""
+"""Rays are parallel if 1 minus their cosine is smaller."""
 _FEWEST = 12
-"""Fewest matches on their lines, as of photographs whose names are tested: fewer may be there by chance."""
+"""Fewest matches on their lines for a verdict, as in the check of photographs' names: fewer may be by chance."""
 _HALF = 0.5
-"""Share from which a correction improves more than it harms."""
+"""Share above which a correction improves more than it harms."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SharedFeatures:
-    """Features that two cameras share, in whole pixels of each."""
+    """Features that two cameras share, in full-size pixels of each."""
 
     first: str
     second: str
     uv_first: Float64[Array, "m 2"]
     uv_second: Float64[Array, "m 2"]
     unit_px: float
-    """Pixels of the photographs to one of the reduced pictures in which they were found."""
+    """Full-size pixels per pixel of the reduced photographs."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CorrectionEvidence:
-    """What features say of a correction."""
+    """Result of the test of a correction."""
 
     share: float
-    """Share of the correction that explains the features best: 0 where nothing moved, 1 where it is right."""
+    """Share of the correction that explains the features best: 0 if nothing moved, 1 if it is correct."""
     std: float
     """Standard deviation of that share. Infinite without features."""
     features: int
-    """Number of matches that lie on their lines with that share."""
+    """Number of matches on their lines with that share."""
 
     @property
     def verdict(self) -> Verdict:
-        """Whether features confirm the correction, refute it, or do not know."""
+        """Whether features confirm or refute the correction, or do not suffice (``silent``)."""
         if self.features < _FEWEST:
             return "silent"
         if self.share >= _HALF:
@@ -88,7 +88,7 @@ class CorrectionEvidence:
 
 
 def shared_features(rig: Rig, photographs: Mapping[str, Photograph]) -> tuple[SharedFeatures, ...]:
-    """Match features between cameras of different pairs that look alike.
+    """Matched features of cameras of different pairs with similar viewing directions.
 
     Args:
         rig: as calibrated.
@@ -118,12 +118,12 @@ def _of_different_pairs(rig: Rig, names: Sequence[str]) -> Iterator[tuple[str, s
 def weigh_correction(
     rig: Rig, corrected: Rig, breathed_mm: Displacement, shared: Sequence[SharedFeatures]
 ) -> CorrectionEvidence:
-    """Weigh a correction by features that cameras share.
+    """Test a correction with features that cameras share.
 
     Args:
         rig: as calibrated.
-        corrected: the same cameras at their corrected places.
-        breathed_mm: camera and points that it saw → their displacement to where a body is that did not breathe.
+        corrected: the cameras with corrected poses.
+        breathed_mm: camera and points that it saw → their displacements to a body that did not breathe.
         shared: features of two cameras each.
     """
     log_prior = -0.5 * (_COMMON_PX / _COMMON_STD_PX[:, None]) ** 2
@@ -133,7 +133,7 @@ def weigh_correction(
     for features in shared:
         before = _from_lines(rig, features)
         change = _from_lines(corrected, features, _shift_mm(rig, features, breathed_mm)) - before
-        near = np.minimum(np.abs(before), np.abs(before + change)) < _ASTRAY_PX
+        near = np.minimum(np.abs(before), np.abs(before + change)) < _OFFSET_PX
         if near.any():
             distances.append((before[near], change[near]))
             by_std += logsumexp(_log_likelihood(before[near], change[near]) + log_prior[:, None], axis=2)
@@ -154,12 +154,12 @@ def _log_likelihood(before: Float64[Array, " m"], change: Float64[Array, " m"]) 
     for share, row in zip(_SHARES, sums, strict=True):
         left = before + share * change + _COMMON_PX[:, None]
         fitting = (1 - _BY_CHANCE) / (np.sqrt(2 * np.pi) * _FEATURE_PX) * np.exp(-0.5 * (left / _FEATURE_PX) ** 2)
-        row[:] = np.log(fitting + _BY_CHANCE / (2 * _ASTRAY_PX)).sum(axis=1)
+        row[:] = np.log(fitting + _BY_CHANCE / (2 * _OFFSET_PX)).sum(axis=1)
     return sums
 
 
 def _shift_mm(rig: Rig, features: SharedFeatures, breathed_mm: Displacement) -> Float64[Array, "m 3"]:
-    """Displacement of each feature between the two exposures by a breath, world axes, where both rays nearly meet."""
+    """Displacement of each feature by breathing between the two exposures, world axes, where its rays nearly meet."""
     first, second = rig.cameras[features.first], rig.cameras[features.second]
     rays, others = first.rays_world(features.uv_first), second.rays_world(features.uv_second)
     baseline = second.centre_world - first.centre_world
@@ -172,12 +172,12 @@ def _shift_mm(rig: Rig, features: SharedFeatures, breathed_mm: Displacement) -> 
 def _from_lines(
     rig: Rig, features: SharedFeatures, shift_mm: Float64[Array, "m 3"] | None = None
 ) -> Float64[Array, " m"]:
-    """Distance of each match from its epipolar lines, to first order in both pictures, pixels of the reduced ones.
+    """Distance of each match from its epipolar lines, to first order in both photographs, px of the reduced ones.
 
     Args:
         rig: the cameras.
-        features: that two of them share.
-        shift_mm: by how much each feature had moved on, before the first exposure as against the second.
+        features: features of two of them.
+        shift_mm: displacement of each feature, first exposure minus second.
     """
     first, second = rig.cameras[features.first], rig.cameras[features.second]
     x, y = first.normalised_from_pixels(features.uv_first), second.normalised_from_pixels(features.uv_second)

@@ -1,4 +1,4 @@
-"""Range images of cameras that stand elsewhere, and of a body that did not breathe."""
+"""Range images after a change of the cameras' poses, or of the body's shape by breathing."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from mammometry.geometry import Array, Camera, Float64, StereoPair, Transform
 from mammometry.surface.ranges.range_image import RangeImage
 from mammometry.surface.ranges.visibility import JUMP_MM
 
-_WHOLE = 0.999  # of four neighbours' weight: all are data
+_WHOLE = 0.999  # interpolation weight at which all four neighbours have data
 
 
 def retriangulated(image: RangeImage, before: StereoPair, after: StereoPair) -> RangeImage:
-    """Triangulate a range image again with cameras in other poses.
+    """Triangulate a range image again with the cameras in other poses.
 
-    Each datum keeps its ray in the left camera and its ray in the right one; it is the point of the left ray nearest
-    to the right one. Rays that no longer meet in front of the camera are not valid.
+    Each datum keeps its rays in both cameras and is the point of the left ray nearest to the right one. Rays that no
+    longer meet in front of the camera are not valid.
 
     Args:
-        image: as measured with `before`.
+        image: range image measured with `before`.
         before: its pair.
-        after: the same cameras, posed otherwise.
+        after: the same cameras in other poses.
     """
     left, right = (motion(a, b) for a, b in ((before.left, after.left), (before.right, after.right)))
     points = image.valid_points_world()
@@ -41,13 +41,13 @@ def retriangulated(image: RangeImage, before: StereoPair, after: StereoPair) -> 
 
 
 def displaced(image: RangeImage, shift_world: Float64[Array, "n 3"]) -> RangeImage:
-    """Move the points of a range image by small, smooth shifts, and look at them from the same place.
+    """Range image of points moved by small, smooth shifts, seen from the same camera.
 
-    What a pixel sees then is interpolated between the moved neighbours of the point that comes to lie there.
+    Each pixel's value is interpolated between the moved neighbours of the point that it now shows.
 
     Args:
-        image: the data.
-        shift_world: of each valid datum, in row order, mm.
+        image: range image.
+        shift_world: shift of each valid datum, in row order, mm.
     """
     points = image.valid_points_world()
     rows, columns = np.nonzero(image.valid)
@@ -67,7 +67,7 @@ def displaced(image: RangeImage, shift_world: Float64[Array, "n 3"]) -> RangeIma
 
 
 def motion(before: Camera, after: Camera) -> Transform:
-    """Motion between two poses of a camera, world frame."""
+    """Rigid motion between two poses of a camera, world frame."""
     found: Transform = after.camera_from_world.inverse() @ before.camera_from_world
     return found
 
@@ -75,7 +75,7 @@ def motion(before: Camera, after: Camera) -> Transform:
 def _nearest(
     rays: Float64[Array, "n 3"], others: Float64[Array, "n 3"], baseline: Float64[Array, 3]
 ) -> Float64[Array, " n"]:
-    """Distance along each ray to the point nearest the other ray, mm."""
+    """Distance along each ray to its point nearest to the other ray, mm."""
     cosine = np.einsum("ij,ij->i", rays, others)
     with np.errstate(divide="ignore", invalid="ignore"):
         distance: Float64[Array, " n"] = (rays @ baseline - cosine * (others @ baseline)) / (1 - cosine**2)

@@ -1,10 +1,10 @@
-"""Most probable small motions of cameras and body, from pairs' disagreement.
+"""Most probable small motions of cameras and body, from the pairs' disagreement.
 
-Cameras turn, each pair's exposure has a rigid motion of its own, and a smooth one, as of a chest that breathes.
-Everything is linear in the errors θ of the cameras' poses: a distance between two pairs' surfaces, and the vertical
-disparity within a pair. Observations are y = Hθ + noise, with the covariance of calibration and matching. Turns and
-shifts have normal priors. Their sizes are those that make y most probable (the evidence, or type-II likelihood: MacKay
-1992, Neural Computation 4, 415). With sizes of zero nothing moved.
+Cameras turn, and each pair's exposure has a rigid motion of its own and a smooth one, as of a breathing chest. The
+distances between two pairs' surfaces and the vertical disparity within a pair are linear in the errors θ of the
+cameras' poses: y = Hθ + noise, with the covariance of calibration and matching. Turns and shifts have normal priors,
+whose sizes are those that make y most probable (the evidence, or type-II likelihood: MacKay 1992, Neural Computation 4,
+415). With sizes of zero nothing moved.
 """
 
 from __future__ import annotations
@@ -29,39 +29,35 @@ from mammometry.geometry.twist import rigid_motions
 from mammometry.surface.motion.agreement import Differences, RowErrors
 
 _CELL_MM = 0.06
-"""Standard deviation of one cell's difference besides its data's own: matching errors within a window, mm."""
+"""Standard deviation of a cell's difference in addition to its data's own, mm: matching errors within a window."""
 _COMMON_MM = 0.05
 """Standard deviation common to cells within `_REACH_MM`, mm: curved skin is smoothed alike."""
 _EXPECTED_SHARE = 0.5
-"""Share of two pairs' own expected standard deviation that is in a cell's median, and again in all cells near it. Noise
-and weak texture make windows err alike (docs/decisions/0009 has .35 for one pair).
-"""
+"""Share of two pairs' expected standard deviation in a cell's median, and again in common with cells near it: noise and
+weak texture make windows err alike (docs/decisions/0009 has 0.35 for one pair)."""
 _REACH_MM = 40.0
 _ROW_PX = 0.1
-"""Standard deviation of a cell's vertical disparity, px of the matched picture. A right calibration leaves .02 to .05
-RMS, alike over the picture (docs/decisions/0027).
-"""
+"""Standard deviation of a cell's vertical disparity, px of the matched image. A correct calibration leaves 0.02 to 0.05
+RMS, similar over the image (docs/decisions/0027)."""
 _LEVER_MM = 150.0
-"""Lever arm, mm: a body that moves by a millimetre also turns by a millimetre over this, half a trunk's width."""
+"""Lever arm, mm: half a trunk's width. A body that shifts by 1 mm also turns by 1 mm at this distance."""
 _TURNS_DEG = (0.0, 0.001, 0.0015, 0.0025, 0.004, 0.006, 0.01, 0.015, 0.025, 0.04, 0.06)
 _SHIFTS_MM = (0.0, 0.03, 0.06, 0.1, 0.2, 0.35, 0.6, 1.0, 1.7)
 _RESTS_MM = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.1)
-"""Standard deviations of turns, shifts and rests that are weighed, degrees and mm."""
+"""Standard deviations of turns, shifts and rests that are compared, degrees and mm."""
 BREATHS_MM = (0.2, 0.5, 1.2)
-"""Standard deviations of smooth motions that are weighed, mm."""
+"""Standard deviations of smooth motions that are compared, mm."""
 BREATH_REACH_MM = 90.0
-"""Standard deviation of the places of a smooth motion around their centres, and the centres' spacing, mm: a third of
-a chest's width. Chosen by eye.
-"""
+"""Gaussian σ of a smooth motion around its centre, and spacing of the centres, mm: a third of a chest's width. Not
+critical."""
 _FIRST_TURN_DEG, _FIRST_SHIFT_MM, _FIRST_REST_MM = 0.05, 1.0, 0.1
-"""Sizes used to find outliers: large, so that outliers and not motions are left out."""
-_OUTLIER_SIGMAS = 4.0  # robust, of a cell's difference; chosen by eye
-_CONTRADICTION = 2.0  # times the distance between pairs, that rows of one pair alone may move skin; chosen by eye
-_OUTLIER_ROUNDS = 5  # times that outliers are looked for; fewer if none changes
+"""Sizes for the search for outliers: large, so that motions do not count as outliers."""
+_OUTLIER_SIGMAS = 4.0  # robust standard deviations of a cell's difference beyond which it is an outlier; not critical
+_CONTRADICTION = 2.0  # largest motion by a pair's rows alone, relative to the distance between pairs; not critical
+_OUTLIER_ROUNDS = 5  # most searches for outliers; it ends earlier when nothing changes
 LEAST_EVIDENCE = 10.0
-"""Rise of the log probability of all observations above which something is taken to have moved, and fall below which a
-motion is left out: e¹⁰ is 1 in 22,000. Clean captures reach 0 to 3.
-"""
+"""Least rise of the log probability of all observations for a motion, and largest fall for leaving one out: e¹⁰ is
+22,000. Clean captures reach 0 to 3."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -69,9 +65,9 @@ class Effects:
     """Effect of a unit of each unknown on one pair's points."""
 
     points_mm: Float64[Array, "n 3 p"]
-    """Displacement of the true points from the measured ones, world axes, mm."""
+    """Displacement of the true points relative to the measured ones, world axes, mm."""
     vertical_rad: Float64[Array, "n p"]
-    """Vertical disparity that it leaves (`shifts.Shifts.vertical_rad`)."""
+    """Vertical disparity that it causes (`shifts.Shifts.vertical_rad`)."""
 
 
 EffectsOf: TypeAlias = Callable[[Rig, str, Float64[Array, "n 3"]], Effects]
@@ -80,21 +76,21 @@ EffectsOf: TypeAlias = Callable[[Rig, str, Float64[Array, "n 3"]], Effects]
 
 @value(eq=False)
 class MotionParameters:
-    """Unknowns: three turns of each camera, then a rigid motion of each group, then smooth motions.
+    """Unknowns: turns of the cameras, then rigid motions of groups of pairs, then smooth motions.
 
-    A camera turns about its centre. Groups are groups of pairs. Smooth motions are along one direction; their mean over
-    the groups is 0, since what all groups share is the body's shape.
+    A camera turns about its centre. Smooth motions have one direction, and their mean over the groups is 0: a
+    deformation that all groups share is the body's shape.
     """
 
     cameras: tuple[str, ...]
     groups: tuple[tuple[str, ...], ...]
-    """Pairs that share cameras, and so are exposed together."""
+    """Groups of pairs that share cameras, and so are exposed together."""
     centre_world: Float64[Array, 3]
-    """The point about which groups turn, mm."""
+    """Point about which groups turn, mm."""
     breath_centres: Float64[Array, "k 3"] = field(default_factory=lambda: np.zeros((0, 3)))
-    """Of the smooth motions, world frame, mm. None where bodies are taken to be rigid."""
+    """Centres of the smooth motions, world frame, mm. Empty for rigid bodies."""
     breath_direction: Float64[Array, 3] = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
-    """Of the smooth motions, a unit vector: from the body to the cameras."""
+    """Unit vector of the smooth motions, from the body to the cameras."""
 
     @property
     def count(self) -> int:
@@ -103,39 +99,39 @@ class MotionParameters:
 
     @property
     def of_breath(self) -> slice:
-        """Smooth motions of all groups, mm: centre by centre, a contrast of groups less than there are groups."""
+        """Smooth motions of all groups, mm: for each centre, one contrast fewer than there are groups."""
         start = 3 * len(self.cameras) + 6 * len(self.groups)
         return slice(start, start + len(self.breath_centres) * max(0, len(self.groups) - 1))
 
     def of_camera(self, camera: str) -> slice:
-        """A camera's rotation vector in its frame, rad, applied from left."""
+        """A camera's rotation vector in its frame, rad, applied from the left."""
         start = 3 * self.cameras.index(camera)
         return slice(start, start + 3)
 
     def of_group(self, pair: str) -> slice:
-        """A group's rotation vector about the centre, rad, and translation, mm. World axes."""
+        """A group's rotation vector about the centre, rad, and translation, mm, world axes."""
         start = 3 * len(self.cameras) + 6 * self.group_of(pair)
         return slice(start, start + 6)
 
     def group_of(self, pair: str) -> int:
-        """Number of a pair's group."""
+        """Index of a pair's group."""
         return next(i for i, names in enumerate(self.groups) if pair in names)
 
     def breath_mm(self, pair: str, points: Float64[Array, "n 3"]) -> Float64[Array, "n b"]:
-        """Smooth displacement of points of a pair along the direction by a unit of each smooth motion, mm."""
+        """Displacement of a pair's points along the direction by a unit of each smooth motion, mm."""
         contrast = np.linalg.qr(np.eye(len(self.groups)) - 1 / len(self.groups))[0][self.group_of(pair), :-1]
         across = points - np.outer(points @ self.breath_direction, self.breath_direction)
         near = np.exp(-cdist(across, self.breath_centres, "sqeuclidean") / (2 * BREATH_REACH_MM**2))
         return np.kron(near, contrast)
 
     def prior_std(self, turn_rad: float, shift_mm: float, breath_mm: float = 0.0) -> Float64[Array, " p"]:
-        """Standard deviations of all unknowns for given turns, shifts and smooth motions."""
+        """Standard deviations of all unknowns for given sizes of turns, shifts and smooth motions."""
         group = np.repeat([shift_mm / _LEVER_MM, shift_mm], 3)
         breath = np.full(self.of_breath.stop - self.of_breath.start, breath_mm)
         return np.concatenate([np.full(3 * len(self.cameras), turn_rad), np.tile(group, len(self.groups)), breath])
 
     def effects(self, rig: Rig, pair: str, points: Float64[Array, "n 3"]) -> Effects:
-        """Effects of all unknowns on one pair's points, world frame, mm."""
+        """Effects of all unknowns on one pair's points (world frame, mm)."""
         names = tuple(f"{camera}.{name}" for camera in self.cameras for name in POSE_NAMES_CAMERA[:3])
         of_turns = shifts(rig.pair(pair), points, names)
         moved, vertical = np.zeros((len(points), 3, self.count)), np.zeros((len(points), self.count))
@@ -147,7 +143,7 @@ class MotionParameters:
         return Effects(points_mm=moved, vertical_rad=vertical)
 
     def breathing(self, rig: Rig, points: Float64[Array, "n 3"]) -> MotionParameters:
-        """Parameters with smooth motions of the skin that is compared at these points."""
+        """The parameters with smooth motions of the skin around these points."""
         towards = -np.mean([rig.cameras[name].axis_world for name in self.cameras], axis=0)
         direction = towards / np.linalg.norm(towards)
         across = np.linalg.svd(direction[None])[2][1:]
@@ -156,7 +152,7 @@ class MotionParameters:
 
 
 def motion_parameters(rig: Rig, pairs: Sequence[str], centre_world: Float64[Array, 3]) -> MotionParameters:
-    """Parameters of all motions that these pairs of a rig may have made."""
+    """Parameters of all motions of these pairs of a rig."""
     groups: list[tuple[set[str], list[str]]] = []
     for pair in pairs:
         cameras, names = set(rig.pair_names[pair]), [pair]
@@ -173,19 +169,19 @@ def motion_parameters(rig: Rig, pairs: Sequence[str], centre_world: Float64[Arra
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Observed:
-    """Everything that pairs show of one another, and each unknown's effect."""
+    """All observations of the pairs' disagreement, and the effect of each unknown."""
 
     values: Float64[Array, " m"]
     """Distances between surfaces, mm, then rows' angles, rad."""
     by_unknown: Float64[Array, "m p"]
     own: tuple[Float64[Array, "b b"], ...]
-    """Covariances by matching along the diagonal: a block for each two compared pairs, then for each pair's rows."""
+    """Covariance by matching, as diagonal blocks: one for each two compared pairs, then one for each pair's rows."""
     common: Float64[Array, "m k"]
-    """What calibration adds: times its transpose, a covariance of all observations."""
+    """Factor of the covariance by calibration: common · commonᵀ."""
     distances: Bool[Array, " m"]
-    """Which are distances between surfaces."""
+    """Observations that are distances between surfaces."""
     rows_of: Int64[Array, " m"]
-    """Number of the pair whose row each is. −1 of distances."""
+    """Index of the pair of a row's observation. −1 for distances."""
 
     def only(self, keep: Bool[Array, " m"]) -> Observed:
         """Some of the observations."""
@@ -208,12 +204,12 @@ class Observed:
         return np.split(values, np.cumsum([len(block) for block in self.own])[:-1])
 
     def model(self, rest_mm: float) -> LinearModel:
-        """Divide the observations by their noise, block by block.
+        """Observations whitened block by block.
 
-        All pairs' noise in one matrix would take the sixth power of their number.
+        In one matrix, time would grow with the sixth power of the number of pairs.
 
         Args:
-            rest_mm: standard deviation of distances between surfaces beyond the known noise: what no motion explains.
+            rest_mm: standard deviation of distances between surfaces that neither noise nor motion explains.
         """
         both = np.column_stack([self.by_unknown, self.values, self.common])
         white, log_det = [], 0.0
@@ -225,14 +221,14 @@ class Observed:
         return linear_model(white, self.by_unknown.shape[1], log_det=log_det)
 
     def rms_mm(self, motions: Float64[Array, " p"] | None = None) -> float:
-        """RMS distance between surfaces, measured or after correction, mm."""
+        """RMS distance between surfaces, measured or after a correction, mm."""
         values, design = self.values[self.distances], self.by_unknown[self.distances]
         left = values if motions is None else values - design @ motions
         return float(np.sqrt(np.mean(left**2))) if len(left) else 0.0
 
 
 def own_noise_mm2(comparison: Differences) -> Float64[Array, "n n"]:
-    """Covariance of two pairs' distances by matching, mm²: neighbouring cells err alike."""
+    """Covariance of two pairs' distances by matching, mm². Neighbouring cells err alike."""
     near = np.exp(-cdist(comparison.points, comparison.points, "sqeuclidean") / (2 * _REACH_MM**2))
     own, shared = (np.hypot(floor, _EXPECTED_SHARE * comparison.expected_mm) for floor in (_CELL_MM, _COMMON_MM))
     noise: Float64[Array, "n n"] = np.diag(comparison.scatter_mm**2 + own**2) + np.outer(shared, shared) * near
@@ -247,14 +243,14 @@ def observed(
     effects_of: EffectsOf,
     noise_mm2: Callable[[Differences], Float64[Array, "n n"]] = own_noise_mm2,
 ) -> Observed:
-    """Put all observations in one system.
+    """All observations as one linear system.
 
     Args:
-        rig: with which the points were measured.
+        rig: rig with which the points were measured.
         apart: distances between the pairs' surfaces.
         rows: pair → its vertical disparity.
-        covariance: of the calibration; None where it is not known, and passes for motion.
-        effects_of: effects of what is estimated.
+        covariance: covariance of the calibration. None if unknown: its errors then count as motion.
+        effects_of: effects of the unknowns.
         noise_mm2: covariance of two pairs' distances by matching, mm².
     """
     names = () if covariance is None else tuple(n for n in covariance.names if n.rpartition(".")[0] in rig.cameras)
@@ -289,10 +285,10 @@ def observed(
 
 
 def without_outliers(seen: Observed, parameters: MotionParameters) -> Observed:
-    """Leave out cells that no plausible motion explains.
+    """Observations without cells that no plausible motion explains.
 
-    Hair, edges and arms in front of the trunk are examples. Rows of a pair are left out together: they miss one another
-    by pixels without a motion where much of it was matched by chance, as on a pale wall.
+    Such cells are on hair, edges or arms in front of the trunk. All rows of a pair are left out together: they are
+    pixels off without a motion if much of the pair was matched by chance, as on a pale wall.
     """
     keep = np.ones(len(seen.values), dtype=bool)
     std = np.sqrt(seen.variance)
@@ -312,10 +308,10 @@ def without_outliers(seen: Observed, parameters: MotionParameters) -> Observed:
 
 
 def without_contradicted_rows(seen: Observed, parameters: MotionParameters) -> Observed:
-    """Leave out rows of a pair that common skin contradicts.
+    """Observations without rows that common skin contradicts.
 
-    What most probably moved by them alone would put pairs much further apart than they are, and not nearer together:
-    the pair was matched by chance somewhere.
+    The motion that such rows alone suggest would move the pairs much farther apart than they are, and not closer: parts
+    of the pair were matched by chance.
     """
     distance_mm, by_unknown = seen.values[seen.distances], seen.by_unknown[seen.distances]
     keep = np.ones(len(seen.values), dtype=bool)
@@ -331,27 +327,27 @@ def without_contradicted_rows(seen: Observed, parameters: MotionParameters) -> O
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Found:
-    """Motions that the observations show."""
+    """Motions estimated from the observations."""
 
     still: Fit
-    """The best fit without any motion."""
+    """Best fit without any motion."""
     still_rest_mm: float
-    """Disagreement that it leaves beyond the known noise, standard deviation, mm."""
+    """Disagreement that it leaves in addition to the noise, standard deviation, mm."""
     expected: Fit
-    """Mean over all motions, each size weighted by its evidence. Its `log_evidence` is the best one's."""
+    """Mean over all motions, each size weighted by its evidence. `log_evidence` is that of the best one."""
     rest_mm: float
-    """Disagreement that the best motions leave beyond the known noise, standard deviation, mm."""
+    """Disagreement that the best motions leave in addition to the noise, standard deviation, mm."""
     alone: tuple[str, Fit] | None
-    """Camera, or first pair of a group, whose motion alone explains everything equally well, and that fit."""
+    """Camera, or first pair of a group, whose motion alone explains everything as well, and that fit. None if none."""
 
 
 def most_probable(seen: Observed, parameters: MotionParameters, breaths_mm: Sequence[float] = (0.0,)) -> Found:
-    """Find what most probably moved, with smooth motions of one of these sizes.
+    """Most probable motions, with smooth motions of one of these sizes.
 
-    All cameras and groups are drawn from common sizes. That one camera or one group alone moved is asked only to name
-    it: cameras of one pair may turn alike by chance, and the others' motions would then be taken for certain.
+    All cameras have a common size, and all groups. A motion of one camera or group alone is tested only to name it: two
+    cameras of a pair may turn alike by chance, and the others' motions would then seem certain.
     """
-    rests_mm = _RESTS_MM if seen.distances.any() else _RESTS_MM[:1]  # rows alone say nothing of a rest
+    rests_mm = _RESTS_MM if seen.distances.any() else _RESTS_MM[:1]  # rows alone do not determine it
     models = {rest_mm: seen.model(rest_mm) for rest_mm in rests_mm}
     none = np.zeros(parameters.count)
     still_rest_mm = max(models, key=lambda rest_mm: models[rest_mm].log_evidence(none))
@@ -371,7 +367,7 @@ def most_probable(seen: Observed, parameters: MotionParameters, breaths_mm: Sequ
 
 
 def _expected(likely: Sequence[Fit], top: Fit) -> Fit:
-    """Mean and covariance over the likely sizes, by their evidence."""
+    """Mean and covariance over the likely sizes, weighted by their evidence."""
     weights = np.exp([fit.log_evidence - top.log_evidence for fit in likely])
     weights /= weights.sum()
     motions = np.sum([w * fit.motions for w, fit in zip(weights, likely, strict=True)], axis=0)
@@ -383,7 +379,7 @@ def _expected(likely: Sequence[Fit], top: Fit) -> Fit:
 
 
 def _alone(parameters: MotionParameters) -> Iterator[tuple[str, Float64[Array, " p"]]]:
-    """Sizes for one camera that turned, or one group that moved."""
+    """Prior standard deviations for the turn of a single camera, or the motion of a single group."""
     parts = [
         (n, parameters.of_camera(n), (turn, 0.0)) for n in parameters.cameras for turn in np.radians(_TURNS_DEG[1:])
     ]

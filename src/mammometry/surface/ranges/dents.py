@@ -1,8 +1,8 @@
-"""Removal of range data that are no skin of the subject: dents (paper 2.6.2) and foreign pieces.
+"""Removal of range data that are not the subject's skin: dents (paper 2.6.2) and detached pieces.
 
-Dents are smeared depth discontinuities, seen at grazing angles. What lies far behind the subject's middle is
-background, where no silhouette kept it out. What hangs together with the largest surface that the pairs see is the
-subject: smaller pieces that touch it nowhere fly about it.
+Dents are smeared depth discontinuities, seen at grazing angles. Data far behind the subject's centre are background,
+if no silhouette excluded them. Of the connected pieces of all pairs' data, the largest is the subject; detached smaller
+ones are removed.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from mammometry.surface.settings import DecomposeSettings, DentSettings
 
 @value(eq=False)
 class Patches:
-    """Every range image labelled against every other one."""
+    """Each range image labelled against each other one."""
 
     labels: Mapping[tuple[str, str], UInt8[Array, "h w"]]
     """(A, B) → label of each element of A against B (`visibility.Label`). OUTSIDE where A has no datum."""
@@ -33,10 +33,9 @@ class Patches:
 
 
 def decompose(range_images: Sequence[RangeImage], settings: DecomposeSettings = DecomposeSettings()) -> Patches:
-    """Label all range images against one another, and group equal neighbours.
+    """Label all range images against each other, and group equal neighbours into patches (paper 2.6.1).
 
-    Paper 2.6.1. Elements are adjacent by their four sides; those that another view does not see (OUTSIDE) form patches
-    too.
+    Neighbours share a side. Elements that another view does not see (OUTSIDE) form patches too.
     """
     labels: dict[tuple[str, str], UInt8[Array, "h w"]] = {}
     patches: dict[tuple[str, str], Int32[Array, "h w"]] = {}
@@ -64,42 +63,40 @@ def _components(labels: UInt8[Array, "h w"], valid: Bool[Array, "h w"]) -> Int32
 
 
 SEEN_THROUGH_MM = 1.0
-"""Distance in front of another view's surface at which a datum is dropped, mm, besides `SIGMAS` of both."""
+"""Distance in front of another view's surface from which a datum is removed, mm, if above `SIGMAS` of both."""
 _MIN_PATCH = 3  # points that determine a normal
-_SMALLEST_ISLAND = 30  # connected data; fewer are crumbs that the other rules leave (rule ``element``); chosen by eye
-_COMMON_MM = 3.0  # data of two views closer than this show the same skin; chosen by eye
-_ANGLE_STEP_RAD = 2.0**-6  # of the angles handed on, a degree: they shade a picture
+_SMALLEST_ISLAND = 30  # fewest connected data: smaller groups are remains of smeared edges; not critical
+_COMMON_MM = 3.0  # data of two views closer than this count as common, for the figure's choice of a view
+_ANGLE_STEP_RAD = 2.0**-6  # step of the stored angles, about 1°: they are only displayed
 
 
 @value(eq=False)
 class ValidPatches:
-    """The range data that survived, per view."""
+    """The remaining range data of each view."""
 
     range_images: tuple[RangeImage, ...]
     """Same views in the same order, with reduced `valid`."""
     angles_rad: tuple[Float32[Array, "h w"], ...]
-    """Per view and element, angle between local normal and direction to the camera, rad. NaN if unknown.
-
-    In steps of 2^-6.
+    """Per view and element, angle between local normal and direction to the camera, rad. NaN if unknown. Steps of 2^-6.
     """
 
 
 @value(eq=False)
 class KeepMasks:
-    """Masks of the range data that survived. With the range images they give `ValidPatches`."""
+    """Masks of the remaining range data. With the range images they give `ValidPatches`."""
 
     keep: tuple[Bool[Array, "h w"], ...]
-    """Per view and element, whether its datum survived."""
+    """Per view and element, whether its datum remains."""
     angles_rad: tuple[Float32[Array, "h w"], ...]
-    """As of `ValidPatches`."""
+    """As in `ValidPatches`."""
 
     def without(self, masks: Sequence[Bool[Array, "h w"]]) -> KeepMasks:
-        """The views' masks without what other views show, one per view."""
+        """The masks without other masks, one per view."""
         keep = tuple(keep & ~mask for keep, mask in zip(self.keep, masks, strict=True))
         return KeepMasks(keep=keep, angles_rad=self.angles_rad)
 
     def of(self, range_images: Sequence[RangeImage]) -> ValidPatches:
-        """The data that survived, of the views they were chosen from."""
+        """The remaining data of the views."""
         images = tuple(image.keeping(keep) for image, keep in zip(range_images, self.keep, strict=True))
         return ValidPatches(range_images=images, angles_rad=self.angles_rad)
 
@@ -107,15 +104,15 @@ class KeepMasks:
 def remove_dents(
     range_images: Sequence[RangeImage], patches: Patches | None, settings: DentSettings = DentSettings()
 ) -> ValidPatches:
-    """Drop range data at grazing angles or that another view sees through.
+    """Remove range data at grazing angles, or through which another view sees.
 
-    Rule ``patch`` is the paper's (2.6.2): every patch of the decomposition, judged by the normal at its centre.
-    Rule ``element`` judges each datum by its own neighbourhood: a large patch is not flat (METHOD 6.2); it needs no
+    Rule ``patch`` is the paper's (2.6.2): each patch of the decomposition, judged by the normal at its centre. Rule
+    ``element`` judges each datum by its own neighbourhood, since a large patch is not flat (METHOD 6.2), and needs no
     patches.
 
     Raises:
         ValueError: rule ``patch`` without patches.
-        SurfaceError: no datum is left in any view; names the pairs.
+        SurfaceError: no datum remains in any view.
     """
     angles = tuple(map_in_threads(lambda image: image.incidence_rad(settings.neighbourhood_mm), range_images))
     limit = np.radians(settings.angle_deg)
@@ -149,22 +146,22 @@ def remove_dents(
 
 @value(eq=False)
 class DentGrid:
-    """One view decomposed and thresholded in many ways (Fig. 5)."""
+    """One view, decomposed with several thresholds (Fig. 5)."""
 
     name: str
-    """The pair whose range image is decomposed."""
+    """Pair whose range image is decomposed."""
     against: str
-    """The pair against which its elements are labelled."""
+    """Pair against which its elements are labelled."""
     angles_deg: tuple[float, ...]
-    """Thresholds of the patches' angles, degrees. One row each."""
+    """Thresholds of the patches' angles, degrees, one per row."""
     epsilons_mm: tuple[float, ...]
-    """Half-widths of the overlapping zone, mm. One column each."""
+    """Half-widths of the overlapping zone, mm, one per column."""
     labels: UInt8[Array, "e h w"]
     """Per ε: `visibility.Label` of each element. OUTSIDE also where there is no datum."""
     valid: Bool[Array, "h w"]
-    """Where there is a datum."""
+    """Elements with a datum."""
     kept: Bool[Array, "a e h w"]
-    """Per threshold and ε: data that stay."""
+    """Per threshold and ε: data that remain."""
 
 
 def dent_grid(
@@ -176,13 +173,13 @@ def dent_grid(
     epsilons_mm: Sequence[float] = (0.0, 0.1, 1.0, 1.5),
     neighbourhood_mm: float = 5.0,
 ) -> DentGrid:
-    """Decompose one view for several ε and remove dents at several angles.
+    """Decompose one view with several ε, and remove dents at several angles (paper 2.6.1–2, Fig. 5).
 
-    Paper 2.6.1–2, Fig. 5. The paper's rule, patch by patch (Eq. 2–3), in the comparison with one other view. `name` is
-    by default the first view, `against` the one that has most data in common with it.
+    The paper's rule, patch by patch (Eq. 2–3), compared with one other view. Default of `name` is the first view, of
+    `against` the view with most data in common with it.
 
     Raises:
-        SurfaceError: fewer than two views, or a name that is none of theirs.
+        SurfaceError: fewer than two views, or an unknown name.
     """
     views = {image.name: image for image in range_images}
     unknown = [wanted for wanted in (name, against) if wanted is not None and wanted not in views]
@@ -217,11 +214,11 @@ def dent_grid(
 def patch_angle_rad(
     points_world: Float64[Array, "n 3"], centre_camera: Float64[Array, 3], neighbourhood_mm: float
 ) -> float:
-    """Angle between a patch's normal and the camera direction, rad.
+    """Angle between a patch's normal at its centre and the direction to the camera, rad.
 
-    Eq. 2–3, at the patch's centre. P_c is the mean of the patch (Eq. 2); C the covariance about P_c of its points
-    within `neighbourhood_mm` of it (Eq. 3); the normal is C's least significant eigenvector. NaN when fewer than three
-    points lie there (the mean of a ring lies in its hole), for then the patch has no normal.
+    Eq. 2–3: P_c is the mean of the patch (Eq. 2), C the covariance about P_c of its points within `neighbourhood_mm`
+    (Eq. 3). The normal is the eigenvector of C with the smallest eigenvalue. NaN with fewer than three such points, for
+    example if the patch is a ring: then it has no normal.
     """
     centre = points_world.mean(axis=0)
     offsets = points_world - centre
@@ -234,7 +231,7 @@ def patch_angle_rad(
 
 
 def _flat_patches(image: RangeImage, patches: Patches, neighbourhood_mm: float, limit_rad: float) -> Bool[Array, "h w"]:
-    """Elements in no steep patch of any comparison. Nor in a patch of fewer than three elements."""
+    """Elements that are in no steep patch of any comparison, nor in one of fewer than three elements."""
     keep = image.valid.copy()
     for (name, _), numbers in patches.patches.items():
         if name == image.name:
@@ -245,10 +242,10 @@ def _flat_patches(image: RangeImage, patches: Patches, neighbourhood_mm: float, 
 def _patch_angles_rad(
     image: RangeImage, numbers: Int32[Array, "h w"], neighbourhood_mm: float
 ) -> Float64[Array, "h w"]:
-    """Each element's patch's angle, rad.
+    """Angle of each element's patch, rad.
 
     Infinite for patches of fewer than three elements. NaN without datum, and for a large patch without a normal (its
-    centre lies in a hole of its own): the rule says nothing of it.
+    centre is in its own hole), which the rule keeps.
     """
     points = image.points_world()
     angles = [float("nan")]
@@ -262,7 +259,7 @@ def _patch_angles_rad(
 def _seen_through(
     index: int, images: Sequence[RangeImage], angles: Sequence[Float32[Array, "h w"]]
 ) -> Bool[Array, "h w"]:
-    """Elements of view `index` in front of what another view saw. The other view saw it at a better angle."""
+    """Elements of view `index` in front of a surface that another view saw at a better angle."""
     image = images[index]
     points = image.valid_points_world()
     own_sigma = image.sigma_mm[image.valid]
@@ -276,7 +273,7 @@ def _seen_through(
         uv = np.rint(projected(other.camera, points[known])[:, :2]).astype(np.intp)
         sigma, angle = other.sigma_mm[uv[:, 1], uv[:, 0]], other_angle[uv[:, 1], uv[:, 0]]
         tolerance = np.maximum(SEEN_THROUGH_MM, SIGMAS * np.hypot(own_sigma[known], sigma))
-        # A gap along a grazing ray exaggerates the distance between the surfaces: measure it across the surface.
+        # Along a grazing ray a gap exaggerates the distance between the surfaces: measure it across the surface.
         through[known] |= (gap[known] * np.cos(angle) > tolerance) & (angle <= own_angle[known])
     result = np.zeros(image.valid.shape, dtype=bool)
     result[image.valid] = through
@@ -284,30 +281,30 @@ def _seen_through(
 
 
 def _without_islands(keep: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
-    """Drop connected groups of fewer than `_SMALLEST_ISLAND` elements."""
+    """Remove connected groups of fewer than `_SMALLEST_ISLAND` elements."""
     numbers, count = ndimage.label(keep)
     sizes = np.bincount(numbers.ravel(), minlength=count + 1)
     sizes[0] = 0
     return np.asarray(sizes >= _SMALLEST_ISLAND)[numbers]
 
 
-_BEHIND = 1.4  # of the middle's depth, as in `matching.coarse_stereo`
-_STEP_PX = 5.0  # edge of a cell, in pixels' widths on the surface: what lies in cells that touch hangs together; by eye
+_BEHIND = 1.4  # largest depth relative to the centre's, as in `matching.coarse_stereo`
+_STEP_PX = 5.0  # edge of a cell, pixel widths on the surface: gaps of fewer pixels do not separate pieces
 _MOST_CELLS = 256  # along a side
-_SMALLEST = 0.05  # of the largest piece, counted in cells; by eye
+_SMALLEST = 0.05  # smallest piece that is kept, relative to the largest, in cells; used for open surfaces only
 
 
 def subject_data(
     range_images: Sequence[RangeImage], blind: Collection[str], middle_world: Float64[Array, 3] | None
 ) -> list[Bool[Array, "h w"]]:
-    """Per view and element, whether its datum is the subject's.
+    """Per view and element, whether its datum belongs to the subject.
 
-    Where a view has no silhouette the largest piece alone is kept; else also what is not much smaller.
+    If a view has no silhouette, only the largest piece is kept; else also pieces that are not much smaller.
 
     Args:
-        range_images: of all pairs.
+        range_images: range images of all pairs.
         blind: pairs without silhouettes.
-        middle_world: about which the subject stands, world frame, mm.
+        middle_world: centre of the subject, world frame, mm.
     """
     keep = [image.valid.copy() for image in range_images]
     if middle_world is not None:

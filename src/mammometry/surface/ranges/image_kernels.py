@@ -1,28 +1,24 @@
-"""Compiled kernels on range images: local planes, nearest data, gaps.
-
-Their plain NumPy twins stand in tests/unit/surface/.
-"""
+"""Compiled kernels on range images. Plain NumPy versions: tests/unit/surface/."""
 
 import numpy as np
 
 from mammometry.base.machine.compiled import kernel, small_kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32
 
-_LEAST_MASS = 6.0  # data in a window that give a normal: twice what a plane needs
-_FAR = np.int64(1) << 60  # px²: farther than any true pixel, where none is known yet
-_SPREAD = 1e-3  # px⁴: data whose covariance has a smaller determinant lie in a line
+_LEAST_MASS = 6.0  # fewest data in a window for a normal: twice what a plane needs
+_FAR = np.int64(1) << 60  # px²: initial distance, larger than any true one
+_SPREAD = 1e-3  # px⁴: data whose covariance has a smaller determinant are on a line
 
 
 @kernel
 def inverse_depth_planes(
     range_mm: Float32[Array, "h w"], valid: Bool[Array, "h w"], intrinsics: Float64[Array, " 4"], half: int
 ) -> Float32[Array, "h w 3"]:
-    """Normal of an inverse-depth plane around each valid pixel.
+    """Normal of the inverse-depth plane around each valid pixel, camera frame. NaN if unknown.
 
-    The plane is 1/z = a x + b y + c. The normal points towards the camera, in its frame. NaN where unknown. Least
-    squares over the valid data within `half` pixels along both axes. `intrinsics`: fx, fy, cx, cy of the array given.
-    The window's sums run along with it, so the cost does not depend on its size. Unknown where fewer than six data lie
-    in it, or all in a line.
+    It points towards the camera. The plane 1/z = a x + b y + c is a least-squares fit to the valid data within `half`
+    pixels along both axes. `intrinsics`: fx, fy, cx, cy of this array. The window's sums are updated from pixel to
+    pixel, so the cost does not depend on its size. Unknown with fewer than six data, or with all of them on a line.
     """
     height, width = valid.shape
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
@@ -41,7 +37,7 @@ def inverse_depth_planes(
             while bottom < row - half:
                 _add_row(columns, range_mm, valid, bottom, first, fx, fy, cx, cy, -1.0)
                 bottom += 1
-            # One name a sum: an array of nine would be read from memory and written back for every pixel.
+            # One variable per sum: an array of nine would be read from memory and written back for every pixel.
             n, sx, sy, sxx, sxy, syy, sq, sxq, syq = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             for column in range(-half, width):
                 if column + half < width:
@@ -64,7 +60,7 @@ def inverse_depth_planes(
                 cxq, cyq = sxq - sx * mean, syq - sy * mean
                 a = (cyy * cxq - cxy * cyq) / determinant
                 b = (cxx * cyq - cxy * cxq) / determinant
-                # Pixel coordinates about (cx, first row): to ideal ones by the focal lengths.
+                # From pixels relative to (cx, first row) to ideal coordinates, by the focal lengths.
                 c = mean - a * (mx + width * 0.5 - cx) - b * (my + first - cy)
                 a, b = a * fx, b * fy
                 length = np.sqrt(a * a + b * b + c * c)
@@ -116,10 +112,10 @@ def incidence_cosine(normal, x, y):  # type: ignore[no-untyped-def]
 
 @kernel
 def nearest_true(mask: Bool[Array, "h w"]) -> tuple[Int32[Array, "h w"], Int32[Array, "h w"]]:
-    """Row and column of the nearest true pixel, for every pixel.
+    """Row and column of the nearest true pixel, for every pixel. −1 if there is none.
 
-    −1 if `mask` is nowhere true. Vectors to the nearest one are handed on in two sweeps over the picture (Danielsson
-    1980): exact but for rare ties, where it errs by a fraction of a pixel.
+    Vectors to the nearest one are propagated in two sweeps over the image (Danielsson 1980). This is exact except for
+    rare ties, where the error is a fraction of a pixel.
     """
     height, width = mask.shape
     rows = np.full((height, width), -1, dtype=np.int32)
@@ -136,10 +132,7 @@ def nearest_true(mask: Bool[Array, "h w"]) -> tuple[Int32[Array, "h w"], Int32[A
 
 
 def distance_px(mask: Bool[Array, "h w"]) -> Float32[Array, "h w"]:
-    """Distance of every pixel from the nearest true pixel of `mask`.
-
-    0 at true ones. There must be one.
-    """
+    """Distance of every pixel from the nearest true pixel of `mask`, which must have one."""
     return _distances(*nearest_true(mask))
 
 
@@ -155,10 +148,7 @@ def _distances(rows: Int32[Array, "h w"], columns: Int32[Array, "h w"]) -> Float
 
 @kernel
 def _sweep_row(mask, rows, columns, squares, row, towards):  # type: ignore[no-untyped-def]
-    """Take over nearer true pixels from the row before, then from both sides.
-
-    `squares`: room for the row's squared distances.
-    """
+    """Take nearer true pixels from the previous row, then from both sides. `squares`: buffer for squared distances."""
     height, width = rows.shape
     before = row + towards
     for column in range(width):
@@ -198,10 +188,7 @@ def _square(rows, columns, row, column, from_row, from_column):  # type: ignore[
 def ray_directions(
     height: int, width: int, rotation: Float64[Array, "3 3"], intrinsics: Float64[Array, " 4"]
 ) -> Float64[Array, "h w 3"]:
-    """Unit directions through every pixel of an ideal camera, world frame.
-
-    `rotation` is camera_from_world's.
-    """
+    """Unit directions through all pixels, world frame. `rotation`: of camera_from_world."""
     rays = np.empty((height, width, 3))
     for row in range(height):
         y = (row - intrinsics[3]) / intrinsics[1]
@@ -265,10 +252,7 @@ def ray_gaps(
     valid: Bool[Array, "h w"],
     jump_mm: float,
 ) -> Float64[Array, " n"]:
-    """Seen range less distance of each point, mm.
-
-    NaN where the view has no datum. See `visibility.gap_mm`.
-    """
+    """Seen range minus distance of each point, mm. NaN without a datum. See `visibility.gap_mm`."""
     height, width = valid.shape
     gaps = np.full(len(points), np.nan)
     for i in range(len(points)):
@@ -300,12 +284,12 @@ def ray_gaps(
 
 
 @kernel
-def carried_over(
+def resampled(
     image: Float32[Array, "a b"], places: Float64[Array, "n m 2"], height: int, width: int
 ) -> Float32[Array, "h w"]:
-    """Values of an image at places on a coarse grid, bilinear.
+    """Values of an image at positions (row, column) given on a coarse grid, bilinear. 0 outside the image.
 
-    Places are (row, column). 0 outside the image. The grid's ends are those of the result.
+    The grid's ends are those of the result.
     """
     result = np.zeros((height, width), dtype=np.float32)
     place_rows, place_columns = places[..., 0], places[..., 1]
@@ -333,10 +317,10 @@ def _between_four(image, row, column, down, along):  # type: ignore[no-untyped-d
 def outline_distances(
     inside: Bool[Array, "h w"], starts: Float64[Array, "n 2"], steps: Float64[Array, "n 2"], band: float
 ) -> Float32[Array, "h w"]:
-    """Signed distance of every pixel from an outline, pixels, negative inside.
+    """Signed distance of every pixel from an outline, px, negative inside. There must be one.
 
-    There must be one. Within `band` exactly, from the nearest of the short straight pieces (row, column) that the
-    outline consists of; further away from the nearest pixel on either side of it, less or more half a pixel.
+    Within `band` it is exact, from the nearest of the outline's short straight pieces (row, column). Farther away it is
+    the distance from the nearest pixel on either side of the outline, plus or minus half a pixel.
     """
     height, width = inside.shape
     squares = np.full((height, width), np.float32(np.inf))
@@ -381,22 +365,22 @@ def spans(
     least_jump_mm: float,
     tolerance_mm: float,
 ) -> Float32[Array, "h w"]:
-    """Ranges that span gaps between near and far skin, mm.
+    """Ranges of assumed surfaces that span gaps between near and far skin, mm. 0 elsewhere.
 
-    0 elsewhere. Straight along row and column, between two data with nothing but the subject between them. The nearer
-    skin goes on with its own slope, and bends evenly until it meets the farther one. Where row and column both span,
-    the shorter way counts more. Where other views have measured something before the span, skin is hidden by something
-    else than its own shape: nothing is spanned along that line.
+    Spans are along rows and columns, between two data with only the subject between them. The span continues the nearer
+    skin with its slope and bends evenly to meet the farther one. Where a row and a column both span a pixel, the
+    shorter span has more weight. If other views measured something in front of the span, the skin is hidden by another
+    object, and the line has no span.
 
     Args:
-        range_mm: of each pixel.
-        valid: which pixels have a datum.
-        subject: which show the subject.
-        others_mm: range of the nearest datum of other views in each block of pixels, infinite where there is none.
+        range_mm: range of each pixel.
+        valid: pixels with a datum.
+        subject: pixels on the subject.
+        others_mm: range of the nearest datum of other views in each block of pixels, infinite without one.
         block_px: side of a block.
-        slope_px: distance over which the nearer skin's slope is taken.
-        least_jump_mm: both sides' ranges differ by more.
-        tolerance_mm: other views' data lie no further before a span.
+        slope_px: distance over which the nearer skin's slope is measured.
+        least_jump_mm: least difference of the two sides' ranges.
+        tolerance_mm: largest distance of other views' data in front of a span.
     """
     height, width = valid.shape
     total, weight = np.zeros((height, width)), np.zeros((height, width))
@@ -412,7 +396,7 @@ def spans(
                     if last >= 0 and at - last > 1 and abs(ranges[at] - ranges[last]) > least_jump_mm:
                         span = _parabola(ranges, known, last, at, slope_px)
                         agrees = True
-                        for between in range(last + 1 + block_px, at - block_px):  # beside it are the gap's own sides
+                        for between in range(last + 1 + block_px, at - block_px):  # not the gap's own sides
                             if others[between // block_px] < span[between - last - 1] - tolerance_mm:
                                 agrees = False
                         for between in range(last + 1, at if agrees else last + 1):
@@ -434,7 +418,7 @@ def spans(
 def _parabola(
     ranges: Float32[Array, " n"], known: Bool[Array, " n"], last: int, at: int, slope_px: int
 ) -> Float64[Array, " k"]:
-    """Ranges between two data of a line: the nearer one's slope goes on, and bends evenly to meet the farther."""
+    """Ranges between two data of a line: the nearer one's slope, bent evenly to meet the farther one."""
     near, far, inward = (last, at, -1) if ranges[last] < ranges[at] else (at, last, 1)
     start = np.float64(ranges[near])
     chord = (np.float64(ranges[far]) - start) / (at - last)

@@ -1,7 +1,4 @@
-"""Range images: distance to the skin at each pixel (paper 2.4).
-
-The pixels are those of a pair's left camera.
-"""
+"""Range images: distance to the skin at each pixel of a pair's left camera (paper 2.4)."""
 
 from __future__ import annotations
 
@@ -18,26 +15,23 @@ from mammometry.surface.ranges import image_kernels, ray_kernels
 from mammometry.surface.settings import DentSettings, TriangulateSettings
 
 MAX_SIGMA_MM = 3.0
-"""Expected error above which a datum is dropped, mm: it would lie outside every fusion band."""
-_SAMPLES = 100_000  # data of which a median is taken: more change it by less than a thousandth; chosen by eye
-
+"""Largest expected error of a datum, mm: beyond it, it would be outside every fusion band."""
+_SAMPLES = 100_000  # data for a median: more change it by less than a thousandth
 RANGE_STEP_MM = 2.0**-9
-"""Of a range image: its rounding has a σ of .0006 mm, a datum .007 at least (docs/decisions/0039)."""
+"""Step of stored ranges, mm: its rounding has a σ of 0.0006 mm, a datum at least 0.007 mm (docs/decisions/0039)."""
 NORMAL_MM = 1.5
-"""Half-width of the window for a datum's normal, in the first surface and the repair, mm. Chosen by eye."""
+"""Half-width of the window for a datum's normal, in the first surface and the repair, mm. Not critical."""
 NEIGHBOURHOOD_MM = DentSettings().neighbourhood_mm
 """Half-width of the window for a datum's normal where views are compared, mm."""
 SIGMA_FLOOR_MM = 0.05
-"""Added in quadrature to each datum's σ, mm: no datum is better than the calibration."""
+"""Added in quadrature to each datum's σ, mm: no datum is more accurate than the calibration."""
 SIGMAS = 3.0
-"""Multiple of its expected standard deviation above which a difference is no error of measuring."""
+"""Standard deviations above which a difference is not a measurement error."""
 
 
 @value(eq=False)
 class RangeImage:
-    """Range image of one stereo pair.
-
-    |r(i, j)| is the distance from the left perspective centre to the surface.
+    """Range image of one stereo pair: distance |r(i, j)| from the left perspective centre to the surface.
 
     Raises:
         ValueError: arrays of different shapes, a distorted camera, or a valid range that is not positive and finite.
@@ -48,15 +42,13 @@ class RangeImage:
     camera: Camera
     """The pair's rectified left camera (no distortion) at this image's resolution."""
     range_mm: Float32[Array, "h w"]
-    """Euclidean distance from the perspective centre (not the depth z), mm. 0 if not valid. Triangulated in steps of
-    2^-9 mm.
-    """
+    """Euclidean distance from the perspective centre (not the depth z), mm. 0 if not valid. Steps of 2^-9 mm."""
     sigma_mm: Float32[Array, "h w"]
     """Expected standard deviation of `range_mm`, mm. 0 where not valid."""
     confidence: Float32[Array, "h w"]
     """Matching correlation c(i, j) of Eq. 1, −1…1. 0 where not valid."""
     valid: Bool[Array, "h w"]
-    """Where there is a datum."""
+    """Pixels with a datum."""
 
     def __post_init__(self) -> None:
         if np.any(self.camera.distortion):
@@ -77,13 +69,13 @@ class RangeImage:
         return rays
 
     def points_world(self) -> Float64[Array, "h w 3"]:
-        """Surface points P, world frame, mm. NaN where not valid."""
+        """Surface points, world frame, mm. NaN where not valid."""
         points = self.camera.centre_world + self.ray_directions() * self.range_mm[..., None]
         points[~self.valid] = np.nan
         return points
 
     def valid_points_world(self) -> Float64[Array, "n 3"]:
-        """Surface points of the valid elements, world frame, mm. In row order."""
+        """Surface points of the valid elements in row order, world frame, mm."""
         rotation = np.ascontiguousarray(self.camera.camera_from_world.rotation)
         points: Float64[Array, "n 3"] = image_kernels.valid_points(
             self.range_mm, self.valid, rotation, self.camera.centre_world, self.camera.intrinsics
@@ -97,11 +89,11 @@ class RangeImage:
         return float(np.median(ranges) / self.camera.matrix[0, 0]) if len(ranges) else float("nan")
 
     def normals_camera(self, neighbourhood_mm: float = NEIGHBOURHOOD_MM) -> Float32[Array, "h w 3"]:
-        """Unit normals towards the camera, camera frame.
+        """Unit normals towards the camera, camera frame. NaN where not valid or unknown.
 
-        NaN where not valid or too few neighbours. Inverse depth is linear in the image on a plane, ``1/z = a x + b y +
-        c`` with (x, y) = ideal image coordinates: its least-squares fit over the valid data within a square window of
-        half-width `neighbourhood_mm` gives the normal (a, b, c). Fewer than six data, or all in a line, give none.
+        On a plane the inverse depth is linear, ``1/z = a x + b y + c``, in ideal image coordinates (x, y). A
+        least-squares fit over the valid data in a square window of half-width `neighbourhood_mm` gives the normal
+        (a, b, c). It is unknown with fewer than six data, or with all data on a line.
         """
         normals = np.full((*self.camera.shape_hw, 3), np.nan, dtype=np.float32)
         if not self.valid.any():
@@ -127,16 +119,15 @@ class RangeImage:
         return np.arccos(np.clip(cosine, -1.0, 1.0))
 
     def trust(self, taper_mm: float) -> Float32[Array, "h w"]:
-        """Trust in each datum: 0.05 at the data's edge, rising to 1.
+        """Weight of each datum: 0.05 at the edge of the data, rising to 1 at `taper_mm` inside it.
 
-        It reaches 1 `taper_mm` inside, since windows at the edge see past the skin. The picture's own edge is one,
-        too.
+        Windows at the edge extend past the skin. The edge of the image counts as an edge of the data.
         """
         inside = image_kernels.distance_px(np.pad(~self.valid, 1, constant_values=True))[1:-1, 1:-1]
         return np.clip(inside * (self.pixel_mm() / max(taper_mm, 1e-6)), 0.05, 1.0).astype(np.float32)
 
     def keeping(self, keep: Bool[Array, "h w"]) -> RangeImage:
-        """Return the same image with data only where `keep` and valid. The rest is zeroed."""
+        """The same image with data only where `keep` and valid. The rest is 0."""
         valid = self.valid & keep
         zero = np.float32(0)
         return replace(
@@ -149,12 +140,12 @@ class RangeImage:
 
 
 def triangulate(disparity: DisparityMap, settings: TriangulateSettings = TriangulateSettings()) -> RangeImage:
-    """Intersect each left ray with its match's right ray (paper 2.4).
+    """Intersect the rays of each match (paper 2.4).
 
-    The rays of (u, v) in the left and (u − d_H, v − d_V) in the right camera miss each other when d_V ≠ 0; the datum
-    is the point *of the left ray* nearest to the right one, so that |r(i, j)| lies on the ray of element (i, j).
-    Its σ is that of d_H carried through the same geometry. Correspondences that meet behind a camera are not valid.
-    Pixels denser than `spacing_mm` are left out row- and columnwise: the image's camera is that of what is left.
+    The rays of (u, v) in the left and (u − d_H, v − d_V) in the right camera are skew if d_V ≠ 0. The datum is the
+    point *of the left ray* nearest to the right one, so that |r(i, j)| is on the ray of element (i, j). Its σ follows
+    from that of d_H. Rays that meet behind a camera are not valid. Pixels denser than `spacing_mm` are skipped by whole
+    rows and columns, and the image's camera describes the remaining ones.
     """
     step = _step(disparity, settings.spacing_mm)
     thin = (slice(None, None, step), slice(None, None, step))
@@ -184,7 +175,7 @@ def triangulate(disparity: DisparityMap, settings: TriangulateSettings = Triangu
 def _intersected(
     disparity: DisparityMap, rows: Int64[Array, " n"], columns: Int64[Array, " n"]
 ) -> tuple[Float64[Array, " n"], Float64[Array, " n"], Float64[Array, " n"]]:
-    """Distances along both rays, and σ of the left one, mm. Only for the given pixels."""
+    """Distances along both rays and σ of the left one, mm, for the given pixels."""
     left, right = disparity.left, disparity.right
     left_from_right = left.camera_from_world.rotation @ right.camera_from_world.rotation.T
     baseline = left.camera_from_world.rotation @ (right.centre_world - left.centre_world)
@@ -203,10 +194,7 @@ def _intersected(
 
 
 def _step(disparity: DisparityMap, spacing_mm: float) -> int:
-    """Step between pixels that keeps neighbours within `spacing_mm`.
-
-    On the surface. 1 if pixels are wider.
-    """
+    """Largest step between pixels that keeps neighbours within `spacing_mm` on the surface. At least 1."""
     rows, columns = np.nonzero(disparity.valid)
     some = slice(None, None, max(1, len(rows) // (_SAMPLES // 10)))
     distance = _intersected(disparity, rows[some], columns[some])[0]
@@ -215,7 +203,7 @@ def _step(disparity: DisparityMap, spacing_mm: float) -> int:
 
 
 def thinned_camera(camera: Camera, step: int) -> Camera:
-    """Camera of an image thinned to every `step`-th pixel and row. Counted from the first."""
+    """Camera of an image of which every `step`-th row and column is kept, from the first."""
     width, height = camera.size_wh
     scale = np.array([1.0 / step, 1.0 / step, 1.0])
     return replace(camera, size_wh=(-(-width // step), -(-height // step)), matrix=camera.matrix * scale[:, None])

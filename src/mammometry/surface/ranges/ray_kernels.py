@@ -1,14 +1,11 @@
-"""Compiled kernel: where the rays of matched pixels meet.
-
-Its plain NumPy twin stands in tests/unit/surface/.
-"""
+"""Compiled kernel: intersection of matched pixels' rays. Plain NumPy version: tests/unit/surface/."""
 
 import numpy as np
 
 from mammometry.base.machine.compiled import kernel, small_kernel
 from mammometry.geometry.arrays import Array, Float64, Int64
 
-_SLOPE_STEP_PX = 0.05  # of the disparity, on either side, for the slope of the distance; chosen by eye
+_SLOPE_STEP_PX = 0.05  # of the disparity, for the central difference of the distance: any small step
 
 
 @kernel
@@ -22,18 +19,18 @@ def meetings(
     left_from_right: Float64[Array, "3 3"],
     baseline: Float64[Array, " 3"],
 ) -> tuple[Float64[Array, " n"], Float64[Array, " n"], Float64[Array, " n"]]:
-    """Distances along both rays to where they meet.
+    """Distances along both rays to their closest points, mm, and the left one's slope, mm/px.
 
-    Both to where the rays are nearest, mm; third, how much the left one changes with d_H, mm/px. Rays of (column, row)
-    in the left camera and (column − d_H, row − d_V) in the right one. Neither has distortion.
+    The slope is the derivative by d_H. The rays are those of (column, row) in the left and (column − d_H, row − d_V) in
+    the right camera, both undistorted.
 
     Args:
-        rows: of the left pixels.
-        columns: likewise.
-        d_h_px: horizontal disparities.
-        d_v_px: vertical ones.
-        left: fx, fy, cx, cy.
-        right: likewise.
+        rows: rows of the left pixels.
+        columns: their columns.
+        d_h_px: their horizontal disparities.
+        d_v_px: their vertical disparities.
+        left: fx, fy, cx, cy of the left camera.
+        right: fx, fy, cx, cy of the right camera.
         left_from_right: rotation between the camera frames.
         baseline: right perspective centre in the left camera's frame, mm.
     """

@@ -1,7 +1,7 @@
-"""Hair, straps and cords before the skin: long, narrow, nearer and far darker than its surroundings.
+"""Hair, straps and cords in front of the skin.
 
-Matching measures them as if they were skin. Colour alone does not tell, for a fold, a scar or a tattoo may be as dark;
-nor does depth, for a nipple stands out as far. What is long, dark, and before its surroundings is no skin.
+They are long, narrow, nearer and much darker than the skin around them. Matching measures them like skin. A dark fold,
+scar or tattoo is not nearer than its surroundings, and a nipple is not long. All limits here are not critical.
 """
 
 import numpy as np
@@ -14,23 +14,22 @@ from mammometry.matching.foreground.foreground import blocks_of
 from mammometry.surface.ranges.range_image import SIGMAS, RangeImage
 
 EDGE_PX = 6.0
-"""Of data beside an edge that lean towards what is there, at the foreground's reference size: half a window. Chosen by
-eye.
+"""Width of the band beside an edge whose data are biased by it, px at the foreground's reference size: half a window.
 """
-_WIDEST_MM = 16.0  # of what is narrow: areolae and the shade below a breast are wider; chosen by eye
-_LONGER_MM = 25.0  # than this, across which no nipple is; chosen by eye
-_DARK = 0.5  # of its surroundings' encoded luma: hair .1 to .45, nipples .6 and more; chosen by eye
-_BEFORE_MM = 1.0  # before its surroundings, besides `SIGMAS` of the datum's own σ; chosen by eye
-_STANDING = 0.25  # of a dark place's data that stand out: the rest of a strand lies on the skin; chosen by eye
+_WIDEST_MM = 16.0  # largest width: areolae and the shade below a breast are wider
+_LONGER_MM = 25.0  # smallest length: more than a nipple's
+_DARK = 0.5  # largest luma relative to the surroundings: hair has 0.1 to 0.45, nipples at least 0.6
+_BEFORE_MM = 1.0  # least distance in front of the surroundings, if above `SIGMAS` of the datum's own σ
+_STANDING = 0.25  # least share of a dark place's data in front: the rest of a strand touches the skin
 
 
 def strands_in(image: RangeImage, photograph: Photograph, camera: Camera) -> Bool[Array, "h w"]:
-    """Mask of the data that show something dark, long and narrow before the skin, and of those beside it.
+    """Mask of the data on strands in front of the skin, and of data beside them.
 
     Args:
-        image: of a pair.
-        photograph: of one of its cameras.
-        camera: that took it.
+        image: range image of a pair.
+        photograph: photograph of one of its cameras.
+        camera: that camera.
     """
     shape, blocks = image.valid.shape, blocks_of(photograph)
     step = blocks.step
@@ -62,7 +61,7 @@ def strands_in(image: RangeImage, photograph: Photograph, camera: Camera) -> Boo
 
 
 def _levelled(values: Float32[Array, "h w"], width: float) -> Float32[Array, "h w"]:
-    """Values without valleys narrower than a width, blocks. What is −∞ is not known."""
+    """Values without valleys narrower than a width in blocks (a closing). −∞ is unknown."""
     size = max(3, round(width) | 1)
     highest = ndimage.maximum_filter(values, size)
     return np.asarray(ndimage.minimum_filter(np.where(highest == -np.inf, np.float32(np.inf), highest), size))

@@ -1,12 +1,6 @@
-"""Comparison of world points with what one view saw.
+"""Comparison of world points with the surface that a view saw. Labels as in docs/conventions.md.
 
-No other module does this. The paper uses the same words for opposite things. Section 2.5 calls a cube *visible* when
-it lies in front of the surface; section 2.6.1 calls a point *visible* when it lies behind the other range image's
-surface. Ours (2.5; 2.6.1): `IN_FRONT` (visible; invisible), `BEHIND` (invisible; visible), `OVERLAPPING` (on surface;
-overlapping), `OUTSIDE` (not said; unprocessed).
-
-The compiled form of the same comparison, for the millions of cubes of the first surface, is
-`field_kernels.sample_field`.
+`field_kernels.sample_field` is the compiled form for the millions of cubes of the first surface.
 """
 
 from collections.abc import Sequence
@@ -21,38 +15,36 @@ from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
 from mammometry.surface.ranges import image_kernels
 from mammometry.surface.ranges.range_image import SIGMAS, RangeImage
 
-_AGREEMENT_SAMPLES = 20000  # data of a view that are compared: their median is good to 1 %
+_AGREEMENT_SAMPLES = 20000  # data of a view that are compared: their median is accurate to 1 %
 JUMP_MM = 5.0
-"""Ranges that differ by more show two surfaces, mm. Chosen by eye."""
-_APART_MM = 1.0  # in the median, that views may be at most
-_FEWEST_COMMON = 500  # data of two views, before they are compared
-_CULPRIT_RATIO = 1.2  # a pair is named as the moved one where its differences exceed the next by this; chosen by eye
-_ALIKE_DEG = 20.0  # between normals of two views that show the same skin; chosen by eye
+"""Difference of ranges above which they belong to two surfaces, mm. Not critical."""
+_APART_MM = 1.0  # largest median distance between two views
+_FEWEST_COMMON = 500  # data that two views need in common to be compared
+_CULPRIT_RATIO = 1.2  # ratio to the next pair's differences from which a pair is named as the moved one
+_ALIKE_DEG = 20.0  # largest angle between normals of two views on the same skin; not critical
 LEAST_COSINE = 0.5
-"""60° off the normal: data seen more obliquely are not compared, and skin may end there."""
+"""60° from the normal: data at larger angles are not compared, and skin may end there."""
 
 
 class Label(IntEnum):
     """Position of a point relative to the surface that a view saw."""
 
     OUTSIDE = 0
-    """No datum there: the view says nothing."""
+    """Outside the image, or no datum there."""
     IN_FRONT = 1
-    """Between camera and seen surface: free space to that view."""
+    """Between the camera and the surface: free space."""
     OVERLAPPING = 2
     """Within ε of the seen surface."""
     BEHIND = 3
-    """Beyond the seen surface: hidden from that view."""
+    """Behind the surface: hidden from the view."""
 
 
 def gap_mm(points_world: Float64[Array, "n 3"], range_image: RangeImage) -> Float64[Array, " n"]:
-    """Signed distance along the ray to the seen surface, mm.
+    """Signed distance |r_B(m, n)| − D along the ray from points to the surface that a view saw, mm.
 
-    |r_B(m, n)| − D.
-
-    D is the point's distance from the perspective centre. Positive in front of the surface, negative behind;
-    NaN where the view has no datum at the nearest element, outside the image and behind the camera. Between four
-    data of one surface the range is interpolated: at 70° half a pixel would otherwise already be a disagreement.
+    D is the point's distance from the perspective centre. Positive in front of the surface, negative behind it; NaN
+    where the nearest element has no datum, outside the image and behind the camera. Between four data on one surface
+    the range is interpolated: at 70°, half a pixel would be a disagreement.
     """
     transform = range_image.camera.camera_from_world
 
@@ -71,10 +63,9 @@ def gap_mm(points_world: Float64[Array, "n 3"], range_image: RangeImage) -> Floa
 
 
 def compare(points_world: Float64[Array, "n 3"], range_image: RangeImage, epsilon_mm: float) -> UInt8[Array, " n"]:
-    """Label world points against one range image (paper 2.6.1).
+    """Label world points, mm, against one range image (paper 2.6.1). Overlapping is |r_B − D| ≤ ε.
 
-    Overlapping is |r_B − D| ≤ ε. World frame, mm. Departure: the paper prints the overlapping case without the
-    absolute value, which would contradict its others.
+    The paper prints the overlapping case without the absolute value, which contradicts its other cases.
     """
     gap = gap_mm(points_world, range_image)
     labels = np.full(gap.shape, Label.OUTSIDE, dtype=np.uint8)
@@ -86,16 +77,15 @@ def compare(points_world: Float64[Array, "n 3"], range_image: RangeImage, epsilo
 
 
 def check_agreement(range_images: Sequence[RangeImage]) -> None:
-    """Refuse views that contradict one another.
+    """Refuse views that contradict each other: a camera has moved, or the calibration is wrong.
 
-    A camera has moved, or the calibration is wrong. Two views are compared where their surfaces face the same way and
-    neither may hide the other: half of those data must lie within a millimetre of one another, along
-    the normal, or within three times what their own expected errors make (σ) where that is more, as in small or noisy
-    photographs of weak texture. Clean captures stay below .1 mm, and half of honest errors below .7 σ. Views with
-    fewer than 500 common data are not compared.
+    Two views are compared where their surfaces face the same way and neither can hide the other. The median distance
+    along the normal must be at most 1 mm, or three expected standard deviations (σ) if that is more, as in small or
+    noisy photographs of weak texture. Clean captures have less than 0.1 mm and 0.7 σ. Views with fewer than 500 common
+    data are not compared.
 
     Raises:
-        SurfaceError: names the pairs that disagree, and the one that disagrees most where it stands out.
+        SurfaceError: lists the pairs that disagree, and the one that disagrees most if it is clearly the worst.
     """
     found = disagreement_mm(range_images)
     differences = {names: distance_mm for names, (distance_mm, _) in found.items()}
@@ -120,10 +110,10 @@ def check_agreement(range_images: Sequence[RangeImage]) -> None:
 
 
 def disagreement_mm(range_images: Sequence[RangeImage]) -> dict[tuple[str, str], tuple[float, float]]:
-    """Median distance along the normal between each two views, mm.
+    """Pairs of views → median distance along the normal and its expected σ, mm.
 
-    Only where both face alike (20°). Its expected σ comes with it. Data that neither sees within 60° of its normal are
-    left out; so are views with fewer than 500 common data.
+    Compared are data whose normals agree (20°) and that both views see within 60° of the normal. View pairs with fewer
+    than 500 such data are left out.
     """
     normals = map_in_threads(RangeImage.normals_camera, range_images)
     result: dict[tuple[str, str], tuple[float, float]] = {}
@@ -143,11 +133,10 @@ def disagreement_mm(range_images: Sequence[RangeImage]) -> dict[tuple[str, str],
 def _distances_across(
     image: RangeImage, normals: Float32[Array, "h w 3"], other: RangeImage, other_normals: Float32[Array, "h w 3"]
 ) -> Float64[Array, "n 2"]:
-    """Unsigned distances of one view's data from the other's surface, mm.
+    """Unsigned distances of a view's data from the other's surface along the normal, mm, and their expected σ.
 
-    Along the normal, where both face alike. Beside each the standard deviation of it that both data's own expected
-    errors make. Data far behind are left out: the other's surface may hide them. Where two views do contradict one
-    another, what lies behind for one of them stands in front for the other.
+    Data far behind are left out, since the other's surface may hide them: of two views that contradict each other, one
+    has its data in front of the other's surface.
     """
     common = common_skin(image, normals, other, other_normals)
     shown = common.distance_mm > -JUMP_MM
@@ -156,32 +145,32 @@ def _distances_across(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CommonSkin:
-    """Some data of one view, where another one sees the same skin."""
+    """Data of one view on skin that another view sees too."""
 
     points: Float64[Array, "n 3"]
     """World frame, mm."""
     normals: Float64[Array, "n 3"]
-    """The other surface's, towards its camera, world frame."""
+    """Normals of the other surface, towards its camera, world frame."""
     own_cosine: Float64[Array, " n"]
     """Cosine between the view's own normal and its line of sight."""
     distance_mm: Float64[Array, " n"]
     """Distance from the other surface along its normal. Positive in front of it."""
     sigma_mm: Float64[Array, " n"]
-    """Standard deviation of that, from both data's expected errors."""
+    """Standard deviation of that distance, from the expected errors of both data."""
 
 
 def common_skin(
     image: RangeImage, normals: Float32[Array, "h w 3"], other: RangeImage, other_normals: Float32[Array, "h w 3"]
 ) -> CommonSkin:
-    """Compare up to 20,000 of a view's data with another view.
+    """Compare up to 20,000 data of a view with another view, where both see the same skin.
 
-    Only where both face alike (20°). Data that the other view sees more than 60° off their normal are left out.
+    The normals must agree (20°), and the other view must see the data within 60° of their normal.
 
     Args:
         image: the view.
         normals: its `RangeImage.normals_camera`.
-        other: to compare with.
-        other_normals: its own.
+        other: the view to compare with.
+        other_normals: its `RangeImage.normals_camera`.
     """
     stride = max(1, int(image.valid.sum()) // _AGREEMENT_SAMPLES)
     rows, columns = (index[::stride] for index in np.nonzero(image.valid))

@@ -1,4 +1,4 @@
-"""Plausible points: closest valid datum of each vertex, and similarity."""
+"""Plausible points: closest valid datum of each vertex, and its similarity."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from mammometry.surface.ranges.range_image import NORMAL_MM, SIGMA_FLOOR_MM, Ran
 from mammometry.surface.repair import elastic_kernels
 from mammometry.surface.settings import TAPER_MM
 
-_SPACINGS = 0.5  # between data, in spacings of the mesh; chosen by eye
-_BESIDE_SPACINGS = 0.75  # a datum's own ground: half a spacing each way, and its diagonal
-_LEAST_COSINE = 0.05  # 87°: a smaller cosine would divide the spacing to infinity
+_SPACINGS = 0.5  # spacing of the data over the mesh's; not critical
+_TANGENTIAL_SPACINGS = 0.75  # reach of a datum, in spacings: half a spacing along each axis, so 0.71 diagonally
+_LEAST_COSINE = 0.05  # 87°: with a smaller cosine the spacing on the surface becomes infinite
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gates:
-    """Limits of plausible data for a vertex: the constants of `repair` of the same names."""
+    """Limits for plausible data of a vertex: the constants of `repair` with the same names."""
 
     reach_mm: float
     normal_angle_deg: float
@@ -32,35 +32,35 @@ class Gates:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ViewData:
-    """Valid data of one view for searching, thinned to the mesh's spacing."""
+    """Valid data of one view for the search, thinned to the mesh's spacing."""
 
     camera: Camera
-    """The view's. The pixels are those of the thinned data."""
+    """The view's camera, with the pixels of the thinned data."""
     points: Float32[Array, "h w 3"]
     """Camera frame, mm. NaN where there is no datum."""
     normals: Float32[Array, "h w 3"]
     """Towards the camera, camera frame."""
     rows: Int32[Array, "h w"]
     columns: Int32[Array, "h w"]
-    """The datum nearest to each pixel."""
+    """Row and column of the datum nearest to each pixel."""
     sigma_mm: Float32[Array, "h w"]
     """Expected standard deviation across the surface, mm."""
     cosine: Float32[Array, "h w"]
     """Cosine of the angle between normal and line of sight."""
     spacing_mm: float
-    """Between data that face the camera, mm."""
+    """Distance between data that face the camera, mm."""
     trust: Float32[Array, "h w"]
-    """0.05 at the edge of the view's data, rising to 1 inside, since windows at the edge see past the surface."""
+    """Weight: 0.05 at the edge of the view's data, rising to 1 inside (`RangeImage.trust`)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Correspondences:
-    """For each vertex what the range data say of its place."""
+    """Target and weight of each vertex from the range data."""
 
     found: Bool[Array, " n"]
-    """The paper's TRUE: a plausible point exists."""
+    """The paper's TRUE: vertices with a plausible point."""
     targets: Float64[Array, "n 3"]
-    """ṽ: place of the vertex according to the data, mm. The vertex itself if nothing was found."""
+    """ṽ: position of the vertex according to the data, mm. Its own position if nothing was found."""
     similarity: Float64[Array, " n"]
     """ω of Eq. 5, 0…1."""
     sigma_mm: Float32[Array, " n"]
@@ -72,10 +72,7 @@ class Correspondences:
 def view_data(
     image: RangeImage, spacing_mm: float, normal_mm: float = NORMAL_MM, taper_mm: float = TAPER_MM
 ) -> ViewData | None:
-    """Valid data of a view, thinned and with normals. None without data.
-
-    The spacing is about half the mesh's.
-    """
+    """Valid data of a view with normals, thinned to about half the mesh's spacing. None without data."""
     if not image.valid.any():
         return None
     stride = max(1, int(_SPACINGS * spacing_mm / image.pixel_mm()))
@@ -104,13 +101,13 @@ def view_data(
 def correspond(
     vertices: Float64[Array, "n 3"], normals: Float64[Array, "n 3"], views: list[ViewData | None], gates: Gates
 ) -> Correspondences:
-    """Each vertex's plausible point on the valid range data.
+    """Plausible point of each vertex on the valid range data: ṽ and ω of Eq. 5.
 
-    ṽ and ω of Eq. 5. In each view the nearest datum; plausible when it lies within `reach_mm`, faces the same way
-    within `normal_angle_deg` and lies beside the vertex by at most `tangential_mm` (or three quarters of the data's
-    spacing, where that is more). The target is the vertex's foot on the datum's tangent plane, the similarity ω =
-    cos²(angle between the normals) · exp(−(distance/`similarity_mm`)²), less near the edge of a view's data. Of
-    several views the closest counts (the paper), or with `blend` their mean, weighted by cos²/(σ² + floor²).
+    The nearest datum of each view is plausible if it is within `reach_mm`, its normal within `normal_angle_deg`, and
+    its tangential distance at most `tangential_mm` (or three quarters of the data's spacing, if that is more). The
+    target is the vertex's foot on the datum's tangent plane. The similarity is ω = cos²(angle between the normals) ·
+    exp(−(distance/`similarity_mm`)²), less near the edge of a view's data. Of several views the closest datum counts
+    (the paper), or with `blend` their mean, weighted by cos²/(σ² + floor²).
     """
 
     def of(band: slice) -> Correspondences:
@@ -124,7 +121,7 @@ def correspond(
 def _correspond(
     vertices: Float64[Array, "n 3"], normals: Float64[Array, "n 3"], views: list[ViewData | None], gates: Gates
 ) -> Correspondences:
-    """Correspondences of some vertices."""
+    """Correspondences of some of the vertices."""
     n = len(vertices)
     nearest = np.full(n, np.inf)
     total, weight = np.zeros((n, 3)), np.zeros(n)
@@ -141,11 +138,11 @@ def _correspond(
         offset = view.camera.centre_world + _at(view.points, number).astype(np.float64) @ rotation - vertices[index]
         height = np.einsum("ij,ij->i", offset, normal)
         alike = np.einsum("ij,ij->i", normal, normals[index])
-        beside2 = np.einsum("ij,ij->i", offset, offset) - height**2
-        beside_limit = np.maximum(gates.tangential_mm, _BESIDE_SPACINGS * view.spacing_mm / _at(view.cosine, number))
-        plausible = (alike > np.cos(float(np.radians(gates.normal_angle_deg)))) & (beside2 <= beside_limit**2)
+        tangential2 = np.einsum("ij,ij->i", offset, offset) - height**2
+        limit_mm = np.maximum(gates.tangential_mm, _TANGENTIAL_SPACINGS * view.spacing_mm / _at(view.cosine, number))
+        plausible = (alike > np.cos(float(np.radians(gates.normal_angle_deg)))) & (tangential2 <= limit_mm**2)
         index, number, height, normal = index[plausible], number[plausible], height[plausible], normal[plausible]
-        beside2, trust = beside2[plausible], _at(view.trust, number)
+        tangential2, trust = tangential2[plausible], _at(view.trust, number)
         omega = alike[plausible] ** 2 * np.exp(-((height / gates.similarity_mm) ** 2)) * trust
         bits[index] |= np.int32(1 << k)
         variance = _at(view.sigma_mm, number) ** 2 + SIGMA_FLOOR_MM**2
@@ -156,7 +153,7 @@ def _correspond(
             weight[index] += share
             similarity[index] += share * omega
         else:
-            distance2 = height**2 + beside2
+            distance2 = height**2 + tangential2
             closer = distance2 < nearest[index]
             index = index[closer]
             nearest[index] = distance2[closer]

@@ -1,6 +1,6 @@
-"""Compiled kernels of the elastic repair: neighbours, rings, conjugate gradient, plausible points.
+"""Compiled kernels of the elastic repair: neighbours, rings, conjugate gradients, plausible points.
 
-Their plain NumPy twins stand in tests/unit/surface/.
+Plain NumPy versions: tests/unit/surface/.
 """
 
 import numpy as np
@@ -8,12 +8,12 @@ import numpy as np
 from mammometry.base.machine.compiled import kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64
 
-_STEPS = 6  # of the walk to the nearest datum, at most; chosen by eye
+_STEPS = 6  # most steps of the walk to the nearest datum; it ends earlier when the datum does not change
 
 
 @kernel
 def adjacency(n: int, edges: Int32[Array, "e 2"]) -> tuple[Int64[Array, " n1"], Int32[Array, " k"]]:
-    """Each vertex's neighbours in rising order, once, as (indptr, indices). Edges may be given repeatedly."""
+    """Neighbours of each vertex in ascending order, as (indptr, indices). Edges may be repeated."""
     start = np.zeros(n + 1, dtype=np.int64)
     for edge in range(len(edges)):
         start[edges[edge, 0] + 1] += 1
@@ -34,7 +34,7 @@ def adjacency(n: int, edges: Int32[Array, "e 2"]) -> tuple[Int64[Array, " n1"], 
         last = start[vertex + 1]
         row = all_of_them[first:last]
         first = last
-        for i in range(1, len(row)):  # a dozen or so: insertion is quickest
+        for i in range(1, len(row)):  # about a dozen: insertion sort is fastest
             value, j = row[i], i - 1
             while j >= 0 and row[j] > value:
                 row[j + 1] = row[j]
@@ -50,7 +50,7 @@ def adjacency(n: int, edges: Int32[Array, "e 2"]) -> tuple[Int64[Array, " n1"], 
 
 
 @kernel
-def carried(
+def propagate(
     indptr: Int64[Array, " n1"],
     indices: Int32[Array, " k"],
     vertices: Float64[Array, "n 3"],
@@ -58,10 +58,7 @@ def carried(
     away_mm: Float64[Array, " n"],
     known: Int64[Array, " q"],
 ) -> None:
-    """Fill `values` and `away_mm` ring by ring, in place.
-
-    `away_mm` is infinite where not known. See `repair.propagate`.
-    """
+    """Fill `values` and `away_mm` (infinite: unknown) ring by ring, in place: `repair.propagate`."""
     frontier = known
     width = values.shape[1]
     while len(frontier) > 0:
@@ -74,7 +71,7 @@ def carried(
             for entry in range(indptr[vertex], indptr[vertex + 1]):
                 neighbour = indices[entry]
                 if np.isinf(away_mm[neighbour]):
-                    away_mm[neighbour] = -1.0  # of the ring that is being filled
+                    away_mm[neighbour] = -1.0  # in the ring that is being filled
                     fresh[count] = neighbour
                     count += 1
         fresh = fresh[:count]
@@ -109,15 +106,15 @@ def minimised(
     indices: Int32[Array, " k"],
     external: Float32[Array, " n"],
     internal: float,
-    wish: Float32[Array, "n 3"],
+    targets: Float32[Array, "n 3"],
     start: Float32[Array, "n 3"],
     tolerance: float,
     most: int,
 ) -> tuple[Float32[Array, "n 3"], int]:
-    """Solve (Ω + internal · L) δ = Ω wish, counting iterations.
+    """Solve (Ω + internal · L) δ = Ω targets by conjugate gradients. Returns δ and iterations.
 
-    Conjugate gradients, preconditioned by the diagonal. Ω = diag(external), L the graph Laplacian: it is never stored.
-    Stops when every coordinate's residual is below `tolerance` times its right side's norm.
+    Preconditioned by the diagonal. Ω = diag(external); the graph Laplacian L is never stored. Stops when every
+    coordinate's residual is below `tolerance` times the norm of its right side.
     """
     n = len(external)
     stiffness = np.float32(internal)
@@ -138,7 +135,7 @@ def minimised(
             s0 += x[j, 0]
             s1 += x[j, 1]
             s2 += x[j, 2]
-        b0, b1, b2 = external[i] * wish[i, 0], external[i] * wish[i, 1], external[i] * wish[i, 2]
+        b0, b1, b2 = external[i] * targets[i, 0], external[i] * targets[i, 1], external[i] * targets[i, 2]
         r0 = b0 - weight * x[i, 0] + stiffness * s0
         r1 = b1 - weight * x[i, 1] + stiffness * s1
         r2 = b2 - weight * x[i, 2] + stiffness * s2
@@ -216,11 +213,11 @@ def feet(
     columns: Int32[Array, "h w"],
     reach_mm: float,
 ) -> Int64[Array, " n"]:
-    """Flat number of the datum nearest to each vertex, −1 for none.
+    """Flat index of the datum nearest to each vertex, to within a datum's spacing. −1 if there is none.
 
-    Exact to within a datum's spacing. From the datum under the vertex (or the one nearest to that pixel: `rows`,
-    `columns`) the search walks to the datum under the vertex's foot on the tangent plane, until it stays. `points` and
-    `normals` are in the camera's frame, NaN where there is no datum.
+    The search starts at the datum under the vertex (or nearest to that pixel: `rows`, `columns`) and steps to the datum
+    under the vertex's foot on the tangent plane, until it does not change. `points` and `normals` are in the camera's
+    frame, NaN without a datum.
     """
     height, width = rows.shape
     found = np.full(len(vertices), -1, dtype=np.int64)
@@ -261,7 +258,7 @@ def feet(
 def turned_over(
     vertices: Float64[Array, "n 3"], moved: Float64[Array, "n 3"], faces: Int32[Array, "m 3"]
 ) -> Bool[Array, " m"]:
-    """Mask of the faces whose normals turn over 90° when the vertices move."""
+    """Mask of the faces whose normals turn by more than 90° when the vertices move."""
     turned = np.zeros(len(faces), dtype=np.bool_)
     for face in range(len(faces)):
         a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]

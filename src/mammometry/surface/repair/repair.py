@@ -1,4 +1,4 @@
-"""Elastic repair of the first surface towards valid data (paper 2.6.3)."""
+"""Elastic repair of the first surface to the valid range data (paper 2.6.3)."""
 
 from __future__ import annotations
 
@@ -21,42 +21,40 @@ from mammometry.surface.repair.untangle import touching, without_crossings, with
 from mammometry.surface.settings import RepairSettings
 
 FALSE_WEIGHT = 0.2
-"""ω of a vertex without plausible point, which keeps the displacement of its neighbours. Without any weight the
-solution needs many times the iterations.
-"""
+"""ω of a vertex without a plausible point, whose target is its neighbours' displacement. With 0 the solution needs many
+times the iterations."""
 REACH_MM = 4.0
-"""A datum further from the vertex than this is not plausible, mm."""
+"""Largest distance of a plausible datum from the vertex, mm."""
 NORMAL_ANGLE_DEG = 45.0
-"""Nor one whose normal differs by more, degrees."""
+"""Largest angle between the normals of vertex and plausible datum, degrees."""
 TANGENTIAL_MM = 0.8
-"""Largest distance of a datum beside the vertex, mm. Further off, the vertex is beyond the edge of the data."""
+"""Largest tangential distance of a datum, mm. Beyond it, the vertex is outside the data."""
 SIMILARITY_MM = 2.0
-"""Distance at which the similarity ω has fallen to 1/e, mm."""
+"""Distance at which the similarity ω is 1/e, mm."""
 REPAIRED_REACH_MM, BRIDGED_REACH_MM = 2.0, 15.0
-"""Distances from measured vertices, along the surface, up to which a vertex without datum counts as repaired, and as
-bridged, mm. Repaired skin is off by .7 mm on average, bridged skin by millimetres (docs/decisions/0026).
-"""
+"""Distance from measured vertices along the surface up to which a vertex without a datum counts as repaired, and as
+bridged, mm. Errors: repaired skin 0.7 mm on average, bridged skin millimetres (docs/decisions/0026)."""
 _MAX_ITERATIONS = 400  # of the conjugate gradients; about 125 are usual (docs/decisions/0007)
 _TOLERANCE = 1e-3  # relative residual at which they stop; 1e-6 changed nothing
-_FADED = 10.0  # fading lengths after which a displacement is nothing: e⁻¹⁰ of it is left
+_FADED = 10.0  # fading lengths after which a displacement is negligible: e⁻¹⁰
 
 
 class Provenance(IntEnum):
-    """Origin of a vertex. The numbers stand in mesh.ply, and stay."""
+    """Origin of a vertex. The numbers are stored in mesh.ply and must not change."""
 
     INVENTED = 0
-    """Nothing was seen there: closed plainly."""
+    """Nothing was measured there: closed smoothly."""
     REPAIRED = 1
-    """No range datum of its own, but measured skin beside it. Moved along with its neighbours."""
+    """Without a datum of its own, next to measured skin. Displaced with its neighbours."""
     MEASURED = 2
-    """Drawn to range data of at least one pair."""
+    """Fitted to range data of at least one pair."""
     BRIDGED = 3
-    """Between measured places or beyond their edge, as over folds and in armpits. Skin is not claimed there."""
+    """Between measured places or beyond their edge, as over folds and in armpits. Not counted as skin."""
 
 
 @value(eq=False)
 class RepairedSurface:
-    """The repaired mesh and where each of its vertices comes from."""
+    """The repaired mesh and the origin of each vertex."""
 
     mesh: TriangleMesh
     """Same faces as the first surface. World frame, mm."""
@@ -67,15 +65,15 @@ class RepairedSurface:
     pair_bits: Int32[Array, " n"]
     """Bit k set: pair `pair_names[k]` measured this vertex."""
     pair_names: tuple[str, ...]
-    """The pairs that the bits stand for, in order."""
+    """The pairs of these bits, in order."""
     convergence: Float64[Array, " rounds"]
-    """RMS movement in each round, mm, of vertices near enough to data to move."""
+    """RMS movement in each round, mm, of the vertices that are near enough to data to move."""
     crossings: int | None = None
     """Pairs of crossing faces found after the repair. None if nothing was repaired."""
 
     @property
     def claimed(self) -> Bool[Array, " n"]:
-        """Vertices that are skin as it was measured, or right beside it."""
+        """Vertices that are measured or repaired skin."""
         return np.isin(self.provenance, (Provenance.REPAIRED, Provenance.MEASURED))
 
     def __post_init__(self) -> None:
@@ -91,18 +89,18 @@ def repair(
     *,
     progress: Progress = no_progress,
 ) -> RepairedSurface:
-    """Pull the first surface elastically towards the valid range data.
+    """Fit the first surface elastically to the valid range data (paper 2.6.3, Eq. 4–6).
 
-    Paper 2.6.3, Eq. 4–6. World frame, mm. Faces and topology are those of `initial`. Each round finds the plausible
-    points again (TRUE vertices), carries their displacements ring by ring over the others (FALSE) and solves for all.
-    It ends after `rounds`, or when a round moves the vertices no less than the one before. (The paper's step 4 repeats
-    its steps 2 to 4. Correspondences must be found again, so ours repeats 1 to 3.) Where the solution would turn a
-    triangle over, its vertices take their neighbours' mean displacement. Where faces would pass through one another,
-    they move back towards the first surface, which does not cross itself, until none does. If displacements fade,
-    invented vertices too far from all data to move are left out of all this.
+    World frame, mm. Faces and topology are those of `initial`. Each round searches for plausible points (TRUE
+    vertices), propagates their displacements ring by ring to the other vertices (FALSE), and solves for all. It ends
+    after `rounds`, or when a round moves the vertices no less than the one before. (The paper's step 4 repeats its
+    steps 2 to 4. Correspondences must be searched again, so ours repeats 1 to 3.) Where the solution would turn a
+    triangle over, its vertices get their neighbours' mean displacement. Where faces would cross, they move back towards
+    the first surface, which does not cross itself, until none cross. If displacements fade, vertices too far from all
+    data to move are left out.
 
     Raises:
-        SurfaceError: no vertex has a plausible point; names the pairs.
+        SurfaceError: no vertex has a plausible point.
     """
     near = _near_data(initial, valid, settings)
     displacement, provenance, found, moves = _drawn_to_data(initial.submesh(near), valid, settings, progress)
@@ -124,9 +122,9 @@ def repair(
 def _drawn_to_data(
     initial: TriangleMesh, valid: ValidPatches, settings: RepairSettings, progress: Progress
 ) -> tuple[Float64[Array, "n 3"], UInt8[Array, " n"], Correspondences, list[float]]:
-    """Displacements of the vertices near data, mm, their provenance, their last data, and the moves.
+    """Displacements of the vertices near data, mm, their provenance and correspondences, and the RMS moves.
 
-    What else is needed here is large, and let go before crossings are looked for.
+    The other values of this function are large, and freed before the search for crossings.
     """
     graph = graph_of_mesh(initial)
     spacing = float(np.sqrt(2 * np.median(np.linalg.norm(initial.face_vectors(), axis=1))))  # of the fine cubes
@@ -161,7 +159,7 @@ def _drawn_to_data(
 
 
 def as_measured(mesh: TriangleMesh, valid: ValidPatches) -> RepairedSurface:
-    """Provenance of an open surface's vertices, which are range data. Nothing is moved."""
+    """An open surface with the provenance of its vertices, which are range data. Nothing is moved."""
     images = valid.range_images
     data = np.concatenate([image.valid_points_world() for image in images])
     sigma_mm = np.concatenate([image.sigma_mm[image.valid] for image in images])
@@ -182,7 +180,7 @@ def _near_data(mesh: TriangleMesh, valid: ValidPatches, settings: RepairSettings
     if settings.fade_mm == 0:
         return np.ones(len(mesh.faces), dtype=bool)
     reach_mm = REACH_MM + max(BRIDGED_REACH_MM, _FADED * settings.fade_mm)
-    cell_mm = REACH_MM  # coarse, for speed alone
+    cell_mm = REACH_MM  # coarse, for speed only
     low, high = bounds(mesh.vertices)
     low -= REACH_MM
     cell = ((mesh.vertices - low) / cell_mm).astype(np.int32)
@@ -192,13 +190,13 @@ def _near_data(mesh: TriangleMesh, valid: ValidPatches, settings: RepairSettings
         empty[tuple(of_data[((of_data >= 0) & (of_data < empty.shape)).all(axis=1)].T)] = False
     if empty.all():
         return np.ones(len(mesh.faces), dtype=bool)
-    # Centres of cells lie up to a cell's diagonal further from one another than points in them.
+    # Centres of cells are up to a cell's diagonal farther apart than points in them.
     close = ndimage.distance_transform_edt(empty) * cell_mm <= reach_mm + np.sqrt(3) * cell_mm
     return touching(np.asarray(close[tuple(cell.T)]), mesh.faces)
 
 
 def _spread(values: Array, kept: Bool[Array, " n"], otherwise: float) -> Array:
-    """Values of the vertices kept, among all. The others have one value."""
+    """Values of all vertices from those of the kept ones. The others have one value."""
     result = np.full((len(kept), *values.shape[1:]), otherwise, dtype=values.dtype)
     result[kept] = values
     return result
@@ -211,20 +209,17 @@ def _solve(
     graph: Graph,
     settings: RepairSettings,
 ) -> Float64[Array, "n 3"]:
-    """One round: propagate over FALSE vertices, then minimise Eq. 4.
-
-    It starts from the displacements reached so far.
-    """
-    wish, away_mm = propagate(found.targets - initial.vertices, found.found, graph, initial.vertices)
+    """One round: propagate to FALSE vertices, then minimise Eq. 4, starting from the current displacements."""
+    targets, away_mm = propagate(found.targets - initial.vertices, found.found, graph, initial.vertices)
     if settings.fade_mm > 0:
-        wish *= np.exp(-away_mm / settings.fade_mm)[:, None]
+        targets *= np.exp(-away_mm / settings.fade_mm)[:, None]
     weights = np.where(found.found, found.similarity, FALSE_WEIGHT)
     solved, _ = minimum(
-        wish,
+        targets,
         weights,
         graph,
         settings.rho,
-        start=wish if displacement is None else displacement,
+        start=targets if displacement is None else displacement,
         tolerance=_TOLERANCE,
         max_iterations=_MAX_ITERATIONS,
     )
@@ -234,15 +229,17 @@ def _solve(
 def propagate(
     displacements: Float64[Array, "n k"], known: Bool[Array, " n"], graph: Graph, vertices: Float64[Array, "n 3"]
 ) -> tuple[Float64[Array, "n k"], Float64[Array, " n"]]:
-    """Carry displacements ring by ring from TRUE to FALSE vertices.
+    """Propagate displacements ring by ring from TRUE to FALSE vertices (paper 2.6.3, step 2).
 
-    Paper 2.6.3, step 2. A FALSE vertex beside TRUE ones takes their mean and becomes TRUE for the next ring. Also
-    gives how far each is from those known along the edges on the way, mm: 0 for those, infinite for vertices that none
-    reaches; they stay unmoved.
+    A FALSE vertex next to TRUE ones gets their mean and is TRUE for the next ring.
+
+    Returns:
+        The displacements, and each vertex's distance from the known ones along the edges, mm: 0 for those. Vertices
+        that no ring reaches do not move; their distance is infinite.
     """
     values = np.where(known[:, None], displacements, 0.0)
     away_mm = np.where(known, 0.0, np.inf)
-    elastic_kernels.carried(graph.indptr, graph.indices, vertices, values, away_mm, np.flatnonzero(known))
+    elastic_kernels.propagate(graph.indptr, graph.indices, vertices, values, away_mm, np.flatnonzero(known))
     return values, away_mm
 
 

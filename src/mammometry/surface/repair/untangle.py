@@ -1,7 +1,7 @@
 """Find faces that a repair turned over or crossed, and move them back.
 
-Two triangles cross where a side of one that does not touch the other passes through its interior. Space is cut in
-cells of the size of ordinary triangles; only triangles of one cell are compared.
+Two triangles cross if a side of one that does not touch the other passes through its interior. Only triangles in the
+same cell are compared; cells have about the size of a triangle.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from mammometry.geometry.mesh import TriangleMesh, on_microns
 from mammometry.surface.repair import elastic_kernels
 from mammometry.surface.repair.energy import Graph
 
-_FLIP_ATTEMPTS = 8  # smoothings of what is turned over; chosen by eye
+_FLIP_ATTEMPTS = 8  # most smoothings of flipped triangles; it ends earlier when none is flipped
 _CROSSING_ATTEMPTS = 12  # half of them move crossing faces half-way back, the rest all the way
 
 
 def without_flips(initial: TriangleMesh, displacement: Float64[Array, "n 3"], graph: Graph) -> Float64[Array, "n 3"]:
-    """Smooth displacements where they would turn a triangle over, until none is."""
+    """Smooth displacements where they would turn triangles over."""
     result = displacement.copy()
     suspects = np.arange(len(initial.faces))
     for _ in range(_FLIP_ATTEMPTS):
@@ -40,10 +40,9 @@ def without_flips(initial: TriangleMesh, displacement: Float64[Array, "n 3"], gr
 
 
 def without_crossings(initial: TriangleMesh, displacement: Float64[Array, "n 3"]) -> tuple[TriangleMesh, int]:
-    """Move crossing faces back until none is left, and count pairs left.
+    """Move crossing faces back step by step. Returns the mesh and the remaining crossing pairs.
 
-    Each step moves them back half-way. After each step only what moved is compared with what lies around it: all pairs
-    that stay are among those.
+    After each step only moved faces are compared with those around them: remaining pairs are among these.
     """
     result = on_microns(displacement)
     mesh = TriangleMesh(vertices=initial.vertices + result, faces=initial.faces)
@@ -61,7 +60,7 @@ def without_crossings(initial: TriangleMesh, displacement: Float64[Array, "n 3"]
 
 
 def _with_rings(chosen: Bool[Array, " n"], faces: Int32[Array, "m 3"], rings: int) -> Bool[Array, " n"]:
-    """The vertices chosen and those up to so many edges away."""
+    """The chosen vertices and those up to `rings` edges away."""
     result = chosen.copy()
     for _ in range(rings):
         result[faces[touching(result, faces)]] = True
@@ -69,30 +68,30 @@ def _with_rings(chosen: Bool[Array, " n"], faces: Int32[Array, "m 3"], rings: in
 
 
 def touching(chosen: Bool[Array, " n"], faces: Int32[Array, "m 3"]) -> Bool[Array, " m"]:
-    """Faces with any of the vertices chosen. Column by column, for a reduction over three values is slow."""
+    """Faces with any chosen vertex. Column by column, since reducing an axis of three is slow."""
     a, b, c = faces.T
     touched: Bool[Array, " m"] = chosen[a] | chosen[b] | chosen[c]
     return touched
 
 
 def _neighbours(of: Int32[Array, " k"], graph: Graph) -> tuple[Int32[Array, " m"], Int32[Array, " m"]]:
-    """All (vertex, neighbour) pairs of the vertices given."""
+    """All (vertex, neighbour) pairs of the given vertices."""
     counts = graph.indptr[of + 1] - graph.indptr[of]
     ends = np.cumsum(counts)
     within = np.arange(int(ends[-1]) if len(ends) else 0) - np.repeat(ends - counts, counts)
     return np.repeat(of, counts), graph.indices[np.repeat(graph.indptr[of], counts) + within]
 
 
-_CELL_IN_SIDES = 2.5  # a cell's edge in sides of ordinary triangles: chosen by eye, for speed alone
+_CELL_IN_SIDES = 2.5  # a cell's edge in sides of ordinary triangles; affects speed only
 _MOST_CELLS = 1 << 25  # 128 MiB of cell starts
-_PLACES = 256  # cells along the longest axis when only some faces are compared; for speed alone
+_PLACES = 256  # cells along the longest axis when only some faces are compared; affects speed only
 
 
 def crossing_faces(mesh: TriangleMesh, among: Bool[Array, " m"] | None = None) -> Int64[Array, "k 2"]:
-    """Pairs of faces that pass through one another, smaller number first.
+    """Pairs of crossing faces, smaller index first.
 
-    Mesh's frame, mm. Touching without passing through does not count, nor do faces that lie in one plane. With `among`
-    only pairs of which one face at least is chosen: after a change in some places the rest need not be compared again.
+    Faces that only touch, or are in one plane, do not cross. With `among`, only pairs with at least one chosen face:
+    after a local change the others need no new test.
     """
     if len(mesh.faces) < 2 or (among is not None and not among.any()):
         return np.zeros((0, 2), dtype=np.int64)
@@ -122,10 +121,7 @@ def crossing_faces(mesh: TriangleMesh, among: Bool[Array, " m"] | None = None) -
 def _boxes(
     vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], origin: Float64[Array, " 3"]
 ) -> tuple[Float64[Array, "m 6"], Float64[Array, " m"]]:
-    """Lowest and highest coordinates of each face, and its longest extent.
-
-    Coordinates are relative to the origin.
-    """
+    """Bounding box of each face relative to the origin (lowest, then highest coordinates), and its longest extent."""
     boxes, side = np.empty((len(faces), 6)), np.empty(len(faces))
     for face in range(len(faces)):
         longest = 0.0
@@ -142,7 +138,7 @@ def _boxes(
 def _reaching(
     boxes: Float64[Array, "m 6"], chosen: Bool[Array, " m"], cell: float, shape: Int64[Array, " 3"]
 ) -> Bool[Array, " m"]:
-    """Faces whose box shares a cell with a chosen one's. The chosen faces are included."""
+    """Faces whose box shares a cell with a chosen face's. Chosen faces are included."""
     marked = np.zeros((shape[0], shape[1], shape[2]), dtype=np.bool_)
     reaching = np.zeros(len(boxes), dtype=np.bool_)
     for reading in range(2):
@@ -163,12 +159,12 @@ def _reaching(
 def _sorted_into_cells(
     boxes: Float64[Array, "m 6"], cell: float, shape: Int64[Array, " 3"]
 ) -> tuple[Int32[Array, " c1"], Int32[Array, " e"]]:
-    """Faces whose box reaches into each cell. Those of cell c are owners[starts[c] : starts[c + 1]]."""
+    """Faces whose boxes reach into each cell. Those of cell c are owners[starts[c] : starts[c + 1]]."""
     starts = np.zeros(shape[0] * shape[1] * shape[2] + 1, dtype=np.int32)
     owners = np.empty(0, dtype=np.int32)
     for filling in range(2):
         for number in range(len(boxes)):
-            # Backwards, for the second pass fills each cell from its end.
+            # Backwards, since the second pass fills each cell from its end.
             face = len(boxes) - 1 - number
             for i in range(int(boxes[face, 0] / cell), min(int(boxes[face, 3] / cell), shape[0] - 1) + 1):
                 for j in range(int(boxes[face, 1] / cell), min(int(boxes[face, 4] / cell), shape[1] - 1) + 1):
@@ -198,7 +194,7 @@ def _crossings(
     faces: Int32[Array, "m 3"],
     boxes: Float64[Array, "m 6"],
 ) -> Int64[Array, "k 2"]:
-    """Crossing pairs in the cell layers from the first to the last. The last layer is not included."""
+    """Crossing pairs in the layers of cells from `first` to `last`, which is excluded."""
     found, count = np.empty((16, 2), dtype=np.int64), 0
     for i in range(first, last):
         for j in range(shape[1]):
@@ -213,7 +209,7 @@ def _crossings(
                             apart = apart or boxes[a, axis] > boxes[b, axis + 3] or boxes[b, axis] > boxes[a, axis + 3]
                         if apart:
                             continue
-                        # Each pair once: in the first cell that both reach.
+                        # Count each pair once: in the first cell that both reach.
                         if (
                             int(max(boxes[a, 0], boxes[b, 0]) / cell) != i
                             or int(max(boxes[a, 1], boxes[b, 1]) / cell) != j
@@ -238,10 +234,7 @@ def _longer(pairs: Int64[Array, "k 2"]) -> Int64[Array, "2k 2"]:
 
 @kernel
 def _side_pierces(vertices: Float64[Array, "n 3"], face: Int32[Array, " 3"], other: Int32[Array, " 3"]) -> bool:
-    """Whether a side of `face` pierces the interior of `other`.
-
-    Only sides without a vertex in common with `other` are tested.
-    """
+    """Whether a side of `face` without a vertex in common with `other` pierces its interior."""
     a, b, c = other[0], other[1], other[2]
     for side in range(3):
         p, q = face[side], face[(side + 1) % 3]

@@ -1,7 +1,6 @@
-"""Meshes of fewer triangles, for viewing only: quadric edge collapse.
+"""Meshes with fewer triangles, for viewing only: quadric edge collapse.
 
-The library that collapses edges keeps its memory for good: 700 MB after a torso. So a large mesh is thinned in a
-process of its own, beside other work.
+The library never frees its memory: 700 MB after a torso. So a large mesh is simplified in a process of its own.
 """
 
 from __future__ import annotations
@@ -11,17 +10,17 @@ import numpy as np
 from mammometry.base.child_process import ChildProcess
 from mammometry.geometry import Array, Float32, Int32, TriangleMesh
 
-_LARGE = 300_000  # triangles from which a process of its own, which takes half a second to begin, is worth it
+_LARGE = 300_000  # triangles from which a process of its own, which takes half a second to start, is worth it
 
 
 def thinned(mesh: TriangleMesh, triangles: int) -> TriangleMesh:
-    """Thin a mesh to at most `triangles`."""
+    """A mesh of at most `triangles` faces."""
     if len(mesh.faces) <= triangles:
         return mesh
-    middle = mesh.vertices.mean(axis=0)  # the collapse computes in float32, and wants arrays it could write to
+    middle = mesh.vertices.mean(axis=0)  # the library computes in float32 and requires writable arrays
     vertices = np.ascontiguousarray(mesh.vertices - middle, dtype=np.float32)
     faces = np.array(mesh.faces, dtype=np.int32, order="C")
-    collapse = _collapsed if len(faces) < _LARGE else _collapsed_apart
+    collapse = _collapsed if len(faces) < _LARGE else _collapsed_in_child
     vertices, faces = collapse(vertices, faces, triangles)
     return TriangleMesh(vertices=vertices.astype(np.float64) + middle, faces=faces.astype(np.int32))
 
@@ -31,16 +30,16 @@ def _collapsed(
 ) -> tuple[Float32[Array, "k 3"], Int32[Array, "l 3"]]:
     from fast_simplification import simplify
 
-    # Copies: a call to a child process freezes its arrays, and the library wants some that it could write to.
+    # Copies: a call to a child process makes its arrays read-only.
     found: tuple[Float32[Array, "k 3"], Int32[Array, "l 3"]] = simplify(
         vertices.copy(), faces.copy(), target_count=triangles
     )
     return found
 
 
-def _collapsed_apart(
+def _collapsed_in_child(
     vertices: Float32[Array, "n 3"], faces: Int32[Array, "m 3"], triangles: int
 ) -> tuple[Float32[Array, "k 3"], Int32[Array, "l 3"]]:
-    """Simplified mesh, made in a process of its own."""
+    """Simplified mesh, computed in a process of its own."""
     with ChildProcess() as child:
         return child.call(_collapsed, vertices, faces, triangles)

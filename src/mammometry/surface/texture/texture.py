@@ -1,4 +1,4 @@
-"""Photographic colour of each vertex, from its best photographs."""
+"""Photographic colour of each vertex, from the photographs that see it best. No volume depends on it."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from mammometry.surface.fusion.camera_records import view_row
 from mammometry.surface.texture import texture_kernels
 
 SHARPNESS = 6.0
-"""Power of the cosine of incidence in a photograph's weight. High values take each vertex from its best view."""
+"""Power of the cosine of incidence in a photograph's weight. High values use only the best view of each vertex."""
 CLEARANCE_MM = 0.7
-"""What stands less than this before a vertex does not hide it from a camera, mm: more than a cube's edge."""
-_LEAST_COSINE = 0.1  # 84° off the normal: a photograph shows nothing of skin seen more obliquely
-_LEAST_COMMON = 200  # vertices that two photographs both see before they are levelled; chosen by eye
-_LEAST_BRIGHT = 0.02  # of full scale: darker values are noise, whose ratio says nothing; chosen by eye
+"""Least distance in front of a vertex from which the surface hides it from a camera, mm: more than a cube's edge."""
+_LEAST_COSINE = 0.1  # 84° from the normal: at larger angles a photograph shows nothing of the skin
+_LEAST_COMMON = 200  # fewest common vertices for levelling two photographs; appearance only
+_LEAST_BRIGHT = 0.02  # of full scale: darker values are noise, so their ratio is random; appearance only
 UNSEEN = 128
-"""Mid grey, sRGB: where no camera sees the surface."""
-_SHADOW_MM = 0.5  # on the skin: side of the pixels in which one part is found to hide another, about a cube's edge
-_LEVELLED = 20_000  # vertices of which two photographs' ratio is taken: its median is known to a thousandth
+"""Mid grey, sRGB, where no camera sees the surface."""
+_SHADOW_MM = 0.5  # side on the skin of the pixels used for occlusion: about a cube's edge
+_LEVELLED = 20_000  # most vertices for the ratio of two photographs: its median is accurate to a thousandth
 
 
 @value(eq=False)
@@ -49,11 +49,10 @@ class TexturedMesh:
 def paint(
     mesh: TriangleMesh, photographs: Mapping[str, Photograph], rig: Rig, *, progress: Progress = no_progress
 ) -> TexturedMesh:
-    """Colour every vertex from the photographs that see it best.
+    """Colour of every vertex from the photographs that see it best (paper 2.1).
 
-    Paper 2.1: photographic texture. A photograph counts where it faces the vertex, nothing stands between, and with
-    the weight cosⁿ(incidence)/distance². Photographs are first levelled to one another: one gain per camera and
-    channel, from the vertices that two of them see well. The world frame is the mesh's.
+    A photograph counts if it faces the vertex and nothing is in between, with the weight cosⁿ(incidence)/distance².
+    Photographs are first levelled: one gain per camera and channel, from vertices that two of them see well.
     """
     _, weights, samples = view_samples(mesh, photographs, rig, progress=progress)
     total = weights.sum(axis=0)
@@ -63,7 +62,7 @@ def paint(
 
 
 def blended(weights: Float32[Array, "k n"], samples: Float32[Array, "k n 3"]) -> Float32[Array, "n 3"]:
-    """Weighted mean over the photographs. Black where none counts."""
+    """Weighted mean over the photographs. Black if none counts."""
     total = np.maximum(weights.sum(axis=0), np.float32(1e-12))
     mean: Float32[Array, "n 3"] = np.einsum("kn,knc->nc", weights, samples) / total[:, None]
     return mean
@@ -72,10 +71,9 @@ def blended(weights: Float32[Array, "k n"], samples: Float32[Array, "k n 3"]) ->
 def view_samples(
     mesh: TriangleMesh, photographs: Mapping[str, Photograph], rig: Rig, *, progress: Progress = no_progress
 ) -> tuple[Float32[Array, "k 3"], Float32[Array, "k n"], Float32[Array, "k n 3"]]:
-    """Gain of each photograph, and its weight and colour at every vertex.
+    """Gain of each photograph, and its weight and levelled colour at every vertex.
 
-    Colours are levelled. Weight 0: the photograph does not see the vertex. The photographs in their order, but for
-    those of no camera of the rig.
+    Weight 0: the photograph does not see the vertex. Photographs without a camera in the rig are left out.
     """
     names = [name for name in photographs if name in rig.cameras]
     normals = mesh.vertex_normals()
@@ -95,7 +93,7 @@ def view_samples(
 
 
 def read_ahead(photographs: Mapping[str, Photograph], names: Sequence[str]) -> Iterator[Photograph]:
-    """The photographs one by one. While one is worked on, the next is read."""
+    """The photographs one by one. The next one is read in the meantime."""
     with ThreadPoolExecutor(1) as reader:
         waiting = [reader.submit(photographs.__getitem__, name) for name in names[:1]]
         for following in [*names[1:], None]:
@@ -108,7 +106,7 @@ def read_ahead(photographs: Mapping[str, Photograph], names: Sequence[str]) -> I
 def _facing(
     mesh: TriangleMesh, normals: Float64[Array, "n 3"], camera: Camera
 ) -> tuple[Float32[Array, " n"], Float64[Array, "n 3"]]:
-    """Weight of a photograph at every vertex, its place there and its inverse depth (`texture_kernels.facing`)."""
+    """Weight of a photograph at every vertex, and the vertex's position in it (`texture_kernels.facing`)."""
     row = view_row(camera, camera.shape_hw, 0)
 
     def of(band: slice) -> tuple[Float32[Array, " k"], Float64[Array, "k 3"]]:
@@ -123,7 +121,7 @@ def _facing(
 def _hidden(
     mesh: TriangleMesh, camera: Camera, places: Float64[Array, "n 3"], shown: Bool[Array, " n"]
 ) -> Int64[Array, " k"]:
-    """The shown vertices before which something of the mesh stands."""
+    """The shown vertices that the mesh hides from the camera."""
     index = np.flatnonzero(shown)
     if not len(index):
         return index
@@ -140,13 +138,13 @@ def _hidden(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Picture:
-    """A photograph's levels as recorded, and which of them counts as 1."""
+    """A photograph's levels as recorded, and the level that counts as 1."""
 
     levels: Integer[Array, "h w c"]
     full_scale: float
 
     def colours_at(self, uv: Float64[Array, "n 2"]) -> Float32[Array, "n 3"]:
-        """Colours at places in pixels, 0…1, linear between pixels."""
+        """Colours at positions in pixels, 0…1, linear between pixels."""
 
         def of(band: slice) -> Float32[Array, "k 3"]:
             return texture_kernels.colours_at(self.levels, self.full_scale, uv[band])
@@ -155,7 +153,7 @@ class Picture:
 
 
 def picture_of(photograph: Photograph) -> Picture:
-    """Pixels as recorded, with one or three channels."""
+    """A photograph as recorded, with one or three channels."""
     pixels = photograph.pixels
     return Picture(
         levels=pixels[..., None] if pixels.ndim == 2 else pixels, full_scale=float(np.iinfo(pixels.dtype).max)
@@ -163,10 +161,9 @@ def picture_of(photograph: Photograph) -> Picture:
 
 
 def _gains(samples: Float32[Array, "k n 3"], weights: Float32[Array, "k n"]) -> Float32[Array, "k 3"]:
-    """Gain per camera and channel that makes the cameras agree.
+    """Gain per camera and channel that makes cameras agree at common vertices, with a mean of 1.
 
-    Where two see the same vertices. The mean gain is 1. Least squares on the logarithms of the median ratios, each
-    pair weighted by the number of common vertices.
+    Least squares on the logarithms of the median ratios, weighted by the number of common vertices.
     """
     count = len(samples)
     usable = (weights > 0) & (samples.min(axis=2) > _LEAST_BRIGHT)

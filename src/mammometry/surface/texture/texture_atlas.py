@@ -1,16 +1,13 @@
-"""Viewing mesh covered with photographs: each face shows its best one.
+"""Viewing mesh covered with photographs: each face shows its best one. No volume depends on it.
 
-Photographs keep full resolution. Neighbouring faces with the same photograph form a chart, a piece cut out of that
-photograph. Its brightness and colour are levelled towards the mean of all photographs (low frequencies only, so that
-no detail is blurred). All charts lie beside one another in one picture. Along the seams one photograph fades into the
-next.
+Photographs keep full resolution. Neighbouring faces with the same photograph form a chart, a piece of that photograph.
+Its brightness and colour are levelled to the mean of all photographs (low frequencies only, so that no detail is
+blurred). All charts are placed side by side in one picture. Along the seams one photograph fades into the next: each
+photograph has a weight at every vertex, its share of the faces around, diffused over a few edges, and 0 if it does not
+see all of them. Weights are linear between vertices, so both sides of a seam have the same weights and the same mean of
+the photographs, and no step is visible.
 
-For that each photograph has a weight at every vertex: its share of the faces around, spread over the mesh by a few
-edges. The weight is 0 if it does not see all of them. Weights are linear between vertices, so they are the same from
-both sides of a seam. So is the mean of the photographs with these weights: no step is left whatever their brightness.
-
-The picture is made into a JPEG once, and the mesh's picture is what that holds: so memory and disk have the same, and
-the disk has it small.
+The picture is compressed to a JPEG once and replaced by the decoded JPEG: memory and disk then hold the same picture.
 """
 
 from __future__ import annotations
@@ -40,46 +37,44 @@ from mammometry.surface.texture.simplify import thinned
 from mammometry.surface.texture.texture import UNSEEN, blended, picture_of, read_ahead, view_samples
 
 TRIANGLES = 200_000
-"""Triangles of the viewing mesh, which carries the photographs at full resolution. The measured mesh keeps all of
-its own.
-"""
+"""Triangles of the viewing mesh. The measured mesh keeps all of its own."""
 ATLAS_PX = 8192
 """Largest width and height of the viewing mesh's picture, pixels."""
-_PADDING_PX = 3  # around a chart's piece of photograph, for programs that read between pixels
-_SMOOTHING_ROUNDS = 12  # edges over which the weights are smoothed before faces choose; chosen by eye
-_LEVEL_STEP_PX = 4  # grid on which the levelling of photographs is known; chosen by eye
+_PADDING_PX = 3  # margin around a chart's piece of photograph, for programs that interpolate between pixels
+_SMOOTHING_ROUNDS = 12  # edges over which the weights are smoothed before faces choose; appearance only
+_LEVEL_STEP_PX = 4  # grid on which the levelling of photographs is computed; appearance only
 _LEVEL_PX = 6.0 * _LEVEL_STEP_PX  # σ of its smoothing: wider than any detail
-_PLACES = 1 << 24  # places along a picture's side that count as different: finer than a float32
-_MOST_REDUCED = 16  # pixels a side that one pixel of the covering picture may stand for
+_PLACES = 1 << 24  # different positions along a picture's side: finer than a float32
+_MOST_REDUCED = 16  # largest factor by which photographs are reduced for the picture
 
 
 @value(eq=False)
 class Atlas:
-    """A mesh for looking, and the picture that covers it."""
+    """A mesh for viewing, and the picture that covers it."""
 
     mesh: TriangleMesh
     """World frame, mm. Fewer triangles than the measured surface."""
     uv_px: Float32[Array, "m 3 2"]
-    """Place of each face's corners in the picture, pixels, integers at pixel centres."""
+    """Position of each face's corners in the picture, pixels, integers at pixel centres."""
     picture: UInt8[Array, "h w 3"]
     """sRGB-encoded. Mid grey where no camera sees the surface."""
     view: Int64[Array, " m"]
     """Number of the photograph that each face shows. −1 for none."""
     names: tuple[str, ...]
-    """Cameras that the numbers stand for."""
+    """Cameras of these numbers."""
     jpeg: UInt8[Array, " b"] | None = None
-    """Bytes of the JPEG that `picture` was read from. None: it comes from none."""
+    """Bytes of the JPEG that `picture` was decoded from. None if there is none."""
 
     def __post_init__(self) -> None:
         if self.uv_px.shape != (len(self.mesh.faces), 3, 2) or len(self.view) != len(self.mesh.faces):
             raise ValueError(f"{len(self.mesh.faces)} faces but {self.uv_px.shape} positions, {len(self.view)} views")
 
     def unwelded(self) -> tuple[Int64[Array, " n"], Int32[Array, "m 3"], Float64[Array, "n 2"]]:
-        """One vertex for each place in the picture, for drawing programs.
+        """The mesh with one vertex for each position in the picture, as drawing programs require.
 
         Returns:
-            For each vertex, the mesh's vertex that it stands for; the faces; the place in the picture, 0…1 from its
-            upper left corner to the right and down.
+            For each vertex, the index of the mesh's vertex; the faces; the position in the picture, 0…1 from its upper
+            left corner to the right and down.
         """
         height, width = self.picture.shape[:2]
         places = (self.uv_px.reshape(-1, 2).astype(np.float64) + 0.5) / (width, height)
@@ -96,7 +91,7 @@ class Atlas:
 def cover(
     surface: TriangleMesh, photographs: Mapping[str, Photograph], rig: Rig, *, progress: Progress = no_progress
 ) -> Atlas:
-    """Thin a surface for looking and cover it with its photographs. World frame, mm."""
+    """A surface simplified for viewing and covered with its photographs, world frame, mm."""
     mesh = thinned(surface, TRIANGLES)
     progress(0.1)
     names = tuple(name for name in photographs if name in rig.cameras)
@@ -105,7 +100,7 @@ def cover(
     target = blended(weights, samples)
     photographed = [projected(rig.cameras[name], mesh.vertices)[:, :2] for name in names]
     step = 0
-    while True:  # a picture too large for what viewers can hold shows the means of step² pixels each
+    while True:  # reduce photographs by means of step² pixels, until the picture is small enough for viewers
         step += 1
         pixels = [(uv + 0.5) / step - 0.5 for uv in photographed]
         sizes_wh = [(size[0] // step, size[1] // step) for size in (rig.cameras[name].size_wh for name in names)]
@@ -147,10 +142,9 @@ def _mix_in(
 
 
 def best_views(mesh: TriangleMesh, weights: Float32[Array, "k n"]) -> Int64[Array, " m"]:
-    """Number of the best photograph of each face, −1 for none.
+    """Number of the best photograph of each face that sees all its corners. −1 for none.
 
-    It is chosen among those that see all corners of the face. The weights are first smoothed over the mesh, so that
-    charts become large and their borders short.
+    The weights are first smoothed over the mesh, so that charts become large and their borders short.
     """
     seen = weights > 0
     smooth = spread(weights.T.astype(np.float64), mesh, _SMOOTHING_ROUNDS)
@@ -167,11 +161,11 @@ class _Chart:
     view: int
     faces: Int64[Array, " k"]
     inside: Float64[Array, "k 3 2"]
-    """The faces' corners in the piece, pixels."""
+    """Positions of the faces' corners in the piece, pixels."""
     low: Int64[Array, 2]
     """First column and row of the piece in the photograph."""
     high: Int64[Array, 2]
-    """One more than its last."""
+    """Its last column and row plus one."""
 
 
 def _charts(
@@ -180,7 +174,7 @@ def _charts(
     pixels: Sequence[Float64[Array, "n 2"]],
     sizes_wh: Sequence[tuple[int, int]],
 ) -> list[_Chart]:
-    """The charts of all photographs. Last one for the faces that show none."""
+    """The charts of all photographs, and a last one for faces without a photograph."""
     group = _groups(mesh, view)
     charts = []
     for k, (uv, size_wh) in enumerate(zip(pixels, sizes_wh, strict=True)):
@@ -217,10 +211,9 @@ def _split(items: Int64[Array, " k"], groups: Int64[Array, " k"]) -> list[Int64[
 def _levelling(
     uv: Float64[Array, "k 2"], difference: Float32[Array, "k 3"], shape_hw: tuple[int, ...], smooth_px: float
 ) -> Float32[Array, "a b 3"]:
-    """Correction that levels a photograph to the mean of all.
+    """Correction that levels a photograph to the mean of all, at every `_LEVEL_STEP_PX`-th pixel.
 
-    It is smooth over `smooth_px`. A Gaussian-weighted mean of the vertices' differences, at every `_LEVEL_STEP_PX`-th
-    pixel.
+    Gaussian-weighted mean of the differences at vertices, with σ = `smooth_px`.
     """
     height, width = (-(-side // _LEVEL_STEP_PX) + 1 for side in shape_hw)
     row, column = np.clip(np.rint(uv[:, ::-1] / _LEVEL_STEP_PX).astype(int), 0, (height - 1, width - 1)).T
@@ -238,11 +231,11 @@ def _levelling(
 def _laid_out(
     charts: Sequence[_Chart], count: int
 ) -> tuple[Int64[Array, "c 2"], Float64[Array, "m 3 2"], tuple[int, int]]:
-    """Lay the charts on shelves, tallest first, in a squarish picture.
+    """Arrange the charts in rows, tallest first, in a nearly square picture.
 
     Returns:
-        Column and row of each piece's upper left corner, the place of every face's corners, and the picture's width and
-        height.
+        Column and row of each piece's upper left corner, the positions of every face's corners, and the picture's width
+        and height.
     """
     sizes = np.array([chart.high - chart.low for chart in charts])
     width = max(int(sizes[:, 0].max()), int(1.1 * np.sqrt(sizes.prod(axis=1).sum())))
@@ -258,11 +251,11 @@ def _laid_out(
     return places, uv_px, (width, int(y + shelf))
 
 
-_FADING_ROUNDS = 5  # edges over which one photograph fades into the next; chosen by eye
-_LEAST_SHARE = 0.03  # of a photograph at a vertex; less of one is not seen; chosen by eye
-_MARGIN_PX = 1.5  # beside a face, for who reads between pixels
-_LEAST_WEIGHT = 1e-6  # of a face's own photograph: where no weight is left, it shows that one
-_BAND_PX = 512  # rows of the picture that are gone through at once; chosen for memory
+_FADING_ROUNDS = 5  # edges over which one photograph fades into the next; appearance only
+_LEAST_SHARE = 0.03  # least visible share of a photograph at a vertex; appearance only
+_MARGIN_PX = 1.5  # margin beside a face, for programs that interpolate between pixels
+_LEAST_WEIGHT = 1e-6  # weight of a face's own photograph, which it shows where all weights are 0
+_BAND_PX = 512  # rows of the picture that are processed at a time; limits memory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -272,11 +265,11 @@ class FadingPixels:
     row: Int32[Array, " p"]
     column: Int32[Array, " p"]
     corners: Int32[Array, "p 3"]
-    """The vertices between which each pixel lies."""
+    """The vertices of each pixel's triangle."""
     between: Float32[Array, "p 3"]
-    """Its barycentric coordinates: weights of those vertices. Slightly negative just outside the face."""
+    """Its barycentric coordinates. Slightly negative just outside the face."""
     shares: Float32[Array, "k p"]
-    """Of each photograph in each pixel. They add up to 1."""
+    """Share of each photograph in each pixel. Shares of a pixel add up to 1."""
 
 
 def spread(values: Float64[Array, "n k"], mesh: TriangleMesh, rounds: int) -> Float64[Array, "n k"]:
@@ -289,9 +282,7 @@ def spread(values: Float64[Array, "n k"], mesh: TriangleMesh, rounds: int) -> Fl
 
 
 def fading_weights(mesh: TriangleMesh, view: Int64[Array, " m"], seen: Bool[Array, "k n"]) -> Float32[Array, "k n"]:
-    """Weight of each photograph at each vertex, 0…1.
-
-    Positive for several only within a few edges of a seam.
+    """Weight of each photograph at each vertex, 0…1. Several are positive only near seams.
 
     Args:
         mesh: the viewing mesh.
@@ -315,14 +306,14 @@ def fading_pixels(
     uv_px: Float64[Array, "m 3 2"],
     size_wh: tuple[int, int],
 ) -> FadingPixels:
-    """Pixels of faces that share another photograph, and all shares.
+    """Pixels of faces that show several photographs, with all shares.
 
     Args:
         mesh: the viewing mesh.
         view: number of the photograph that each face shows, −1 for none.
         weights: from `fading_weights`.
-        uv_px: where the faces' corners lie in the picture, pixels, integers at pixel centres.
-        size_wh: of the picture.
+        uv_px: positions of the faces' corners in the picture, pixels, integers at pixel centres.
+        size_wh: size of the picture.
     """
     own = np.maximum(view, 0)
     elsewhere = weights.sum(axis=0)[mesh.faces] - weights[own[:, None], mesh.faces]
@@ -339,11 +330,11 @@ def fading_pixels(
     return FadingPixels(row=row, column=column, corners=corners, between=between, shares=shares)
 
 
-_QUALITY = 92  # of the JPEG, 1…100: the viewer's file stays small; chosen by eye
+_QUALITY = 92  # of the JPEG, 1…100: keeps the viewer's file small; appearance only
 
 
 def as_jpeg(atlas: Atlas) -> Atlas:
-    """Give the mesh the picture that its JPEG shows."""
+    """The atlas with the picture that its JPEG contains."""
     if atlas.jpeg is not None:
         return atlas
     buffer = io.BytesIO()
@@ -360,12 +351,12 @@ def jpeg_of(atlas: Atlas) -> bytes:
 
 
 def without_picture(atlas: Atlas) -> Atlas:
-    """The mesh with its JPEG only, to be kept."""
+    """The atlas with its JPEG only, for storing."""
     return replace(as_jpeg(atlas), picture=np.zeros((0, 0, 3), dtype=np.uint8))
 
 
 def with_picture(atlas: Atlas) -> Atlas:
-    """The mesh with the picture that its JPEG holds.
+    """The atlas with the picture that its JPEG contains.
 
     Raises:
         OSError: the JPEG is damaged.
@@ -380,13 +371,13 @@ def _shown(jpeg: UInt8[Array, " b"]) -> UInt8[Array, "h w 3"]:
 def transferred(atlas: Atlas, mesh: TriangleMesh) -> Atlas:
     """Cover a mesh with the picture of an atlas.
 
-    A face belongs to the chart of the atlas's face nearest to its middle. Its corners take their places from the faces
-    nearest to them, where these belong to the same chart. Other corners, beyond a seam, take the nearest place on the
-    middle's face.
+    Each face belongs to the chart of the atlas's face nearest to its centre. A corner's position in the picture is that
+    of its nearest face if this is in the same chart, otherwise (beyond a seam) the nearest position on the centre's
+    face.
 
     Args:
-        atlas: of the viewing mesh.
-        mesh: another mesh of the same surface, or a part of it, mm, the same frame.
+        atlas: atlas of the viewing mesh.
+        mesh: another mesh of the same surface or a part of it, mm, the same frame.
 
     Raises:
         ValueError: the atlas's mesh has no faces.
@@ -405,7 +396,7 @@ def transferred(atlas: Atlas, mesh: TriangleMesh) -> Atlas:
 
 
 def _picture_charts(atlas: Atlas) -> Int32[Array, " m"]:
-    """Number of each face's chart: faces that touch one another in the picture, too."""
+    """Number of each face's chart: faces that touch each other in the picture as well."""
     origin, faces, _ = atlas.unwelded()
     start, end = faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()
     graph = coo_matrix((np.ones(len(start), dtype=bool), (start, end)), shape=(len(origin), len(origin)))
@@ -414,7 +405,7 @@ def _picture_charts(atlas: Atlas) -> Int32[Array, " m"]:
 
 
 def _places(atlas: Atlas, faces: Array, points: Float64[Array, "n 3"]) -> Float64[Array, "n 2"]:
-    """Places in the picture of points on faces, by their barycentric coordinates, pixels."""
+    """Positions in the picture of points on faces, by their barycentric coordinates, pixels."""
     weights = barycentric(points, atlas.mesh.corners()[faces])
     found: Float64[Array, "n 2"] = np.einsum("nk,nkj->nj", weights, atlas.uv_px[faces].astype(np.float64))
     return found

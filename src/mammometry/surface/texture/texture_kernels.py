@@ -1,8 +1,7 @@
-"""Compiled code that looks points up in photographs, and lays photographs on a viewing mesh.
+"""Compiled kernels that look up points in photographs, and copy photographs onto a viewing mesh.
 
-Photographs are read as they were recorded, so that no copy of them in floating point is made. Where the picture is
-coarser, step × step of their pixels count as one, which has their mean. Plain NumPy twins stand in tests/unit/surface/
-(test_texture_kernels.py, test_atlas_kernels.py).
+Photographs are read as recorded, without a floating-point copy. Where the picture is coarser, its pixels are means of
+step × step recorded ones. Plain NumPy versions: tests/unit/surface/ (test_texture_kernels.py, test_atlas_kernels.py).
 """
 
 import numpy as np
@@ -11,7 +10,7 @@ from mammometry.base.machine.compiled import kernel, small_kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64, Integer, UInt8
 from mammometry.surface.fusion.camera_records import LEAST_DEPTH_MM, in_camera, pixel, view_of
 
-_MM_PER_M = 1000.0  # a weight of 1 straight ahead at a metre
+_MM_PER_M = 1000.0  # the weight is 1 at normal incidence from a metre
 
 
 @kernel
@@ -23,19 +22,19 @@ def facing(
     least_cosine: float,
     sharpness: float,
 ) -> tuple[Float32[Array, " n"], Float64[Array, "n 3"]]:
-    """Weight of one photograph at each vertex, and its place there. As if nothing stood between.
+    """Weight of one photograph at each vertex, and the vertex's position in it. Occlusion is ignored.
 
     Args:
         vertices: world frame, mm.
         normals: unit, outwards.
-        row: the camera, as `view_rows.view_row` packs it.
+        row: the camera, from `camera_records.view_row`.
         centre: its perspective centre, world frame, mm.
-        least_cosine: of the incidence, at which a photograph still counts.
+        least_cosine: least cosine of incidence at which a photograph counts.
         sharpness: power of that cosine in the weight.
 
     Returns:
-        cosine to that power over the squared distance in metres, 0 where the camera does not face the vertex or has it
-        beside its picture; column, row and inverse depth in 1/mm, column −1 beside the picture.
+        Weight: cosine to that power over the squared distance in metres, 0 if the camera does not face the vertex or
+        the vertex is outside its image. Position: column, row and inverse depth in 1/mm, column −1 outside the image.
     """
     view = view_of(row)
     weights, places = np.zeros(len(vertices), dtype=np.float32), np.empty((len(vertices), 3))
@@ -60,13 +59,13 @@ def hidden(
 ) -> Bool[Array, " n"]:
     """Points that the surface hides from the camera.
 
-    At all four pixels around such a point the surface stands before it by more than the clearance. A plane through the
-    point never does, however oblique it is: at one of the four it lies behind.
+    At all four pixels around such a point the surface is nearer by more than the clearance. A plane through the point
+    never hides it, however oblique it is: at one of the four it is behind the point.
 
     Args:
-        places: column and row in pixels of the depths' picture, inverse depth in 1/mm.
+        places: column and row in pixels of `inverse_depths`, inverse depth in 1/mm.
         inverse_depths: of the surface nearest to the camera, 1/mm. −∞ where there is none.
-        clearance_mm: what stands less than this before a point hides nothing.
+        clearance_mm: least distance in front of a point from which the surface hides it.
     """
     height, width = inverse_depths.shape
     covered = np.zeros(len(places), dtype=np.bool_)
@@ -84,10 +83,9 @@ def hidden(
 
 @kernel
 def colours_at(pixels: Integer[Array, "h w c"], full_scale: float, uv: Float64[Array, "n 2"]) -> Float32[Array, "n 3"]:
-    """Colours at places in a photograph, 0…1, linear between pixels.
+    """Colours at positions in a photograph, 0…1, linear between pixels. Outside the image, its border's.
 
-    Places beside the picture take its border's. `full_scale` is the level that counts as 1. A grey photograph has one
-    channel.
+    `full_scale` is the level that counts as 1. A grey photograph has one channel.
     """
     height, width, channels = pixels.shape
     colours = np.empty((len(uv), 3), dtype=np.float32)
@@ -108,17 +106,16 @@ def colours_at(pixels: Integer[Array, "h w c"], full_scale: float, uv: Float64[A
 def deepest_triangles(
     corners: Float64[Array, "b 3 2"], first: int, stop: int, width: int, margin: float
 ) -> tuple[Int32[Array, " p"], Int32[Array, " p"], Int32[Array, " p"], Float32[Array, "p 3"]]:
-    """Find the triangle that each pixel lies deepest in.
+    """Triangle in which each pixel is deepest, for pixels in or just beside triangles.
 
-    Pixels in or just beside triangles. Beside: at most `margin` pixels beyond the sides' lines and beyond the box
-    around the corners. Depth is the distance from the nearest side, negative outside. Of equally deep triangles it is
-    the last; triangles without area have none.
+    Beside: at most `margin` pixels outside the lines of the sides and the bounding box. Depth is the distance from the
+    nearest side, negative outside. Of equally deep triangles the last counts. Triangles without area have no pixels.
 
     Args:
         corners: column and row, integers at pixel centres.
-        first: row from which pixels are looked for.
-        stop: one more than the last.
-        width: of the picture.
+        first: first row.
+        stop: last row plus one.
+        width: width of the picture.
         margin: pixels.
 
     Returns:
@@ -180,14 +177,14 @@ def shares_of(
     own: Int32[Array, " p"],
     least: float,
 ) -> Float32[Array, "k p"]:
-    """Share of each photograph in each pixel. They add up to 1.
+    """Share of each photograph in each pixel. Shares of a pixel add up to 1.
 
     Args:
-        weights: of each photograph at each vertex.
-        corners: the vertices between which each pixel lies.
-        between: its barycentric coordinates; what lies just outside counts as on the side.
-        own: the photograph that its triangle shows.
-        least: weight of that one where no other is left.
+        weights: weight of each photograph at each vertex.
+        corners: the vertices of each pixel's triangle.
+        between: barycentric coordinates of the pixel; negative ones, just outside, count as 0.
+        own: the photograph of its triangle.
+        least: weight of that photograph if no other has any.
     """
     shares = np.empty((len(weights), len(corners)), dtype=np.float32)
     for place in range(len(corners)):
@@ -205,7 +202,7 @@ def shares_of(
 
 @small_kernel
 def _sum(levels, row, column, channel, step):  # type: ignore[no-untyped-def]
-    """Sum of the levels that make one pixel."""
+    """Sum of the levels that form one pixel."""
     total = np.int64(0)
     for down in range(step):
         for along in range(step):
@@ -215,7 +212,7 @@ def _sum(levels, row, column, channel, step):  # type: ignore[no-untyped-def]
 
 @small_kernel
 def _between_four(image, row, column, channel):  # type: ignore[no-untyped-def]
-    """Value between pixels, the border's beside the image."""
+    """Value between pixels. Outside the image, its border's."""
     v, u = min(max(row, 0.0), image.shape[0] - 1.0), min(max(column, 0.0), image.shape[1] - 1.0)
     top, left = int(v), int(u)
     below, right = min(top + 1, image.shape[0] - 1), min(left + 1, image.shape[1] - 1)
@@ -231,14 +228,14 @@ def pasted(
     high: Int64[Array, " 2"],
     levelling: tuple[Float32[Array, " 3"], Float32[Array, "a b 3"], int],
 ) -> UInt8[Array, "y x 3"]:
-    """A levelled piece of a photograph.
+    """A piece of a photograph after levelling.
 
     Args:
-        photograph: its levels as recorded, with one or three channels; the level that counts as 1; how many pixels a
-            side make one of the piece.
-        low: first column and row of the piece, in such pixels.
-        high: one more than its last.
-        levelling: factor of each channel; what is added, at every n-th pixel and linear between; n.
+        photograph: its levels as recorded, with one or three channels; the level that counts as 1; the number of
+            recorded pixels per pixel of the piece, along a side.
+        low: first column and row of the piece, in its pixels.
+        high: last column and row plus one.
+        levelling: factor of each channel; summand at every n-th pixel, linear in between; n.
     """
     levels, full_scale, step = photograph
     gain, level, level_step = levelling
@@ -269,11 +266,11 @@ def mix_in(
     """Add a photograph's share to pixels that show several.
 
     Args:
-        mixed: colours of the pixels so far, 0…1. They are changed.
-        share: of this photograph in each.
-        corners: the vertices between which each pixel lies.
-        between: its barycentric coordinates.
-        uv: places of the vertices in the photograph, in pixels of step × step recorded ones.
+        mixed: colours of the pixels so far, 0…1. Changed in place.
+        share: share of this photograph in each.
+        corners: the vertices of each pixel's triangle.
+        between: barycentric coordinates of the pixel.
+        uv: positions of the vertices in the photograph, in pixels of step × step recorded ones.
         photograph: as in `pasted`.
         levelling: as in `pasted`.
     """

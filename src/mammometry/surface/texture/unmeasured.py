@@ -1,8 +1,7 @@
-"""Fading of skin that no pair measured, in photographic colours.
+"""Photographic colours that fade to grey where the skin was not measured.
 
-Further than a few millimetres from measured places the surface is closed by silhouettes alone. Photographs painted on
-it look like skin all the same. So its colours fade to grey: in pictures, in the 3D view and in the models that other
-programs open.
+More than some millimetres from measured skin the surface is closed by silhouettes alone, but with photographs on it,
+it would look like skin: in pictures, in the 3D view and in exported models.
 """
 
 from __future__ import annotations
@@ -18,28 +17,28 @@ from mammometry.surface.repair.repair import RepairedSurface
 from mammometry.surface.texture.texture_atlas import Atlas
 
 GREY = (154, 163, 173)
-"""sRGB. `canvas.GREY`, in which the picture of provenance draws what is invented."""
+"""sRGB. The same as `canvas.GREY`, which marks invented skin in the picture of provenance."""
 WORDS = "Greyed: closed without having been measured"
-_FADED = 0.75  # share of the grey in the colour: a nipple is still made out below it; chosen by eye
+_FADED = 0.75  # share of the grey in the colour: with less, a nipple remains recognisable; appearance only
 
 
 def faded(colours: UInt8[Array, "*n 3"]) -> UInt8[Array, "*n 3"]:
-    """Colours with most of them replaced by grey, sRGB."""
+    """Colours that are mostly replaced by grey, sRGB."""
     return np.rint((1 - _FADED) * colours + _FADED * np.array(GREY)).astype(np.uint8)
 
 
 def shown_colours(colours: UInt8[Array, "n 3"], repaired: RepairedSurface) -> UInt8[Array, "n 3"]:
-    """A surface's vertex colours, with skin that is not claimed faded."""
+    """A surface's vertex colours, faded where the skin was not measured."""
     return np.where(repaired.claimed[:, None], colours, faded(colours))
 
 
 def faded_atlas(atlas: Atlas, repaired: RepairedSurface) -> Atlas:
-    """A viewing mesh whose picture is faded on skin that is not claimed.
+    """A viewing mesh whose picture is faded where the skin was not measured.
 
-    A triangle counts as claimed where the nearest vertices of the full surface are, for two of its corners or three.
+    A triangle counts as measured if the full surface's vertices nearest to at least two of its corners are.
 
     Args:
-        atlas: the surface thinned for looking.
+        atlas: the viewing mesh.
         repaired: the full surface.
     """
     nearest = point_tree(repaired.mesh.vertices).query(atlas.mesh.vertices)[1]

@@ -1,9 +1,9 @@
-"""Detect and correct motion between calibration and capture, and say what moved.
+"""Detect, explain and correct motion between the calibration and the capture.
 
-A camera that turned after the calibration, or a body that moved between the pairs' exposures, makes pairs disagree
-about common skin, and rows of a pair miss one another. `rigid_motion` finds what most probably moved. If nothing did,
-nothing is changed. Otherwise the cameras are set to their most probable poses, and where rigid motions leave pairs
-apart, as when the chest breathes, their points are moved smoothly as well (docs/decisions/0027).
+If a camera turned after the calibration, or the body moved between the pairs' exposures, pairs disagree about common
+skin, and matched rows are off. `rigid_motion` estimates the most probable motions. If nothing moved, nothing is
+changed. Otherwise the cameras get their most probable poses, and if rigid motions do not suffice, as with a breathing
+chest, the points are moved smoothly as well (docs/decisions/0027).
 """
 
 from __future__ import annotations
@@ -42,17 +42,16 @@ from mammometry.surface.settings import StillnessSettings
 
 LEAST_MM = 0.06
 """RMS displacement of the worst pair's points below which nothing is corrected, mm: two thirds of a clean surface's
-error.
-"""
+error."""
 _FIRST_OTHER_SKIN_MM = 12.0
-"""`OTHER_SKIN_MM` of the first round, mm: a camera of the reference rig turned by .1° moves skin so far."""
-_LEAST_SIGMAS = 2.0  # of a displacement, before anything is done: small, noisy pictures show rows that are none
-_SURE = 5.0  # times the least evidence: something moved, even if what it did to each pair is not certain
+"""`OTHER_SKIN_MM` of the first round, mm: a turn of 0.1° of a camera of the reference rig moves skin this far."""
+_LEAST_SIGMAS = 2.0  # significance of a displacement, in standard deviations: rows of small, noisy images look moved
+_SURE = 5.0  # multiple of `LEAST_EVIDENCE` at which something moved, even if its effect on each pair is uncertain
 _EXPLAINED_SHARE = 0.5
-"""Share of the distance between pairs that may be left by motions of which features say nothing. True motions leave a
-seventh; what was taken for motion on matte plaster two thirds."""
+"""Largest remaining share of the distance between pairs if features neither confirm nor refute. True motions leave a
+seventh, false ones on matte plaster two thirds."""
 _UNEXPLAINED_MM = 0.12
-"""Rest above which something moved that is not rigid, mm. Clean captures leave .05 at most (docs/decisions/0027)."""
+"""Rest above which a motion is not rigid, mm. Clean captures leave at most 0.05 (docs/decisions/0027)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,66 +66,66 @@ class Turn:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Displaced:
-    """Displacement of a pair's points by the motions. What moves all pairs together is left out."""
+    """Displacement of a pair's points by the motions, without a common motion of all pairs."""
 
     pair: str
     effect_mm: float
     """RMS displacement, mm."""
     std_mm: float
-    """What of it remains unknown, RMS standard deviation, mm."""
+    """Its uncertainty, RMS standard deviation, mm."""
     body_mm: float
-    """Part of it caused by the body, or by both cameras together, and not by a turn of one camera."""
+    """Part of it caused by the body, or by both cameras together, not by a turn of one camera."""
 
 
 @value(eq=False)
-class Stillness:
-    """Motion between calibration and exposures, as the pairs show it."""
+class MotionEstimate:
+    """Estimated motion between calibration and exposures."""
 
     compared: bool
-    """Whether two pairs see common skin. If not, only each pair's vertical disparity is known."""
+    """Whether two pairs see common skin. If not, only the vertical disparity of each pair is known."""
     moved: bool
     """Whether anything moved."""
     corrected: bool
-    """Whether `motions` are to be applied."""
+    """Whether `motions` are applied."""
     parameters: MotionParameters
     motions: Float64[Array, " p"]
-    """Most probable motions. Zeros where nothing moved."""
+    """Most probable motions. 0 if nothing moved."""
     covariance: Float64[Array, "p p"]
-    """Of what the motions leave. Zeros where nothing moved."""
+    """Covariance of the motions that remain. 0 if nothing moved."""
     rest_mm: float
-    """Disagreement that no motion explains, standard deviation, mm. 0 where nothing moved."""
+    """Disagreement that no motion explains, standard deviation, mm. 0 if nothing moved."""
     evidence: float
-    """Rise of the log probability of the observations by the motions."""
+    """Rise of the log probability of the observations due to the motions."""
     distance_mm: tuple[float, float]
     """RMS distance between pairs' surfaces, measured and after correction, mm."""
     unexplained: bool = False
-    """Whether the rest exceeds matching's own errors: something moved that is not rigid."""
+    """Whether the rest exceeds matching errors, so that the motion is not rigid."""
     alone: str | None = None
-    """Camera or pair whose motion alone explains everything, if there is one."""
+    """Camera or pair whose motion alone explains everything, if any."""
     turns: tuple[Turn, ...] = ()
-    """Of cameras that certainly turned, the largest first."""
+    """Cameras that certainly turned, largest turn first."""
     displaced: tuple[Displaced, ...] = ()
-    """Each pair, the most displaced first."""
+    """All pairs, most displaced first."""
     confirmation: CorrectionEvidence | None = None
-    """What features that pairs share say of the motions, which were not found from them. None: they were not asked."""
+    """Test of the motions with features, which they were not estimated from. None: not tested."""
 
     @property
     def refuted(self) -> bool:
-        """Whether features show that nothing moved, though pairs disagree."""
+        """Whether features show that nothing moved although the pairs disagree."""
         return self.confirmation is not None and self.confirmation.verdict == "refuted"
 
     @property
     def breathed(self) -> bool:
-        """Whether the body moved otherwise than as a whole, but smoothly."""
+        """Whether the body deformed smoothly."""
         return bool(self.motions[self.parameters.of_breath].any())
 
     def rig(self, calibrated: Rig) -> Rig:
-        """The cameras where they most probably stood."""
+        """The cameras in their most probable poses."""
         return _moved_rig(calibrated, self.parameters, self.motions) if self.corrected else calibrated
 
-    def carry(self, image: RangeImage, calibrated: Rig) -> RangeImage:
-        """A range image with the cameras at their most probable poses."""
-        return _carried(image, calibrated, self.parameters, self.motions) if self.corrected else image
+    def apply_motion(self, image: RangeImage, calibrated: Rig) -> RangeImage:
+        """A range image with the cameras in their most probable poses and a body that did not breathe."""
+        return _apply(image, calibrated, self.parameters, self.motions) if self.corrected else image
 
 
 def find(
@@ -136,22 +135,22 @@ def find(
     covariance: ParameterCovariance | None = None,
     settings: StillnessSettings = StillnessSettings(),
     shared: Callable[[], Sequence[SharedFeatures]] | None = None,
-) -> Stillness:
-    """Find what moved since the calibration, from the pairs' disagreement.
+) -> MotionEstimate:
+    """Estimate what moved since the calibration, from the pairs' disagreement.
 
-    What was found is corrected only where independent evidence confirms it.
+    A motion is corrected only if independent evidence confirms it.
 
     Args:
         rig: as calibrated.
-        range_images: what each pair measured with it.
+        range_images: range images of all pairs with this rig.
         rows: pair → its vertical disparity.
-        covariance: of the calibration; None where the cameras came ready-made.
+        covariance: covariance of the calibration. None for given cameras.
         settings: limits.
-        shared: gives the features that cameras of different pairs share; called where something seems to have moved.
-            None: there are no photographs, and no confirmation is asked for.
+        shared: returns the features that cameras of different pairs share; called only if something seems to have
+            moved. None: there are no photographs, and motions need no confirmation.
 
     Raises:
-        SurfaceError: pairs disagree by more than motions of cameras explain, or than is put right.
+        SurfaceError: motions of cameras do not explain the disagreement, or are too large to be corrected.
     """
     apart = differences(range_images, _FIRST_OTHER_SKIN_MM)
     compared = {name for comparison in apart for name in (comparison.first, comparison.second)}
@@ -182,9 +181,9 @@ def find(
     if smooth.expected.log_evidence - rigid.expected.log_evidence >= LEAST_EVIDENCE:
         parameters, moved, breaths_mm = breathing, smooth, BREATHS_MM
         evidence = moved.expected.log_evidence - moved.still.log_evidence
-    # Once more, with the pairs compared where the corrected cameras see them.
+    # Again, with the pairs compared where the corrected cameras see them.
     so_far = moved.expected.motions
-    images = [_carried(image, rig, parameters, so_far) for image in range_images]
+    images = [_apply(image, rig, parameters, so_far) for image in range_images]
     again = observed(_moved_rig(rig, parameters, so_far), differences(images), rows, covariance, parameters.effects)
     values = again.values + np.where(again.distances, again.by_unknown @ so_far, 0.0)
     seen, moved = most_probably(replace(again, values=values), parameters, breaths_mm)
@@ -207,17 +206,13 @@ def find(
     return replace(found, covariance=found.covariance + np.outer(found.motions, found.motions))
 
 
-def assumed_still(rig: Rig) -> Stillness:
-    """No motion, where none is looked for.
-
-    Args:
-        rig: as calibrated.
-    """
+def assumed_still(rig: Rig) -> MotionEstimate:
+    """An estimate without motion, for rigs that are not tested. `rig`: as calibrated."""
     return _nothing(motion_parameters(rig, list(rig.pair_names), np.zeros(3)), compared=False)
 
 
-def _confirmed(rig: Rig, found: Stillness, shared: Sequence[SharedFeatures]) -> CorrectionEvidence:
-    """What features that pairs share say of motions."""
+def _confirmed(rig: Rig, found: MotionEstimate, shared: Sequence[SharedFeatures]) -> CorrectionEvidence:
+    """Test of motions with the features that cameras of different pairs share."""
     parameters, motions = found.parameters, found.motions
 
     def breathed_mm(camera: str, points: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
@@ -230,16 +225,16 @@ def _confirmed(rig: Rig, found: Stillness, shared: Sequence[SharedFeatures]) -> 
     return weigh_correction(rig, _moved_rig(rig, parameters, motions), breathed_mm, shared)
 
 
-def _is_trusted(found: Stillness) -> bool:
-    """Whether to correct motions: features confirm them, or are silent and the motions explain the disagreement."""
+def _is_trusted(found: MotionEstimate) -> bool:
+    """Whether to correct: features confirm the motions, or are silent and the motions explain the disagreement."""
     if found.confirmation is None or found.confirmation.verdict == "confirmed":
         return True
     before_mm, after_mm = found.distance_mm
     return not found.unexplained and after_mm < _EXPLAINED_SHARE * before_mm
 
 
-def _matched_badly(found: Stillness, rest_mm: float, before_mm: float) -> Stillness:
-    """The cameras did not move: the pairs disagree because of matching errors, which the interval covers."""
+def _matched_badly(found: MotionEstimate, rest_mm: float, before_mm: float) -> MotionEstimate:
+    """The estimate if the cameras did not move: the disagreement is a matching error, which the interval covers."""
     return replace(
         found,
         motions=np.zeros_like(found.motions),
@@ -254,8 +249,8 @@ def _matched_badly(found: Stillness, rest_mm: float, before_mm: float) -> Stilln
 
 def _nothing(
     parameters: MotionParameters, *, compared: bool = True, distance_mm: float = 0.0, evidence: float = 0.0
-) -> Stillness:
-    return Stillness(
+) -> MotionEstimate:
+    return MotionEstimate(
         compared=compared,
         moved=False,
         corrected=False,
@@ -268,8 +263,8 @@ def _nothing(
     )
 
 
-def _carried(image: RangeImage, rig: Rig, parameters: MotionParameters, motions: Float64[Array, " p"]) -> RangeImage:
-    """A pair's data as they are with moved cameras and a body that did not breathe."""
+def _apply(image: RangeImage, rig: Rig, parameters: MotionParameters, motions: Float64[Array, " p"]) -> RangeImage:
+    """A pair's data with moved cameras and a body that did not breathe."""
     there = _moved_rig(rig, parameters, motions).pair(image.name)
     image = retriangulated(image, rig.pair(image.name), there)
     breath = motions[parameters.of_breath]
@@ -302,8 +297,8 @@ def _moved(camera: Camera, turn: Float64[Array, 3], motion: Float64[Array, 6], p
     return replace(camera, camera_from_world=Transform(rotation=rotation, translation_mm=-rotation @ centre))
 
 
-def _judged(rig: Rig, rows: Mapping[str, RowErrors], moved: Found, parameters: MotionParameters) -> Stillness:
-    """Name what moved, by how much, and the effect on each pair."""
+def _judged(rig: Rig, rows: Mapping[str, RowErrors], moved: Found, parameters: MotionParameters) -> MotionEstimate:
+    """The estimate with what moved, by how much, and the effect on each pair."""
     best, alone = moved.expected, moved.alone
     named = best if alone is None else alone[1]
     turns = [turn for turn in (_turn(name, named, parameters) for name in parameters.cameras) if turn is not None]
@@ -325,7 +320,7 @@ def _judged(rig: Rig, rows: Mapping[str, RowErrors], moved: Found, parameters: M
                 body_mm=_rms(own @ shift_alone),
             )
         )
-    return Stillness(
+    return MotionEstimate(
         compared=True,
         moved=True,
         corrected=False,
@@ -342,7 +337,7 @@ def _judged(rig: Rig, rows: Mapping[str, RowErrors], moved: Found, parameters: M
 
 
 def _turn(name: str, best: Fit, parameters: MotionParameters) -> Turn | None:
-    """A camera's turn. None where it is not certain."""
+    """Turn of a camera. None if it is not certain."""
     where = parameters.of_camera(name)
     turn, spread = best.motions[where], best.covariance[where, where]
     size = float(np.linalg.norm(turn))
@@ -355,7 +350,7 @@ def _rms(vectors: Float64[Array, "n 3"]) -> float:
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
 
 
-def _refuse(found: Stillness, settings: StillnessSettings, honest_mm: float) -> None:
+def _refuse(found: MotionEstimate, settings: StillnessSettings, honest_mm: float) -> None:
     if found.rest_mm > max(settings.most_unexplained_mm, SIGMAS * honest_mm):
         raise SurfaceError(
             "pairs of the capture",
@@ -379,16 +374,16 @@ def _refuse(found: Stillness, settings: StillnessSettings, honest_mm: float) -> 
 
 
 _MOST_PART, _LITTLE = 0.7, 0.35
-"""Share of a displacement above which only the body moved, and below which only cameras did. Chosen by eye."""
-_NAMED = 3  # cameras in a sentence, at most
+"""Share of a displacement above which only the body moved, and below which only cameras did. In the text only."""
+_NAMED = 3  # most cameras in a sentence
 
 
-def concerns(found: Stillness, missing: Mapping[str, Sequence[str]] = MappingProxyType({})) -> Iterator[Notice]:
-    """Notices that a user must read beside the volume. None where nothing moved.
+def concerns(found: MotionEstimate, missing: Mapping[str, Sequence[str]] = MappingProxyType({})) -> Iterator[Notice]:
+    """Warnings about motion that belong to the volume. None if nothing moved.
 
     Args:
-        found: what moved.
-        missing: pair → its cameras without an outline, which must be drawn before any cause is named.
+        found: the estimate.
+        missing: pair → its cameras without an outline, which must be drawn before a cause is named.
     """
     if not found.moved:
         return
@@ -408,8 +403,8 @@ def concerns(found: Stillness, missing: Mapping[str, Sequence[str]] = MappingPro
         yield Notice(code="motion-unexplained", values={"mm": found.rest_mm})
 
 
-def cause(found: Stillness) -> Notice:
-    """The thing that moved, and the remedy."""
+def cause(found: MotionEstimate) -> Notice:
+    """What moved, and the remedy."""
     worst = found.displaced[0]
     share = worst.body_mm / worst.effect_mm if worst.effect_mm > 0 else 0.0
     turns = found.turns[:_NAMED]
@@ -428,8 +423,8 @@ def cause(found: Stillness) -> Notice:
     return Notice(code="cameras-turned", about=cameras, values=values)
 
 
-def summary(found: Stillness) -> str:
-    """One line for the technician."""
+def summary(found: MotionEstimate) -> str:
+    """One line about motion for the technician."""
     if not found.compared:
         return "not compared: no two pairs see the same skin"
     if not found.moved:
