@@ -1,1 +1,1 @@
-"""Captures with known truth."""
+"""Virtual captures with known truth."""

@@ -1,7 +1,7 @@
 """Recipe of a virtual session, and its disturbances as written on the command line.
 
-A disturbance has a name and may have a size. ``rail,drift=0.02,removed=right`` is a rail in front of the body, every
-camera turned by 0.02° after the calibration, and the right breast removed. The names are those of
+A disturbance has a name and may have a size. ``rail,drift=0.02,removed=right`` is a rail in front of the body, all
+cameras turned by 0.02° after the calibration, and the right breast removed. The names are those of
 `disturbances.registry.DISTURBANCES`.
 """
 
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:  # The command line uses these defaults, and must not import NumPy.
+if TYPE_CHECKING:  # the command line uses these defaults and must not import NumPy
     from mammometry.simulate.subjects.user_mesh import MeshFile
 
 
@@ -26,9 +26,9 @@ class Disturbance:
     """One disturbance."""
 
     name: str
-    """In the registry."""
+    """Its name in the registry."""
     size: str = ""
-    """Size or kind: a number or a word. Empty for the usual one."""
+    """Size or kind: a number or a word. Empty: the usual one."""
 
     def __str__(self) -> str:
         return f"{self.name}={self.size}" if self.size else self.name
@@ -36,26 +36,26 @@ class Disturbance:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Situation:
-    """All that disturbs one capture."""
+    """All disturbances of one capture."""
 
     disturbances: tuple[Disturbance, ...] = ()
-    """Each name once. The order changes nothing that is drawn."""
+    """Each name once. Their order does not matter."""
 
     def __str__(self) -> str:
         return ",".join(map(str, self.disturbances))
 
     def without(self, names: Collection[str]) -> Situation:
-        """Return the same situation without some disturbances, to compare bodies with and without them."""
+        """The same situation without some disturbances, to compare bodies with and without them."""
         return Situation(
             disturbances=tuple(disturbance for disturbance in self.disturbances if disturbance.name not in names)
         )
 
 
 def parse_situation(text: str) -> Situation:
-    """Read ``rail,drift=0.02``.
+    """Parse ``rail,drift=0.02``.
 
     Raises:
-        ValueError: a part has no name, or a name occurs twice.
+        ValueError: a part has no name, or a name is repeated.
     """
     found: dict[str, Disturbance] = {}
     for part in filter(None, (part.strip() for part in text.split(","))):
@@ -71,27 +71,27 @@ _UNDISTURBED = Situation()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionRecipe:
-    """Recipe of a virtual session, except for how pictures are taken. Those are taken by `studio.Studio`."""
+    """Recipe of a virtual session: everything except how pictures are taken (`studio.Studio`)."""
 
     rig: str = "reference"
-    """``reference`` (eight cameras, four pairs), or a rig's TOML file. ``reference:front,floor`` keeps only these
-    pairs."""
+    """``reference`` (eight cameras, four pairs) or a rig's TOML file. ``reference:front,floor`` keeps only these pairs.
+    """
     subject: str = "plaster_5"
-    """A name in `subjects.registry.SUBJECTS`, or the path of a PLY, OBJ or STL."""
+    """A name in `subjects.registry.SUBJECTS`, or the path of a PLY, OBJ or STL file."""
     scale: float = 0.25
     """Size of the pictures relative to the rig's full size: 0.25 of the reference rig's 4504 × 3000 is 1126 × 750."""
     seed: int = 7
-    """Seed of everything random: errors of the rig, poses, shape, mottling, noise."""
+    """Seed of all random values: errors of the rig, poses, shape, mottling, noise."""
     poses: int = 8
-    """Of the calibration target."""
+    """Number of poses of the calibration target."""
     mesh_file: MeshFile | None = None
-    """Unit and attitude of a mesh that is the subject."""
+    """Unit and orientation of a mesh file that is the subject."""
     situation: Situation = _UNDISTURBED
-    """What disturbs the capture."""
+    """Disturbances of the capture."""
 
     @property
     def line(self) -> str:
-        """Comment in session.toml that says how the session was made."""
+        """Comment in session.toml that states how the session was made."""
         rig, subject = (json.dumps(Path(name).name if "/" in name else name) for name in (self.rig, self.subject))
         made = f"# rig {rig}, subject {subject}, scale {self.scale}, seed {self.seed}, {self.poses} poses"
         return f"{made}, disturbed by {self.situation}" if self.situation.disturbances else made

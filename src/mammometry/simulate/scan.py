@@ -1,7 +1,7 @@
 """Scans of a virtual body: its clean front, and a scan by a telephone.
 
-Fused scans resemble those of telephones: neighbouring pixels share noise, folds are bridged because a pixel sees the
-mean of its surroundings, and rims at flat angles are ragged.
+Scans resemble those of telephones: neighbouring pixels share noise, folds are bridged because a pixel averages over its
+surroundings, and rims at flat angles are ragged. Walks and light here are invented scenery; no result depends on them.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ from mammometry.simulate.subjects.solid import Solid
 from mammometry.study.rays import RayScene
 from mammometry.surface.fusion.marching import march
 
-_FIELD_RAD = math.radians(50.0)  # of view, across; as of the front cameras of telephones
+_FIELD_RAD = math.radians(50.0)  # horizontal field of view, as of the front cameras of telephones
 _DISTANCE_MM = (480.0, 620.0)  # from the chest
 _FRONT_DEG = (
     *((-65, 0), (-45, 0), (-22, 0), (0, 0), (22, 0), (45, 0), (65, 0)),
     *((50, -32), (18, -35), (-18, -35), (-50, -32)),
     *((-45, 28), (-15, 30), (15, 30), (45, 28)),
-)  # azimuths and elevations of a walk around the front: below the breasts as well as above; chosen by eye
+)  # azimuths and elevations of a walk around the front: below the breasts as well as above
 _BELOW_DEG = (
     *((-78, -22), (-50, -20), (-18, -12), (18, -12), (50, -20), (78, -22)),
     *((-70, -45), (-35, -45), (0, -45), (35, -45), (70, -45)),
     *((-35, -66), (-12, -68), (12, -68), (35, -66)),
-)  # of a second walk at the height of the hips, looking up; chosen by eye
+)  # of a second walk at the height of the hips, looking up
 Walk: TypeAlias = Literal["front", "below"]
 _WALKS: Mapping[Walk, Sequence[tuple[int, int]]] = MappingProxyType({"front": _FRONT_DEG, "below": _BELOW_DEG})
-_STEP_MM = 20.0  # of depth between neighbouring pixels: an edge of the body
-_BLUR_PX = 1.1  # standard deviation of the surroundings that one pixel sees
-_SHARED_PX, _SHARED = 2.5, 0.15  # pixels over which noise is alike, and this part's share of its variance
-_SLANT = (0.22, 0.12)  # cosine of incidence below which skin is lost, and by how much this limit wanders
-_WANDER_PX = 9.0  # over which it wanders
+_STEP_MM = 20.0  # depth difference between neighbouring pixels from which there is an edge of the body
+_BLUR_PX = 1.1  # Gaussian σ over which a pixel averages
+_SHARED_PX, _SHARED = 2.5, 0.15  # Gaussian σ of the shared noise, and its share of the variance
+_SLANT = (0.22, 0.12)  # cosine of incidence below which skin is lost, and standard deviation of this limit
+_WANDER_PX = 9.0  # Gaussian σ over which the limit varies
 _EDGE_LOST = 0.7  # share of the pixels at an edge of the body that are lost
-_POSE_MM, _POSE_RAD = 0.5, 0.0008  # error of a picture's place and direction, for 1 mm of noise
+_POSE_MM, _POSE_RAD = 0.5, 0.0008  # error of a picture's position and direction, for 1 mm of noise
 
 
 @value(eq=False)
@@ -53,13 +53,13 @@ class DepthPicture:
     """One depth picture."""
 
     depth_mm: Float32[Array, "h w"]
-    """Along the camera's axis, mm. NaN where nothing is seen."""
+    """Depth along the camera's axis, mm. NaN where nothing is seen."""
     trust: Float32[Array, "h w"]
     """Weight of each pixel: cosine of incidence."""
     camera_from_world: Transform
-    """Where the telephone believes that it took the picture."""
+    """Pose of the picture, with the telephone's error."""
     focal_px: float
-    """Focal length. The axis meets the picture's middle."""
+    """Focal length. The axis meets the picture's centre."""
 
 
 def depth_pictures(
@@ -71,14 +71,14 @@ def depth_pictures(
     rng: np.random.Generator,
     walk: Walk = "front",
 ) -> Iterator[DepthPicture]:
-    """Take fifteen depth pictures around a body's front, or from below.
+    """Yield fifteen depth pictures around a body's front, or from below.
 
     Args:
         scene: the body, y to the head and z ahead, mm.
-        target: at which the telephone looks, about the chest's middle.
-        noise_mm: standard deviation of one pixel's depth at half a metre.
-        width_px: of a picture; its height is three quarters.
-        rng: of noise, places and lost pixels.
+        target: point at which the telephone looks, about the chest's centre.
+        noise_mm: standard deviation of a pixel's depth at half a metre.
+        width_px: width of a picture; its height is three quarters.
+        rng: random generator of noise, positions and lost pixels.
         walk: path of the telephone.
     """
     for azimuth, elevation in _WALKS[walk]:
@@ -89,7 +89,7 @@ def depth_pictures(
 
 
 def _looking(centre: Float64[Array, 3], target: Float64[Array, 3]) -> Transform:
-    """Frame of a camera that is held upright: x right, y down, z ahead."""
+    """Frame of an upright camera: x right, y down, z ahead."""
     ahead = (target - centre) / np.linalg.norm(target - centre)
     right = np.cross(ahead, [0.0, 1.0, 0.0])
     right /= np.linalg.norm(right)
@@ -129,13 +129,13 @@ def _picture(scene: RayScene, camera: Transform, noise_mm: float, width: int, rn
 
 
 def _blurred(depth: Float64[Array, "h w"], seen: Array) -> Float64[Array, "h w"]:
-    """Mean depth around each pixel, of what is seen."""
+    """Mean depth around each pixel, over pixels with depth."""
     share = ndimage.gaussian_filter(seen.astype(np.float64), _BLUR_PX)
     return np.asarray(ndimage.gaussian_filter(depth, _BLUR_PX) / np.maximum(share, 1e-9))
 
 
 def _field(shape: tuple[int, ...], alike_px: float, rng: np.random.Generator) -> Float64[Array, "h w"]:
-    """Random numbers of unit variance, alike over a few pixels."""
+    """Random numbers of unit variance, correlated over some pixels."""
     drawn = rng.normal(size=shape)
     if alike_px:
         drawn = ndimage.gaussian_filter(drawn, alike_px, mode="wrap")
@@ -143,19 +143,19 @@ def _field(shape: tuple[int, ...], alike_px: float, rng: np.random.Generator) ->
     return np.asarray(drawn)
 
 
-_TRUNCATION_CUBES = 4.0  # as voxel grids of telephones have; ARKit's and Open3D's samples: 3 to 5
-_MARGIN_CUBES = 3  # around the body, so that the level never meets the grid's edge
-_OFF_LEVEL = 1e-3  # share of a cube by which a value of 0 is moved, since marching cubes wants none
-_LEAST_WEIGHT = 0.5  # of a corner: about one picture that looks at it nearly straight
+_TRUNCATION_CUBES = 4.0  # as in voxel grids of telephones; ARKit's and Open3D's examples have 3 to 5
+_MARGIN_CUBES = 3  # around the body, so that the level does not meet the grid's edge
+_OFF_LEVEL = 1e-3  # share of a cube by which values near 0 are moved, which marching cubes requires
+_LEAST_WEIGHT = 0.5  # least weight of a corner: about one picture at nearly normal incidence
 
 
 def fuse(
     pictures: Sequence[DepthPicture], low: Float64[Array, 3], high: Float64[Array, 3], cube_mm: float
 ) -> TriangleMesh:
-    """Fuse depth pictures on a grid of cubes, and return the largest piece of the surface.
+    """Largest piece of the surface from depth pictures, fused on a grid of cubes.
 
     Args:
-        pictures: with the places at which the telephone believes that it took them.
+        pictures: depth pictures with the telephone's poses.
         low: lower corner of the box that is scanned, mm.
         high: its upper corner, mm.
         cube_mm: edge of a cube.
@@ -193,18 +193,18 @@ def add_picture(
     focal_px: float,
     truncation_mm: float,
 ) -> None:
-    """Add one picture's truncated signed distances, weighted by its trust in each pixel.
+    """Add a picture's truncated signed distances, weighted by its trust in each pixel.
 
-    A corner takes the nearest pixel's depth minus its own, at most `truncation_mm`. One that lies further behind the
-    skin is not seen and takes nothing.
+    A corner gets the nearest pixel's depth minus its own, at most `truncation_mm`. Corners farther behind the skin are
+    hidden and get nothing.
 
     Args:
-        total: sum of weighted distances, mm. Changed.
-        weight: sum of weights. Changed.
+        total: sum of weighted distances, mm. Changed in place.
+        weight: sum of weights. Changed in place.
         depth: along the camera's axis, mm. NaN where nothing is seen.
         trust: weight of each pixel.
         camera_from_grid: camera's frame, mm, from a corner's index.
-        focal_px: of a camera without distortion, whose axis meets the picture's middle.
+        focal_px: focal length of a camera without distortion, whose axis meets the picture's centre.
         truncation_mm: largest distance, mm.
     """
     height, width = depth.shape
@@ -224,16 +224,16 @@ def add_picture(
                 if row < 0 or column < 0 or row >= height or column >= width:
                     continue
                 distance = depth[row, column] - z
-                if not distance > -truncation_mm:  # also where nothing is seen
+                if not distance > -truncation_mm:  # also NaN: nothing seen
                     continue
                 share = trust[row, column]
                 total[i, j, k] += share * min(distance, truncation_mm)
                 weight[i, j, k] += share
 
 
-_LIGHT, _AMBIENT = 1.5, 0.45  # of the room's lamp, and the share of it that comes from all sides; chosen by eye
-_LAMP = np.array([0.25, 0.55, 0.8])  # camera positions: above, in front
-_ASIDE_MM, _BELOW_MM, _ABOVE_MM, _BACK_MM = 235.0, 235.0, 190.0, 150.0  # scanned around the chest's middle
+_LIGHT, _AMBIENT = 1.5, 0.45  # strength of the room's lamp, and the share of it from all directions
+_LAMP = np.array([0.25, 0.55, 0.8])  # direction of the lamp: above, in front
+_ASIDE_MM, _BELOW_MM, _ABOVE_MM, _BACK_MM = 235.0, 235.0, 190.0, 150.0  # scanned box around the chest's centre
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -243,7 +243,7 @@ class ScanQuality:
     noise_mm: float
     """Standard deviation of a pixel's depth at half a metre."""
     cube_mm: float
-    """Edge of the cubes in which the pictures are fused."""
+    """Edge of the cubes of the fusion."""
     width_px: int
     """Width of a depth picture."""
 
@@ -254,7 +254,7 @@ QUALITIES: Mapping[str, ScanQuality] = MappingProxyType(
         "telephone": ScanQuality(noise_mm=1.0, cube_mm=4.0, width_px=320),
     }
 )
-"""Kinds of scans: a good scanner's or a new telephone's at its best, and a telephone's as is usual."""
+"""Name → kind of scan. fine: a good scanner, or a new telephone at its best. telephone: a usual telephone."""
 
 
 @value(eq=False)
@@ -267,12 +267,12 @@ class VirtualScan:
 
     @property
     def ply_colours(self) -> dict[str, UInt8[Array, " n"]]:
-        """Channel → value of each vertex, as a PLY file names them."""
+        """Channel → value of each vertex, with the names of a PLY file."""
         return {name: np.ascontiguousarray(self.colours[:, k]) for k, name in enumerate(("red", "green", "blue"))}
 
 
 def clean_front(solid: Solid) -> VirtualScan:
-    """The body's own triangles from the back's edge forward, without noise."""
+    """The body's own triangles in front of the back's edge, without noise."""
     low, high = _box(solid)
     inside = np.all((solid.mesh.vertices > low) & (solid.mesh.vertices < high), axis=1)
     mesh = solid.mesh.submesh(inside[solid.mesh.faces].all(axis=1) & _faces_ahead(solid))
@@ -286,10 +286,10 @@ def scan(solid: Solid, quality: ScanQuality, seed: int, walk: Walk = "front") ->
 
     Args:
         solid: the body.
-        quality: of the depth pictures and of their fusion.
-        seed: of everything random. Another seed scans the same body anew.
-        walk: ``front``: around her. ``below``: with the telephone at the height of the hips, looking up, as for the
-            fold of a hanging breast.
+        quality: quality of the depth pictures and of their fusion.
+        seed: seed of all random values. Another seed gives another scan of the same body.
+        walk: ``front``: around the front. ``below``: with the telephone at the height of the hips, looking up, as for
+            the fold of a hanging breast.
     """
     rng = np.random.default_rng([seed, 101])
     low, high = _box(solid)
@@ -305,7 +305,7 @@ def scan(solid: Solid, quality: ScanQuality, seed: int, walk: Walk = "front") ->
 
 
 def _box(solid: Solid) -> tuple[Float64[Array, 3], Float64[Array, 3]]:
-    """Corners of what is scanned: the front with the shoulders and the upper arms."""
+    """Corners of the scanned box: the front with the shoulders and the upper arms."""
     middle = solid.landmarks["midline"].mean(axis=0)
     low = np.array([middle[0] - _ASIDE_MM, middle[1] - _BELOW_MM, middle[2] - _BACK_MM])
     high = np.array([middle[0] + _ASIDE_MM, middle[1] + _ABOVE_MM, np.inf])
@@ -314,7 +314,7 @@ def _box(solid: Solid) -> tuple[Float64[Array, 3], Float64[Array, 3]]:
 
 
 def _faces_ahead(solid: Solid) -> Bool[Array, " m"]:
-    """Faces of the front: all but those that look back. Of a hanging breast some do."""
+    """Faces of the front: all that do not face back, and all of the breasts."""
     vectors = solid.mesh.face_vectors()
     length = np.maximum(np.linalg.norm(vectors, axis=1), 1e-12)
     ahead = np.asarray(vectors[:, 2] / length > -0.6)

@@ -1,8 +1,7 @@
-"""Write a complete session of a virtual rig.
+"""Write a complete session of a virtual rig: manifest, photographs and truth.
 
-Manifest, calibration and capture pictures, and the truth. The folder is as from a real rig, in the documented format,
-plus ``truth/``, which only ``mammometry evaluate`` reads. The same arguments give the same bytes, whatever the number
-of threads.
+The folder has the documented format of a real rig's, plus ``truth/``, which only ``mammometry evaluate`` reads. The
+same arguments give the same bytes with any number of threads.
 """
 
 from __future__ import annotations
@@ -36,9 +35,9 @@ from mammometry.simulate.subjects.solid import Solid, rig_from_solid
 from mammometry.simulate.truth import write_truth
 
 _POSES_ENOUGH = 5
-"""Number of poses from which each camera must see the target in one. Fewer are for quick looks. Chosen by eye."""
+"""Number of poses from which each camera must see the target at least once. Quick looks have fewer."""
 _PICTURES_SHARE, _DEPTHS_SHARE = 0.93, 0.99
-"""Shares of the progress bar at the end of the pictures, and of the depth maps: roughly as in time."""
+"""Values of the progress bar after the pictures, and after the depth maps: roughly proportional to time."""
 _SHARP_RIM = """\
 rim_radius_mm = 0.0   # the mesh ends in a sharp edge; measure a real cast with a radius gauge
 """
@@ -46,17 +45,17 @@ rim_radius_mm = 0.0   # the mesh ends in a sharp edge; measure a real cast with 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SimulatedSession:
-    """The written session, and its truth."""
+    """The written session and its truth."""
 
     folder: Path
     rig: Rig
     """The true cameras, rig frame."""
     rig_from_board: Mapping[str, Transform]
-    """Pose → rig from board. The first pose's board is the world of results."""
+    """Pose → rig from board. The first pose's board is the world frame of the results."""
     scene: Scene
-    """The subject in the rig frame."""
+    """The scene with the subject, rig frame."""
     true_volumes_cc: Mapping[str, float]
-    """Name ("model", or "left" and "right") → exact volume, cc. Empty if the subject's mesh is open."""
+    """Name (``model``, or ``left`` and ``right``) → exact volume, cc. Empty if the subject's mesh is open."""
 
 
 def write_session(
@@ -72,14 +71,15 @@ def write_session(
     Everything is made in a temporary folder next to `out` and renamed at the end, so `out` is complete or missing.
 
     Args:
-        out: the session folder to make; it must not exist, or be empty.
+        out: session folder to make. It must not exist, or be empty.
         recipe: rig, subject, scale, seed and poses.
         studio: the calibration target, and how pictures are taken.
         truth: whether to write ``truth/``, which takes as long as some pictures.
-        progress: fraction of the pictures that are written.
+        progress: written fraction of the pictures.
 
     Raises:
-        SessionError: `out` is not empty, or an argument is unknown. StorageError: the disk is full or read-only.
+        SessionError: `out` is not empty, or an argument is unknown.
+        StorageError: the disk is full or read-only.
     """
     require_new(out)
     seed = recipe.seed
@@ -135,7 +135,7 @@ def write_session(
 
 
 def true_volumes_cc(recipe: SessionRecipe) -> dict[str, float]:
-    """Exact volumes of a drawn subject in its session, cc. They come from its recipe alone.
+    """Exact volumes of a subject in its session, cc, computed from the recipe alone.
 
     Raises:
         ValueError: there is no subject of that name.
@@ -145,7 +145,7 @@ def true_volumes_cc(recipe: SessionRecipe) -> dict[str, float]:
 
 
 def _subject(recipe: SessionRecipe) -> Solid:
-    """The subject, operated as the situation says."""
+    """The subject, with the situation's operations."""
     operated = any(DISTURBANCES[disturbance.name].stage == "patient" for disturbance in recipe.situation.disturbances)
     return make_subject(
         recipe.subject,
@@ -157,17 +157,15 @@ def _subject(recipe: SessionRecipe) -> Solid:
 
 
 def _edge_mm(scale: float) -> float:
-    """Edge length of about 1.5 pixels, so that no facet shows."""
+    """Edge length of about 1.5 pixels, so that facets are not visible."""
     return float(np.clip(0.7 * 0.25 / scale, 0.4, 2.0))
 
 
 def _check_cameras_see_target(rig: Rig, target: Target, poses: Mapping[str, Transform]) -> None:
-    """Refuse a rig with a camera that never sees the target.
-
-    Only with enough poses. Such a rig could not be calibrated.
+    """Refuse a rig with a camera that never sees the target, since it could not be calibrated.
 
     Raises:
-        SessionError: of at least `_POSES_ENOUGH` poses a camera sees none.
+        SessionError: a camera sees the target in none of at least `_POSES_ENOUGH` poses.
     """
     for camera in rig.cameras.values() if len(poses) >= _POSES_ENOUGH else ():
         if not any(sees_target(camera, pose, target) for pose in poses.values()):
@@ -180,7 +178,7 @@ def _check_cameras_see_target(rig: Rig, target: Target, poses: Mapping[str, Tran
 
 
 def _manifest(rig: Rig, target: Target, solid: Solid, made_by: str) -> str:
-    """session.toml of this rig, its target and the subject. `made_by` is its recipe."""
+    """Text of session.toml for a rig, its target and the subject. `made_by` is its recipe."""
     pairs = ",\n".join(
         f'  {{ name = "{name}", left = "{left}", right = "{right}" }}' for name, (left, right) in rig.pair_names.items()
     )

@@ -1,4 +1,4 @@
-"""Take all pictures of a virtual session, on all cores: the target in its poses, and the subject."""
+"""Take all pictures of a virtual session: the target in its poses, and the subject."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from mammometry.simulate.disturbances.exposure import Exposure
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.registry import BUILT_IN, RENDERERS
-from mammometry.simulate.rendering.scene import Room, Scene, Thing, light_scene, moved
+from mammometry.simulate.rendering.scene import Prop, Room, Scene, light_scene, moved
 from mammometry.simulate.rendering.skin import Skin
 from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.targets import BOARD, sees_target, visible_points
@@ -31,10 +31,10 @@ from mammometry.simulate.subjects.solid import Solid
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Arrangement:
-    """Places of everything in a virtual session, rig frame, mm."""
+    """Positions of everything in a virtual session, rig frame, mm."""
 
     exposure: Exposure
-    """Cameras, then and now. Films, flashes and moments."""
+    """Cameras at calibration and capture, films, flashes and moments."""
     lights: Float64[Array, "l 4"]
     """Each calibration flash: position, and irradiance × mm² at distance 1."""
     rig_from_target: Mapping[str, Transform]
@@ -43,7 +43,7 @@ class Arrangement:
     """The subject, in its own frame."""
     rig_from_solid: Transform
     """Pose of the subject."""
-    things: tuple[Thing, ...] = ()
+    things: tuple[Prop, ...] = ()
     """Other objects in the scene."""
 
     @property
@@ -56,9 +56,9 @@ _SKIN, _FILM = Skin(), Film()
 _BACKGROUNDS = ("dark", "clutter")
 _IMAGE_FORMATS = ("jpg", "png", "tif")
 _WORKERS_AT_MOST = 8
-"""Threads: each stores a picture's radiance, 160 MB at full size."""
+"""Most threads: each stores a picture's radiance, 160 MB at full size."""
 _MEASURED_PX = 0.03
-"""Standard deviation of a dotted frame's points, as if measured by another program, px. Chosen by eye."""
+"""Standard deviation of a dotted frame's points, as from a measuring program, px. Invented; no result depends on it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,24 +66,24 @@ class Studio:
     """How a session's pictures are taken, for any scene."""
 
     target: Target = BOARD
-    """What is photographed for calibration."""
+    """Object that is photographed for the calibration."""
     skin: Skin = _SKIN
-    """How the subject is painted."""
+    """Appearance of the subject's skin."""
     film: Film = _FILM
     """Lens and sensor."""
     background: str = "dark"
-    """Background behind the subject: ``dark``, nothing. ``clutter``, a room full of things."""
+    """Background behind the subject: ``dark``, nothing. ``clutter``, a room full of objects."""
     renderer: str = BUILT_IN
-    """What makes the pictures of the subject, by its name in `rendering.registry.RENDERERS`."""
+    """Renderer of the subject's pictures: a name in `rendering.registry.RENDERERS`."""
     image_format: str = "jpg"
-    """Format of the picture files: ``jpg``, ``png``, or ``tif`` with 16 bits a channel."""
+    """Format of the picture files: ``jpg``, ``png``, or ``tif`` with 16 bits per channel."""
 
     def __post_init__(self) -> None:
         """Check the words.
 
         Raises:
-            ValueError: a word names nothing that exists.
-            SettingsError: there is no such renderer, or it is not installed.
+            ValueError: a word is unknown.
+            SettingsError: the renderer does not exist or is not installed.
         """
         _require_one_of("background", self.background, _BACKGROUNDS)
         _require_one_of("image format", self.image_format, _IMAGE_FORMATS)
@@ -92,7 +92,7 @@ class Studio:
 
 @contextmanager
 def refusing(error: type[MammometryError], *, expected: str, remedy: str) -> Iterator[None]:
-    """Turn a ValueError of a word or number into a user's error."""
+    """Turn a ValueError about a word or number into an error for the user."""
     try:
         yield
     except ValueError as wrong:
@@ -108,18 +108,18 @@ def _require_one_of(what: str, word: str, choices: tuple[str, ...]) -> None:
 def photograph(
     folder: Path, arrangement: Arrangement, studio: Studio, *, seed: int, progress: Progress = no_progress
 ) -> Scene:
-    """Write ``calibration/`` and ``capture/``, and return the capture's scene.
+    """Write ``calibration/`` and ``capture/``, and return the capture's scene, rig frame.
 
-    Rig frame. The scene is lit while the target is photographed. The same arguments give the same pictures, whatever
-    the number of threads. No program can identify the points of a frame of points in a picture, so they come measured:
-    a table ``id,u,v`` of the visible ones beside each photograph, with a little noise.
+    The scene is lit while the target is photographed. The same arguments give the same pictures with any number of
+    threads. No program can identify the points of a dotted frame in a picture, so they are given: a table ``id,u,v`` of
+    the visible ones for each photograph, with a little noise.
 
     Args:
-        folder: the session, which exists.
-        arrangement: of the scene.
+        folder: session folder, which exists.
+        arrangement: positions of everything.
         studio: how pictures are taken.
-        seed: of paint and noise.
-        progress: fraction of the pictures that are written.
+        seed: seed of skin and noise.
+        progress: written fraction of the pictures.
     """
     exposure, lights, solid = arrangement.exposure, arrangement.lights, arrangement.solid
     suffix = f".{studio.image_format}"
@@ -157,7 +157,7 @@ def photograph(
                 taking.append(pool.submit(_take, path, render, film, noise))
                 if studio.target.body.comes_measured:
                     taking.append(pool.submit(_measure, path, camera, placed, studio.target, noise))
-        # Submitted last: when the first of them begins, the scene's thread is done with it, or about to be.
+        # Submitted last: when the first of them starts, the scene is ready, or nearly so.
         for index, name in enumerate(exposure.rig.cameras):
             path, film = folder / "capture" / f"{name}{suffix}", exposure.films[name]
             render = partial(_capture, lit, name, exposure, studio, seed)
@@ -186,7 +186,7 @@ def _take(path: Path, render: Callable[[], Float32[Array, "h w *c"]], film: Film
     sixteen = path.suffix == ".tif"
     pixels = develop(render(), film, name=path.name, seed=seed, bits=16 if sixteen else 8).pixels
     path.parent.mkdir(parents=True, exist_ok=True)
-    if sixteen:  # Pillow writes no colours of 16 bits
+    if sixteen:  # Pillow cannot write colour with 16 bits
         import tifffile
 
         photometric = "rgb" if pixels.ndim == 3 else "minisblack"
@@ -198,7 +198,7 @@ def _take(path: Path, render: Callable[[], Float32[Array, "h w *c"]], film: Film
 
 
 def _measure(path: Path, camera: Camera, placed: Transform, target: Target, seed: int) -> None:
-    """Write the table of visible points, like a measuring program."""
+    """Write the table of visible points, as a measuring program does."""
     seen = np.flatnonzero(visible_points(camera, placed, target))
     uv = camera.project(placed.apply(target.points_target[seen]))
     uv += np.random.default_rng([seed, 1]).normal(0.0, _MEASURED_PX, uv.shape)

@@ -1,4 +1,4 @@
-"""Truth of a virtual session, depth of every pixel included: only ``mammometry evaluate`` reads it."""
+"""Truth of a virtual session, with the depth of every pixel, for ``mammometry evaluate``."""
 
 from __future__ import annotations
 
@@ -22,15 +22,14 @@ from mammometry.simulate.rigs.targets import described
 from mammometry.simulate.studio import Arrangement, Studio
 from mammometry.simulate.subjects.solid import rounded_mesh
 
-_ROWS_AT_ONCE = 256  # traced at a time, so that memory stays small
-_STEPS_PER_MM = 1024.0  # depths are rounded to a micrometre, so that the file compresses
+_ROWS_AT_ONCE = 256  # rows traced at a time; limits memory
+_STEPS_PER_MM = 1024.0  # depths are rounded to a micrometre, so that the file compresses well
 
 
 def true_depth(scene: Scene, camera: Camera) -> Float32[Array, "h w"]:
-    """Depth z of the subject along every pixel's ray, camera's frame, mm.
+    """Depth z of the subject along every pixel's ray, camera's frame, mm. NaN where it is not seen.
 
-    NaN where the subject is not seen. Rounded to 1/1024 mm, a twentieth of the precision of a float32 ray, so that it
-    compresses well.
+    Rounded to 1/1024 mm, a twentieth of the precision of a float32 ray.
     """
     depth = np.full(camera.shape_hw, np.nan, dtype=np.float32)
     top, bottom, left, right = picture_window(camera, scene.mesh.vertices[: scene.subject_vertices : 7], margin_px=8)
@@ -51,7 +50,7 @@ def true_depth(scene: Scene, camera: Camera) -> Float32[Array, "h w"]:
 
 
 def write_depth(path: Path, depth_mm: Float32[Array, "h w"]) -> None:
-    """Write depth and its mask as a float32 TIFF of two pages. Packed losslessly (deflate)."""
+    """Write depth and its mask as a float32 TIFF of two pages with lossless compression (deflate)."""
     import tifffile
 
     known = np.isfinite(depth_mm)
@@ -78,42 +77,42 @@ def write_truth(
     *,
     progress: Progress = no_progress,
 ) -> None:
-    """Write all that is true of a session. Rig frame, mm. The files are listed in docs/how-to/simulate.md.
+    """Write the truth of a session, rig frame, mm. The files are listed in docs/how-to/simulate.md.
 
     Args:
-        folder: to make.
-        arrangement: what stood where.
-        scene: what was photographed.
+        folder: folder to make.
+        arrangement: positions of everything.
+        scene: the photographed scene.
         studio: how the pictures were taken.
-        recipe: what the session was made from.
-        progress: fraction of the depth maps that are written.
+        recipe: recipe of the session.
+        progress: written fraction of the depth maps.
     """
     folder.mkdir()
     rig, solid, rig_from_solid = arrangement.rig, arrangement.solid, arrangement.rig_from_solid
     exposure, disturbances = arrangement.exposure, recipe.situation
     _write_cameras(folder, arrangement, studio, recipe)
-    stood = solid.placed(rig_from_solid)
-    mesh = stood.mesh
+    placed = solid.placed(rig_from_solid)
+    mesh = placed.mesh
     _write_mesh(folder / "mesh.ply", mesh)
     if arrangement.things:
         _write_mesh(folder / "things.ply", merged([thing.props for thing in arrangement.things]))
-    boundaries = {name: mesh.vertices[breast.boundary] for name, breast in stood.breasts.items()}
-    if stood.base_boundary is not None:
-        boundaries["base"] = stood.base_boundary
+    boundaries = {name: mesh.vertices[breast.boundary] for name, breast in placed.breasts.items()}
+    if placed.base_boundary is not None:
+        boundaries["base"] = placed.base_boundary
     for name, points in boundaries.items():
         lines = "\n".join(" ".join(f"{value:.4f}" for value in point) for point in points)
         (folder / f"boundary_{name}.xyz").write_text(f"# closed polyline, rig frame, mm\n{lines}\n", encoding="utf-8")
-    for name in stood.breasts:
-        _write_mesh(folder / f"wall_{name}.ply", stood.chest_wall(name))
-        _write_mesh(folder / f"breast_{name}.ply", stood.closed_breast(name))
+    for name in placed.breasts:
+        _write_mesh(folder / f"wall_{name}.ply", placed.chest_wall(name))
+        _write_mesh(folder / f"breast_{name}.ply", placed.closed_breast(name))
     facts = dict(solid.facts)
     nipple = facts.pop("nipple_solid", None)
     if nipple is not None:
         facts["nipple_rig"] = rig_from_solid.apply(np.array(nipple)).tolist()
-    if stood.landmarks:
-        points = {name: points.tolist() for name, points in stood.landmarks.items()}
+    if placed.landmarks:
+        points = {name: points.tolist() for name, points in placed.landmarks.items()}
         _write_json(folder / "landmarks.json", {"frame": "rig, mm", "units": "mm", "landmarks": points})
-    volumes_cc = stood.volumes_cc
+    volumes_cc = placed.volumes_cc
     _write_json(
         folder / "truth.json",
         {
@@ -169,7 +168,7 @@ def _at_capture(arrangement: Arrangement) -> dict[str, dict[str, object]]:
 
 
 def _write_cameras(folder: Path, arrangement: Arrangement, studio: Studio, recipe: SessionRecipe) -> None:
-    """Write cameras.json and boards.json. Also capture_cameras.json if the cameras have moved since."""
+    """Write cameras.json and boards.json, and capture_cameras.json if the cameras have moved since."""
     rig_from_board, rigs = arrangement.rig_from_target, {"cameras.json": arrangement.rig}
     if arrangement.exposure.capture_rig is not arrangement.rig:
         rigs["capture_cameras.json"] = arrangement.exposure.capture_rig
@@ -216,7 +215,7 @@ def _write_rig(
 
 
 def _write_json(path: Path, value: object) -> None:
-    path.write_text(json.dumps(value, indent=1, default=dict) + "\n", encoding="utf-8")  # frozen mappings
+    path.write_text(json.dumps(value, indent=1, default=dict) + "\n", encoding="utf-8")  # `dict`: frozen mappings
 
 
 def _write_mesh(path: Path, mesh: TriangleMesh) -> None:

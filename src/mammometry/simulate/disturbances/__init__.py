@@ -1,1 +1,1 @@
-"""What a clinic does to a capture: patients, surroundings, cameras."""
+"""Disturbances of a virtual capture: patients, surroundings, cameras."""

@@ -10,7 +10,7 @@ import numpy as np
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.disturbances.surfaces import Outside
 from mammometry.simulate.rendering.props import Props
-from mammometry.simulate.rendering.scene import Thing
+from mammometry.simulate.rendering.scene import Prop
 from mammometry.simulate.rendering.skin import Skin
 from mammometry.simulate.subjects.solid import Solid
 
@@ -25,8 +25,8 @@ class Surroundings:
     """The subject, in its own frame."""
     rig_from_solid: Transform
     skin: Skin
-    """How it is painted."""
-    things: tuple[Thing, ...] = ()
+    """Appearance of its skin."""
+    things: tuple[Prop, ...] = ()
     """Rig frame, mm."""
 
     @cached_property
@@ -41,7 +41,7 @@ class Surroundings:
         return 0.5 * (float(known) if isinstance(known, float) else float(np.ptp(self.solid.mesh.vertices[:, 0])))
 
     def front_mm(self, low_y: float, high_y: float, reach_x: float) -> float:
-        """Furthest forward place of the skin between two heights, solid's frame, mm."""
+        """Position of the skin farthest to the front between two heights, solid's frame, mm."""
         x, y, z = self.solid.mesh.vertices.T
         near = (y > low_y) & (y < high_y) & (np.abs(x) < reach_x)
         return float(z[near].max() if near.any() else z.max())
@@ -50,12 +50,12 @@ class Surroundings:
         self, found: Props, *colours: Colour, smooth: float = 0.5, curved: bool = False, glow: float = 0.0
     ) -> Surroundings:
         """Add a fixed object, with its mesh in the rig's frame."""
-        thing = Thing(props=found, colours=np.array(colours), smooth=smooth, curved=curved, glow=glow)
+        thing = Prop(props=found, colours=np.array(colours), smooth=smooth, curved=curved, glow=glow)
         return replace(self, things=(*self.things, thing))
 
     def plus_at_body(self, found: Props, *colours: Colour, smooth: float, moves: bool = True) -> Surroundings:
-        """Add a curved thing whose mesh is in the solid's frame."""
+        """Add a curved object with its mesh in the solid's frame."""
         at, turned = self.rig_from_solid.apply(found.vertices), self.rig_from_solid.rotate(found.normals)
         props = replace(found, vertices=at, normals=turned)
-        thing = Thing(props=props, colours=np.array(colours), smooth=smooth, curved=True, moves=moves)
+        thing = Prop(props=props, colours=np.array(colours), smooth=smooth, curved=True, moves=moves)
         return replace(self, things=(*self.things, thing))

@@ -1,4 +1,7 @@
-"""Patients: mastectomy, mounds without fold, flaps, ptosis, build, arm positions."""
+"""Patients: mastectomy, mounds without fold, flaps, ptosis, build, arm positions, posture.
+
+All sizes here are invented scenery; no result depends on them.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +15,10 @@ from mammometry.simulate.subjects.marks import Mark, Point
 from mammometry.simulate.subjects.torso_shape import SIDES, BreastShape, TorsoShape
 
 _SCAR = (0.92, 0.70, 0.68)
-"""Colour of a healed scar relative to the skin's: redder. Chosen by eye, as are all measures here."""
+"""Colour of a healed scar relative to the skin's: redder."""
 
 
-@disturbance("removed", "patient", "one breast removed", Word(usual="right", words=SIDES), turn=1)
+@disturbance("removed", "patient", "one breast removed", Word(usual="right", words=SIDES), order=1)
 def _removed(shape: TorsoShape, side: str, rng: np.random.Generator) -> TorsoShape:
     return _with(shape, side, replace(shape.breasts[side], removed=True))
 
@@ -25,7 +28,7 @@ def _removed(shape: TorsoShape, side: str, rng: np.random.Generator) -> TorsoSha
     "patient",
     "a scar across each side that is removed or rebuilt",
     Number(usual=3.0, within=(0.5, 12.0), unit="mm"),
-    turn=4,
+    order=4,
 )
 def _scar(shape: TorsoShape, width_mm: float, rng: np.random.Generator) -> TorsoShape:
     marks: list[Mark] = []
@@ -44,7 +47,7 @@ def _scar(shape: TorsoShape, width_mm: float, rng: np.random.Generator) -> Torso
     "patient",
     "folds of loose skin where a breast was removed",
     Number(usual=6.0, within=(1.0, 15.0), unit="mm"),
-    turn=4,
+    order=4,
 )
 def _loose_skin(shape: TorsoShape, height_mm: float, rng: np.random.Generator) -> TorsoShape:
     marks: list[Mark] = []
@@ -65,7 +68,7 @@ def _loose_skin(shape: TorsoShape, height_mm: float, rng: np.random.Generator) -
     "patient",
     "one breast an expander's or implant's mound, without fold, areola or nipple",
     Number(usual=150.0, within=(40.0, 700.0), likely=(80.0, 400.0), unit="cc"),
-    turn=2,
+    order=2,
 )
 def _mound(shape: TorsoShape, volume_cc: float, rng: np.random.Generator) -> TorsoShape:
     side = _one_side(shape, rng)
@@ -94,7 +97,7 @@ def _mound(shape: TorsoShape, volume_cc: float, rng: np.random.Generator) -> Tor
     "patient",
     "one breast a flap with a paddle of other skin, without nipple",
     Word(usual="left", words=SIDES),
-    turn=2,
+    order=2,
 )
 def _flap(shape: TorsoShape, side: str, rng: np.random.Generator) -> TorsoShape:
     breast = shape.breasts[side]
@@ -118,7 +121,7 @@ def _flap(shape: TorsoShape, side: str, rng: np.random.Generator) -> TorsoShape:
     "patient",
     "a rebuilt nipple, low and with a tattooed areola, on a mound or flap",
     Number(usual=2.0, within=(0.0, 6.0), unit="mm"),
-    turn=3,
+    order=3,
 )
 def _new_nipple(shape: TorsoShape, height_mm: float, rng: np.random.Generator) -> TorsoShape:
     for side, breast in shape.breasts.items():
@@ -129,13 +132,13 @@ def _new_nipple(shape: TorsoShape, height_mm: float, rng: np.random.Generator) -
 
 
 @disturbance(
-    "no-nipple", "patient", "a breast whose nipple and areola are lost", Word(usual="left", words=SIDES), turn=3
+    "no-nipple", "patient", "a breast whose nipple and areola are lost", Word(usual="left", words=SIDES), order=3
 )
 def _no_nipple(shape: TorsoShape, side: str, rng: np.random.Generator) -> TorsoShape:
     return _with(shape, side, replace(shape.breasts[side], bare=True))
 
 
-@disturbance("ptosis", "patient", "grade of ptosis of both breasts", Number(usual=2.0, within=(0.0, 3.0)), turn=3)
+@disturbance("ptosis", "patient", "grade of ptosis of both breasts", Number(usual=2.0, within=(0.0, 3.0)), order=3)
 def _ptosis(shape: TorsoShape, grade: float, rng: np.random.Generator) -> TorsoShape:
     for side, breast in shape.breasts.items():
         if not (breast.removed or breast.fullness == 0.0):
@@ -151,14 +154,14 @@ def _ratio(shape: TorsoShape, ratio: float, rng: np.random.Generator) -> TorsoSh
     left, right = (shape.breasts[side] for side in SIDES)
     mean_cc = math.sqrt(left.volume_cc * right.volume_cc)
     volumes = (mean_cc * math.sqrt(ratio), mean_cc / math.sqrt(ratio))
-    if max(volumes) > 1160.0:  # as the family's own largest
+    if max(volumes) > 1160.0:  # largest volume of the family
         volumes = tuple(volume * 1160.0 / max(volumes) for volume in volumes)  # type: ignore[assignment]
     for side, volume_cc in zip(SIDES, volumes, strict=True):
         shape = _with(shape, side, _grown(shape, shape.breasts[side], volume_cc))
     return shape
 
 
-_HANGING_CC = (300.0, 1500.0)  # volumes of hanging breasts, evenly in their logarithm
+_HANGING_CC = (300.0, 1500.0)  # volumes of hanging breasts: uniform in their logarithm
 
 
 @disturbance(
@@ -166,7 +169,7 @@ _HANGING_CC = (300.0, 1500.0)  # volumes of hanging breasts, evenly in their log
     "patient",
     "large, hanging breasts of 300 to 1,500 cc: how far their nipples are below the fold",
     Number(usual=30.0, within=(0.0, 60.0), unit="mm"),
-    turn=3,
+    order=3,
 )
 def _hanging(shape: TorsoShape, below_mm: float, rng: np.random.Generator) -> TorsoShape:
     mean_cc = math.exp(rng.uniform(*np.log(_HANGING_CC)))
@@ -185,7 +188,7 @@ def _hanging(shape: TorsoShape, below_mm: float, rng: np.random.Generator) -> To
 
 
 def _grown(shape: TorsoShape, breast: BreastShape, volume_cc: float) -> BreastShape:
-    """The same breast with another volume, as far as its base has room on the chest."""
+    """The same breast with another volume, as far as the chest has room for its base."""
     grown = (volume_cc / breast.volume_cc) ** (1.0 / 3.0)
     limits = (breast.apex_mm[0] - 3.0, shape.body.half_width_mm + 4.0 - breast.apex_mm[0], 94.0 - breast.apex_mm[1])
     inner, outer, upper = (min(grown * length, limit) for length, limit in zip(breast.radii_mm, limits, strict=False))
@@ -220,10 +223,10 @@ def _build(shape: TorsoShape, build: str, rng: np.random.Generator) -> TorsoShap
 
 
 _POSTURES = ("leaning", "standing", "lying")
-_SPREAD = (1.06, 0.8)  # growth of a lying breast's base, and what is left of its fall; chosen by eye
+_SPREAD = (1.06, 0.8)  # growth of a lying breast's base, and remaining share of its fall
 
 
-@disturbance("posture", "patient", "posture of the patient", Word(usual="standing", words=_POSTURES), turn=-1)
+@disturbance("posture", "patient", "posture of the patient", Word(usual="standing", words=_POSTURES), order=-1)
 def _posture(shape: TorsoShape, posture: str, rng: np.random.Generator) -> TorsoShape:
     if posture == "leaning":
         return shape
@@ -247,12 +250,12 @@ def _posture(shape: TorsoShape, posture: str, rng: np.random.Generator) -> Torso
 
 
 def operated(shape: TorsoShape) -> list[str]:
-    """Sides that are removed, mounds without fold, or without nipple."""
+    """Sides that were removed, are mounds without a fold, or have no nipple."""
     return [side for side, breast in shape.breasts.items() if breast.removed or breast.bare or breast.fullness == 0.0]
 
 
 def _one_side(shape: TorsoShape, rng: np.random.Generator) -> str:
-    """The side to rebuild: the removed one if any, else either."""
+    """The side to rebuild: the removed one, if any, or else a random one."""
     drawn = str(rng.choice(SIDES))
     return next((side for side in SIDES if shape.breasts[side].removed), drawn)
 
@@ -262,7 +265,7 @@ def _with(shape: TorsoShape, side: str, breast: BreastShape) -> TorsoShape:
 
 
 def _across(breast: BreastShape, rng: np.random.Generator) -> tuple[Point, ...]:
-    """Line of a mastectomy's scar, slightly bent. From near the breastbone to below the armpit."""
+    """Line of a mastectomy's scar, slightly bent, from near the breastbone to below the armpit."""
     inner, outer, upper, _ = breast.radii_mm
     bend, rise = rng.uniform(-8.0, 2.0), rng.uniform(0.05, 0.35) * upper
     share = np.linspace(0.0, 1.0, 13)

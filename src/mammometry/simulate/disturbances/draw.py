@@ -1,8 +1,9 @@
-"""Draw a patient, a room and cameras by seed and difficulty.
+"""Draw a patient, surroundings and cameras by seed and difficulty.
 
-The patient depends on the seed alone. The difficulty, 0 to 3, adds things about the body and faults of the cameras,
-more and larger ones. At difficulty 0 only the patient differs from a clean capture. Seeds with a remainder of 2 after
-division by 3, and all from 9000 on, are held out: they are measured once, at the end, and nothing is chosen on them.
+The patient depends on the seed alone. The difficulty, 0 to 3, adds objects around the body and faults of the cameras,
+more and larger ones. At difficulty 0 only the patient differs from a clean capture. Seeds with remainder 2 after
+division by 3, and all from 9000, are held out: they are measured once, at the end, and not used for development. All
+shares here are invented scenery; no result depends on them.
 """
 
 from __future__ import annotations
@@ -16,27 +17,27 @@ from mammometry.simulate.disturbances.registry import DISTURBANCES, DisturbanceK
 from mammometry.simulate.recipe import Disturbance, Situation
 
 OF_OTHER_CAPTURES = ("board", "grey", "soft-focus", "table")
-"""Disturbances of heads, figures and casts, which no clinic's capture gets."""
+"""Disturbances of heads, figures and casts, which a clinic's captures do not get."""
 HARDEST = 3
 """Greatest difficulty."""
-_THIRD, _HELD_OUT_FROM = 3, 9000  # one seed in so many is held out, and all from there on
-_NOT_AT_RANDOM = ("rail", "upright")  # of a posing frame: one of the two at most, or neither is seen past
+_THIRD, _HELD_OUT_FROM = 3, 9000  # one seed in three is held out, and all from this one
+_NOT_AT_RANDOM = ("rail", "upright")  # of a posing frame: at most one of the two, else too much is hidden
 _ROLLED = "mounted"
-_ROLLED_FROM, _ROLLED_SHARE = 2, 0.2  # least difficulty at which rigs are rolled, and how many are
-# Shares below are those of a clinic that rebuilds breasts, as guessed by eye, not those of any register.
+_ROLLED_FROM, _ROLLED_SHARE = 2, 0.2  # least difficulty at which rigs are rolled, and share of rolled rigs
+# Shares below are guesses for a clinic that rebuilds breasts, not from a register.
 _SIDES = {"both": 0.3, "removed": 0.27, "mound": 0.23, "flap": 0.12, "no-nipple": 0.08}
 
 
 def is_held_out(seed: int) -> bool:
-    """Whether a seed is for the one measurement at the end."""
+    """Whether a seed is reserved for the measurement at the end."""
     return seed % _THIRD == _THIRD - 1 or seed >= _HELD_OUT_FROM
 
 
 def draw(seed: int, difficulty: int) -> Situation:
-    """Choose a random situation for the torso of a seed.
+    """Random situation for the torso of a seed.
 
     Args:
-        seed: of the patient and the disturbances.
+        seed: seed of the patient and the disturbances.
         difficulty: 0 to 3.
 
     Raises:
@@ -103,5 +104,5 @@ def _of(stage: Stage) -> list[str]:
 
 
 def _sized(kind: DisturbanceKind, rng: np.random.Generator, share: float = 1.0) -> Disturbance:
-    """A disturbance with a size from the lowest `share` of its range."""
+    """A disturbance with a random size from the lowest `share` of its range."""
     return Disturbance(name=kind.name, size=kind.size.drawn(rng, share))

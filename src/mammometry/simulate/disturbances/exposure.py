@@ -15,27 +15,27 @@ from mammometry.simulate.rendering.scene import Motion
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Exposure:
-    """Cameras, films, flashes and moments of a session. Rig frame, mm."""
+    """Cameras, films, flashes and moments of a session, rig frame, mm."""
 
     rig: Rig
-    """The cameras as they stood at the calibration."""
+    """The cameras at the calibration."""
     capture_rig: Rig
-    """The same as they stood at the capture."""
+    """The cameras at the capture."""
     lights: Float64[Array, "l 4"]
-    """Each capture flash: position, and irradiance × mm² at distance 1. 0 if it has not fired."""
+    """Each capture flash: position, and irradiance × mm² at distance 1. 0 if it did not fire."""
     films: Mapping[str, Film]
     """Camera → its lens and sensor."""
     seconds: Mapping[str, float]
-    """Camera → time of its capture, seconds from the middle of all."""
+    """Camera → time of its capture relative to the mean of all, s."""
     motion: Motion | None = None
-    """How the subject moves meanwhile."""
+    """Motion of the subject meanwhile."""
 
     def with_films(self, change: Callable[[Film], Film]) -> Exposure:
-        """Change the films of all cameras."""
+        """The exposure with the films of all cameras changed."""
         return replace(self, films={name: change(film) for name, film in self.films.items()})
 
     def shift_mm(self, camera: str, points: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
-        """Displacement of the subject's points when a camera fires, mm. Relative to the middle of all moments."""
+        """Displacement of the subject's points when a camera fires, relative to the mean of all times, mm."""
         if self.motion is None:
             return np.zeros(len(points))
         moved: Float64[Array, " n"] = np.linalg.norm(self.motion.at(points, self.seconds[camera]) - points, axis=1)
@@ -43,7 +43,7 @@ class Exposure:
 
 
 def plain_exposure(rig: Rig, lights: Float64[Array, "l 4"], film: Film) -> Exposure:
-    """Ideal exposure: nothing moved, equal cameras that fire together."""
+    """Ideal exposure: nothing moves, and equal cameras fire together."""
     return Exposure(
         rig=rig,
         capture_rig=rig,
@@ -54,20 +54,20 @@ def plain_exposure(rig: Rig, lights: Float64[Array, "l 4"], film: Film) -> Expos
 
 
 def turned(camera: Camera, rotation_rad: Float64[Array, 3]) -> Camera:
-    """Return the camera turned about its perspective centre. Axis times angle in its own frame, rad."""
+    """The camera turned about its perspective centre. `rotation_rad`: rotation vector in its own frame."""
     turn = Rotation.from_rotvec(rotation_rad).as_matrix() @ camera.camera_from_world.rotation
     pose = Transform(rotation=turn, translation_mm=-turn @ camera.centre_world)
     return replace(camera, camera_from_world=pose)
 
 
 def shifted(camera: Camera, shift_mm: Float64[Array, 3]) -> Camera:
-    """Return the camera moved in the rig's frame, mm."""
+    """The camera shifted in the rig's frame, mm."""
     rotation = camera.camera_from_world.rotation.copy()
     centre = camera.centre_world + shift_mm
     return replace(camera, camera_from_world=Transform(rotation=rotation, translation_mm=-rotation @ centre))
 
 
 def with_cameras(rig: Rig, change: Callable[[Camera], Camera], names: tuple[str, ...] = ()) -> Rig:
-    """Change some cameras of a rig, or all."""
+    """A rig with some of its cameras changed, or all."""
     cameras = {name: change(camera) if name in names or not names else camera for name, camera in rig.cameras.items()}
     return Rig(name=rig.name, cameras=cameras, pair_names=rig.pair_names)

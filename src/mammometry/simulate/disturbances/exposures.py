@@ -1,8 +1,8 @@
-"""Rigs and cameras: drift, moments, mounting, films, flashes.
+"""Disturbances of rigs and cameras: drift, moments, mounting, films, flashes.
 
-Angles of drift are those of mounts that warm up or are leant on. Sway and breath are a few mm a second, as in people
-who stand still; chosen by eye. Lens effects scale with the picture. Effects of sensor and software (mosaic, sharpening,
-JPEG, noise) act on pixels at any size.
+Drift is that of mounts that warm up or are leant on. Sway and breath are some mm/s, as of people who stand still. Lens
+effects scale with the picture. Effects of sensor and software (mosaic, sharpening, JPEG, noise) are per pixel at any
+size. All sizes here are invented scenery; no result depends on them.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from mammometry.simulate.rigs.build import FULL_SIZE_WH
 _FRONT = (0.0, -math.sin(math.radians(35.0)), math.cos(math.radians(35.0)))
 """Direction out of the chest of a body that leans forward by 35°, rig frame."""
 _SWAY_MM_S, _TURN_DEG_S, _BREATH_MM_S = (4.0, 10.0), (0.2, 0.8), (3.0, 8.0)
-"""Ranges of speeds of a patient who moves, mm/s and degrees/s, from which one is drawn evenly."""
+"""Ranges of the speeds of a moving patient (uniform distribution), mm/s and degrees/s."""
 _ROLLS_DEG = {"upside-down": 180.0, "portrait-left": 90.0, "portrait-right": -90.0}
-_NOT_FIRED = 0.0  # irradiance × mm² at distance 1 of a flash that stays dark
+_NOT_FIRED = 0.0  # irradiance × mm² at distance 1 of a flash that did not fire
 
 
 @disturbance(
@@ -88,9 +88,8 @@ def _breathing(exposure: Exposure, depth_mm: float, rng: np.random.Generator) ->
     for pair, part in zip(rng.permutation(len(pairs)), parts - parts.mean(), strict=True):
         seconds |= dict.fromkeys(pairs[pair], float(part))
     still = np.zeros(3)
-    motion = Motion(
-        sway_mm_s=still, turn_rad_s=still, breath_mm_s=depth_mm * np.array(_FRONT), chest=still
-    )  # a breath that takes a second
+    # A breath takes one second.
+    motion = Motion(sway_mm_s=still, turn_rad_s=still, breath_mm_s=depth_mm * np.array(_FRONT), chest=still)
     return replace(exposure, seconds=seconds, motion=motion)
 
 
@@ -99,7 +98,7 @@ def _breathing(exposure: Exposure, depth_mm: float, rng: np.random.Generator) ->
     "shoot",
     "cameras exposed one after another, from first to last, while the body sways and breathes",
     Number(usual=20.0, within=(0.0, 500.0), likely=(2.0, 50.0), unit="ms"),
-    turn=1,
+    order=1,
 )
 def _asynchronous_cameras(exposure: Exposure, span_ms: float, rng: np.random.Generator) -> Exposure:
     names = list(exposure.rig.cameras)
@@ -123,7 +122,7 @@ def _mounted(exposure: Exposure, how: str, rng: np.random.Generator) -> Exposure
     rig, capture = (
         with_cameras(rig, lambda camera: turned(camera, roll)) for rig in (exposure.rig, exposure.capture_rig)
     )
-    if how == "upside-down":  # left and right in the pictures are exchanged, and so are the names within pairs
+    if how == "upside-down":  # left and right are exchanged in the pictures, and so within pairs
         names = {pair: (right, left) for pair, (left, right) in rig.pair_names.items()}
         rig, capture = (Rig(name=chosen.name, cameras=chosen.cameras, pair_names=names) for chosen in (rig, capture))
     return replace(exposure, rig=rig, capture_rig=capture)
@@ -224,7 +223,7 @@ def _flash_failed(exposure: Exposure, number: float, rng: np.random.Generator) -
 
 
 def _turned(exposure: Exposure, angle_deg: float, names: tuple[str, ...], rng: np.random.Generator) -> Exposure:
-    """Each camera about an axis of its own."""
+    """Turn each camera about its own random axis."""
     turns = {name: math.radians(angle_deg) * _direction(rng) for name in names}
     return replace(
         exposure,
@@ -233,7 +232,7 @@ def _turned(exposure: Exposure, angle_deg: float, names: tuple[str, ...], rng: n
 
 
 def _blurred(exposure: Exposure, blur_px: float, names: tuple[str, ...]) -> Exposure:
-    """Blur some cameras' pictures, by sigma in pixels of a picture as wide as the reference's."""
+    """Blur some cameras' pictures. `blur_px`: σ in pixels of the reference rig's full-size pictures."""
     films = dict(exposure.films)
     for name in names:
         own_px = blur_px * exposure.rig.cameras[name].size_wh[0] / FULL_SIZE_WH[0]

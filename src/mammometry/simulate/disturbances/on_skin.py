@@ -1,4 +1,7 @@
-"""Skins and marks on them: dark, pale, older, wet, hairy, tattooed. Measures are chosen by eye."""
+"""Skins and marks on them: dark, pale, older, wet, hairy, tattooed.
+
+All sizes here are invented scenery; no result depends on them.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from mammometry.simulate.subjects.torso_shape import SIDES, TorsoShape
 
 _LIVING = ("skin", "dark-skin", "pale-skin", "sweat")
 _INK = (0.22, 0.26, 0.34)
-"""Colour of a tattoo's lines over the skin's."""
+"""Colour of a tattoo's lines relative to the skin's."""
 
 
 @disturbance("skin", "skin", "the skin of a living person in place of the usual one", Word(usual="skin", words=_LIVING))
@@ -27,7 +30,7 @@ def _skin(skin: Skin, name: str, rng: np.random.Generator) -> Skin:
     "skin",
     "older skin: how much more mottled, spotted and veined",
     Number(usual=1.0, within=(0.0, 3.0), likely=(0.3, 1.5)),
-    turn=1,
+    order=1,
 )
 def _older(skin: Skin, more: float, rng: np.random.Generator) -> Skin:
     return replace(
@@ -45,7 +48,7 @@ def _older(skin: Skin, more: float, rng: np.random.Generator) -> Skin:
     "skin",
     "sweat on whatever skin it is: strength of the sheen",
     Number(usual=0.10, within=(0.0, 0.5), likely=(0.04, 0.16)),
-    turn=1,
+    order=1,
 )
 def _wet(skin: Skin, specular: float, rng: np.random.Generator) -> Skin:
     return replace(skin, specular=specular, exponent=70.0, sheen_patches=0.8, roughness=0.18)
@@ -56,13 +59,13 @@ def _wet(skin: Skin, specular: float, rng: np.random.Generator) -> Skin:
     "skin",
     "fine dark hairs: their number on 1 cm²",
     Number(usual=1.0, within=(0.0, 20.0), likely=(0.2, 3.0)),
-    turn=1,
+    order=1,
 )
 def _hairy(skin: Skin, per_cm2: float, rng: np.random.Generator) -> Skin:
     return replace(skin, hair_per_cm2=per_cm2)
 
 
-@disturbance("tattoo", "patient", "a tattoo above one breast", Word(usual="right", words=SIDES), turn=4)
+@disturbance("tattoo", "patient", "a tattoo above one breast", Word(usual="right", words=SIDES), order=4)
 def _tattoo(shape: TorsoShape, side: str, rng: np.random.Generator) -> TorsoShape:
     x, y = rng.uniform(-15.0, 25.0), 0.62 * shape.breasts[side].radii_mm[2]
     marks = []

@@ -1,9 +1,8 @@
 """Registry of the disturbances.
 
-A new one is a function in one of these files, or a file of its own and one line here. Each changes one value on the
-way from a recipe to photographs: the torso's shape, its skin, the things about it, or how the pictures are taken. What
-is random about a disturbance is drawn from the session's seed and its own name, so that removing one changes nothing
-else.
+A new one is a function in one of these files, or in a new file with one line here. Each changes one value between a
+recipe and the photographs: the torso's shape, its skin, the objects around it, or how the pictures are taken. Its
+random values depend on the session's seed and its own name, so that removing a disturbance changes nothing else.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from mammometry.base.registry import Registry
 from mammometry.simulate.recipe import Disturbance, Situation
 
 Stage: TypeAlias = Literal["patient", "skin", "thing", "shoot"]
-"""What a disturbance changes."""
+"""Value that a disturbance changes."""
 Size: TypeAlias = "float | str"
 
 
@@ -31,18 +30,18 @@ class Number:
     usual: float
     """Default size."""
     within: tuple[float, float]
-    """Smallest and largest."""
+    """Smallest and largest size."""
     likely: tuple[float, float] | None = None
-    """Range for random sizes. None for all of `within`."""
+    """Range of random sizes. None: `within`."""
     unit: str = ""
     whole: bool = False
-    """Whether only whole numbers mean something."""
+    """Whether only whole numbers are allowed."""
 
     def read(self, name: str, text: str) -> float:
-        """Read a size.
+        """Parse a size.
 
         Raises:
-            ValueError: it is no number in the range.
+            ValueError: it is not a number in the range.
         """
         try:
             number = float(text)
@@ -56,7 +55,7 @@ class Number:
         return number
 
     def drawn(self, rng: np.random.Generator, share: float = 1.0) -> str:
-        """A size at random. From the lowest `share` of its likely range."""
+        """A random size from the lowest `share` of its likely range."""
         low, high = self.likely or self.within
         number = rng.uniform(low, low + share * (high - low))
         return f"{round(number) if self.whole else number:.3g}"
@@ -67,44 +66,44 @@ class Word:
     """A size that is one of some words."""
 
     usual: str
-    """Where none is given."""
+    """Default word."""
     words: tuple[str, ...]
     unit: ClassVar[str] = ""
 
     def read(self, name: str, text: str) -> str:
-        """Read a word.
+        """Parse a word.
 
         Raises:
-            ValueError: it is none of them.
+            ValueError: it is unknown.
         """
         if text not in self.words:
             raise UnknownWordError(f"{name} is one of {', '.join(self.words)}", f"{text!r}")
         return text
 
     def drawn(self, rng: np.random.Generator, share: float = 1.0) -> str:
-        """A word at random. Words have no order, so that `share` changes nothing."""
+        """A random word. `share` has no effect, since words have no order."""
         return str(rng.choice(self.words))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DisturbanceKind:
-    """A disturbance that can be asked for."""
+    """A kind of disturbance."""
 
     name: str
     stage: Stage
     what: str
-    """In words, for the documentation and the truth."""
+    """Description, for the documentation and the truth."""
     size: Number | Word
-    turn: int = 0
-    """Order of application, lowest first: first what is rebuilt, then what marks it."""
+    order: int = 0
+    """Order of application, lowest first: reconstructions before the marks on them."""
     apply: Callable[..., Any]
-    """Takes the value to change, the size, and a random generator. Returns the changed value."""
+    """Function of the value to change, the size, and a random generator. Returns the changed value."""
 
     def sized(self, item: Disturbance) -> Size:
-        """Read the size of a disturbance of this kind.
+        """Size of a disturbance of this kind.
 
         Raises:
-            ValueError: it is no such word, or no number in the range.
+            ValueError: the word is unknown, or the number not in the range.
         """
         return self.size.read(self.name, item.size) if item.size else self.size.usual
 
@@ -119,36 +118,36 @@ DISTURBANCES: Registry[DisturbanceKind] = Registry(
 
 
 def disturbance(
-    name: str, stage: Stage, what: str, size: Number | Word, *, turn: int = 0
+    name: str, stage: Stage, what: str, size: Number | Word, *, order: int = 0
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorate a function to enter it as a disturbance. See `DisturbanceKind` for the arguments."""
+    """Decorate a function to register it as a disturbance. For the arguments see `DisturbanceKind`."""
 
     def enter(apply: Callable[..., Any]) -> Callable[..., Any]:
-        DISTURBANCES.add(name)(DisturbanceKind(name=name, stage=stage, what=what, size=size, turn=turn, apply=apply))
+        DISTURBANCES.add(name)(DisturbanceKind(name=name, stage=stage, what=what, size=size, order=order, apply=apply))
         return apply
 
     return enter
 
 
 def disturbed(value: Any, stage: Stage, situation: Situation, seed: int) -> Any:
-    """Apply a situation's disturbances of one stage, by turn and name.
+    """Apply a situation's disturbances of one stage, by order and name.
 
     Raises:
-        ValueError: there is no such disturbance, or its size is none.
+        ValueError: a disturbance or its size is unknown.
     """
     wanted = {item.name: item for item in situation.disturbances}
     check(situation)
-    for kind in sorted(DISTURBANCES.values(), key=lambda kind: (kind.turn, kind.name)):
+    for kind in sorted(DISTURBANCES.values(), key=lambda kind: (kind.order, kind.name)):
         if kind.name in wanted and kind.stage == stage:
             value = kind.apply(value, kind.sized(wanted[kind.name]), own_rng(seed, kind.name))
     return value
 
 
 def check(situation: Situation) -> None:
-    """Refuse names and sizes that mean nothing.
+    """Refuse unknown names and sizes.
 
     Raises:
-        ValueError: there is no such disturbance, or its size is none.
+        ValueError: a disturbance or its size is unknown.
     """
     for item in situation.disturbances:
         if item.name not in DISTURBANCES:
@@ -157,12 +156,12 @@ def check(situation: Situation) -> None:
 
 
 def own_rng(seed: int, name: str) -> np.random.Generator:
-    """Random numbers of one disturbance of one session."""
+    """Random generator of one disturbance of one session."""
     return np.random.default_rng([seed, 95, zlib.crc32(name.encode())])
 
 
 def as_truth(situation: Situation) -> list[dict[str, object]]:
-    """What truth.json says of a situation."""
+    """Description of a situation in truth.json."""
     return [
         {
             "name": kind.name,

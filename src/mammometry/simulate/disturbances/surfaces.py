@@ -1,4 +1,7 @@
-"""Meshes of things, in the frame of their points: bars, sheets, boxes, cloth around a body."""
+"""Meshes of objects, in the frame of their points: bars, sheets, boxes, cloth around a body.
+
+All sizes here are invented scenery; no result depends on them.
+"""
 
 from __future__ import annotations
 
@@ -15,19 +18,18 @@ from mammometry.geometry import Array, Float64, Int32, TriangleMesh
 from mammometry.simulate.rendering.props import Props
 
 _NOT_FOUND_MM = 150.0
-"""Radius assumed where a ray from the axis meets no skin, as beyond a body's cut ends, mm."""
-
-_BOX_STEP_MM, _AROUND_CLOTH = 40.0, 180  # edges of a box's faces, and points around the trunk; chosen by eye
+"""Radius assumed where a ray from the axis hits no skin, as beyond a body's cut ends, mm."""
+_BOX_STEP_MM, _AROUND_CLOTH = 40.0, 180  # edge length on a box's faces, and points around the trunk
 
 
 def bar(line: Float64[Array, "j 3"], radius_mm: float | Sequence[float], sides: int = 16) -> Props:
-    """Make a round bar along a line, closed at its ends. A radius for each point, or one for all."""
+    """Round bar along a line, closed at its ends. A radius for each point, or one for all."""
     radius = np.broadcast_to(np.asarray(radius_mm, dtype=np.float64), len(line))
     along = np.gradient(line, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     across = np.cross(along[0], [0.31, 0.52, 0.79])
     frames = []
-    for direction in along:  # transported without twist
+    for direction in along:  # propagate the frame without twist
         across = across - across @ direction * direction
         across = across / np.linalg.norm(across)
         frames.append((across, np.cross(direction, across)))
@@ -46,7 +48,7 @@ def bar(line: Float64[Array, "j 3"], radius_mm: float | Sequence[float], sides: 
 
 
 def straight(start: ArrayLike, end: ArrayLike, step_mm: float = 15.0) -> Float64[Array, "j 3"]:
-    """Points on the way from one point to another."""
+    """Points between two points."""
     first, way = np.asarray(start, dtype=np.float64), np.subtract(end, start)
     share = np.linspace(0.0, 1.0, max(2, math.ceil(float(np.linalg.norm(way)) / step_mm) + 1))
     points: Float64[Array, "j 3"] = first + share[:, None] * way
@@ -54,7 +56,7 @@ def straight(start: ArrayLike, end: ArrayLike, step_mm: float = 15.0) -> Float64
 
 
 def sheet(middle: ArrayLike, right: ArrayLike, up: ArrayLike, step_mm: float = 30.0) -> Props:
-    """Make a flat sheet along `right` and `up`, centred on its middle. It faces right × up."""
+    """Flat sheet spanned by `right` and `up`, centred on its middle. It faces right × up."""
     a, b = np.asarray(right, dtype=np.float64), np.asarray(up, dtype=np.float64)
     columns, rows = (max(1, math.ceil(2.0 * float(np.linalg.norm(side)) / step_mm)) for side in (a, b))
     s, t = np.meshgrid(np.linspace(-1.0, 1.0, columns + 1), np.linspace(-1.0, 1.0, rows + 1))
@@ -69,7 +71,7 @@ def sheet(middle: ArrayLike, right: ArrayLike, up: ArrayLike, step_mm: float = 3
 
 
 def box(middle: ArrayLike, size: ArrayLike) -> Props:
-    """Make a box along the axes."""
+    """Box along the axes."""
     sides = []
     for axis in range(3):
         out, right, up = (0.5 * np.asarray(size)[k % 3] * np.eye(3)[k % 3] for k in (axis, axis + 1, axis + 2))
@@ -78,14 +80,14 @@ def box(middle: ArrayLike, size: ArrayLike) -> Props:
 
 
 def ball(middle: ArrayLike, radius_mm: float) -> Props:
-    """Make a ball of a few faces."""
+    """Ball with few faces."""
     height = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 13)
     line = np.asarray(middle) + radius_mm * np.stack([np.zeros(13), np.sin(height), np.zeros(13)], axis=1)
     return bar(line, (radius_mm * np.maximum(np.cos(height), 0.02)).tolist(), sides=20)
 
 
 def together(pieces: Sequence[Props]) -> Props:
-    """Join several meshes. Each keeps its material's number."""
+    """Several meshes as one. Each keeps its material's number."""
     starts = np.cumsum([0, *(len(piece.vertices) for piece in pieces[:-1])])
     faces = [piece.faces + start for piece, start in zip(pieces, starts, strict=True)]
     return Props(
@@ -97,13 +99,13 @@ def together(pieces: Sequence[Props]) -> Props:
 
 
 def merged(pieces: Sequence[Props]) -> TriangleMesh:
-    """Return several meshes as one, without their colours."""
+    """Several meshes as one, without their colours."""
     whole = together(pieces)
     return TriangleMesh(vertices=whole.vertices, faces=whole.faces)
 
 
 class Outside:
-    """The skin of a body as covered by cloth, y up."""
+    """The skin of a body, y up, as the base for cloth."""
 
     def __init__(self, mesh: TriangleMesh) -> None:
         self.mesh = mesh
@@ -111,7 +113,7 @@ class Outside:
         EmbreeMesh(self._rays, mesh.vertices.astype(np.float32), mesh.faces)
 
     def radius_mm(self, height_mm: Array, angle_rad: Array, axis_z_mm: float = 0.0) -> Float64[Array, " n"]:
-        """Distance of the skin from the point (0, height, axis_z). At angles from straight ahead to the left."""
+        """Distance of the skin from the point (0, height, axis_z), at angles from straight ahead to the left."""
         height, angle = (np.ravel(array) for array in np.broadcast_arrays(height_mm, angle_rad))
         origins = np.stack([np.zeros(len(height)), height, np.full(len(height), axis_z_mm)], axis=1)
         ahead = np.stack([np.sin(angle), np.zeros(len(height)), np.cos(angle)], axis=1)
@@ -147,7 +149,7 @@ class Outside:
 
 
 def _props(vertices: Array, normals: Array, faces: Array) -> Props:
-    """Return a mesh of one material."""
+    """A mesh with one material."""
     return Props(
         vertices=np.asarray(vertices, dtype=np.float64),
         normals=np.asarray(normals, dtype=np.float64),
@@ -157,7 +159,7 @@ def _props(vertices: Array, normals: Array, faces: Array) -> Props:
 
 
 def _hulled(radius_mm: Float64[Array, " a"], angle_rad: Float64[Array, " a"]) -> Float64[Array, " a"]:
-    """Radius of the convex hull of a section, at the same angles."""
+    """Radius of a section's convex hull, at the same angles."""
     ahead = np.stack([np.sin(angle_rad), np.cos(angle_rad)], axis=1)
     edges = ConvexHull(radius_mm[:, None] * ahead).equations  # normal · point + offset = 0
     slope = ahead @ edges[:, :2].T

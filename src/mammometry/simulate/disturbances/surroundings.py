@@ -1,6 +1,7 @@
-"""Surroundings of the body: rails, bands, cloth, walls, a hand.
+"""Disturbances around the body: rails, bands, cloth, walls, a hand.
 
-Measures are chosen by eye. In the solid's frame y = 0 is about the nipples' height, and z is out of the chest.
+In the solid's frame y = 0 is about the nipples' height, and z points out of the chest. All sizes here are invented
+scenery; no result depends on them.
 """
 
 from __future__ import annotations
@@ -29,19 +30,19 @@ _CLOTHS = MappingProxyType(
     }
 )
 _WALL_Z_MM = -600.0
-"""Of a wall behind the body, rig frame."""
+"""Position of a wall behind the body, rig frame."""
 _DAYLIGHT = 8.0
 """Brightness of a window relative to the room's light on a white wall."""
 _ABOVE_TABLE_MM = 1.6
-"""Gap below a cast for the dark board of a flat back."""
+"""Gap between a cast and the table for the dark board of a flat back."""
 _BOARD_HALF_MM, _BOARD_CELL_MM = 210.0, 3.0
-"""Half the side of a board below a cast, and the side of the smallest patch of its texture."""
+"""Half the side of a board below a cast, and the side of a cell of its texture."""
 _UNDER_CAST_MM = 0.4
-"""Gap below a cast on a board, before the dark board of a flat back."""
+"""Gap between a cast and a board, above the dark board of a flat back."""
 _CHECK_CELLS = 5
-"""Cells to a square of a patterned board: 15 mm."""
+"""Cells per square of a patterned board: 15 mm."""
 _BOARDS = MappingProxyType(
-    {  # reflectances, and shares of the cells that have them
+    {  # reflectances, and shares of the cells with each
         "plain": ((0.10,), (1.0,)),
         "speckled": ((0.05, 0.16, 0.02), (0.6, 0.25, 0.15)),
         "patterned": ((0.08, 0.55), (0.5, 0.5)),
@@ -210,7 +211,7 @@ def _board(about: Surroundings, texture: str, rng: np.random.Generator) -> Surro
         cells = (row // _CHECK_CELLS + column // _CHECK_CELLS) % 2
     else:
         cells = rng.choice(len(shares), p=shares, size=(count, count))
-    top = replace(top, material=np.tile(cells.ravel(), 2).astype(np.uint8))  # two triangles to a cell
+    top = replace(top, material=np.tile(cells.ravel(), 2).astype(np.uint8))  # two triangles per cell
     colours = [(value, 0.98 * value, 0.95 * value) for value in reflectances]
     return about.plus_at_body(top, *colours, smooth=0.8, moves=False)
 

@@ -1,1 +1,1 @@
-"""From a scene to photographs."""
+"""Rendering of scenes as photographs."""

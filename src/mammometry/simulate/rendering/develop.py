@@ -1,4 +1,4 @@
-"""From radiance to a photograph: lens, sensor, and the camera's own processing.
+"""From radiance to a photograph: lens, sensor, and the camera's processing.
 
 Blur, vignetting, noise, exposure, white balance, colour fringes, Bayer mosaic, sharpening, transfer curve.
 """
@@ -17,8 +17,7 @@ from mammometry.geometry.arrays import Array, Float32, Float64, UInt16
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.kernels import develop as develop_kernel
 
-_SHARPENED_PX = 1.0
-"""Blur for sharpening, px: the difference to it is added. Chosen by eye."""
+_SHARPENED_PX = 1.0  # σ of the blur used for sharpening, px; invented, no result depends on it
 # Malvar, He and Cutler 2004: linear interpolation of the missing colours, corrected by the gradient of the known one.
 _GREEN = np.array([[0, 0, -1, 0, 0], [0, 0, 2, 0, 0], [-1, 2, 4, 2, -1], [0, 0, 2, 0, 0], [0, 0, -1, 0, 0]]) / 8.0
 _IN_ROW = (
@@ -43,7 +42,7 @@ def arriving(radiance: Float32[Array, "h w c"], film: Film) -> Float32[Array, "h
 
 
 def magnified(plane: Float32[Array, "h w"], larger: float) -> Float32[Array, "h w"]:
-    """A picture magnified by 1 + `larger` about its middle. Cubic splines."""
+    """A picture magnified by 1 + `larger` about its centre. Cubic splines."""
     height, width = plane.shape
     row, column = (np.arange(size) - 0.5 * (size - 1) for size in (height, width))
     at = [
@@ -55,7 +54,7 @@ def magnified(plane: Float32[Array, "h w"], larger: float) -> Float32[Array, "h 
 
 
 def processed(counted: UInt16[Array, "h w 3"], film: Film, bits: Literal[8, 16]) -> Array:
-    """Picture written by the camera, from linear counts (full scale 65535)."""
+    """Picture that the camera writes, from linear counts (full scale 65535)."""
     light = counted.astype(np.float64) / 65535.0
     if film.mosaic:
         light = demosaicked(mosaicked(light))
@@ -68,7 +67,7 @@ def processed(counted: UInt16[Array, "h w 3"], film: Film, bits: Literal[8, 16])
 
 
 def mosaicked(light: Float64[Array, "h w 3"]) -> Float64[Array, "h w"]:
-    """One colour a pixel (RGGB). Red is at even rows and columns, blue at odd ones, green elsewhere."""
+    """One colour per pixel (RGGB): red at even rows and columns, blue at odd ones, green elsewhere."""
     raw = light[:, :, 1].copy()
     raw[0::2, 0::2] = light[0::2, 0::2, 0]
     raw[1::2, 1::2] = light[1::2, 1::2, 2]
@@ -76,7 +75,7 @@ def mosaicked(light: Float64[Array, "h w 3"]) -> Float64[Array, "h w"]:
 
 
 def demosaicked(raw: Float64[Array, "h w"]) -> Float64[Array, "h w 3"]:
-    """All three colours at every pixel of an RGGB mosaic. Malvar, He and Cutler's filters."""
+    """All three colours at every pixel of an RGGB mosaic, by Malvar, He and Cutler's filters."""
     green, in_row, in_column, across = (
         convolve(raw, weights, mode="mirror") for weights in (_GREEN, _IN_ROW, _IN_COLUMN, _ACROSS)
     )
@@ -91,21 +90,21 @@ def demosaicked(raw: Float64[Array, "h w"]) -> Float64[Array, "h w 3"]:
 
 
 def srgb_encoded(linear: Float64[Array, "*n"]) -> Float64[Array, "*n"]:
-    """Encode linear light, 0…1, by the sRGB transfer function (IEC 61966-2-1)."""
+    """Linear light, 0…1, encoded by the sRGB transfer function (IEC 61966-2-1)."""
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
 
 
 def develop(
     radiance: Float32[Array, "h w *c"], film: Film, *, name: str, seed: int, bits: Literal[8, 16] = 8
 ) -> Photograph:
-    """Expose and develop one picture.
+    """Photograph from radiance.
 
     Args:
         radiance: linear, full scale 1; grey (h, w) or RGB (h, w, 3).
         film: the sensor.
-        name: of the photograph.
-        seed: of its noise.
-        bits: of each channel.
+        name: name of the photograph.
+        seed: seed of its noise.
+        bits: bits per channel.
     """
     image = radiance if radiance.ndim == 3 else radiance[:, :, None]
     if film.grey and image.shape[2] > 1:
@@ -121,7 +120,7 @@ def develop(
 
 
 def _count(image: Float32[Array, "h w c"], film: Film, seed: int, table: Array, pixels: Array) -> None:
-    """Blur, vignetting, photons and read-out noise, then a transfer curve."""
+    """Blur, vignetting, photon and read-out noise, then a transfer curve."""
     develop_kernel(
         np.ascontiguousarray(image),
         _taps(film.blur_px),
@@ -135,7 +134,7 @@ def _count(image: Float32[Array, "h w c"], film: Film, seed: int, table: Array, 
 
 
 def _taps(sigma_px: float) -> Float32[Array, " t"]:
-    """Gaussian weights, cut at 4 σ."""
+    """Gaussian weights, truncated at 4 σ."""
     radius = max(1, int(np.ceil(4.0 * sigma_px))) if sigma_px > 0 else 0
     offsets = np.arange(-radius, radius + 1)
     weights = np.exp(-0.5 * (offsets / max(sigma_px, 1e-6)) ** 2)

@@ -1,4 +1,4 @@
-"""The sensor, its lens and the pictures' files."""
+"""The sensor, its lens and the picture files."""
 
 from __future__ import annotations
 
@@ -8,48 +8,48 @@ from typing import TYPE_CHECKING
 
 from mammometry.base.errors import UnknownWordError
 
-if TYPE_CHECKING:  # The command line uses these defaults, and must not import NumPy.
+if TYPE_CHECKING:  # the command line uses these defaults and must not import NumPy
     from mammometry.geometry.camera import Camera
     from mammometry.simulate.rendering.sampling import Aperture
 
 _LEAST_NOISE = 1e-3
-"""Relative to the usual sensor's: noise 0 would ask for endless electrons."""
+"""Least noise relative to the usual sensor's: 0 would need infinitely many electrons."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Film:
-    """The sensor and its lens, at the size rendered."""
+    """A sensor and its lens, at the size that is rendered."""
 
     blur_px: float = 0.5
-    """Standard deviation of the point spread function beyond the pixel's own square, px. 0 for none."""
+    """Standard deviation of the point spread function in addition to the pixel's own square, px. 0: none."""
     vignetting: float = 0.08
     """Loss of light in the corners, 0…1."""
     electrons: float = 18000.0
-    """At full scale: photon noise is its square root."""
+    """Electrons at full scale. Photon noise is their square root."""
     read_noise: float = 12.0
-    """Electrons."""
+    """Read-out noise, electrons."""
     stray_light: float = 0.004
     """Radiance of the dark room and the lens's flare, added everywhere, relative to full scale."""
     f_number: float | None = None
-    """Focal length over the opening's diameter. None for all depths sharp."""
+    """Focal length over the aperture's diameter. None: sharp at all depths."""
     focus_mm: float | None = None
-    """Depth of the sharp plane, if there is an f-number. None for each camera's depth of the rig's centre."""
+    """Depth of the sharp plane, if there is an f-number. None: each camera's depth of the rig's centre."""
     sensor_width_mm: float = 22.3
     """Width of the sensor (APS-C), from which the focal length in mm follows."""
     jpeg_quality: int = 95
-    """Of the files, 1…100."""
+    """Quality of JPEG files, 1…100."""
     chroma_halved: bool = False
-    """Whether files keep colour at half resolution (4:2:0), as most cameras' do."""
+    """Whether files store colour at half resolution (4:2:0), as most cameras' do."""
     gain_rgb: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    """Exposure and white balance: factors of red, green and blue light before counting."""
+    """Exposure and white balance: factors on red, green and blue light before counting."""
     grey: bool = False
     """Whether the sensor counts light without colour, and files have one channel."""
     mosaic: bool = False
-    """Whether each pixel counts one colour only (Bayer's RGGB), with the others interpolated."""
+    """Whether each pixel counts only one colour (Bayer's RGGB), and the others are interpolated."""
     aberration: tuple[float, float] = (0.0, 0.0)
     """Lateral chromatic aberration: relative magnification of red and blue over green."""
     sharpening: float = 0.0
-    """Share of the difference to the blurred picture (σ 1 px) added to the encoded one."""
+    """Share of the difference to the blurred picture (σ 1 px) that is added to the encoded one."""
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -73,10 +73,10 @@ class Film:
         return self.mosaic or self.sharpening > 0 or any(self.aberration) or self.gain_rgb != (1.0, 1.0, 1.0)
 
     def with_noise(self, noise: float) -> Film:
-        """Return a sensor with a multiple of this one's noise, 0 for hardly any.
+        """A sensor with a multiple of this one's noise. 0: almost none.
 
         Raises:
-            ValueError: it does not lie between 0 and 100.
+            ValueError: it is not between 0 and 100.
         """
         if not 0.0 <= noise <= 100.0:
             raise UnknownWordError("noise must lie between 0 and 100", f"{noise:g}")
@@ -84,7 +84,7 @@ class Film:
         return replace(self, electrons=self.electrons / grain**2, read_noise=self.read_noise / grain)
 
     def aperture(self, camera: Camera) -> Aperture:
-        """The lens's opening on this camera, focal length in mm over the f-number, with its focus."""
+        """The lens's aperture on this camera (focal length in mm over the f-number) and its focus."""
         from mammometry.simulate.rendering.sampling import PINHOLE, Aperture
 
         if self.f_number is None:

@@ -1,8 +1,7 @@
 """Compiled inner loops of the renderer: rays, board patterns, sensor.
 
-These are only kernels. Each has a plain NumPy twin in tests/unit/simulate/test_kernels.py. They release the
-interpreter's lock, so that images are rendered by as many threads as there are cores, and every result depends on its
-own seed alone.
+Plain NumPy versions: tests/unit/simulate/test_kernels.py. The kernels release the interpreter's lock, so that images
+are rendered by as many threads as there are cores. Every result depends on its own seed alone.
 """
 
 import math
@@ -14,7 +13,7 @@ from mammometry.geometry.arrays import Array
 from mammometry.geometry.lens_kernels import undistorted
 
 POISSON_BELOW = 40.0
-"""Photons above which a normal law's shares differ from Poisson's by less than 1.1 %."""
+"""Photons above which the shares of a normal distribution differ from Poisson's by less than 1.1 %."""
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -64,21 +63,21 @@ def in_plane(
 ) -> None:
     """Intersections of n pixels' rays with the planes of their faces.
 
-    The rays go through the pixels' squares. The faces are those at the pixels' middles. The lens is taken for straight
-    within a pixel, which moves nothing by a thousandth of one.
+    The rays go through the pixels' squares; the faces are those at the pixels' centres. The lens is linearised within a
+    pixel, which shifts nothing by a thousandth of a pixel.
 
     Args:
         row: (n,) of the pixels.
         column: (n,) of the pixels.
-        offsets: (m, 2) places in the pixel, column first, −0.5 … 0.5.
+        offsets: (m, 2) positions in the pixel, column first, −0.5 … 0.5.
         lens: fx, fy, cx, cy, k1, k2, p1, p2, k3.
         rotation: camera from world.
-        centre: the camera's, world, mm.
+        centre: perspective centre, world, mm.
         faces: (k, 3) vertex indices.
         vertices: (v, 3) world, mm.
         primitive: (n,) the faces.
-        second: (n · m,) barycentric weight of the face's second vertex; overwritten but for faces seen edge-on.
-        third: (n · m,) of its third.
+        second: (n · m,) barycentric weight of the face's second vertex. Overwritten, except for faces seen edge-on.
+        third: (n · m,) barycentric weight of its third vertex, likewise.
     """
     x, y, coefficients = 0.0, 0.0, lens[4:]
     to_second, to_third = np.empty(3), np.empty(3)
@@ -118,7 +117,7 @@ def in_plane(
 
 @small_kernel
 def _ink(x: float, y: float, layout: Array, bits: Array) -> int:
-    """Print of a board: 1 white, 0 black, −1 outside. At (x, y), mm."""
+    """Print of a board at (x, y), mm: 1 white, 0 black, −1 outside."""
     if x < layout[5] or y < layout[6] or x > layout[7] or y > layout[8]:
         return -1
     kind, columns, rows, step, size = layout[0], int(layout[1]), int(layout[2]), layout[3], layout[4]
@@ -158,7 +157,7 @@ def board(
     window: Array,
     image: Array,
 ) -> None:
-    """Write the radiance of a flat printed board to `image` (h, w), white under full light = 1.
+    """Write the radiance of a flat printed board to `image` (h, w). White in full light is 1.
 
     Args:
         lens: fx, fy, cx, cy, k1, k2, p1, p2, k3.
@@ -167,14 +166,14 @@ def board(
         layout: pattern (0 squares, 1 circles in a square grid, 2 in a staggered one), its columns and rows, side of a
             square or distance of rows, side of a marker or radius of a circle, and the paper's least x and y and
             greatest x and y; mm.
-        bits: (rows, columns, c + 1, c + 1): [j, i, 0, 0] is 0 black, 1 white, 2 marker, whose c × c cells follow.
-        irradiance: (rows, columns) over the paper, to be interpolated; white under full light = 1.
-        shades: reflectance of black and of white, and the radiance beyond the board.
-        offsets: (m, 2) sub-pixel positions at which pixels that an edge crosses are sampled.
-        aperture: (m, 2) where each of these samples goes through the lens, mm in the camera's x and y; 0 for a pinhole.
-        focus_mm: depth of the plane that is sharp.
-        window: rows from and to, columns from and to that the board can touch.
-        image: float32 (h, w), holding `shades[2]`.
+        bits: (rows, columns, c + 1, c + 1): [j, i, 0, 0] is 0 black, 1 white, 2 marker, followed by its c × c cells.
+        irradiance: (rows, columns) over the paper, interpolated. White in full light is 1.
+        shades: reflectance of black and of white, and the radiance outside the board.
+        offsets: (m, 2) sub-pixel positions at which pixels on an edge are sampled.
+        aperture: (m, 2) positions of these samples in the lens, mm along the camera's x and y. 0 for a pinhole.
+        focus_mm: depth of the sharp plane.
+        window: rows from and to, columns from and to in which the board can be.
+        image: float32 (h, w), filled with `shades[2]`.
     """
     left, top, right, bottom = layout[5], layout[6], layout[7], layout[8]
     coefficients, opening = lens[4:], 0.0
@@ -186,13 +185,13 @@ def board(
         uxx, uyx = 0.0, 0.0
         for column in range(window[2], window[3]):
             xd = (column - lens[2]) / lens[0]
-            x += uxx  # from the pixel before, nearly there
+            x += uxx  # the previous pixel's, extrapolated: a good start
             y += uyx
             x, y, jxx, jxy, jyy = undistorted(xd, yd, coefficients, x, y)
             dx = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2]
             dy = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2]
             dz = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2]
-            if dz <= 1e-6 or origin[2] >= 0.0:  # seen from behind, or along the plane
+            if dz <= 1e-6 or origin[2] >= 0.0:  # from behind, or along the plane
                 continue
             t = -origin[2] / dz
             bx, by = origin[0] + t * dx, origin[1] + t * dy
@@ -233,7 +232,7 @@ def board(
             for k in range(offsets.shape[0]):
                 ox, oy = offsets[k, 0], offsets[k, 1]
                 sx, sy = bx + mxx * ox + mxy * oy, by + myx * ox + myy * oy
-                if opening > 0.0:  # from a point of the lens, through the sharp plane's point of this ray
+                if opening > 0.0:  # from a point of the lens through this ray's point in the sharp plane
                     ax = rotation[0, 0] * aperture[k, 0] + rotation[0, 1] * aperture[k, 1]
                     ay = rotation[1, 0] * aperture[k, 0] + rotation[1, 1] * aperture[k, 1]
                     az = rotation[2, 0] * aperture[k, 0] + rotation[2, 1] * aperture[k, 1]
@@ -247,7 +246,7 @@ def board(
 
 @kernel
 def _poisson(mean: float, bits: np.uint64) -> float:
-    """Number of photons: the least whose share of Poisson's law reaches a uniform random number."""
+    """Number of photons: the smallest whose Poisson distribution function reaches a uniform random number."""
     left = (np.float64(bits >> np.uint64(11)) + 0.5) * 2.0**-53
     term, count = math.exp(-mean), 0.0
     while left > term and count < 200.0:
@@ -268,15 +267,15 @@ def develop(
     table: Array,
     photograph: Array,
 ) -> None:
-    """Turn radiance into what the sensor reads: blur, vignetting, noise, transfer curve.
+    """Convert radiance to the sensor's output: blur, vignetting, noise, transfer curve.
 
     Args:
         image: float32 (h, w, 1 or 3), 1 is full scale.
         taps: odd number of weights of the separable point spread function.
-        vignetting: loss of light in the image's corner, 0…1, growing with the square of the distance from the middle.
-        electrons: at full scale; photons come by Poisson's law, a normal law in its place beyond `POISSON_BELOW`.
+        vignetting: loss of light in the image's corner, 0…1, growing with the square of the distance from the centre.
+        electrons: at full scale. Photons have a Poisson distribution, a normal one above `POISSON_BELOW`.
         read_noise: electrons.
-        seed: of this image's noise.
+        seed: seed of this image's noise.
         table: uint8 or uint16 (65536,): the transfer curve.
         photograph: of the same type, (h, w, 3), overwritten.
     """
@@ -285,8 +284,8 @@ def develop(
     ring = np.zeros((taps.shape[0], across), dtype=np.float32)
     signal, normal = np.zeros(across), np.zeros(width * 3)
     diagonal2 = 0.25 * (width * width + height * height)
-    first = min(radius, width)  # columns before it, and after its mirror image, look beyond the picture
-    done = -1  # the last row blurred along the row so far
+    first = min(radius, width)  # columns at either side whose kernel extends beyond the image
+    done = -1  # the last row that was blurred along the row
     for row in range(height):
         while done < min(row + radius, height - 1):
             done += 1
@@ -313,7 +312,7 @@ def develop(
                 signal[place] += taps[k] * target[place]
         before = seed + np.uint64(row * width) * np.uint64(6)
         for place in range(width * 3):
-            # Normal enough: the sum of eight uniform numbers of 16 bits, from two counters; variance 8/12.
+            # Approximately normal: sum of eight uniform numbers of 16 bits, from two counters; variance 8/12.
             counter = before + np.uint64(2 * place)
             one, other = mixed(counter * GOLDEN), mixed((counter + np.uint64(1)) * GOLDEN)
             total = (

@@ -17,34 +17,34 @@ from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.poses import draw_poses
 
 _FILM = Film()
-_ABOVE_MM = 70.0  # above the lamps is the rig's middle: half a picture's height is some 130 mm there
-_SAMPLES = 16  # rays for a pixel: a lamp's edge is then right to a few hundredths
+_ABOVE_MM = 70.0  # height of the rig's centre above the lamps: half a picture's height is about 130 mm there
+_SAMPLES = 16  # rays per pixel: a lamp's edge is accurate to a few hundredths
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LampScene:
-    """Scene before the cameras while the lamps count."""
+    """Scene with the board and the counting lamps."""
 
     board: Board
-    """To which the strip is clamped."""
+    """Board to which the strip is clamped."""
     lights: Float64[Array, "l 4"]
     """Flashes, rig frame."""
     strip: LampStrip = LAMPS
     lamp_light: float = 0.6
-    """Radiance of a lamp that is lit all the time, full scale 1."""
+    """Radiance of a lamp that is always lit, full scale 1."""
     film: Film = _FILM
     """The sensor."""
 
 
 def hold_lamps(rig: Rig, board: Board, strip: LampStrip = LAMPS) -> Transform:
-    """Rig from board, held so that the lamps are in all pictures.
+    """Rig from board, placed so that the lamps are in all pictures.
 
-    The board faces all cameras as well as one can, with a place above the lamps in the rig's middle. Markers that are
-    then out of a picture are not needed.
+    The board faces all cameras as well as possible, with a point above the lamps in the rig's centre. Markers outside a
+    picture are not needed.
 
     Args:
-        rig: cameras in the rig's frame, whose origin is its middle.
-        board: to which the strip is clamped.
+        rig: cameras in the rig's frame, whose origin is its centre.
+        board: board to which the strip is clamped.
         strip: the lamps.
     """
     facing = draw_poses(rig, board, 1, 0)["00"].rotation
@@ -55,15 +55,15 @@ def hold_lamps(rig: Rig, board: Board, strip: LampStrip = LAMPS) -> Transform:
 def render_lamps(
     camera: Camera, rig_from_board: Transform, scene: LampScene, begin_ms: float, exposure_ms: float, *, seed: int = 0
 ) -> Photograph:
-    """Photograph the board while its lamps count.
+    """Photograph of the board while its lamps count.
 
     Args:
-        camera: in the rig's frame.
-        rig_from_board: the pose.
+        camera: camera in the rig's frame.
+        rig_from_board: pose of the board.
         scene: board, lamps and light.
-        begin_ms: when the exposure begins, after the counter's 0.
-        exposure_ms: how long it lasts.
-        seed: of its noise.
+        begin_ms: start of the exposure after the counter's 0.
+        exposure_ms: duration of the exposure.
+        seed: seed of its noise.
     """
     board, strip, film = scene.board, scene.strip, scene.film
     picture = render_target(camera, rig_from_board, board, scene.lights, background=film.stray_light)

@@ -1,8 +1,8 @@
 """Physically based pictures by Mitsuba 3 (optional extra ``sim``).
 
-Scene and lens are the built-in renderer's. Mitsuba has no sensor with lens distortion, so it gets the rays of the
-built-in renderer and follows each through the scene (path tracing with interreflection, area lights, a microfacet
-sheen). The scalar variant needs no LLVM library. A picture of a quarter of the size takes about a minute.
+Scene and lens are the built-in renderer's. Mitsuba has no sensor with lens distortion, so it traces the built-in
+renderer's rays through the scene (path tracing with interreflection, area lights, a microfacet sheen). The scalar
+variant needs no LLVM library. A picture of a quarter of the size takes about a minute.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from mammometry.simulate.rendering.shading import paint_at
 from mammometry.simulate.rendering.skin import Skin
 
 _VARIANT = "scalar_rgb"
-_BOUNCES = 4  # of light between surfaces; skin of reflectance 0.6 keeps a tenth after as many
+_BOUNCES = 4  # of light between surfaces: skin of reflectance 0.6 keeps a tenth after as many
 _SAMPLES = 8
 """Samples per pixel and light; twice as many at edges."""
-_PIXELS_AT_ONCE = 4096  # traced at a time, so that memory stays small
+_PIXELS_AT_ONCE = 4096  # pixels traced at a time; limits memory
 _LOCK = Lock()
 
 
 def require_mitsuba() -> None:
-    """Make sure that Mitsuba is there.
+    """Require Mitsuba.
 
     Raises:
         SettingsError: it is not installed.
@@ -51,14 +51,14 @@ def require_mitsuba() -> None:
 def render_by_mitsuba(
     scene: Scene, camera: Camera, skin: Skin, *, seed: int, aperture: Aperture = PINHOLE, background: float = 0.0
 ) -> Float32[Array, "h w 3"]:
-    """Radiance of the scene at the camera, by path tracing. As `render.render_subject`.
+    """Radiance of the scene at the camera by path tracing, like `render.render_subject`.
 
     Args:
-        scene: lit; rig frame. Of its lighting only the flashes' places and strengths are used.
-        camera: in the rig's frame.
-        skin: how the subject is painted.
-        seed: of the mottling and of the paths.
-        aperture: of the lens.
+        scene: lit scene, rig frame. Of its lighting only the flashes' positions and strengths are used.
+        camera: camera in the rig's frame.
+        skin: appearance of the subject.
+        seed: seed of the mottling and of the paths.
+        aperture: aperture of the lens.
         background: radiance of the dark room.
 
     Raises:
@@ -68,7 +68,7 @@ def render_by_mitsuba(
     import mitsuba as mi
 
     image = np.full((*camera.shape_hw, 3), background, dtype=np.float32)
-    with _LOCK:  # one interpreter lock's worth of work anyway
+    with _LOCK:  # the variant is global, and the work holds the interpreter's lock anyway
         mi.set_variant(_VARIANT)
         world = _world(scene, skin, seed)
         integrator, sampler = world.integrator(), mi.load_dict({"type": "independent"})
@@ -76,7 +76,7 @@ def render_by_mitsuba(
         parameters = mi.traverse(world)
         emitters = [f"flash_{number}.emitter" for number in range(len(scene.lights))] + ["surroundings"]
         radiances = {name: np.array(parameters[f"{name}.radiance.value"]) for name in emitters}
-        # One light at a time: the choice of a light at random would be most of the noise.
+        # One light at a time: a random choice of lights would cause most of the noise.
         for emitter in emitters:
             for name, radiance in radiances.items():
                 parameters[f"{name}.sampling_weight"] = float(name == emitter)
@@ -101,7 +101,7 @@ def render_by_mitsuba(
 
 @lru_cache(maxsize=1)
 def _world(scene: Scene, skin: Skin, seed: int) -> Any:
-    """The scene as Mitsuba knows it."""
+    """The scene in Mitsuba's form."""
     import mitsuba as mi
 
     mi.set_variant(_VARIANT)
@@ -143,7 +143,7 @@ def _world(scene: Scene, skin: Skin, seed: int) -> Any:
 
 
 def _painted_subject(scene: Scene, skin: Skin, seed: int, bsdf: Any) -> Any:
-    """The subject with each face divided into four, with the paint at the vertices. The surface does not change."""
+    """The subject with each face divided into four and colours at the vertices. The surface does not change."""
     mesh = TriangleMesh(
         vertices=scene.mesh.vertices[: scene.subject_vertices], faces=scene.mesh.faces[: scene.subject_faces]
     )
@@ -175,7 +175,7 @@ def _painted_subject(scene: Scene, skin: Skin, seed: int, bsdf: Any) -> Any:
 
 
 def _quartered(values: Float64[Array, "n c"], faces: Int32[Array, "m 3"]) -> tuple[Array, Int32[Array, "k 3"]]:
-    """Cut every face in four at the middles of its edges. Values there are the means of the edges' ends."""
+    """Divide every face into four at the midpoints of its edges. Values there are means of the edges' ends."""
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     once, which = np.unique(edges, axis=0, return_inverse=True)
     a, b, c = (len(values) + which.reshape(3, -1)).astype(np.int32)

@@ -1,4 +1,7 @@
-"""Objects other than the subject, in plain colours: a dark board, a cluttered room, hair."""
+"""Objects other than the subject, in plain colours: a dark board, a cluttered room, hair.
+
+All sizes here are invented scenery; no result depends on them.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +14,15 @@ from mammometry.geometry import Array, Float32, Float64, Int32, TriangleMesh, UI
 
 BOARD_MM = (270.0, 290.0)
 """Width and height of the dark board behind a flat back."""
-_BOARD_STEP_MM = 3.0  # between the board's vertices, which store its shadows
-_OBJECTS = 240  # boxes of the clutter, the room itself among them; chosen by eye
+_BOARD_STEP_MM = 3.0  # distance of the board's vertices, which store its shadows
+_OBJECTS = 240  # boxes of the clutter, including the room itself
 _ROOM_MM = (1150.0, 1600.0)
-"""Range of the clutter's distance from the middle of the rig, mm: beyond all cameras and flashes."""
-_WALL_MM = 2100.0  # distance of the room's walls from the middle: beyond all boxes
+"""Range of the clutter's distance from the rig's centre, mm: beyond all cameras and flashes."""
+_WALL_MM = 2100.0  # distance of the room's walls from the centre: beyond all boxes
 _SIDES = 3  # of a hair's tube
-_JOINTS = 6  # points of a hair's middle line
-_HAIR_RADIUS_MM = 0.05  # chosen by eye, as are the lengths
-_HAIR_LENGTH_MM = (4.0, 14.0)  # range, drawn evenly; chosen by eye
+_JOINTS = 6  # points of a hair's centre line
+_HAIR_RADIUS_MM = 0.05
+_HAIR_LENGTH_MM = (4.0, 14.0)  # range of a uniform distribution
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -34,7 +37,7 @@ class Props:
 
 
 def board(z: float) -> Props:
-    """Return a board in the plane z, centred, facing +z. It is fine enough for shadows."""
+    """Board in the plane z, centred, facing +z, with vertices dense enough for shadows."""
     columns, rows = (math.ceil(side / _BOARD_STEP_MM) for side in BOARD_MM)
     x, y = np.meshgrid(
         np.linspace(-0.5, 0.5, columns + 1) * BOARD_MM[0], np.linspace(-0.5, 0.5, rows + 1) * BOARD_MM[1]
@@ -49,14 +52,14 @@ def board(z: float) -> Props:
 
 
 def room(seed: int) -> tuple[Props, Float64[Array, "k 3"]]:
-    """Return boxes around the rig, each of its own material, and their materials' reflectances."""
+    """Boxes around the rig, each of its own material, and the materials' reflectances."""
     rng = np.random.default_rng([seed, 81])
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     sides = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
     vertices, normals = [], []
     faces: list[list[list[int]]] = []
     for number in range(_OBJECTS):
-        # Evenly over all directions, so that there is something behind the subject from every side.
+        # Uniformly over all directions, so that something is behind the subject from every side.
         height = 1.0 - (2 * number + 1) / _OBJECTS
         azimuth = number * math.pi * (3.0 - math.sqrt(5.0)) + rng.uniform(-0.3, 0.3)
         towards = np.array([math.sqrt(1 - height**2) * math.cos(azimuth), height, 0.0])
@@ -88,17 +91,16 @@ def room(seed: int) -> tuple[Props, Float64[Array, "k 3"]]:
 def strands(
     mesh: TriangleMesh, normals: Float64[Array, "n 3"], faces: Array, per_cm2: float, seed: int
 ) -> tuple[Float32[Array, "k j 3"], Int32[Array, " k"]]:
-    """Grow hairs on some faces of a mesh.
+    """Grow hairs on some faces of a mesh: centre lines, and the vertex nearest to each root.
 
-    Returns their middle lines, and the vertex nearest to each root. They leave the skin aslant, lie over towards −y,
-    and bend.
+    They leave the skin obliquely, point towards −y, and bend.
 
     Args:
         mesh: the subject.
         normals: unit normals at its vertices.
-        faces: indices of the faces that bear hair.
-        per_cm2: how many.
-        seed: of all that is random about them.
+        faces: indices of the faces with hair.
+        per_cm2: number of hairs per cm².
+        seed: seed of all random values.
     """
     rng = np.random.default_rng([seed, 82])
     corners = mesh.vertices[mesh.faces[faces]]
@@ -123,7 +125,7 @@ def strands(
 
 
 def tubes(lines: Float32[Array, "k j 3"]) -> Props:
-    """Three-sided tubes of 0.1 mm around hairs' middle lines. Vertices hair by hair."""
+    """Three-sided tubes of 0.1 mm around hairs' centre lines. Vertices are ordered by hair."""
     count = len(lines)
     along = np.gradient(lines.astype(np.float64), axis=1)
     along /= np.linalg.norm(along, axis=2, keepdims=True)

@@ -19,7 +19,7 @@ BUILT_IN = "built-in"
 
 
 class Render(Protocol):
-    """Renders one picture."""
+    """A function that renders a picture."""
 
     def __call__(
         self, scene: Scene, camera: Camera, skin: Skin, *, seed: int, aperture: Aperture, background: float
@@ -27,11 +27,11 @@ class Render(Protocol):
         """Radiance seen by a camera: linear RGB, full scale 1, without blur.
 
         Args:
-            scene: lit; rig frame, mm.
-            camera: in the rig's frame.
-            skin: how the subject is painted.
-            seed: of the mottling; the same for all cameras of one capture.
-            aperture: of the lens.
+            scene: lit scene, rig frame, mm.
+            camera: camera in the rig's frame.
+            skin: appearance of the subject.
+            seed: seed of the mottling, the same for all cameras of a capture.
+            aperture: aperture of the lens.
             background: radiance of the dark room.
         """
         ...
@@ -47,7 +47,7 @@ class Renderer:
 
     render: Render
     require: Callable[[], None] = _nothing_to_check
-    """Check that the renderer is installed. Raises a SettingsError that says what to install."""
+    """Check that the renderer is installed. Raises a SettingsError that states what to install."""
 
 
 RENDERERS: Registry[Renderer] = Registry(
@@ -57,7 +57,7 @@ RENDERERS: Registry[Renderer] = Registry(
 
 
 def add_renderer(name: str, *, require: Callable[[], None] = _nothing_to_check) -> Callable[[Render], Render]:
-    """Register a function that renders a picture."""
+    """Decorate a function that renders a picture to register it."""
 
     def enter(render: Render) -> Render:
         RENDERERS.add(name)(Renderer(render=render, require=require))

@@ -1,4 +1,4 @@
-"""Pictures of a scene: rays through the lens, shading, fine edges."""
+"""Pictures of a scene by ray casting: lens, shading, fine edges."""
 
 from __future__ import annotations
 
@@ -25,30 +25,30 @@ from mammometry.simulate.rendering.scene import Scene
 from mammometry.simulate.rendering.skin import Skin
 
 _NOTHING = -1  # face number of a ray without a hit
-_PLAIN_SAMPLES = 4  # rays for a pixel within the subject, through a pinhole
-_EDGE_SAMPLES = 16  # and for one on an edge
-_UNSHARP_PLAIN_SAMPLES = 16  # the same through a lens's opening
-_UNSHARP_EDGE_SAMPLES = 64  # and on an edge
-_PLAIN_CONTRAST = 0.2  # of the mottling of all that is not skin, as the logarithm of lightness; chosen by eye
+_PLAIN_SAMPLES = 4  # rays per pixel within the subject, through a pinhole
+_EDGE_SAMPLES = 16  # rays per pixel on an edge
+_UNSHARP_PLAIN_SAMPLES = 16  # rays per pixel within the subject, through a lens's aperture
+_UNSHARP_EDGE_SAMPLES = 64  # rays per pixel on an edge, through a lens's aperture
+_PLAIN_CONTRAST = 0.2  # mottling of everything but skin, logarithm of lightness; invented, no result depends on it
 AMBIENT = 0.10
-"""Radiance of the surroundings as a white surface shows it."""
-_STRIP_PIXELS = 150_000  # traced at a time, so that memory stays small
+"""Radiance of a white surface in the light of the surroundings."""
+_STRIP_PIXELS = 150_000  # pixels traced at a time; limits memory
 _JUMP = 0.004
-"""Relative difference of range between neighbouring pixels that makes an edge."""
+"""Relative difference of range between neighbouring pixels from which there is an edge."""
 
 
 @add_renderer(BUILT_IN)
 def render_subject(
     scene: Scene, camera: Camera, skin: Skin, *, seed: int, aperture: Aperture = PINHOLE, background: float = 0.0
 ) -> Float32[Array, "h w 3"]:
-    """Radiance of the scene at the camera, before the lens's blur. Linear RGB, full scale 1.
+    """Radiance of the scene at the camera before the lens's blur: linear RGB, full scale 1.
 
     Args:
-        scene: lit; rig frame.
-        camera: in the rig's frame.
-        skin: how the subject is painted.
-        seed: of the mottling; the same for all cameras of one capture.
-        aperture: of the lens.
+        scene: lit scene, rig frame.
+        camera: camera in the rig's frame.
+        skin: appearance of the subject.
+        seed: seed of the mottling, the same for all cameras of a capture.
+        aperture: aperture of the lens.
         background: radiance of the dark room.
     """
     image = np.full((*camera.shape_hw, 3), background, dtype=np.float32)
@@ -59,22 +59,22 @@ def render_subject(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Block:
-    """Some pixels that show something."""
+    """Some pixels that are not empty."""
 
     row: Int64[Array, " n"]
     column: Int64[Array, " n"]
     is_edge: bool
-    """Whether a silhouette, a fold or a rim may cross the pixels, or defocus spread one over them."""
+    """Whether a silhouette, fold or rim may cross the pixels, including by defocus."""
     face: Int32[Array, " n"]
-    """First face along the ray of each pixel's middle. −1 for none, or at edges."""
+    """First face along the ray of each pixel's centre. −1 for none, or at edges."""
     second: Float32[Array, " n"]
     """Barycentric weight of the face's second vertex."""
     third: Float32[Array, " n"]
-    """Of its third."""
+    """Barycentric weight of its third vertex."""
 
 
 def blocks(scene: Scene, camera: Camera, aperture: Aperture) -> Iterator[Block]:
-    """All pixels that show anything, some at a time."""
+    """Yield all pixels that are not empty, in blocks."""
     top, bottom, left, right = _frame(scene, camera)
     if left >= right:
         return
@@ -82,7 +82,7 @@ def blocks(scene: Scene, camera: Camera, aperture: Aperture) -> Iterator[Block]:
     spread = math.ceil(_unsharp_px(scene, camera, aperture)) if aperture.diameter_mm else 0
     rows_at_once = max(4, _STRIP_PIXELS // (right - left))
     for start in range(top, bottom, rows_at_once):
-        # Some rows more on either side, so that edges are found across the strips' seams.
+        # Some extra rows on either side, so that edges are found across strips.
         rows = slice(max(start - 1 - spread, 0), min(start + rows_at_once + 1 + spread, height))
         window = (rows.start, rows.stop, left, right)
         edge, hit = _edges(scene, camera, window)
@@ -109,19 +109,19 @@ def blocks(scene: Scene, camera: Camera, aperture: Aperture) -> Iterator[Block]:
 def sample_rays(
     camera: Camera, row: Int64[Array, " n"], column: Int64[Array, " n"], samples: int, aperture: Aperture
 ) -> tuple[Float32[Array, "k 3"], Float32[Array, "k 3"]]:
-    """Origins and directions of `samples` rays a pixel, through its square and the lens's opening."""
+    """Origins and directions of `samples` rays per pixel, through its square and the lens's aperture."""
     offsets = net_offsets(samples)
     uv = np.stack([column[:, None] + offsets[:, 0], row[:, None] + offsets[:, 1]], axis=-1).reshape(-1, 2)
     return _rays(camera, uv, aperture, np.tile(disc_offsets(samples), (len(row), 1)))
 
 
 def paint_seed(seed: int) -> np.uint64:
-    """Return the seed of the mottling that belongs to a capture's seed."""
+    """Seed of the mottling for a capture's seed."""
     return np.uint64(np.random.default_rng([seed, 21]).integers(1 << 63, dtype=np.uint64))
 
 
 def subject_coverage(scene: Scene, camera: Camera, samples: int = 64) -> Float32[Array, "h w"]:
-    """Share of every pixel's square that the subject fills. By counting rays: the truth for silhouettes."""
+    """Share of every pixel's square that the subject fills, by counting rays: the true silhouette."""
     coverage = np.zeros(camera.shape_hw, dtype=np.float32)
     top, bottom, left, right = _frame(scene, camera)
     row, column = (grid.ravel() for grid in np.mgrid[top:bottom, left:right])
@@ -134,7 +134,7 @@ def subject_coverage(scene: Scene, camera: Camera, samples: int = 64) -> Float32
 
 
 def _frame(scene: Scene, camera: Camera) -> tuple[int, int, int, int]:
-    """Rows and columns (from, to) that the scene can touch. Uses every tenth vertex of the fine subject."""
+    """Rows and columns (from, to) in which the scene can be. Uses every tenth vertex of the subject."""
     vertices = scene.mesh.vertices
     few = np.concatenate([vertices[: scene.subject_vertices : 10], vertices[scene.subject_vertices :]])
     return picture_window(camera, few, margin_px=8)
@@ -157,7 +157,7 @@ def _rays(
 
 
 def _cast(scene: Scene, camera: Camera, uv: Array) -> tuple[Array, dict[str, Array]]:
-    """First face along each pixel position's ray (−1: none). Also embree's record of the hit."""
+    """First face along each pixel position's ray (−1: none), and embree's record of the hit."""
     hit = scene.rays.run(*_rays(camera, uv, PINHOLE, np.zeros((len(uv), 2))), output=True)
     return hit["primID"], hit
 
@@ -165,7 +165,7 @@ def _cast(scene: Scene, camera: Camera, uv: Array) -> tuple[Array, dict[str, Arr
 def _edges(
     scene: Scene, camera: Camera, window: tuple[int, int, int, int]
 ) -> tuple[Bool[Array, "h w"], dict[str, Array]]:
-    """Pixels that a silhouette, a fold or a rim may cross, and what each pixel's middle hits."""
+    """Pixels that a silhouette, fold or rim may cross, and the hit of each pixel's centre."""
     top, bottom, left, right = window
     row, column = np.mgrid[top:bottom, left:right]
     face, hit = _cast(scene, camera, np.stack([column.ravel(), row.ravel()], axis=1))
@@ -178,7 +178,7 @@ def _edges(
 
 
 def _hairs(scene: Scene, camera: Camera, window: tuple[int, int, int, int]) -> Bool[Array, "h w"]:
-    """Pixels that a hair may cross, which is too thin for the rays through their centres."""
+    """Pixels that a hair may cross. Hairs are too thin for the rays through the pixels' centres."""
     top, bottom, left, right = window
     mask = np.zeros((bottom - top, right - left), dtype=bool)
     if not len(scene.strands):
@@ -204,7 +204,7 @@ def _sampled(
     if shared == 1:
         hit = scene.rays.run(*sample_rays(camera, block.row, block.column, samples, aperture), output=True)
         face, second, third = hit["primID"], hit["u"], hit["v"]
-    else:  # on a smooth piece no ray need be cast: its pixel's middle has found the face
+    else:  # on a smooth piece the face at the pixel's centre is used, and no ray is cast
         face, second, third = block.face, np.repeat(block.second, samples), np.repeat(block.third, samples)
         kernels.in_plane(
             block.row,

@@ -1,4 +1,4 @@
-"""Sample positions in pixels and lens, and lenses for the kernels."""
+"""Sample positions in pixels and lens apertures, and lens parameters for the kernels."""
 
 from __future__ import annotations
 
@@ -14,36 +14,36 @@ from mammometry.geometry import Array, Camera, Float32, Float64, read_only
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Aperture:
-    """A thin lens: rays through its opening meet in the sharp plane.
+    """Aperture of a thin lens: rays through it meet in the sharp plane.
 
-    The ray through its middle is the camera model's, so defocus moves nothing. A point at the depth z makes a disc of
-    ``diameter_mm · fx · |1/z − 1/focus_mm|`` pixels across.
+    The ray through its centre is the camera model's, so defocus does not shift anything. A point at the depth z becomes
+    a disc with a diameter of ``diameter_mm · fx · |1/z − 1/focus_mm|`` pixels.
     """
 
     diameter_mm: float = 0.0
-    """Of the opening. 0 is a pinhole."""
+    """Diameter, mm. 0: a pinhole."""
     focus_mm: float = math.inf
-    """Depth of the plane that is sharp, from the perspective centre."""
+    """Depth of the sharp plane from the perspective centre, mm."""
 
 
 PINHOLE = Aperture()
 
 
 def lens_parameters(camera: Camera) -> Float64[Array, 9]:
-    """Return fx, fy, cx, cy, k1, k2, p1, p2, k3."""
+    """Parameters fx, fy, cx, cy, k1, k2, p1, p2, k3."""
     return np.array([*camera.intrinsics, *camera.distortion])
 
 
 def lens_rays(
     camera: Camera, directions: Float32[Array, "n 3"], aperture: Aperture, places: Float64[Array, "n 2"]
 ) -> tuple[Float32[Array, "n 3"], Float32[Array, "n 3"]]:
-    """Origins and directions, world frame, of rays that leave the lens at `places` of its unit disc.
+    """Origins and directions, world frame, of rays that start at `places` on the lens's unit disc.
 
     Args:
-        camera: whose lens it is.
-        directions: of the rays through the middle of the lens.
-        aperture: the opening and what it is focused at.
-        places: −1 … 1 of the opening's radius, along the camera's x and y.
+        camera: camera with the lens.
+        directions: directions of the rays through the lens's centre.
+        aperture: aperture and focus.
+        places: −1 … 1 of the aperture's radius, along the camera's x and y.
     """
     centre = camera.centre_world
     if aperture.diameter_mm == 0.0:
@@ -58,10 +58,10 @@ def lens_rays(
 
 @cache
 def disc_offsets(count: int) -> Float64[Array, "n 2"]:
-    """Places on the unit disc, one for each of `net_offsets`.
+    """Positions on the unit disc, one for each of `net_offsets`.
 
-    Their mean is the disc's own (0), and so is their covariance (a quarter). Their order is unrelated to the net's, so
-    defocus moves nothing.
+    Their mean (0) and covariance (a quarter) are those of the disc, and their order is uncorrelated with the net's, so
+    defocus does not shift anything.
     """
     if count == 1:
         return read_only(np.zeros((1, 2)))
@@ -78,11 +78,11 @@ def disc_offsets(count: int) -> Float64[Array, "n 2"]:
 def net_offsets(count: int) -> Float64[Array, "n 2"]:
     """Sample positions in a pixel, −0.5 … 0.5: Hammersley's net.
 
-    One sample in every row and column of `count`. So an edge's share of the pixel is right to half a sample for every
-    upright or level edge and for the mean.
+    Each of `count` rows and columns has one sample. So the share of a pixel on one side of a horizontal or vertical
+    edge is right to half a sample, and the mean is exact.
 
     Raises:
-        ValueError: the number is no power of two.
+        ValueError: the number is not a power of two.
     """
     bits = count.bit_length() - 1
     if count != 1 << bits:
@@ -95,9 +95,9 @@ def net_offsets(count: int) -> Float64[Array, "n 2"]:
 def picture_window(
     camera: Camera, points_world: Float64[Array, "n 3"], margin_px: int = 4
 ) -> tuple[int, int, int, int]:
-    """Part of a picture that some points can cover: rows from and to, columns from and to.
+    """Part of a picture in which points can be: rows from and to, columns from and to. Empty if none.
 
-    Empty if none. A point behind the camera gives the whole picture.
+    A point behind the camera gives the whole picture.
     """
     height, width = camera.shape_hw
     uv = camera.project(points_world)

@@ -1,7 +1,7 @@
 """Scene in front of the cameras: one mesh with shading attributes.
 
-Light is baked once a scene: how much of each flash and of the surroundings every vertex sees does not depend on the
-camera, nor does the light that travels below the skin. Flashes are soft boxes, so shadows have soft rims.
+Light is computed once per scene, since the visible share of each flash and of the surroundings at a vertex, and the
+light below the skin, do not depend on the camera. Flashes are soft boxes, so shadows have soft edges.
 """
 
 from __future__ import annotations
@@ -25,24 +25,21 @@ from mammometry.simulate.subjects.solid import Solid
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Motion:
-    """Velocities, rig frame. Over a fifth of a second neither sway nor breath reverses."""
+    """Velocities of the subject, rig frame. Sway and breath do not reverse within a fifth of a second."""
 
     sway_mm_s: Float64[Array, 3]
-    """Of the whole body."""
+    """Velocity of the whole body."""
     turn_rad_s: Float64[Array, 3]
-    """Of the whole body about the rig's middle, axis times angle."""
+    """Rotation of the whole body about the rig's centre (axis times angle)."""
     breath_mm_s: Float64[Array, 3]
-    """Of the front of the chest, beside the body's own."""
+    """Additional velocity of the front of the chest."""
     chest: Float64[Array, 3]
-    """Where the breath moves most, mm."""
+    """Point with the largest motion by breathing, mm."""
     reach_mm: float = 130.0
-    """Standard deviation of the breath's motion around its centre: that of a chest, chosen by eye."""
+    """Gaussian σ of the motion by breathing around its centre, mm: about a chest's. Invented scenery."""
 
     def at(self, points: Float64[Array, "n 3"], seconds: float) -> Float64[Array, "n 3"]:
-        """Places of points after so many seconds.
-
-        Turns are small: the second order, a micrometre, is left out.
-        """
+        """Positions of points after some seconds. Second-order terms (a micrometre) are neglected."""
         share = np.exp(-0.5 * ((points - self.chest) ** 2).sum(axis=1) / self.reach_mm**2)
         speed = self.sway_mm_s + np.cross(self.turn_rad_s, points) + share[:, None] * self.breath_mm_s
         moved: Float64[Array, "n 3"] = points + seconds * speed
@@ -50,64 +47,64 @@ class Motion:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Thing:
-    """A rail, a wall, a towel. Rig frame, mm."""
+class Prop:
+    """An object such as a rail, a wall or a towel, rig frame, mm."""
 
     props: Props
     colours: Float64[Array, "k 3"]
     """Reflectance of each material of `props`, RGB."""
     smooth: float = 0.5
-    """Evenness of its colours: 0 as mottled as cloth, 1 uniform."""
+    """Evenness of its colours: 0 mottled like cloth, 1 uniform."""
     curved: bool = False
-    """Whether its faces are one smooth surface, and not flat sides with edges."""
+    """Whether its faces form one smooth surface, not flat sides with edges."""
     moves: bool = False
     """Whether it moves with the subject."""
     glow: float = 0.0
-    """Emitted light, relative to its brightness by the surroundings."""
+    """Emitted light, relative to its brightness in the light of the surroundings."""
 
 
 SOFT_BOX_RADIUS_MM = 90.0
-"""Radius of the disc that each flash lights with. Chosen by eye."""
+"""Radius of the disc of each flash. Invented, like the other sizes here: no result depends on it."""
 _SOFT_BOX_SAMPLES = 4  # rays from a vertex to each flash
 _SKY_SAMPLES = 10  # rays from a vertex to its surroundings
-_LIFT_MM = 0.05  # a ray starts so far above the skin, not to hit the face it starts from
+_LIFT_MM = 0.05  # height above the skin at which a ray starts, so that it does not hit its own face
 BACKDROP_GAP_MM = 0.8
 """Distance of the board behind a flat back."""
 SCATTER, LIGHTS = 5, 8
-"""First columns of `Scene.attributes` that hold scattered light, and shares of lights."""
-_BACKDROP_REFLECTANCE = 0.022  # of the dark board; chosen by eye
-_HAIR_RGB = (0.045, 0.03, 0.02)  # reflectance; chosen by eye
+"""First columns of `Scene.attributes` with scattered light, and with shares of lights."""
+_BACKDROP_REFLECTANCE = 0.022  # of the dark board
+_HAIR_RGB = (0.045, 0.03, 0.02)  # reflectance
 _ROOM_LIGHT = 2.2
 """Brightness of a cluttered room's objects relative to the subject's ambient light: only the room lights them."""
 
 
 @value(eq=False)
 class Scene:
-    """A subject, perhaps on a backdrop, in a room, with hair, lit. Rig frame, mm."""
+    """A lit subject in a room, with hair and perhaps a backdrop, rig frame, mm."""
 
     mesh: TriangleMesh
-    """Subject first, everything else after it."""
+    """The subject's vertices and faces first, then all others."""
     subject_faces: int
-    """Faces of the subject."""
+    """Number of the subject's faces."""
     subject_vertices: int
-    """Vertices of the subject."""
+    """Number of the subject's vertices."""
     vertices: Float32[Array, "n 3"]
-    """The mesh's, as the rays see them."""
+    """The mesh's vertices, as used by the rays."""
     painted: Float32[Array, "n 3"]
-    """Places of the vertices when they were painted: they differ only if the subject has moved since."""
+    """Positions of the vertices to which their colours belong: others only if the subject has moved since."""
     moves: Bool[Array, " n"]
-    """Which vertices move with the subject."""
+    """Vertices that move with the subject."""
     attributes: Float32[Array, "n a"]
-    """Per vertex: normal (3), areola, visible share of the surroundings, irradiance gained by light that travels below
-    the surface (RGB), visible share of each light. Factors of the skin's colour (RGB) where something marks it."""
+    """Per vertex: normal (3), areola, visible share of the surroundings, irradiance by light below the surface (RGB),
+    visible share of each light. If there are marks, also factors of the skin's colour (RGB)."""
     material: UInt8[Array, " m"]
-    """Per face: 0 is skin, k the k-th row of `plain_colours`, from 1."""
+    """Per face: 0 is skin, k row k of `plain_colours`, from 1."""
     piece: Int32[Array, " m"]
     """Per face: number of its smooth piece, 0 for the subject. Edges between pieces are sharp."""
     plain_colours: Float64[Array, "k 3"]
-    """Reflectance of what is not skin, RGB. The backdrop and the hairs come first."""
+    """Reflectance of everything but skin, RGB. The backdrop and the hairs come first."""
     strands: Float32[Array, "h j 3"]
-    """Middle lines of the hairs."""
+    """Centre lines of the hairs."""
     lights: Float64[Array, "l 4"]
     """Position, mm, and irradiance × mm² at distance 1."""
     rays: EmbreeScene
@@ -129,8 +126,8 @@ class Room:
     """Whether there is a dark board of 270 × 290 mm, 0.8 mm behind the lowest point of the solid's back."""
     clutter: bool = False
     """Whether the rig is in a cluttered room."""
-    things: Sequence[Thing] = ()
-    """Whatever else there is, rig frame."""
+    things: Sequence[Prop] = ()
+    """All other objects, rig frame."""
 
 
 def light_scene(
@@ -142,15 +139,15 @@ def light_scene(
     skin: Skin = Skin(),
     seed: int = 0,
 ) -> Scene:
-    """Place a solid in the rig and bake the light.
+    """Place a solid in the rig and compute the light.
 
     Args:
         solid: the subject.
-        rig_from_solid: its pose. The mesh in the rig's frame is rounded to float32, as the rays see it.
+        rig_from_solid: its pose. The mesh in the rig's frame is rounded to float32, as the rays use it.
         lights: position, rig frame, mm, and irradiance × mm² at distance 1.
-        room: other objects that cast and receive shadows.
-        skin: for its softness and its hair.
-        seed: of the hair and of the room.
+        room: other objects, which cast and receive shadows.
+        skin: its softness and hair.
+        seed: seed of the hair and of the room.
     """
     placed = rig_from_solid.apply(solid.mesh.vertices).astype(np.float32)
     normals = _smooth_normals(solid, rig_from_solid)
@@ -176,7 +173,7 @@ def light_scene(
         add(props.Props(vertices=at, normals=turned, faces=board.faces, material=board.material), 1)
     moving = [np.ones(len(placed), dtype=bool), np.zeros(len(pieces[-1]) if room.backdrop else 0, dtype=bool)]
     plain = [np.zeros(len(vertices), dtype=np.float32) for vertices in pieces[1:]]
-    bent: list[int] = []  # materials of curved things
+    bent: list[int] = []  # materials of curved objects
     for thing in room.things:
         if thing.curved:
             bent += range(1 + len(colours), 1 + len(colours) + len(thing.colours))
@@ -241,10 +238,9 @@ def light_scene(
 
 
 def moved(scene: Scene, motion: Motion, seconds: float) -> Scene:
-    """Return the scene at another moment.
+    """The scene at another time, with moved colours and light.
 
-    What moves has moved, with its paint and light. The light is that of the moment for which it was computed: over a
-    few millimetres flashes and shadows do not change.
+    The light is not computed again: within some millimetres flashes and shadows do not change.
     """
     placed = scene.painted.astype(np.float64)
     placed[scene.moves] = motion.at(placed[scene.moves], seconds)
@@ -269,7 +265,7 @@ def _pieces(
     subject_faces: int,
     bent: Sequence[int],
 ) -> Int32[Array, " m"]:
-    """Props are of flat pieces: a material and a direction each. What is of a bent material is one piece."""
+    """Smooth piece of each face: one per material and direction, or one per curved material."""
     piece = np.zeros(len(faces), dtype=np.int32)
     props_faces = faces[subject_faces:]
     curved = np.isin(material[subject_faces:], bent)
@@ -294,9 +290,8 @@ def _scattered(
 ) -> Float64[Array, "n 3"]:
     """Irradiance change at each vertex by light below the surface, RGB.
 
-    Vertices gain it from their neighbours and lose it to them. Diffusion along the mesh, in steps that halve the
-    difference to the mean of the neighbours. Each adds a quarter of the edges' mean square to the variance along each
-    axis of the surface.
+    Diffusion along the mesh, in steps that halve the difference to the neighbours' mean. Each step adds a quarter of
+    the edges' mean square to the variance along each axis of the surface.
     """
     towards = lights[:, :3] - mesh.vertices[:, None]
     distance = np.linalg.norm(towards, axis=2)
@@ -319,7 +314,7 @@ def _scattered(
 
 
 def _smooth_normals(solid: Solid, rig_from_solid: Transform) -> Float64[Array, "n 3"]:
-    """Normals for shading. The rim belongs to the front, since that is the part seen of it."""
+    """Normals for shading. The rim has the front's normals, since that side is visible."""
     mesh = solid.mesh
     normals = mesh.vertex_normals()
     if solid.back_vertices:
@@ -367,7 +362,7 @@ def _free(rays: EmbreeScene, origins: Array, directions: Array) -> Array:
 
 
 def _soft_box(position: Float64[Array, 3]) -> Float64[Array, "s 3"]:
-    """Points on the disc of a flash facing the rig's middle."""
+    """Points on a flash's disc, which faces the rig's centre."""
     axis = position / np.linalg.norm(position)
     a = np.cross(axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.8 else [0.0, 1.0, 0.0])
     a /= np.linalg.norm(a)
@@ -377,7 +372,7 @@ def _soft_box(position: Float64[Array, 3]) -> Float64[Array, "s 3"]:
 
 
 def _fibonacci_sphere(count: int) -> Float64[Array, "n 3"]:
-    """Directions spread evenly over the sphere."""
+    """Directions uniformly distributed over the sphere."""
     index = np.arange(2 * count) + 0.5
     z = 1.0 - index / count
     azimuth = index * math.pi * (3.0 - math.sqrt(5.0))

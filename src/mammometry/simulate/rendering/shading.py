@@ -1,8 +1,8 @@
-"""Compiled inner loops of the renderer: paint and light on surfaces.
+"""Compiled inner loops of the renderer: colour and light on surfaces.
 
-The paint is a function of the place on the surface. These are only kernels. Each has a plain NumPy twin in
-tests/unit/simulate/test_kernels.py or test_shading.py. They release the interpreter's lock, so that images are
-rendered by as many threads as there are cores.
+The colour is a function of the position on the surface. All sizes here are invented scenery; no result depends on them.
+Plain NumPy versions: tests/unit/simulate/test_kernels.py and test_shading.py. The kernels release the interpreter's
+lock, so that images are rendered by as many threads as there are cores.
 """
 
 import math
@@ -18,9 +18,9 @@ OCTAVES = 9
 COARSEST_MM = 40.0
 CHROMA_OCTAVES = 5
 COARSE_FOOTPRINTS = 6.0
-"""Pixels over which anything coarser counts as linear: its mean within one is that of the middle."""
+"""Pixels over which coarser patterns are linear, so that their mean is their value at the centre."""
 FACET_MM = 0.8
-"""Of the roughness that the sheen shows."""
+"""Size of the facets that make the sheen rough."""
 _DARK = 1e-6  # share of the sheen's peak below which it is not computed
 
 _PRIME_X = np.uint64(0x8DA6B343)
@@ -30,7 +30,7 @@ _PRIME_Z = np.uint64(0xCB1AB31F)
 
 @kernel
 def _gradient_noise(x: float, y: float, z: float, seed: np.uint64) -> float:
-    """Smooth noise of unit wavelength and about unit standard deviation, by place and seed alone."""
+    """Smooth noise with unit wavelength and about unit standard deviation, by position and seed alone."""
     fx, fy, fz = math.floor(x), math.floor(y), math.floor(z)
     ix, iy, iz = np.int64(fx), np.int64(fy), np.int64(fz)
     x -= fx
@@ -55,9 +55,9 @@ def _gradient_noise(x: float, y: float, z: float, seed: np.uint64) -> float:
 def mottling(
     x: float, y: float, z: float, footprint: float, first: int, octaves: int, weights: Array, seed: np.uint64
 ) -> float:
-    """Sum of octaves of noise at a point, mm.
+    """Sum of octaves of noise at a point, mm, from `first` to below `octaves`.
 
-    From `first` to below `octaves`. An octave fades out where its wavelength nears the pixel's footprint.
+    An octave fades out as its wavelength approaches the pixel's footprint.
     """
     total = 0.0
     wavelength = COARSEST_MM
@@ -65,7 +65,7 @@ def mottling(
         fade = (wavelength / footprint - 0.8) / 0.8
         if fade <= 0.0:
             break
-        # Each octave on its own turned and shifted lattice, so that no lattice shows.
+        # Each octave has a rotated and shifted lattice, so that no lattice is visible.
         a, b, c = 0.8 * x + 0.6 * y, 0.8 * y - 0.6 * x, z
         x, y, z = a, 0.8 * b + 0.6 * c, 0.8 * c - 0.6 * b
         if k >= first:
@@ -79,10 +79,9 @@ def mottling(
 
 @kernel
 def spots(x: float, y: float, z: float, cell: float, least: float, most: float, share: float, seed: np.uint64) -> float:
-    """Depth of a point in one of the balls in space.
+    """Depth of a point in one of the balls in space: 1 inside, falling to 0 at the rim.
 
-    1 within, falling to 0 at the rim. One cell in every `share` of cells has a ball of radius `least` … `most`, wholly
-    within its cell.
+    A share `share` of the cells has a ball of radius `least` … `most`, completely within its cell.
     """
     fx, fy, fz = math.floor(x / cell), math.floor(y / cell), math.floor(z / cell)
     bits = mixed(
@@ -133,10 +132,9 @@ def paint(
     seed: np.uint64,
     chroma_seed: np.uint64,
 ) -> tuple[float, float, float]:
-    """Reflectance of the skin at a point, mm: red, green, blue.
+    """Reflectance of the skin at a point, mm: red, green, blue. For the arguments see `shade`.
 
-    See `shade` for the arguments. Of the mottling of lightness and of colour, the octaves before `first` are known
-    already: `coarse`, `coarse_tint`.
+    The octaves before `first` of the mottling of lightness and colour are given as `coarse` and `coarse_tint`.
     """
     lightness = math.exp(coarse + mottling(x, y, z, footprint, first, OCTAVES, spectrum[0], seed))
     tint = math.exp(coarse_tint + mottling(x, y, z, footprint, first, CHROMA_OCTAVES, spectrum[1], chroma_seed))
@@ -149,12 +147,12 @@ def paint(
         green *= math.exp(-0.45 * depth)
         blue *= math.exp(-0.12 * depth)
     if marks[0] > 0.0:
-        fade = min(1.0, 0.25 / footprint)  # narrower than a pixel: only its share of the pixel is dark
+        fade = min(1.0, 0.25 / footprint)  # narrower than a pixel: only a share of the pixel is dark
         pore = spots(x, y, z, 0.75, 0.12, 0.3, 1.0, mixed(seed + np.uint64(107)))
         shadow = 1.0 - marks[0] * fade * pore
         red, green, blue = red * shadow, green * shadow, blue * shadow
     if marks[1] > 0.0:
-        # A wandering outline: moles are not round.
+        # An irregular outline: moles are not round.
         wobble = 0.5 * _gradient_noise(x / 2.5, y / 2.5, z / 2.5, chroma_seed)
         mole = spots(x + wobble, y - wobble, z + 0.6 * wobble, 20.0, 0.6, 2.6, marks[1], mixed(seed + np.uint64(108)))
         red *= 1.0 - 0.62 * mole
@@ -167,10 +165,7 @@ def paint(
 def paint_at(
     points: Array, areola: Array, footprint: float, colours: Array, spectrum: Array, marks: Array, seed: np.uint64
 ) -> Array:
-    """Reflectance (n, 3) of the skin at points (n, 3), mm.
-
-    The points have shares of areola (n,). See `shade`.
-    """
+    """Reflectance (n, 3) of the skin at points (n, 3), mm, with shares of areola (n,). See `shade`."""
     painted = np.empty((points.shape[0], 3))
     chroma_seed = mixed(seed + np.uint64(101))
     for i in range(points.shape[0]):
@@ -197,10 +192,9 @@ def _light(
     ambient: float,
     seed: np.uint64,
 ) -> tuple[float, float]:
-    """Diffuse irradiance and mirrored light at a point, mm.
+    """Diffuse irradiance and specular light at a point, mm. See `shade`.
 
-    `values` are the vertices' there. See `shade`. `px`, `py`, `pz` is the point's place when it was painted: the
-    skin's facets are there.
+    `values` are the attributes there. `px`, `py`, `pz` is the position to which the skin's colour and facets belong.
     """
     exponent, patches, roughness = sheen[1], sheen[2], sheen[3]
     nx, ny, nz = values[0], values[1], values[2]
@@ -220,7 +214,7 @@ def _light(
     if bare and sheen_here > 0.0 and patches > 0.0:
         patch = _gradient_noise(px / 11.0, py / 11.0, pz / 11.0, mixed(seed + np.uint64(105)))
         sheen_here *= max(0.0, 1.0 + patches * patch)
-    # Where the mirrored light is below a millionth of its peak it is not worth a power.
+    # Specular light below a millionth of its peak is skipped, since the power is expensive.
     least = math.exp(math.log(_DARK) / exponent)
 
     diffuse, glint = ambient * values[4], 0.0
@@ -269,33 +263,33 @@ def shade(
     background: float,
     image: Array,
 ) -> None:
-    """Add the light of n samples to `image` (n / samples, 3). White under full light = 1.
+    """Add the light of n samples to `image` (n / samples, 3). White in full light is 1.
 
     Args:
-        samples: of each pixel, one after the other.
-        shared: successive samples of one pixel that lie on a smooth piece, or 1. They share light, and what of the
-            mottling is coarse, both taken at their middle.
+        samples: number for each pixel, one after the other.
+        shared: number of successive samples of one pixel on a smooth piece, or 1. They share light and the coarse part
+            of the mottling, both computed at their centre.
         primitive: (n / shared,) the face hit, −1 for none.
         second: (n,) barycentric weight of the face's second vertex.
-        third: (n,) of its third.
+        third: (n,) barycentric weight of its third vertex.
         faces: (m, 3) vertex indices.
         vertices: (v, 3) mm, scene frame.
-        painted: (v, 3) mm, where the vertices lay when they were painted: elsewhere if the subject has moved since.
-        attributes: (v, 8 + lights) or (v, 11 + lights): normal xyz, areola 0…1, ambient 0…1, light that travelled
-            below the surface (RGB), then which share of each light it sees, then factors of the skin's colour (RGB).
-            What is not skin has no areola: the number says how much less mottled it is than `plain_contrast`.
-        material: (m,) 0 is skin, k the row 1 + k of `colours`.
-        centre: the camera's, scene frame.
+        painted: (v, 3) mm, positions to which the colours belong: others if the subject has moved since.
+        attributes: (v, 8 + lights) or (v, 11 + lights): normal xyz, areola 0…1, ambient 0…1, light below the surface
+            (RGB), then the visible share of each light, then factors of the skin's colour (RGB). Everything but skin
+            has no areola: there the number reduces the mottling `plain_contrast`.
+        material: (m,) 0 is skin, k row 1 + k of `colours`.
+        centre: the camera's perspective centre, scene frame.
         focal_px: the camera's focal length.
         lights: (n, 4) position, mm, and irradiance × mm² at distance 1.
-        colours: (2 + k, 3) linear reflectance of the skin, of the areola, and of what is not skin.
+        colours: (2 + k, 3) linear reflectance of the skin, of the areola, and of everything else.
         spectrum: (2, OCTAVES) weights of the mottling: lightness, colour.
         sheen: specular reflectance, its exponent, its patches, roughness.
-        marks: strength of pores, share of the moles' cells that have one, strength of veins.
+        marks: strength of pores, share of cells with a mole, strength of veins.
         wrap: softness of grazing light.
         ambient: light of the surroundings.
-        plain_contrast: of what is not skin.
-        seed: of the mottling.
+        plain_contrast: mottling of everything but skin.
+        seed: seed of the mottling.
         background: radiance where nothing is hit, added everywhere.
         image: float32 (pixels, 3), added to.
     """

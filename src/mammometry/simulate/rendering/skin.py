@@ -1,7 +1,7 @@
 """Appearance of a surface: colours, mottling, pores, moles, veins, sheen, softness, hair.
 
-Numbers only: kernels paint. All of it is a function of the place on the surface, so that every camera sees the same
-paint.
+Only parameters: kernels compute the colours, as a function of the position on the surface, so that all cameras see the
+same. All sizes here are invented scenery; no result depends on them.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from mammometry.base.errors import UnknownWordError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.simulate.rendering.shading import CHROMA_OCTAVES, OCTAVES
 
-# Strength of each octave of lightness, 40 mm to 0.16 mm, before `contrast`: about equal, a little more at 1–5 mm.
+# Strength of each octave of lightness, from 40 mm to 0.16 mm, before `contrast`: about equal, a little more at 1–5 mm.
 _LIGHTNESS = np.array([0.5, 0.5, 0.7, 0.9, 1.0, 1.0, 1.0, 0.9, 0.8])
 _COLOUR = np.array([1.0, 0.8, 0.9, 0.8, 0.6])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Skin:
-    """Reflectance of painted plaster or skin. Linear light."""
+    """Reflectance of painted plaster or skin, linear light."""
 
     base_rgb: tuple[float, float, float] = (0.56, 0.39, 0.32)
     """Reflectance of the paint."""
@@ -35,7 +35,7 @@ class Skin:
     colour_contrast: float = 0.022
     """The same for the balance of red and blue, in the coarse octaves only."""
     specular: float = 0.012
-    """Reflectance of the sheen at its peak, relative to white. Sweat is about 0.1."""
+    """Reflectance of the sheen at its peak, relative to white. Sweat has about 0.1."""
     exponent: float = 24.0
     """Sharpness of the sheen (Blinn and Phong's exponent)."""
     sheen_patches: float = 0.0
@@ -43,18 +43,18 @@ class Skin:
     roughness: float = 0.0
     """Tilt of the smallest facets, 0.8 mm wide, in the sheen: standard deviation, radians."""
     wrap: float = 0.06
-    """Softness of grazing light: how far beyond the terminator it reaches (cosine)."""
+    """Softness of grazing light: how far it reaches beyond the terminator (cosine)."""
     scatter_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Softness by light below the surface: standard deviation of its path along the surface for red, green and blue,
-    mm. Skin lets red through farthest."""
+    """Light below the surface: standard deviation of its path along the surface for red, green and blue, mm. Red
+    travels farthest in skin."""
     pores: float = 0.0
-    """Relative darkness of a pore against the skin around it, 0…1. Pores are 0.1–0.3 mm wide."""
+    """Relative darkness of pores, 0…1. They are 0.1–0.3 mm wide."""
     moles: float = 0.0
-    """Moles of 1–5 mm in 1000 cm² of surface, on average."""
+    """Mean number of moles of 1–5 mm per 1000 cm² of surface."""
     veins: float = 0.0
     """Optical depth of the veins below the surface in red light. They are about 3 mm wide and bluish."""
     hair_per_cm2: float = 0.0
-    """Fine dark hairs, 4–14 mm long."""
+    """Fine dark hairs per cm², 4–14 mm long."""
 
     def __post_init__(self) -> None:
         for name in ("contrast", "colour_contrast", "specular", "sheen_patches", "roughness", "wrap", "moles", "veins"):
@@ -75,13 +75,13 @@ class Skin:
         return weights
 
     def sheen(self) -> Float64[Array, 4]:
-        """Specular reflectance, exponent, patches and roughness for the kernel."""
+        """Specular reflectance, exponent, patches and roughness, for the kernel."""
         return np.array([self.specular, self.exponent, self.sheen_patches, self.roughness])
 
     def marks(self) -> Float64[Array, 3]:
-        """Pores, share of cells with a mole, and veins."""
-        # A surface crosses a cell of 20 mm in about 1.5 · 400 mm², and a ball of mean diameter 5.3 mm in it in a
-        # quarter of the cells that have one.
+        """Pores, share of cells with a mole, and veins, for the kernel."""
+        # A surface crosses a cell of 20 mm in about 1.5 · 400 mm². Of the cells with a ball (mean diameter 5.3 mm), it
+        # hits the ball in a quarter.
         return np.array([self.pores, min(1.0, self.moles * 600.0 / (1e5 * 0.25)), self.veins])
 
 
@@ -122,10 +122,10 @@ SKINS: Mapping[str, Skin] = MappingProxyType(
 
 
 def make_skin(name: str, *, contrast: float | None = None, hair_per_cm2: float = 0.0) -> Skin:
-    """Return an appearance from `SKINS`, with optional contrast and hair.
+    """An appearance from `SKINS`, with optional contrast and hair.
 
     Raises:
-        ValueError: there is none of that name, or a number is out of its range.
+        ValueError: the name is unknown, or a number is out of range.
     """
     if name not in SKINS:
         raise UnknownWordError(f"skins are {', '.join(SKINS)}", f"{name!r}")

@@ -1,4 +1,4 @@
-"""Pictures of calibration targets: rays meet their exact shape, not facets."""
+"""Pictures of calibration targets: rays are intersected with their exact shape, not with facets."""
 
 from __future__ import annotations
 
@@ -24,14 +24,13 @@ from mammometry.simulate.rendering.sampling import (
 )
 
 INKS = (0.032, 0.72)
-"""Reflectance of black ink and white paper. Typical of laser prints, chosen by eye."""
-"""Rays for a pixel on an edge, through a pinhole."""
+"""Reflectance of black ink and white paper: typical of laser prints. No result depends on it."""
 _UNSHARP_EDGE_SAMPLES = 64
-"""Rays for a pixel on an edge, through a lens's opening."""
+"""Rays per pixel on an edge, through a lens's aperture."""
 _LIGHT_STEP_MM = 10.0
-"""Spacing of the points where light is computed, mm. Linear interpolation is accurate to 1e-4."""
+"""Distance of the points where light is computed, mm. Linear interpolation is accurate to 1e-4."""
 _RIM_STEPS = 21
-"""Points along each edge of the paper, so that a bent edge stays inside the picture's window."""
+"""Points along each edge of the paper, so that the picture's window contains edges bent by distortion."""
 _GRIDS = {"squares": 0.0, "circles": 1.0, "staggered": 2.0}
 """Number of a pattern's grid in the kernel's layout."""
 
@@ -49,13 +48,13 @@ def render_board(
     """Radiance of the board at the camera, full scale 1, without blur.
 
     Args:
-        camera: in the rig's frame.
-        rig_from_board: the pose.
+        camera: camera in the rig's frame.
+        rig_from_board: pose of the board.
         body: the board on its paper.
-        pattern: what is printed on it.
+        pattern: the print.
         lights: position, rig frame, mm, and irradiance × mm² at distance 1.
-        aperture: of the lens.
-        background: radiance where there is no board.
+        aperture: aperture of the lens.
+        background: radiance outside the board.
     """
     board_from_rig = rig_from_board.inverse()
     paper = body.paper_mm
@@ -85,7 +84,7 @@ def render_board(
 def _irradiance(
     paper: Float64[Array, "2 2"], board_from_rig: Transform, lights: Float64[Array, "l 4"]
 ) -> Float64[Array, "r c"]:
-    """Irradiance on the printed side every `_LIGHT_STEP_MM` or finer."""
+    """Irradiance on the printed side at steps of at most `_LIGHT_STEP_MM`."""
     columns, rows = np.ceil((paper[1] - paper[0]) / _LIGHT_STEP_MM).astype(int) + 1
     x, y = np.meshgrid(*(np.linspace(paper[0, k], paper[1, k], count) for k, count in enumerate((columns, rows))))
     points = np.stack([x, y, np.zeros_like(x)], axis=-1)
@@ -98,7 +97,7 @@ def irradiance(
     positions: Float64[Array, "l 3"],
     strengths: Float64[Array, " l"],
 ) -> Float64[Array, "*n"]:
-    """Irradiance by point lights, white under full light = 1. Cosine over the square of the distance."""
+    """Irradiance by point lights: cosine over squared distance. White in full light is 1."""
     towards = positions - points[..., None, :]
     cosine = (towards * normals[..., None, :]).sum(axis=-1)
     total: Float64[Array, "*n"] = (strengths * np.maximum(cosine, 0.0) / np.linalg.norm(towards, axis=-1) ** 3).sum(
@@ -108,13 +107,13 @@ def irradiance(
 
 
 _EDGE_SAMPLES = 16
-"""Rays for a pixel near an edge. All others have one."""
+"""Rays per pixel near an edge, through a pinhole. Other pixels have one."""
 _EDGE_STEP = 1.05
-"""Factor between neighbours that marks a pixel near an edge: light alone changes less."""
+"""Ratio of neighbours that marks a pixel near an edge: light alone changes less."""
 _MARGIN_PX = 4
-"""Margin of the window around the target's picture, px, beyond the defocus. Chosen by eye."""
+"""Margin of the window around the target's picture in addition to the defocus, px."""
 _CHUNK = 500_000
-"""Rays followed at a time. Memory then stays below some hundred megabytes."""
+"""Rays traced at a time: limits memory to some hundred megabytes."""
 
 
 def render_target(
@@ -126,17 +125,17 @@ def render_target(
     aperture: Aperture = PINHOLE,
     background: float = 0.0,
 ) -> Float32[Array, "h w"]:
-    """Render a calibration target: radiance, full scale 1, without blur.
+    """Radiance of a calibration target at the camera, full scale 1, without blur.
 
-    A regular pattern on a board goes to its own kernel. All else is met by rays, more of them near edges.
+    A regular pattern on a board has a kernel of its own. Other targets are traced, with more rays near edges.
 
     Args:
-        camera: in the rig's frame.
-        rig_from_target: the pose.
-        target: of any kind.
+        camera: camera in the rig's frame.
+        rig_from_target: pose of the target.
+        target: target of any kind.
         lights: position, rig frame, mm, and irradiance × mm² at distance 1.
-        aperture: of the lens.
-        background: radiance where there is no target.
+        aperture: aperture of the lens.
+        background: radiance outside the target.
     """
     body = target.body
     if isinstance(body, FlatBody) and (pattern := body.board.pattern) is not None:
@@ -178,6 +177,6 @@ def render_target(
 
 
 def _unsharp_px(camera: Camera, rig_from_target: Transform, aperture: Aperture) -> float:
-    """Radius of the defocus disc of the target's middle, px."""
+    """Radius of the defocus disc at the target's centre, px."""
     depth_mm = float(camera.camera_from_world.apply(rig_from_target.translation_mm)[2])
     return 0.5 * aperture.diameter_mm * float(camera.matrix[0, 0]) * abs(1.0 / depth_mm - 1.0 / aperture.focus_mm)

@@ -1,4 +1,7 @@
-"""Virtual rigs: planned positions of cameras and flashes, and rigs built with small errors."""
+"""Virtual rigs: planned positions of cameras and flashes, and rigs built with small errors.
+
+All sizes here are invented scenery; no result depends on them.
+"""
 
 from __future__ import annotations
 
@@ -14,16 +17,16 @@ from mammometry.geometry import Array, Camera, Float64, Rig, Transform
 FULL_SIZE_WH = (4504, 3000)
 """Width and height of the reference rig's photographs, pixels: 13.5 megapixels."""
 FULL_FOCAL_PX = 8100.0
-"""Focal length of the reference rig's cameras, pixels: about 0.1 mm a pixel at `DISTANCE_MM`."""
+"""Focal length of the reference rig's cameras, pixels: about 0.1 mm per pixel at `DISTANCE_MM`."""
 DISTANCE_MM = 780.0
-"""Distance of the reference rig's cameras from its middle, mm."""
+"""Distance of the reference rig's cameras from its centre, mm."""
 
 Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LensPlan:
-    """A camera and its lens as designed: at full size, without errors."""
+    """A camera and its lens as designed: full size, without errors."""
 
     size_wh: tuple[int, int] = FULL_SIZE_WH
     """Width and height of the picture, pixels."""
@@ -32,7 +35,7 @@ class LensPlan:
     distortion: tuple[float, float, float, float, float] = (-0.05, 0.1, 0.0, 0.0, 0.0)
     """Brown's k1, k2, p1, p2, k3."""
     principal_point_px: tuple[float, float] | None = None
-    """Principal point, pixels. None: the picture's middle."""
+    """Principal point, pixels. None: the picture's centre."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,24 +48,24 @@ class CameraPlan:
     target_mm: Triple = (0.0, 0.0, 0.0)
     """Point that it looks at, rig frame, mm."""
     right: Triple = (1.0, 0.0, 0.0)
-    """Direction, rig frame, that is about to the right in its picture."""
+    """Direction in the rig frame that is approximately to the right in its picture."""
     lens: LensPlan = LensPlan()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairPlan:
-    """A convergent pair, by the position of its centre. Directions in the rig frame."""
+    """A convergent pair, by the position of its centre. Directions are in the rig frame."""
 
     name: str
-    """Its cameras are called NAME_left and NAME_right."""
+    """Its cameras are named NAME_left and NAME_right."""
     towards: Triple
     """Direction from the subject to the middle between the cameras."""
     along: Triple
     """Approximate direction from the left camera to the right one."""
     distance_mm: float = DISTANCE_MM
-    """Distance of each camera from the rig's middle, mm."""
+    """Distance of each camera from the rig's centre, mm."""
     distance_spread: float = 0.0
-    """The distance is drawn uniformly within ± this share of it."""
+    """Relative half-width of the uniform distribution of the distance."""
     convergence_deg: tuple[float, float] = (16.0, 16.0)
     """Range of the angle between the two lines of sight, degrees."""
     lens: LensPlan = LensPlan()
@@ -70,7 +73,7 @@ class PairPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigErrors:
-    """Standard deviations of a built rig's differences from its plan. Defaults are chosen by eye."""
+    """Standard deviations of a built rig's differences from its plan."""
 
     position_mm: float = 8.0
     """Of each coordinate of a camera, mm."""
@@ -98,11 +101,11 @@ class RigPlan:
     pairs: tuple[tuple[str, str, str], ...] = ()
     """Name, left and right camera of each pair made of single cameras."""
     flashes_mm: tuple[Triple, ...]
-    """Places of the flashes, rig frame, mm."""
+    """Positions of the flashes, rig frame, mm."""
     strengths: tuple[float, ...] | None = None
-    """Strengths of the flashes relative to one another. None: all alike."""
+    """Strengths of the flashes relative to each other. None: all equal."""
     facing: Triple
-    """Normal of the white surface in the rig's middle to which the flashes are set."""
+    """Normal of the white surface in the rig's centre to which the flashes are adjusted."""
     errors: RigErrors = RigErrors()
     lean_rad: float | None = None
     """Forward lean of the subject, rad. None: the subject's own."""
@@ -123,15 +126,15 @@ REFERENCE = RigPlan(
     flashes_mm=((0.0, 260.0, 880.0), (0.0, -860.0, 190.0), (-830.0, -180.0, 430.0), (830.0, -180.0, 430.0)),
     facing=(0.0, -math.sqrt(0.5), math.sqrt(0.5)),
 )
-"""Eight cameras of 4504 × 3000 pixels in four convergent pairs, about 0.1 mm a pixel. Four flashes."""
+"""Eight cameras of 4504 × 3000 pixels in four convergent pairs, about 0.1 mm per pixel, and four flashes."""
 
 
 LEAST_SCALE = 0.02
 """Smallest scale of the pictures: the reference rig's are then 90 × 60 pixels, too few to find any target."""
 LARGEST_SCALE = 2.0
-"""Largest scale of the pictures: the reference rig's then have 54 megapixels, half as many as the largest cameras'."""
+"""Largest scale of the pictures: the reference rig's then have 54 megapixels, half of the largest cameras'."""
 NO_LENGTH = 1e-9
-"""Length below which a vector has no direction. Far above rounding of unit vectors."""
+"""Length below which a vector has no direction: far above the rounding of unit vectors."""
 
 
 def build_rig(plan: RigPlan, scale: float, seed: int) -> Rig:
@@ -139,11 +142,11 @@ def build_rig(plan: RigPlan, scale: float, seed: int) -> Rig:
 
     Args:
         plan: nominal positions.
-        scale: of the full-size images; 0.25 of 4504 × 3000 gives 1126 × 750.
-        seed: of the errors; one seed gives the same rig at every scale.
+        scale: size of the images relative to full size; 0.25 of 4504 × 3000 is 1126 × 750.
+        seed: seed of the errors; it gives the same rig at every scale.
 
     Raises:
-        ValueError: the scale is not within 0.02 … 2, or the plan's directions make no rig.
+        ValueError: the scale is not within 0.02 … 2, or the plan's directions are impossible.
     """
     if not LEAST_SCALE <= scale <= LARGEST_SCALE:
         raise UnknownWordError(f"scale must lie between {LEAST_SCALE} and {LARGEST_SCALE:g}", scale)
@@ -168,7 +171,7 @@ def build_rig(plan: RigPlan, scale: float, seed: int) -> Rig:
 
 
 def pairs_of(rig: Rig, names: tuple[str, ...]) -> Rig:
-    """Return the rig with only these pairs and their cameras.
+    """The rig with only these pairs and their cameras.
 
     Raises:
         ValueError: the rig has no pair of that name.
@@ -182,10 +185,10 @@ def pairs_of(rig: Rig, names: tuple[str, ...]) -> Rig:
 
 
 def flashes(brightness: float = 1.0, plan: RigPlan = REFERENCE) -> Float64[Array, "l 4"]:
-    """Positions of the flashes, rig frame, mm, and their strength.
+    """Positions of the flashes, rig frame, mm, and their strength: irradiance × mm² at distance 1.
 
-    Strength is irradiance × mm² at distance 1. Together they give a white surface in the middle of the rig that faces
-    `plan.facing` the radiance `brightness`, where 1 is the sensor's full scale.
+    Together they give a white surface in the rig's centre that faces `plan.facing` the radiance `brightness`, where 1
+    is the sensor's full scale.
 
     Raises:
         ValueError: no flash lights such a surface.
@@ -201,7 +204,7 @@ def flashes(brightness: float = 1.0, plan: RigPlan = REFERENCE) -> Float64[Array
 
 
 def _camera(plan: CameraPlan, errors: RigErrors, scale: float, rng: np.random.Generator) -> Camera:
-    """One camera with its own small errors."""
+    """A camera with its own small errors."""
     lens = plan.lens
     centre, right = np.array(plan.centre_mm) + rng.normal(0.0, errors.position_mm, 3), np.array(plan.right)
     z = _unit(np.array(plan.target_mm) + rng.normal(0.0, errors.aim_mm, 3) - centre)
@@ -213,7 +216,7 @@ def _camera(plan: CameraPlan, errors: RigErrors, scale: float, rng: np.random.Ge
     width, height = (round(scale * side) for side in lens.size_wh)
     focal = lens.focal_px * scale * rng.normal(1.0, errors.focal)
     middle = np.array([0.5 * (width - 1), 0.5 * (height - 1)])
-    if lens.principal_point_px is not None:  # pyramid rule: (u + ½) scales with the image
+    if lens.principal_point_px is not None:  # (u + ½) scales with the image
         middle = (np.array(lens.principal_point_px) + 0.5) * scale - 0.5
     cx, cy = middle + rng.normal(0.0, errors.principal_point * height, 2)
     aspect = rng.normal(1.0, errors.aspect)
@@ -225,7 +228,7 @@ def _camera(plan: CameraPlan, errors: RigErrors, scale: float, rng: np.random.Ge
 
 
 def triple(vector: Any) -> Triple:
-    """Three numbers as plain floats."""
+    """A vector as three floats."""
     x, y, z = (float(value) for value in vector)
     return x, y, z
 

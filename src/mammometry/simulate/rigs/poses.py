@@ -1,4 +1,7 @@
-"""Poses in which the target is held so that all cameras see it and neighbouring pairs share it."""
+"""Poses of the target such that all cameras see it and neighbouring pairs share it.
+
+All numbers here are invented scenery; no result depends on them.
+"""
 
 from __future__ import annotations
 
@@ -12,45 +15,45 @@ from mammometry.geometry import Array, Camera, Float64, Rig, Transform
 from mammometry.simulate.rigs.targets import sees_target, visible_points
 
 _GRAZING_DEG = 65.0
-"""Angle between a board's normal and the line of sight above which a view is useless. Chosen by eye."""
+"""Angle between a board's normal and the line of sight above which a view is useless."""
 _FADE_DEG = 5.0
-"""Degrees below `_GRAZING_DEG` over which a view becomes useless. Chosen by eye."""
+"""Degrees below `_GRAZING_DEG` over which a view's value falls to 0."""
 _CANDIDATES = 30
-"""Poses tried for each that is taken. Chosen by eye."""
+"""Candidates for each pose."""
 _ATTEMPTS = 6
-"""Draws of all poses before the best is taken. Chosen by eye."""
+"""Most draws of all poses, of which the best is taken."""
 _WELL_SEEN_SHARE = 5 / 8
 """Share of the poses that every camera should see well: five of the default eight."""
 _BALANCE = 1.5
-"""Weight of a camera that has seen one pose less: e to this power. Chosen by eye."""
+"""Weight of a camera that has seen one pose fewer: e to this power."""
 _SHIFT_MM = 35.0
-"""Largest shift of a target from the rig's middle along each axis. Chosen by eye."""
+"""Largest shift of a target from the rig's centre along each axis."""
 _SMALL_SHIFT_MM = 20.0
-"""Largest shift of an upright target, mm: it must be whole in the picture."""
+"""Largest shift of an upright target, mm: it must be completely in the picture."""
 _CYLINDER_TILT_DEG = 12.0
 """Standard deviation of an upright target's tilt about each axis. `find_cylinder` allows about 40° in all."""
 _TURN_DEG = 8.0
-"""Largest turn, to both sides, of a board whose x axis must point right. Chosen by eye."""
+"""Largest turn, to both sides, of a board whose x axis must point right."""
 _MIXING = 0.8
-"""Concentration of the mixture of pairs that a board faces. Below 1 it mostly faces one of them. Chosen by eye."""
+"""Concentration of the mixture of pairs that a board faces. Below 1 it mostly faces one of them."""
 _MIDDLE_SHARE = 0.6
-"""Weight of the direction that faces all pairs, against the mixture's 1. Chosen by eye."""
+"""Weight of the direction that faces all pairs, relative to the mixture's."""
 _FACING_STD = 0.12
-"""Standard deviation of each coordinate of the direction that a board faces. Chosen by eye."""
+"""Standard deviation of each coordinate of the direction that a board faces."""
 
 
 def draw_poses(rig: Rig, target: Target, count: int, seed: int) -> dict[str, Transform]:
-    """Draw poses of a target in the middle of the rig.
+    """Draw poses of a target in the centre of the rig.
 
-    All cameras see it, and neighbouring pairs share views: of many candidates the best is taken. The first pose faces
-    all cameras as well as one board can. Where the rig allows it, every camera sees a flat board at no more than 65°
-    from its normal in at least five of eight poses. How a target is held is its `Body.attitude`.
+    Of many candidates the best are taken, so that all cameras see the target and neighbouring pairs share views. The
+    first pose faces all cameras as well as a board can. If the rig allows it, every camera sees a flat board within 65°
+    of its normal in at least five of eight poses. The target's orientation follows its `Body.attitude`.
 
     Returns:
-        Pose's name ("00", "01", …) → rig from target.
+        Name of the pose ("00", "01", …) → rig from target.
 
     Raises:
-        ValueError: no pose is asked for.
+        ValueError: no pose is requested.
     """
     if count < 1:
         raise UnknownWordError("a session needs at least one pose", count)
@@ -70,11 +73,11 @@ def draw_poses(rig: Rig, target: Target, count: int, seed: int) -> dict[str, Tra
 def _drawn(
     rig: Rig, target: Target, pair_axes: Float64[Array, "p 3"], count: int, rng: np.random.Generator
 ) -> tuple[list[Transform], int]:
-    """Draw all poses. Returns them, and how many the camera that sees fewest sees well."""
+    """All poses, and the number that the camera with the fewest good views sees well."""
     poses: list[Transform] = []
     seen = np.zeros(len(rig.cameras))
     for index in range(count):
-        # Candidates face a mixture of pairs; the cameras seen least so far weigh most.
+        # Candidates face a mixture of pairs. Cameras with the fewest views so far have the largest weight.
         candidates = [_candidate(rig, target, pair_axes, index == 0, rng) for _ in range(_CANDIDATES)]
         good = np.array([[_usefulness(camera, pose, target) for camera in rig.cameras.values()] for pose in candidates])
         chosen = int(np.argmax(good @ np.exp(-_BALANCE * (seen - seen.min())) if index else good.sum(axis=1)))
@@ -92,10 +95,7 @@ def _candidate(
 def _upright(
     rig: Rig, target: Target, pair_axes: Float64[Array, "p 3"], first: bool, rng: np.random.Generator
 ) -> Transform:
-    """Placement with the z axis up in all pictures together.
-
-    Tilted a little except in the first pose. Up is −y of a camera.
-    """
+    """Placement with the z axis up (mean −y of the cameras), slightly tilted except in the first pose."""
     up = _unit(sum(-camera.camera_from_world.rotation[1] for camera in rig.cameras.values()))
     tilt = rng.normal(0.0, 0.0 if first else math.radians(_CYLINDER_TILT_DEG), 3)
     axis = Transform.from_rotation_vector(tilt, np.zeros(3)).rotate(up[None])[0]
@@ -112,7 +112,7 @@ def _turned_at_random(
 def _facing(
     rig: Rig, target: Target, pair_axes: Float64[Array, "p 3"], first: bool, rng: np.random.Generator
 ) -> Transform:
-    """Printed side towards a mixture of the pairs. Towards all of them in the first pose."""
+    """Placement with the printed side towards a mixture of the pairs, in the first pose towards all of them."""
     middle = _unit(pair_axes.sum(axis=0))
     mixture = _unit(rng.dirichlet(np.full(len(pair_axes), _MIXING)) @ pair_axes)
     facing = middle if first else _unit(mixture + _MIDDLE_SHARE * middle + rng.normal(0.0, _FACING_STD, 3))
@@ -125,11 +125,11 @@ def _facing(
 
 
 _HELD = {"facing": _facing, "upright": _upright, "any": _turned_at_random}
-"""`Body.attitude` → how a candidate pose is drawn."""
+"""`Body.attitude` → function that draws a candidate pose."""
 
 
 def _usefulness(camera: Camera, pose: Transform, target: Target) -> float:
-    """Share of the points that are well seen. Falls to 0 where the view is too oblique."""
+    """Share of the points that are well seen, falling to 0 where the view is too oblique."""
     if not sees_target(camera, pose, target):
         return 0.0
     share = float(visible_points(camera, pose, target).mean())
@@ -140,14 +140,14 @@ def _usefulness(camera: Camera, pose: Transform, target: Target) -> float:
 
 
 def _obliquity_deg(camera: Camera, pose: Transform, target: Target) -> float:
-    """Angle between a board's normal and the line of sight, degrees. At the board's middle."""
+    """Angle between a board's normal and the line of sight at the board's centre, degrees."""
     to_camera = _unit(camera.centre_world - pose.apply(target.body.middle_mm))
     normal = pose.rotate(target.body.normals_target[:1])[0]
     return math.degrees(math.acos(np.clip(normal @ to_camera, -1.0, 1.0)))
 
 
 def _placed(target: Target, z: Float64[Array, 3], turn_rad: float, at_mm: Float64[Array, 3]) -> Transform:
-    """Rig from target, its middle at `at_mm` and its z axis along `z`, turned about that."""
+    """Rig from target with the target's centre at `at_mm` and its z axis along `z`, turned about that axis."""
     a, b = _plane(z)
     x = math.cos(turn_rad) * a + math.sin(turn_rad) * b
     rotation = np.stack([x, np.cross(z, x), z], axis=1)
@@ -155,7 +155,7 @@ def _placed(target: Target, z: Float64[Array, 3], turn_rad: float, at_mm: Float6
 
 
 def _plane(z: Float64[Array, 3]) -> tuple[Float64[Array, 3], Float64[Array, 3]]:
-    """Two axes across z."""
+    """Two axes perpendicular to z."""
     helper = np.array([0.0, 0.0, 1.0]) if abs(z[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
     a = _unit(np.cross(helper, z))
     return a, np.cross(z, a)

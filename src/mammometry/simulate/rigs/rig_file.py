@@ -1,4 +1,4 @@
-"""Virtual rigs by name, or described in a TOML file (docs/how-to/simulate.md), read strictly."""
+"""Virtual rigs by name, or from a TOML file (docs/how-to/simulate.md), which is checked strictly."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ sides."""
 _STRICT = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 Number = Annotated[float, Field(strict=False)]
-"""Whole numbers are numbers, too."""
+"""Integers are accepted."""
 Positive = Annotated[float, Field(strict=False, gt=0)]
 Deviation = Annotated[float, Field(strict=False, ge=0)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
@@ -91,7 +91,7 @@ class _Flash(BaseModel):
 
 
 class _Errors(BaseModel):
-    """Keys of ``[errors]``. What is not given stays as `RigErrors` has it."""
+    """Keys of ``[errors]``. Defaults are those of `RigErrors`."""
 
     model_config = _STRICT
 
@@ -134,7 +134,7 @@ class _RigFile(BaseModel):
         for pair in self.pairs:
             for name in (pair.left, pair.right):
                 if name is not None and name not in alone:
-                    raise ValueError(f"cameras of pair {pair.name!r} that stand in [[cameras]], not {name!r}")
+                    raise ValueError(f"cameras of pair {pair.name!r} that are in [[cameras]], not {name!r}")
             if pair.left is not None and pair.left == pair.right:
                 raise ValueError(f"two different cameras in pair {pair.name!r}, not {pair.left!r} twice")
         idle = [name for name in alone if name not in used]
@@ -144,10 +144,10 @@ class _RigFile(BaseModel):
 
 
 def read_rig_plan(path: Path) -> RigPlan:
-    """Read a rig's file.
+    """Read and check a rig's file.
 
     Raises:
-        SessionError: it is missing, no TOML, has an unknown or unfit key, or describes no rig: the message names the
+        SessionError: it is missing, not TOML, has an unknown or invalid key, or describes no rig. The message names the
             file and the key, camera or pair.
     """
     expected = "a rig described in TOML"
@@ -192,7 +192,7 @@ def _plan(path: Path, file: _RigFile) -> RigPlan:
             angle = pair.convergence_deg
             if pair.baseline_mm is not None:
                 angle = math.degrees(2.0 * math.asin(0.5 * pair.baseline_mm / pair.distance_mm))
-            assert angle is not None  # one of the two is there: the file was validated
+            assert angle is not None  # validated: either the angle or the baseline is given
             stations.append(
                 PairPlan(
                     name=pair.name,
@@ -239,7 +239,7 @@ def _facing(stations: list[PairPlan | CameraPlan]) -> Triple:
 
 
 def _explained(path: Path, table: dict[str, Any], error: ValidationError) -> SessionError:
-    """First of the errors as a sentence that names pair or camera."""
+    """The first of the errors, with the pair or camera named."""
     first = error.errors()[0]
     words: list[str] = []
     here: Any = table
@@ -266,7 +266,7 @@ def _refused(subject: str, found: str, expected: str) -> SessionError:
 
 
 def reference_rig(scale: float, seed: int) -> Rig:
-    """Build the reference rig.
+    """The reference rig.
 
     Raises:
         ValueError: the scale is not within 0.02 … 2.
@@ -275,10 +275,10 @@ def reference_rig(scale: float, seed: int) -> Rig:
 
 
 def make_rig(name: str, scale: float, seed: int) -> Rig:
-    """Build a rig by name, ``reference``, or some of its pairs, ``reference:front,floor``.
+    """A rig by name, ``reference``, or some of its pairs, ``reference:front,floor``.
 
     Raises:
-        ValueError: there is no rig, or no pair, of that name.
+        ValueError: a rig or pair of that name does not exist.
     """
     plan, pairs = find_plan(name)
     rig = build_rig(plan, scale, seed)
@@ -289,8 +289,8 @@ def find_plan(name: str) -> tuple[RigPlan, tuple[str, ...]]:
     """Rig plan and pairs of ``reference``, ``reference:front``, ``rig.toml`` or ``rig.toml:front,floor``.
 
     Raises:
-        ValueError: there is no rig of that name.
-        SessionError: a rig's file that does not describe a rig.
+        ValueError: a rig of that name does not exist.
+        SessionError: the file does not describe a rig.
     """
     base, _, pairs = name.partition(":")
     if base.lower().endswith(".toml"):

@@ -19,21 +19,18 @@ from mammometry.calibration.targets.target import Target
 from mammometry.geometry import Array, Bool, Camera, Float64, Transform
 
 _USEFUL_DEG = 70.0
-"""Largest angle between a board's normal and the line of sight. Chosen by eye."""
+"""Largest angle between a board's normal and the line of sight. Invented; no result depends on it."""
 _DOT_USEFUL_DEG = 60.0
-"""Largest such angle of a dot on a body. `find_cylinder` measures none beyond it."""
+"""The same for a dot on a body. `find_cylinder` measures none beyond it."""
 _USEFUL_POINTS = 12
-"""Fewest points of a kept picture: more than a target's `least_points`, since some will be missed."""
+"""Fewest points of a picture that is kept: more than a target's `least_points`, since some will be missed."""
 _RIGHTWARD_DEG = 60.0
-"""Largest angle between the x axis and the picture's right, for a board that looks the same after half a turn. Below
-90°, with room for the camera's roll."""
+"""Largest angle between the x axis and the picture's right for a board that looks the same after half a turn: below
+90°, with a margin for the camera's roll."""
 
 
 def _dotted_box(side_mm: float, dots: int, pitch_mm: float) -> tuple[tuple[float, float, float], ...]:
-    """Dots in square grids on the faces of a cube, mm.
-
-    The cube is around the origin. Its faces are in the order −x, +x, −y, ….
-    """
+    """Dots in square grids on the faces of a cube around the origin, mm, in the order −x, +x, −y, …."""
     steps = ((np.arange(dots) - 0.5 * (dots - 1)) * pitch_mm).tolist()
     half = 0.5 * side_mm
     points = []
@@ -48,7 +45,7 @@ def _dotted_box(side_mm: float, dots: int, pitch_mm: float) -> tuple[tuple[float
 
 
 BOARD = CharucoTarget(squares=(14, 10), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")
-"""The board of the virtual rig, unless another target is asked for."""
+"""Default board of the virtual rig."""
 VIRTUAL_TARGETS: Mapping[str, Target] = MappingProxyType(
     {
         "charuco": BOARD,
@@ -66,10 +63,10 @@ VIRTUAL_TARGETS: Mapping[str, Target] = MappingProxyType(
 
 
 def make_target(name: str) -> Target:
-    """Return a target by its name in `VIRTUAL_TARGETS`.
+    """A target by its name in `VIRTUAL_TARGETS`.
 
     Raises:
-        ValueError: there is no target of that name.
+        ValueError: the name is unknown.
     """
     if name not in VIRTUAL_TARGETS:
         raise UnknownWordError(f"targets are {', '.join(VIRTUAL_TARGETS)}", f"{name!r}")
@@ -77,16 +74,16 @@ def make_target(name: str) -> Target:
 
 
 def described(target: Target) -> dict[str, object]:
-    """Return session.toml's ``[target]`` of this target: its kind, and what differs from the defaults."""
+    """Table ``[target]`` of session.toml: the target's kind, and fields other than the defaults."""
     defaults = {field.name: field.default for field in fields(target)}  # type: ignore[arg-type]  # every kind is a dataclass
     values = {name: getattr(target, name) for name in defaults}
     return {"kind": target.kind} | {name: value for name, value in values.items() if value != defaults[name]}
 
 
 def visible_points(camera: Camera, rig_from_target: Transform, target: Target) -> Bool[Array, " n"]:
-    """Mask of the target points that are in the picture and face the camera.
+    """Mask of the target points that are in the picture and face the camera, not too obliquely.
 
-    Points seen too aslant do not count. All targets are convex, so nothing else can hide a point.
+    All targets are convex, so nothing else can hide a point.
     """
     points = rig_from_target.apply(target.points_target)
     towards = camera.centre_world - points
@@ -99,10 +96,10 @@ def visible_points(camera: Camera, rig_from_target: Transform, target: Target) -
 
 
 def sees_target(camera: Camera, rig_from_target: Transform, target: Target) -> bool:
-    """Whether the camera's picture of the target is worth keeping.
+    """Whether the camera's picture of the target is kept.
 
-    It has enough points, and everything that detection needs. A target that looks the same after half a turn must also
-    lie with its x axis to the right in every picture.
+    It must have enough points and everything that detection needs. A target that looks the same after half a turn must
+    also have its x axis to the right in every picture.
     """
     seen = visible_points(camera, rig_from_target, target)
     if int(seen.sum()) < _USEFUL_POINTS:

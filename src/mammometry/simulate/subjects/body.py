@@ -1,7 +1,7 @@
-"""A trunk with shoulders, upper arms and neck, without breasts.
+"""A trunk with shoulders, upper arms and neck, without breasts. Its skin is the zero level of a field.
 
-Its skin is the zeros of a field. Solid's frame: x to the patient's left, y to the head, z out of the chest, mm. y = 0
-is about the nipples' height, z = 0 the trunk's axis there.
+Solid's frame: x to the patient's left, y to the head, z out of the chest, mm. y = 0 is about the nipples' height, z = 0
+the trunk's axis there. All sizes here are invented scenery; no result depends on them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from skimage.measure import marching_cubes
 from mammometry.geometry import Array, Bool, Float64, TriangleMesh
 from mammometry.simulate.subjects.solid import smoothstep, waves
 
-# Height, mm; width and depth there over those at the breasts; how far the middle of the section stands forward, mm.
+# Height, mm; width and depth there relative to those at the breasts; shift of the section's centre to the front, mm.
 _SECTIONS = np.array(
     [
         [-420.0, 1.10, 1.02, 4.0],
@@ -31,13 +31,12 @@ _SECTIONS = np.array(
         [300.0, 0.36, 0.55, -12.0],
     ]
 )
-# The trunk's measures are chosen by eye.
 _TOP_MM, _BOTTOM_MM = 250.0, -370.0  # heights at which neck and trunk are cut
 _CUT_ROUNDING_MM = 14.0  # radius of these cuts' edges
 _SHOULDER_Y_MM = 138.0  # height of the shoulders' joints
 NOTCH_Y_MM = 172.0
 """Height of the sternal notch."""
-_STEP_MM = 1e-3  # of the differences that give the field's gradient
+_STEP_MM = 1e-3  # step of the differences for the field's gradient
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,27 +52,27 @@ class BodyShape:
     skew: float = 0.0
     """Relative extra depth of the left half of the chest."""
     arm_out_rad: float = 0.6
-    """Angle of the upper arms from hanging, to the sides."""
+    """Angle of the upper arms from hanging to the sides."""
     arm_back_rad: float = 0.2
-    """The same to the back."""
+    """Angle of the upper arms from hanging to the back."""
     arm_mm: float = 46.0
     """Radius of the upper arm below the shoulder."""
     sternum_mm: float = 4.0
     """Depth of the hollow over the sternum."""
     rib_mm: float = 0.3
-    """Height of the ribs' waves below and beside the breasts."""
+    """Height of the ribs' relief below and beside the breasts."""
     clavicle_mm: float = 4.0
     """Height of the collar-bones above the chest."""
     unevenness_mm: float = 1.0
-    """Amplitude of the shape's random unevenness."""
+    """Amplitude of the random unevenness."""
     belly_mm: float = 0.0
-    """Height of the belly above the trunk."""
+    """Height of the belly in front of the trunk."""
     seed: int = 0
-    """Of the unevenness."""
+    """Seed of the unevenness."""
 
 
 class Body:
-    """The trunk's field: negative inside, positive outside, about millimetres near the skin."""
+    """The trunk's field: negative inside, positive outside, approximately in millimetres near the skin."""
 
     def __init__(self, shape: BodyShape) -> None:
         self.shape = shape
@@ -101,12 +100,12 @@ class Body:
         return -_union(-_cut(both, y - _TOP_MM), -_cut(both, _BOTTOM_MM - y), 1.0)
 
     def in_arm(self, points: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
-        """Mask of the points that belong to an arm rather than to the trunk."""
+        """Mask of the points that belong to an arm, not to the trunk."""
         trunk, arm = self._parts(points)
         return arm < trunk
 
     def gradient(self, points: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-        """Gradient of the field, by differences."""
+        """Gradient of the field by differences."""
         here = self(points)
         steps = np.eye(3) * _STEP_MM
         return np.stack([(self(points + step) - here) / _STEP_MM for step in steps], axis=1)
@@ -114,7 +113,7 @@ class Body:
     def onto(
         self, points: Float64[Array, "n 3"], gradient: Float64[Array, "n 3"], rounds: int = 2
     ) -> Float64[Array, "n 3"]:
-        """Move points near the skin onto it (Newton's steps). Along a gradient close to their own."""
+        """Move points near the skin onto it by Newton steps. `gradient` may be that of nearby points."""
         step = gradient / np.maximum((gradient**2).sum(axis=1, keepdims=True), 1e-12)
         for _ in range(rounds):
             points = points - self(points)[:, None] * step
@@ -123,7 +122,7 @@ class Body:
     def outwards(
         self, start: Float64[Array, "n 3"], direction: Float64[Array, 3], reach_mm: float
     ) -> Float64[Array, "n 3"]:
-        """Skin between inner points and those `reach_mm` further in a direction, by bisection."""
+        """Points of the skin between inner points and those `reach_mm` farther in a direction, by bisection."""
         low, high = np.zeros(len(start)), np.full(len(start), reach_mm)
         for _ in range(40):
             middle = 0.5 * (low + high)
@@ -132,11 +131,11 @@ class Body:
         return start + (0.5 * (low + high))[:, None] * direction
 
     def on_front(self, x: Array, y: Array) -> Float64[Array, "n 3"]:
-        """The trunk's skin in front at (x, y)."""
+        """Points of the trunk's front skin at (x, y)."""
         return self.outwards(np.stack([x, y, np.zeros(len(x))], axis=1), np.array([0.0, 0.0, 1.0]), 260.0)
 
     def coarse_mesh(self, step_mm: float = 7.0) -> TriangleMesh:
-        """Closed triangulation of the skin with edges of about `step_mm`. Its vertices are on the skin."""
+        """Closed triangulation of the skin with edges of about `step_mm` and vertices on the skin."""
         reach = np.abs(self._elbow[0]) + 70.0
         low = np.array([-reach, _BOTTOM_MM - 12.0, -250.0])
         high = np.array([reach, _TOP_MM + 12.0, max(190.0 + 1.5 * self.shape.belly_mm, self._elbow[2] + 70.0)])
@@ -148,7 +147,7 @@ class Body:
         )
         vertices = vertices.astype(np.float64) + low
         faces = faces.astype(np.int32)
-        for _ in range(4):  # even out marching cubes' slivers along the skin
+        for _ in range(4):  # smooth the slivers of marching cubes along the skin
             vertices = self.onto(_smoothed(vertices, faces), self.gradient(vertices))
         mesh = TriangleMesh(vertices=vertices, faces=faces)
         return mesh if mesh.volume_mm3() > 0 else TriangleMesh(vertices=vertices, faces=faces[:, ::-1].copy())
@@ -205,12 +204,12 @@ def _union(a: Array, b: Array, blend_mm: float) -> Float64[Array, " n"]:
 
 
 def _cut(field: Array, beyond: Array) -> Float64[Array, " n"]:
-    """Part of a field on a plane's negative side, with rounded rim."""
+    """Part of a field on a plane's negative side, with a rounded rim."""
     return -_union(-field, -beyond, _CUT_ROUNDING_MM)
 
 
 def _smoothed(vertices: Array, faces: Array) -> Float64[Array, "n 3"]:
-    """Half way from every vertex to the mean of its neighbours."""
+    """Vertices moved halfway to the mean of their neighbours."""
     total, count = np.zeros_like(vertices), np.bincount(faces.ravel(), minlength=len(vertices)) * 2.0
     for corner in range(3):
         for other in (1, 2):

@@ -1,6 +1,6 @@
-"""A hand with its forearm on a breast, as a part of a virtual body.
+"""A hand with its forearm on a breast, as part of a virtual body.
 
-A scan joins both into one surface. The volumes of the body are those of the bare breasts.
+A scan joins both into one surface. The body's volumes are those of the uncovered breasts.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from mammometry.simulate.subjects.solid import Solid
 
 HAND_MM = 25.0
 """Thickness of a hand at its palm, mm: adults have 22 to 30."""
-_STEP_MM = 3.0  # of the grid on which the hand is drawn: a third of a finger's radius
+_STEP_MM = 3.0  # step of the grid on which the hand is made: a third of a finger's radius
 _REACH_MM = 420.0  # around the breast: hand and forearm
-_DEPTH_MM = 170.0  # behind the foremost skin, where the arm runs on beside the trunk
-_FOLD_MM, _EVEN_MM, _SMOOTH_MM = 33.0, 12.0, 6.0  # skin under a hand: folds closed, evened out, smoothed
-# A hand in its own plane, mm, its palm's middle at 0, fingers along the first axis: adults' mean lengths.
+_DEPTH_MM = 170.0  # behind the foremost skin, where the arm is beside the trunk
+_FOLD_MM, _EVEN_MM, _SMOOTH_MM = 33.0, 12.0, 6.0  # skin under a hand: folds closed, levelled, smoothed
+# A hand in its own plane, mm, centre of the palm at 0, fingers along the first axis: adults' mean lengths.
 _PALM_MM, _CORNER_MM = (32.0, 27.0), 15.0
-_FINGERS_MM = ((-31.0, 70.0), (-10.0, 82.0), (11.0, 78.0), (31.0, 60.0))  # place across, length
-_FINGER_RADII_MM, _THUMB_RADII_MM, _ARM_RADII_MM = (10.0, 8.0), (12.0, 9.0), (30.0, 42.0)  # at both ends; adults'
-_WRIST_MM, _THICKENING_MM = -60.0, 80.0  # behind which the forearm becomes twice as thick, and over which length
+_FINGERS_MM = ((-31.0, 70.0), (-10.0, 82.0), (11.0, 78.0), (31.0, 60.0))  # position across, length
+_FINGER_RADII_MM, _THUMB_RADII_MM, _ARM_RADII_MM = (10.0, 8.0), (12.0, 9.0), (30.0, 42.0)  # adults', at both ends
+_WRIST_MM, _THICKENING_MM = -60.0, 80.0  # where the forearm starts to become twice as thick, and over what length
 
 
 def with_hand(
@@ -36,13 +36,13 @@ def with_hand(
     shift_mm: tuple[float, float] = (0.0, 0.0),
     thick_mm: float = HAND_MM,
 ) -> Solid:
-    """Lay a hand on a breast.
+    """Place a hand on a breast.
 
     Args:
         solid: a torso, y to the head and z ahead.
         side: the patient's own.
         fingers_deg: direction of the fingers seen from the front: 0 to the patient's left, 90 to the head.
-        shift_mm: of the palm's middle from the border's, to the patient's left and to the head.
+        shift_mm: shift of the palm's centre from the border's, to the patient's left and to the head.
         thick_mm: thickness of the palm.
     """
     border = solid.mesh.vertices[solid.breasts[side].boundary]
@@ -71,7 +71,7 @@ def _hand(skin: TriangleMesh, middle: Float64[Array, 2], angle_rad: float, thick
 
 
 def _outline(own: Float64[Array, "h w 2"]) -> Float64[Array, "h w"]:
-    """Distance from the hand's outline, mm. Below 0 inside."""
+    """Distance from the hand's outline, mm, negative inside."""
     beyond = np.abs(own) - _PALM_MM
     away = np.linalg.norm(np.maximum(beyond, 0), axis=-1) + np.minimum(beyond.max(axis=-1), 0) - _CORNER_MM
     for across, length in _FINGERS_MM:
@@ -83,14 +83,14 @@ def _outline(own: Float64[Array, "h w 2"]) -> Float64[Array, "h w"]:
 def _rod(
     own: Float64[Array, "h w 2"], start: tuple[float, float], end: tuple[float, float], radii_mm: tuple[float, float]
 ) -> Float64[Array, "h w"]:
-    """Distance from a rod with round ends that tapers, mm."""
+    """Distance from a tapering rod with round ends, mm."""
     line = np.subtract(end, start)
     share = np.clip((own - start) @ line / (line @ line), 0.0, 1.0)
     return np.linalg.norm(own - start - share[..., None] * line, axis=-1) - radii_mm[0] - share * np.diff(radii_mm)
 
 
 def _skin_height(skin: TriangleMesh, low: Float64[Array, 2], shape: tuple[int, int]) -> Float64[Array, "h w"]:
-    """Height of the skin under a hand along the viewing axis, mm, with folds bridged."""
+    """Height of the skin under a hand along the viewing axis, mm, with closed folds."""
     parts = np.array([[1, 1, 1], [1.8, 0.6, 0.6], [0.6, 1.8, 0.6], [0.6, 0.6, 1.8]]) / 3
     ahead = skin.corners()[skin.face_vectors()[:, 2] > 0]
     points = np.concatenate([ahead.reshape(-1, 3), np.einsum("pc,fcx->pfx", parts, ahead).reshape(-1, 3)])

@@ -1,7 +1,7 @@
-"""Marks of operations and needles on the skin.
+"""Marks on the skin: scars, folds of loose skin, drains' marks, paddles, tattoos.
 
-Scars, folds of loose skin, drains' marks, paddles, tattoos. Marks are in the plane of a breast's base, or of where it
-was: x to the side, y up, mm from its middle. They raise or lower the skin, and change its colour by factors.
+They are in the plane of a breast's (former) base: x to the side, y up, mm from its centre. They raise or lower the
+skin, and change its colour by factors.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Float32, Float64
 from mammometry.simulate.subjects.solid import smoothstep
 
-_SOFT_MM = 1.5
-"""Half the width over which a mark's colour fades. Chosen by eye."""
+_SOFT_MM = 1.5  # half the width over which a mark's colour fades; invented, no result depends on it
 
 Point = tuple[float, float]
 
@@ -26,19 +25,19 @@ class Mark:
     """One mark: a line with a width, a spot (a line of one point), or a field (a closed line)."""
 
     side: str
-    """Side of the breast with its plane: "left" or "right"."""
+    """Side of the breast in whose plane it is: "left" or "right"."""
     line_mm: tuple[Point, ...]
     """Points along it."""
     half_width_mm: float
-    """Of its colour."""
+    """Half-width of its colour."""
     colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    """Factors of the skin's red, green and blue."""
+    """Factors on the skin's red, green and blue."""
     height_mm: float = 0.0
     """Height above the skin. Negative for a groove."""
     slope_mm: float = 4.0
     """Distance over which the relief fades (standard deviation)."""
     filled: bool = False
-    """Whether the line is closed and all within it is marked."""
+    """Whether the line is closed and everything inside is marked."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,13 +45,13 @@ class Marked:
     """Effect of marks on a mesh's vertices."""
 
     height_mm: Mapping[str, Float64[Array, " n"]]
-    """Side → how far the skin is lifted along that breast's axis."""
+    """Side → height by which the skin is lifted along that breast's axis."""
     tint: Float32[Array, "n 3"]
-    """Factors of the skin's colour."""
+    """Factors on the skin's colour."""
 
 
 def mark(marks: Sequence[Mark], places_mm: Mapping[str, Float64[Array, "n 2"]]) -> Marked | None:
-    """Sum of marks on vertices placed in each breast's plane. None if there are none."""
+    """Sum of marks on vertices with positions in each breast's plane. None without marks."""
     if not marks:
         return None
     count = len(next(iter(places_mm.values())))
@@ -70,7 +69,7 @@ def mark(marks: Sequence[Mark], places_mm: Mapping[str, Float64[Array, "n 2"]]) 
 
 
 def distance_mm(place: Float64[Array, "n 2"], line: Sequence[Point]) -> Float64[Array, " n"]:
-    """Distance of places from a polyline, or from a point."""
+    """Distance of positions from a polyline, or from a point."""
     corners = np.array(line, dtype=np.float64)
     nearest: Float64[Array, " n"] = np.linalg.norm(place - corners[0], axis=1)
     for start, end in pairwise(corners):
@@ -81,7 +80,7 @@ def distance_mm(place: Float64[Array, "n 2"], line: Sequence[Point]) -> Float64[
 
 
 def _within(place: Float64[Array, "n 2"], outline: Sequence[Point]) -> Array:
-    """Whether places are inside a closed line. A ray to the side crosses it an odd number of times."""
+    """Whether positions are inside a closed line: a ray to the side crosses it an odd number of times."""
     x, y = place.T
     inside = np.zeros(len(place), dtype=bool)
     corners = np.array(outline)

@@ -24,12 +24,12 @@ _OF_VOLUME = re.compile(r"plaster_([0-9]{1,4})cc")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlasterShape:
-    """Measures of a plaster breast: its volume, and proportions that scaling to it keeps."""
+    """Volume of a plaster breast, and proportions that scaling to it keeps."""
 
     volume_cc: float = 400.0
-    """Of the finished solid, cc."""
+    """Volume of the finished solid, cc."""
     projection: float = 0.85
-    """Height over the back, in radii of the base."""
+    """Height above the back, in radii of the base."""
     width: float = 1.05
     """Width of the base over its height."""
     sag: float = 0.45
@@ -37,17 +37,17 @@ class PlasterShape:
     fold: float = 0.10
     """Depth of the groove under the breast, in radii of the base."""
     lateral: float = 0.10
-    """How far the nipple points to the side, in projections."""
+    """Lateral direction of the nipple, in projections."""
     upper_slope: float = 0.15
     """Flattening of the upper half."""
     outline: tuple[float, float, float, float] = (0.02, 0.5, 0.015, 1.0)
-    """Second and third harmonic of the base's outline: amplitude in radii and phase in rad, for each."""
+    """Second and third harmonic of the base's outline: amplitude in radii and phase in rad of each."""
     back_radius_mm: float | None = None
-    """Radius of the cylinder (axis along y) over which the back is bent. None for a flat back."""
+    """Radius of the cylinder (axis along y) over which the back is bent. None: a flat back."""
     irregularity_mm: float = 0.5
     """Amplitude of the hand-made unevenness, mm."""
     nipple_mm: float = 4.0
-    """Height of the nipple over the areola, mm."""
+    """Height of the nipple above the areola, mm."""
     areola_mm: float = 17.0
     """Radius of the areola, mm."""
 
@@ -57,12 +57,12 @@ def plaster_shape(name: str, seed: int) -> PlasterShape:
 
     Args:
         name: ``plaster`` for any of the family, or ``plaster_1`` … ``plaster_9`` for one with a volume within 3 % of
-            the paper's Table 1; even ones have a back bent over a cylinder. ``plaster_60cc`` is one of that volume,
-            with a flat back.
-        seed: of everything drawn.
+            the paper's Table 1; even ones have a back bent over a cylinder. ``plaster_60cc`` has that volume and a flat
+            back.
+        seed: seed of all random values.
 
     Raises:
-        ValueError: the name is none of these.
+        ValueError: the name is unknown.
     """
     number = 0
     named = _OF_VOLUME.fullmatch(name)
@@ -115,9 +115,9 @@ def plaster(shape: PlasterShape, *, name: str = "plaster", seed: int = 0, edge_m
 
     Args:
         shape: its measures.
-        name: what to call it.
-        seed: of the unevenness.
-        edge_mm: 95 % of the edges of the breast's side are shorter; the others lie in the fold and on the nipple.
+        name: its name.
+        seed: seed of the unevenness.
+        edge_mm: 95 % of the breast side's edges are shorter; the others are in the fold and on the nipple.
     """
     rho, theta, faces, rings = disc(48)
     coarse = _dome(rho, theta, shape)
@@ -150,7 +150,7 @@ def plaster(shape: PlasterShape, *, name: str = "plaster", seed: int = 0, edge_m
     vertices *= (shape.volume_cc * 1000.0 / _volume(vertices, all_faces)) ** (1.0 / 3.0)
     if shape.back_radius_mm is not None:
         vertices = _bent(vertices, shape.back_radius_mm)
-        # Straight edges on a bent surface: a last scaling by a millionth or so.
+        # Edges on a bent surface are straight: a last scaling by about a millionth.
         vertices *= (shape.volume_cc * 1000.0 / _volume(vertices, all_faces)) ** (1.0 / 3.0)
     mesh = rounded_mesh(vertices, all_faces)
     vertices = mesh.vertices
@@ -181,7 +181,7 @@ def _plaster(wanted: SubjectRequest) -> Solid:
 
 
 def _dome(rho: Array, theta: Array, shape: PlasterShape) -> Float64[Array, "n 3"]:
-    """Breast side over the unit disc (rho, theta), about final size. Its rim is in z = 0."""
+    """Breast side over the unit disc (rho, theta), about final size, with its rim in z = 0."""
     radius = _base_radius(shape)
     height = shape.projection * radius
     angle = 0.5 * math.pi * rho
@@ -207,7 +207,7 @@ def _base_radius(shape: PlasterShape) -> float:
 
 
 def _flat_back(rim: Float64[Array, "r 3"], rho: Array, theta: Array) -> Float64[Array, "b 3"]:
-    """Interior points of the flat back inside the rim. The rim is drawn together towards its mean."""
+    """Interior points of the flat back: the rim contracted towards its mean."""
     inside = rho < 1.0
     angle = np.arange(len(rim)) * (2 * math.pi / len(rim))
     outline = np.stack([np.interp(theta[inside], angle, rim[:, k], period=2 * math.pi) for k in range(3)], axis=1)
@@ -216,17 +216,16 @@ def _flat_back(rim: Float64[Array, "r 3"], rho: Array, theta: Array) -> Float64[
 
 
 def _bent(vertices: Float64[Array, "n 3"], radius_mm: float) -> Float64[Array, "n 3"]:
-    """Lower every point by the sagitta of a cylinder along y.
+    """Shift every point by the sagitta of a cylinder along y, which the plane z = 0 becomes.
 
-    The plane z = 0 becomes that cylinder. This is a shear: volume is kept, and the sides do not flare, so that the rim
-    stays the widest place.
+    This shear keeps the volume, and the sides do not flare, so that the rim remains the widest part.
     """
     sagitta = radius_mm - np.sqrt(radius_mm**2 - vertices[:, 0] ** 2)
     return np.stack([vertices[:, 0], vertices[:, 1], vertices[:, 2] - sagitta], axis=1)
 
 
 def _long_edge(vertices: Array, faces: Array) -> float:
-    """Return the length that 95 % of the edges keep below, mm."""
+    """95th percentile of the edges' lengths, mm."""
     corners = vertices[faces]
     return float(np.percentile(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2), 95.0))
 

@@ -19,30 +19,30 @@ class SubjectRequest:
     """The user's choice of a subject."""
 
     name: str
-    """Name from the command line: ``plaster_5``, or the path of a mesh."""
+    """Name on the command line: ``plaster_5``, or the path of a mesh."""
     seed: int
-    """Of a shape that is drawn at random."""
+    """Seed of a random shape."""
     edge_mm: float
-    """About the longest edges wanted."""
+    """Approximate longest edge."""
     mesh_file: MeshFile | None = None
     """How to read a mesh file. None for a built-in subject."""
     reshape: Callable[[Any], Any] | None = None
-    """Change of the drawn shape before it is made: an operation. Only torsos can be reshaped."""
+    """Change of a random shape before it is made: an operation. Only torsos can be reshaped."""
 
 
 MakeSubject: TypeAlias = "Callable[[SubjectRequest], Solid]"
-"""Makes a subject. A ValueError says that the name is wrong, such as ``plaster_12``."""
+"""Function that makes a subject. A ValueError means that the name is wrong, such as ``plaster_12``."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SubjectFamily:
-    """Subjects that one function makes."""
+    """Subjects made by one function."""
 
     make: MakeSubject
     has: Callable[[str], bool]
     """Whether a name belongs to this family."""
     choices: str
-    """What its subjects are called, for messages."""
+    """Names of its subjects, for messages."""
     has_patients: bool = False
     """Whether its subjects can be reshaped."""
 
@@ -63,12 +63,12 @@ SUBJECTS: Registry[SubjectFamily] = Registry(
 def add_subject(
     family: str, *, has: Callable[[str], bool] | None = None, choices: str | None = None, has_patients: bool = False
 ) -> Callable[[MakeSubject], MakeSubject]:
-    """Decorate a function that makes subjects, to enter it as a family.
+    """Decorate a function that makes subjects to register it as a family.
 
     Args:
-        family: its name.
-        has: whether a name belongs to the family; None: only the family's own name does.
-        choices: what its subjects are called, for messages; None: the family's name.
+        family: name of the family.
+        has: whether a name belongs to the family. None: only the family's own name does.
+        choices: names of its subjects, for messages. None: the family's name.
         has_patients: whether its subjects can be reshaped.
     """
 
@@ -87,7 +87,7 @@ def add_subject(
 
 
 def numbered(family: str) -> Callable[[str], bool]:
-    """Return a test for names such as ``torso`` and ``torso_2``."""
+    """Test for names such as ``torso`` and ``torso_2``."""
     return lambda name: name.partition("_")[0] == family
 
 
@@ -102,15 +102,15 @@ def make_subject(
     """Make a subject by name.
 
     Args:
-        name: of a subject in one of the families of `SUBJECTS`, or the path of a mesh.
-        seed: of a drawn shape.
-        edge_mm: approximate longest edges.
-        mesh_file: how to read a mesh; its unit has no default.
+        name: name of a subject in one of the families of `SUBJECTS`, or the path of a mesh.
+        seed: seed of a random shape.
+        edge_mm: approximate longest edge.
+        mesh_file: how to read a mesh. Its unit has no default.
         reshape: changes a torso's random shape before it is made.
 
     Raises:
-        ValueError: there is no subject of that name, or it cannot be reshaped.
-        SessionError: a mesh that cannot be used, or whose unit is not given.
+        ValueError: the name is unknown, or the subject cannot be reshaped.
+        SessionError: the mesh is unusable, or its unit is not given.
     """
     for family in SUBJECTS.values():
         if family.has(name):

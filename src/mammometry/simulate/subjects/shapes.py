@@ -1,4 +1,4 @@
-"""Plain solids (ball, bar, plate), and the triangulated disc of which they and the casts are made."""
+"""Plain solids (ball, bar, plate, head), and the triangulated disc for them and the casts."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from mammometry.simulate.subjects.registry import SubjectRequest, add_subject
 from mammometry.simulate.subjects.solid import Solid, rounded_mesh
 
 _FIGURE_MM, _FIGURE_EDGE_MM = 52.0, 0.4
-"""Height of the small head that stands on a table, and its longest edges, mm."""
+"""Height of the small head on a table, and its longest edge, mm."""
 
 
 def sphere(radius_mm: float = 60.0, edge_mm: float = 0.7) -> Solid:
-    """Make a ball."""
+    """A ball."""
     rings = max(8, math.ceil(0.5 * math.pi * radius_mm * 1.1 / edge_mm))
     rho, theta, faces, _ = disc(rings)
     angle = 0.5 * math.pi * rho
@@ -27,7 +27,7 @@ def sphere(radius_mm: float = 60.0, edge_mm: float = 0.7) -> Solid:
 
 
 def cylinder(radius_mm: float = 57.15, length_mm: float = 150.0, edge_mm: float = 0.7) -> Solid:
-    """Make a round bar, its axis along y."""
+    """A round bar with its axis along y."""
     around = math.ceil(2 * math.pi * radius_mm / edge_mm)
     along = math.ceil(length_mm / edge_mm)
     angle = np.arange(around) * (2 * math.pi / around)
@@ -53,7 +53,7 @@ def cylinder(radius_mm: float = 57.15, length_mm: float = 150.0, edge_mm: float 
 
 
 def head(seed: int, height_mm: float = 265.0, edge_mm: float = 0.7) -> Solid:
-    """Make a head with neck, nose, brows, eyes and chin, drawn by seed, that looks along z."""
+    """A head with neck, nose, brows, eyes and chin, random by seed, that looks along z."""
     rng = np.random.default_rng([seed, 74])
     ball = sphere(100.0, edge_mm=edge_mm * 265.0 / height_mm)
     out = ball.mesh.vertices / np.linalg.norm(ball.mesh.vertices, axis=1, keepdims=True)
@@ -84,7 +84,7 @@ def head(seed: int, height_mm: float = 265.0, edge_mm: float = 0.7) -> Solid:
 
 
 def plate(width_mm: float = 220.0, height_mm: float = 160.0, thickness_mm: float = 6.0, edge_mm: float = 2.0) -> Solid:
-    """Make a flat plate, front at z = thickness / 2. It is for the paper's depth check."""
+    """A flat plate for the paper's depth check, with its front at z = thickness / 2."""
     columns, rows = math.ceil(width_mm / edge_mm), math.ceil(height_mm / edge_mm)
     x, y = np.meshgrid(
         np.linspace(-0.5 * width_mm, 0.5 * width_mm, columns + 1),
@@ -136,10 +136,7 @@ def _plate(wanted: SubjectRequest) -> Solid:
 
 
 def disc(rings: int) -> tuple[Array, Array, Int32[Array, "m 3"], int]:
-    """Triangulate the unit disc in concentric hexagons.
-
-    Returns polar coordinates, faces counter-clockwise, and the number of rings.
-    """
+    """Polar coordinates, faces and number of rings of a unit disc in concentric hexagons."""
     rho: list[Array] = [np.zeros(1)]
     theta: list[Array] = [np.zeros(1)]
     faces: list[Array] = []
@@ -163,7 +160,7 @@ def disc(rings: int) -> tuple[Array, Array, Int32[Array, "m 3"], int]:
 
 
 def back_faces(faces: Int32[Array, "m 3"], front: int, rim: int) -> Int32[Array, "m 3"]:
-    """Faces of the back: the front's turned over, with interior vertices of their own."""
+    """Faces of the back: the front's, reversed, with interior vertices of their own."""
     interior = front - rim
     index = np.concatenate([front + np.arange(interior), interior + np.arange(rim)])
     return index[faces[:, ::-1]].astype(np.int32)

@@ -1,7 +1,7 @@
-"""A subject: closed body, its paint, and known facts.
+"""A subject: a closed body with its colours and known facts.
 
-Frame of a solid: x right as the front camera sees it (a patient's left), y up, z forward out of the back, mm. Vertices
-are rounded to float32 before the volume is taken, so that the solid rendered, the mesh on disk and the volume in the
+Frame of a solid: x right as seen by the front camera (a patient's left), y up, z forward out of the back, mm. Vertices
+are rounded to float32 before the volume is computed, so that the rendered solid, the mesh on disk and the volume in the
 truth are identical.
 """
 
@@ -18,7 +18,7 @@ from mammometry.geometry import Array, Float32, Float64, Int32, Transform, Trian
 
 
 def waves(points: Array, rng: np.random.Generator, *, shortest_mm: float, longest_mm: float) -> Float64[Array, " n"]:
-    """Sum of a few plane waves in random directions, about unit amplitude."""
+    """Sum of some plane waves in random directions, with about unit amplitude."""
     total = np.zeros(len(points))
     count = 10
     for _ in range(count):
@@ -30,25 +30,22 @@ def waves(points: Array, rng: np.random.Generator, *, shortest_mm: float, longes
 
 
 def smoothstep(low: float, high: float, value: Array) -> Array:
-    """Ease from 0 at `low` to 1 at `high`, flat at both. `low` may be the greater."""
+    """Ease from 0 at `low` to 1 at `high`, flat at both. `low` may be the larger."""
     t = np.clip((value - low) / (high - low), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
 
 
 def sagged(height: Array, sag: float) -> Array:
-    """Share of a breast's fall, by the share of its height.
-
-    The same share for a `sag` of 1, more for a larger one.
-    """
+    """Share of a breast's fall by the share of its height: equal for a `sag` of 1, else larger."""
     return height if sag == 1.0 else 1.0 - np.clip(1.0 - height, 0.0, None) ** sag
 
 
 @value(eq=False)
 class Breast:
-    """A torso's breast: the skin that the body without it lacks."""
+    """A torso's breast: its skin and boundary."""
 
     skin_faces: Int32[Array, " f"]
-    """Faces of the solid's mesh between boundary and nipple, by index."""
+    """Faces of the solid's mesh inside the boundary, by index."""
     boundary: Int32[Array, " b"]
     """Vertices of the solid's mesh in order around the breast, where skin and chest wall meet."""
 
@@ -63,7 +60,7 @@ class Solid:
     mesh: TriangleMesh
     """Solid's frame, mm. Coordinates are float32 numbers."""
     back_vertices: int
-    """Number of the back's own vertices, which come last (without the rim)."""
+    """Number of the back's vertices without the rim, which come last."""
     areola: Float32[Array, " n"]
     """Share of areola colour at each vertex, 0…1."""
     base_boundary: Float64[Array, "b 3"] | None
@@ -71,17 +68,17 @@ class Solid:
     facts: Mapping[str, object]
     """Further facts for the truth file."""
     wall_vertices: Float64[Array, "n 3"] | None = None
-    """A torso's vertices without breasts, solid's frame, mm: they differ only in the breasts."""
+    """A torso's vertices without breasts, solid's frame, mm. Others are unchanged."""
     breasts: Mapping[str, Breast] = field(default_factory=dict)
     """"left" and "right", the patient's own."""
     landmarks: Mapping[str, Float64[Array, "k 3"]] = field(default_factory=dict)
     """Name → point on the skin, or points along a line, solid's frame, mm."""
     tint: Float32[Array, "n 3"] | None = None
-    """Factors of the skin's colour at each vertex, RGB: scars, tattoos, a flap's paddle. None without marks."""
+    """Factors on the skin's colour at each vertex, RGB: scars, tattoos, a flap's paddle. None without marks."""
     lean_rad: float = math.radians(45.0)
-    """How far the subject leans forward."""
+    """Forward lean of the subject."""
     middle: Float64[Array, 3] | None = None
-    """Point to bring to the rig's middle. None: the middle of the bounding box."""
+    """Point that is placed at the rig's centre. None: the centre of the bounding box."""
 
     @property
     def volume_cc(self) -> float:
@@ -96,7 +93,7 @@ class Solid:
         return {"model": self.volume_cc} if self.mesh.is_watertight() else {}
 
     def chest_wall(self, name: str) -> TriangleMesh:
-        """Skin without the breast, inside its boundary. An open mesh that faces outwards."""
+        """Skin without the breast inside its boundary: an open mesh that faces outwards."""
         body = TriangleMesh(vertices=self._wall(), faces=self.mesh.faces)
         return body.submesh(self.breasts[name].skin_faces)
 
@@ -113,7 +110,7 @@ class Solid:
         return both.submesh(np.arange(len(both.faces)))
 
     def placed(self, rig_from_solid: Transform) -> Solid:
-        """The solid in the rig's frame, its coordinates rounded to float32 again."""
+        """The solid in the rig's frame, with coordinates rounded to float32 again."""
         return replace(
             self,
             mesh=TriangleMesh(vertices=_rounded(rig_from_solid.apply(self.mesh.vertices)), faces=self.mesh.faces),
@@ -130,7 +127,7 @@ class Solid:
 
 
 def rig_from_solid(solid: Solid, seed: int) -> Transform:
-    """Place a solid in the rig, leaning forward over the floor pair. With small random errors by seed."""
+    """Pose of a solid in the rig, leaning forward over the floor pair, with small random errors by seed."""
     rng = np.random.default_rng([seed, 73])
     turn = Transform.from_rotation_vector(
         np.array([solid.lean_rad, 0.0, 0.0]) + np.radians(rng.normal(0.0, 2.0, 3)), np.zeros(3)
@@ -144,7 +141,7 @@ def rig_from_solid(solid: Solid, seed: int) -> Transform:
 
 
 def rounded_mesh(vertices: Array, faces: Array) -> TriangleMesh:
-    """A mesh whose coordinates are float32 numbers."""
+    """A mesh with float32 coordinates."""
     return TriangleMesh(vertices=_rounded(vertices), faces=faces.astype(np.int32))
 
 

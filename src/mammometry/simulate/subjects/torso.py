@@ -1,7 +1,7 @@
 """Torsos: a leaning trunk with two breasts of exactly known volume.
 
-The chest wall is known. The skin is the chest wall's, moved outwards in the breasts: every vertex is on both surfaces,
-and only the breasts' vertices differ. The space between is closed, and its volume that of its triangles.
+The skin has the triangles of the chest wall, with the breasts' vertices moved outwards. The space between the two
+surfaces is closed, and its volume is that of its triangles.
 """
 
 from __future__ import annotations
@@ -21,17 +21,18 @@ from mammometry.simulate.subjects.solid import Breast, Solid, rounded_mesh, sagg
 from mammometry.simulate.subjects.torso_shape import SIDES, BreastShape, TorsoShape, torso_shape
 
 _COARSE_MM = 7.0  # edges of the body before it is refined
-_DEEPEST_MM, _HIGHEST_MM = 110.0, 45.0  # heights over a breast's tangent plane between which its wall lies
-_SNAP = 0.2  # share of an edge: a vertex this near to the boundary is moved onto it
+_DEEPEST_MM, _HIGHEST_MM = 110.0, 45.0  # range of the chest wall's height relative to a breast's tangent plane
+_SNAP = 0.2  # share of an edge: a vertex closer than this to the boundary is moved onto it
 _VOLUME_ROUNDS = 3  # of scaling a breast to its volume
-_HANG_ROUNDS = 2  # of pulling a breast down: the nipple's height is linear in the pull but for its own place
-_ARMPIT_MM = 25.0  # height over the lowest place where arm and trunk meet, in which the armpit's front is sought
-_FORWARD = 0.6  # how much a breast points straight ahead, beside the chest's normal of length 1; chosen by eye
-_SLACK = 0.6  # pull down the chest beside gravity's 1, as skin gives way there; chosen by eye
+_HANG_ROUNDS = 2  # of pulling a breast down: the nipple's height is almost linear in the pull
+_ARMPIT_MM = 25.0  # height above the lowest junction of arm and trunk in which the armpit's front is searched
+# Invented scenery; no result depends on these two.
+_FORWARD = 0.6  # weight of straight ahead, relative to the chest's normal, in a breast's direction
+_SLACK = 0.6  # pull down the chest relative to gravity, as stretched skin yields there
 
 
 class _Mound:
-    """One breast as a map from chest wall to skin."""
+    """One breast as a mapping from chest wall to skin."""
 
     def __init__(self, body: Body, shape: BreastShape, side: str, lean_rad: float, seed: int) -> None:
         self.shape, self.sign, self._seed = shape, 1.0 if side == "left" else -1.0, seed
@@ -44,11 +45,11 @@ class _Mound:
         up = np.array([0.0, 1.0, 0.0]) - self.ahead[1] * self.ahead
         self.up = up / np.linalg.norm(up)
         self.aside = self.sign * np.cross(self.up, self.ahead)
-        # Along gravity, and down the chest by what stretched skin has let go. A lying one's slides aside on the chest.
+        # Along gravity, and down the chest since stretched skin yields. Lying, the breast slides sideways on the chest.
         pull = np.array([0.0, -math.cos(lean_rad) - _SLACK * (lean_rad >= 0), math.sin(lean_rad)])
         pull -= min(float(pull @ self.ahead), 0.0) * (lean_rad < 0) * self.ahead
         self._pull = pull / np.linalg.norm(pull)
-        # The nipple, and which way it points, on the mound without it.
+        # The nipple's position and direction, on the mound without it.
         radii = np.array(shape.radii_mm)
         u, v = np.array(shape.nipple_place) * (radii[1], radii[2])
         around = self.foot + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]) @ np.stack([self.aside, self.up])
@@ -60,13 +61,13 @@ class _Mound:
         self.direction = direction / np.linalg.norm(direction)
 
     def rho(self, wall: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
-        """Distance from the middle in base radii, 9 off the wall."""
+        """Distance from the centre in base radii. 9 elsewhere on the wall."""
         u, v, _ = self._local(wall)
         wall_mask = self._there(wall)
         return np.where(wall_mask, np.hypot(u, v), 9.0)
 
     def skin(self, wall: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-        """Skin over points of the chest wall: themselves outside the boundary."""
+        """Skin over points of the chest wall. Outside the boundary they do not move."""
         points = wall.copy()
         inside = np.flatnonzero(self.rho(wall) < 1.0)
         if not len(inside):
@@ -103,28 +104,28 @@ class _Mound:
         return body.onto(place[None], np.repeat(self.ahead[None], 1, axis=0), rounds=60)[0]
 
     def place_mm(self, wall: Float64[Array, "n 3"]) -> Float64[Array, "n 2"]:
-        """Place on the base, mm. Far away off the breast's own chest."""
+        """Position on the base, mm. Very far outside the breast's own part of the chest."""
         offset = wall - self.foot
         place = np.stack([offset @ self.aside, offset @ self.up], axis=1)
         return np.where(self._there(wall)[:, None], place, 1e6)
 
     def _local(self, wall: Array) -> tuple[Array, Array, Array]:
-        """Place on the base (radii, lateral and up), and height, mm."""
+        """Position on the base (radii, lateral and up), and height, mm."""
         inner, outer, upper, lower = self.shape.radii_mm
         offset = wall - self.foot
         u, v = offset @ self.aside, offset @ self.up
         return u / np.where(u > 0, outer, inner), v / np.where(v > 0, upper, lower), offset @ self.ahead
 
     def _there(self, wall: Array) -> Bool[Array, " n"]:
-        """Whether points lie on the chest's own side and front."""
+        """Whether points are on the breast's side and front of the chest."""
         depth = (wall - self.foot) @ self.ahead
         return (self.sign * wall[:, 0] > 0.0) & (depth > -_DEEPEST_MM) & (depth < _HIGHEST_MM) & (wall[:, 2] > -45.0)
 
     def _dome(self, wall: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
         """Skin without nipple over points inside the boundary.
 
-        Two profiles are blended: a cap that runs out flat, above, and a half ellipsoid that meets the chest in a fold,
-        below. Its mass then hangs along gravity, the more the further out.
+        Two profiles are blended: above, a cap that runs out flat; below, a half ellipsoid that meets the chest in a
+        fold. The mass then hangs along gravity, increasingly with its distance from the chest.
         """
         shape = self.shape
         u, v, _ = self._local(wall)
@@ -155,13 +156,13 @@ def torso(shape: TorsoShape, *, name: str = "torso", seed: int = 0, edge_mm: flo
 
     Args:
         shape: its measures.
-        name: what to call it.
-        seed: of the skin's unevenness.
-        edge_mm: edges on the nipples and in the folds are shorter than about this, on the chest than twice, elsewhere
-            up to five times.
+        name: its name.
+        seed: seed of the skin's unevenness.
+        edge_mm: approximate longest edge on the nipples and in the folds. Edges on the chest are up to twice, others up
+            to five times as long.
 
     Raises:
-        ValueError: the measures do not fit together: a breast that reaches beyond the front of the chest.
+        ValueError: the measures are inconsistent: a breast extends beyond the front of the chest.
     """
     body = Body(shape.body)
     coarse = body.coarse_mesh(_COARSE_MM)
@@ -213,7 +214,7 @@ def torso(shape: TorsoShape, *, name: str = "torso", seed: int = 0, edge_mm: flo
             "part, which lies outside the visible fold and slope",
         },
     )
-    for side in standing:  # a volume that is not exact must not be called true
+    for side in standing:  # the truth needs an exact volume
         if not solid.closed_breast(side).is_watertight():
             raise ValueError(f"{name} of seed {seed} has a {side} breast that is not closed; choose another number")
     return solid
@@ -231,7 +232,7 @@ def _torso(wanted: SubjectRequest) -> Solid:
 
 
 def _sized(body: Body, coarse: TriangleMesh, shape: BreastShape, side: str, lean_rad: float, seed: int) -> _Mound:
-    """The breast scaled to the wanted volume, to a few per cent."""
+    """The breast scaled to its volume, to a few per cent."""
     mound = _hung(body, shape, side, lean_rad, seed)
     near = (mound.rho(coarse.vertices) < 1.2)[coarse.faces].any(axis=1)
     patch = coarse.submesh(near)
@@ -240,7 +241,7 @@ def _sized(body: Body, coarse: TriangleMesh, shape: BreastShape, side: str, lean
         vertices, faces = _halved(body, vertices, faces)
     for _ in range(_VOLUME_ROUNDS):
         skin = mound.skin(vertices)
-        # Open alike at the same rim: the difference of what they enclose with any one point is the breast.
+        # Both have the same open rim: the breast is the difference of the volumes that they span with any one point.
         middle = vertices.mean(axis=0)
         swept = _cone_mm3(skin - middle, faces) - _cone_mm3(vertices - middle, faces)
         shape = replace(mound.shape, projection_mm=mound.shape.projection_mm * shape.volume_cc * 1000.0 / swept)
@@ -249,7 +250,7 @@ def _sized(body: Body, coarse: TriangleMesh, shape: BreastShape, side: str, lean
 
 
 def _hung(body: Body, shape: BreastShape, side: str, lean_rad: float, seed: int) -> _Mound:
-    """The breast pulled down until its nipple is as far below the fold as is wanted."""
+    """The breast pulled down until its nipple has the wanted distance below the fold."""
     mound = _Mound(body, shape, side, lean_rad, seed)
     for _ in range(_HANG_ROUNDS if shape.below_fold_mm is not None else 0):
         fold_y = mound.on_boundary(-0.5 * math.pi, body)[1]
@@ -276,7 +277,7 @@ def _halved(body: Body, vertices: Array, faces: Array) -> tuple[Float64[Array, "
 def _refined(
     body: Body, coarse: TriangleMesh, mounds: Mapping[str, _Mound], edge_mm: float
 ) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:
-    """Chest wall refined until the skin's edges are short."""
+    """The chest wall, refined until the skin's edges are short."""
     wall, faces = coarse.vertices, coarse.faces
     gradient = body.gradient(wall)
     skin = _skin(wall, mounds)
@@ -300,7 +301,7 @@ def _refined(
 
 
 def _skin(wall: Float64[Array, "n 3"], mounds: Mapping[str, _Mound]) -> Float64[Array, "n 3"]:
-    for mound in mounds.values():  # each carries only what lies on its own side
+    for mound in mounds.values():  # each moves only vertices on its own side
         wall = mound.skin(wall)
     return wall
 
@@ -321,7 +322,7 @@ def _edge_limit(wall: Array, skin: Array, mounds: Mapping[str, _Mound], edge_mm:
 def _cut_along_boundary(
     body: Body, wall: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], mound: _Mound
 ) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:
-    """Make the boundary ρ = 1 edges, by moving vertices and splitting."""
+    """Make edges along the boundary ρ = 1 by moving vertices and splitting edges."""
     wall = wall.copy()
     edges, of_face = edge_table(faces)
     first, second = edges.T
@@ -329,7 +330,7 @@ def _cut_along_boundary(
     crossing = ((rho[first] - 1.0) * (rho[second] - 1.0) < 0.0) & (np.maximum(rho[first], rho[second]) < 2.0)
     share = np.full(len(edges), 0.5)
     share[crossing] = (1.0 - rho[first[crossing]]) / (rho[second[crossing]] - rho[first[crossing]])
-    # A vertex near the crossing of one of its edges moves there, along the edge where that is nearest.
+    # A vertex near the crossing of one of its edges moves there, along its edge with the nearest crossing.
     near, far = np.concatenate([first, second]), np.concatenate([second, first])
     share = np.concatenate([share, 1.0 - share])
     few = np.flatnonzero(np.tile(crossing, 2) & (share < _SNAP))
@@ -344,7 +345,7 @@ def _cut_along_boundary(
 
 
 def _onto_boundary(body: Body, start: Array, end: Array, mound: _Mound) -> Float64[Array, "n 3"]:
-    """Crossing of a segment with the boundary (secant method in ρ)."""
+    """Crossing of a segment with the boundary (bisection in ρ)."""
     if not len(start):
         return start
     low, high = np.zeros(len(start)), np.ones(len(start))
@@ -360,7 +361,7 @@ def _onto_boundary(body: Body, start: Array, end: Array, mound: _Mound) -> Float
 
 
 def _breast(faces: Array, rho: Float64[Array, " n"], wall: Array, mound: _Mound) -> Breast:
-    """Faces inside the boundary, and its vertices by direction."""
+    """Faces inside the boundary, and the boundary's vertices by direction."""
     inside = rho < 1.0 - 1e-7
     skin_faces = np.flatnonzero(inside[faces].any(axis=1))
     around = np.unique(faces[skin_faces][~inside[faces[skin_faces]]])
@@ -372,7 +373,7 @@ def _breast(faces: Array, rho: Float64[Array, " n"], wall: Array, mound: _Mound)
 def _landmarks(
     body: Body, mounds: Mapping[str, _Mound], mesh: TriangleMesh, wall: Float64[Array, "n 3"]
 ) -> dict[str, Float64[Array, "k 3"]]:
-    """Points on the skin: names as in a protocol of anthropometry."""
+    """Points on the skin, named as in a protocol of anthropometry."""
     zero = np.zeros(1)
     found = {"sternal_notch": body.on_front(zero, np.array([NOTCH_Y_MM - 4.0]))}
     heights = np.arange(NOTCH_Y_MM - 4.0, -131.0, -5.0)
@@ -385,8 +386,8 @@ def _landmarks(
             found[f"inframammary_fold_{side}"] = mound.on_boundary(-0.5 * math.pi, body)[None]
             found[f"lateral_{side}"] = mound.on_boundary(0.0, body)[None]
             found[f"medial_{side}"] = mound.on_boundary(math.pi, body)[None]
-        # The armpit's front: where arm and trunk meet, facing ahead, just above the lowest such place. A line down the
-        # trunk from it, straight below.
+        # The armpit's front: where arm and trunk meet, facing ahead, just above the lowest such point. From there a
+        # line straight down the trunk.
         edge = in_arm[mesh.faces].any(axis=1) & ~in_arm[mesh.faces].all(axis=1)
         crease = wall[np.unique(mesh.faces[edge])]
         crease = crease[crease[:, 0] * mound.sign > 0]

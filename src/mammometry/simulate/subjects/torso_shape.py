@@ -1,4 +1,7 @@
-"""Measures of a torso and of its breasts, drawn by seed."""
+"""Measures of a torso and of its breasts, drawn by seed.
+
+All sizes here are invented scenery; no result depends on them.
+"""
 
 from __future__ import annotations
 
@@ -17,28 +20,28 @@ SIDES = ("left", "right")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BreastShape:
-    """Measures of one breast, seen along its axis, mm along the chest."""
+    """Measures of one breast seen along its axis, mm along the chest."""
 
     volume_cc: float = 400.0
-    """Wanted, cc. Met to 2 %."""
+    """Volume, cc. Met to 2 %."""
     apex_mm: tuple[float, float] = (76.0, -8.0)
-    """Middle of the breast's base: distance from the midline, height."""
+    """Centre of the breast's base: distance from the midline, height."""
     radii_mm: tuple[float, float, float, float] = (66.0, 72.0, 80.0, 62.0)
-    """Of the base: towards the midline, to the side, upwards, downwards."""
+    """Radii of the base: towards the midline, to the side, up, down."""
     projection_mm: float = 45.0
     """Height over the chest wall. Scaled to meet the volume."""
     hang_mm: float = 20.0
     """Distance by which gravity pulls the mass: little is young and firm, much is ptotic with an undercut."""
     sag: float = 1.0
-    """How the mass follows gravity: 1 the more the further out, larger values all but the skin at the chest alike."""
+    """How the mass follows gravity: 1 in proportion to its height, larger values more evenly."""
     below_fold_mm: float | None = None
-    """Wanted height of the fold above the nipple, along the body, met to 1 mm by another `hang_mm`. None: as that."""
+    """Height of the fold above the nipple along the body, met to 1 mm by adjusting `hang_mm`. None: not adjusted."""
     fullness: float = 0.85
     """Fullness of the lower pole: 0 runs out flat into the chest, 1 is round and meets it in a fold."""
     fold_mm: float = 4.0
     """Rounding of the fold."""
     nipple_place: tuple[float, float] = (0.05, -0.12)
-    """Where the nipple is, in radii: to the side, up."""
+    """Position of the nipple, in radii: to the side, up."""
     areola_mm: float = 20.0
     """Radius of the areola."""
     nipple_mm: float = 5.0
@@ -46,11 +49,11 @@ class BreastShape:
     unevenness_mm: float = 1.0
     """Amplitude of the skin's random unevenness."""
     cap: float = 2.6
-    """Exponent of the upper profile: how far it is round before it runs out. 2.6 was chosen by eye."""
+    """Exponent of the upper profile: the larger, the farther it is round before it runs out."""
     bare: bool = False
     """Whether it lacks areola and nipple."""
     removed: bool = False
-    """Whether it is removed: its measures then give its former place."""
+    """Whether it was removed. Its measures then give its former position."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,14 +70,14 @@ class TorsoShape:
 
 
 def torso_shape(name: str, seed: int) -> TorsoShape:
-    """Draw a torso by seed, with breasts of 100 … 1200 cc.
+    """Draw a torso by seed, with breasts of 100 to 1200 cc.
 
     Args:
         name: ``torso``, or ``torso_1``, ``torso_2``, … for others of the family.
-        seed: of everything drawn.
+        seed: seed of all random values.
 
     Raises:
-        ValueError: the name is none of these.
+        ValueError: the name is unknown.
     """
     number = name.removeprefix("torso").removeprefix("_")
     if name != "torso" and not (name.startswith("torso_") and number.isdecimal() and int(number) > 0):
@@ -110,7 +113,7 @@ def torso_shape(name: str, seed: int) -> TorsoShape:
         radius = (volume_cc * 1000.0 / (0.45 * math.pi * slimness)) ** (1.0 / 3.0)
         inner = radius * rng.uniform(0.86, 0.96)
         apex = (inner + gap, height + rng.normal(0.0, 4.0))
-        # The base ends before flank and armpit, where the chest would no longer be seen as a relief.
+        # The base ends before flank and armpit, where the chest would no longer be a height map.
         outer = min(radius * rng.uniform(0.96, 1.06), body.half_width_mm + 4.0 - apex[0])
         upper = min(radius * rng.uniform(1.15, 1.4), 94.0 - apex[1])
         breasts[side] = BreastShape(

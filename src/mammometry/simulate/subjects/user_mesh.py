@@ -1,4 +1,4 @@
-"""The user's mesh as a subject: PLY, OBJ or STL. The user names its unit."""
+"""The user's mesh file as a subject: PLY, OBJ or STL in a stated unit."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from mammometry.simulate.subjects.registry import SubjectRequest, add_subject
 from mammometry.simulate.subjects.solid import Solid, rounded_mesh
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl")
-_SMALLEST_MM, _LARGEST_MM = 5.0, 3000.0  # longest side of a subject in a rig; chosen by eye
-_FACES_AT_MOST = 1_500_000  # long edges are split no further: the light is computed at every vertex
+_SMALLEST_MM, _LARGEST_MM = 5.0, 3000.0  # longest side of a subject that fits a rig
+_FACES_AT_MOST = 1_500_000  # limits the splitting of long edges: the light is computed at every vertex
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeshFile:
-    """A mesh file, and how to read it."""
+    """How to read a mesh file."""
 
     mm_per_unit: float | None = None
-    """Millimetres per unit of the file. There is no default, since no such file states its unit."""
+    """Millimetres per unit of the file. There is no default, since the files do not state it."""
     turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Turns about x, then y, then z. Afterwards y is up and z points out of the front."""
+    """Rotations about x, then y, then z, after which y is up and z points out of the front."""
 
 
 def names_a_mesh(name: str) -> bool:
@@ -40,19 +40,18 @@ def names_a_mesh(name: str) -> bool:
 def read_user_mesh(path: Path, how: MeshFile, *, edge_mm: float = 0.7) -> Solid:
     """Read a mesh as a subject.
 
-    Its colours and texture are not used: it is painted like any other subject. A closed mesh has a volume; faces that
-    look inwards are turned. An open one is photographed all the same, and its truth is a surface without volume; it is
-    turned so that most of it looks ahead. Long edges are split without change of shape, so that the light falls
-    finely.
+    Colours and texture of the file are not used. A closed mesh has a volume; it is turned outwards if necessary. An
+    open one is photographed too, and its truth is a surface without volume; it is turned so that most of it faces
+    ahead. Long edges are split without a change of shape, so that light is computed densely.
 
     Args:
-        path: a PLY, OBJ or STL.
-        how: unit and attitude.
+        path: a PLY, OBJ or STL file.
+        how: unit and orientation.
         edge_mm: edges longer than three times this are split.
 
     Raises:
-        SessionError: no unit is given, the file cannot be read or holds no triangles, or the mesh is too small or
-            too large.
+        SessionError: no unit is given, the file cannot be read or has no triangles, or the mesh is too small or too
+            large.
     """
     if how.mm_per_unit is None:
         raise _refused(path, "no unit", "the unit of its coordinates", f"Add --units {UNIT_NAMES}, or --subject-scale")
@@ -93,7 +92,7 @@ def _user_mesh(wanted: SubjectRequest) -> Solid:
 
 
 def _finer(vertices: Array, faces: Array, longest_mm: float) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:
-    """Split long edges at their middles, within a size limit."""
+    """Split long edges at their midpoints, up to a number of faces."""
     while len(faces) < _FACES_AT_MOST:
         edges, of_face = edge_table(faces)
         split = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1) > longest_mm

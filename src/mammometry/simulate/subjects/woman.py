@@ -1,8 +1,7 @@
-"""Virtual women with a muscle, a layer over it, and breasts.
+"""Virtual women with exactly known muscle, layer over it, and breasts.
 
-All three are known exactly. Three surfaces have the same triangles: the skin, the flat chest (muscle and layer, as a
-chest without a breast would be) and the muscle. The space between any two within the boundary is closed, and its
-volume that of its triangles.
+Three surfaces have the same triangles: the skin, the flat chest (muscle and layer, as of a chest without a breast) and
+the muscle. The space between any two within the boundary is closed, and its volume is that of its triangles.
 """
 
 from __future__ import annotations
@@ -29,15 +28,15 @@ from mammometry.simulate.subjects.woman_shape import (
     woman_shape,
 )
 
-_TALL_MM = 175.0  # the trunk ends this far above and below the breasts' middle
+_TALL_MM = 175.0  # distance of the trunk's ends above and below the breasts' centre
 _PROFILE_MM = 115.0  # length of a breast's profile, which is divided into edges
-_STEP_MM = 0.5  # over which a surface's normal is taken
-_SMOOTH_ANGLE_RAD = math.radians(110.0)  # direction in which a breast runs out flattest: up and a little inwards
-_NIPPLE_MM, _AREOLA_MM = 4.0, 20.0  # height of the nipple over the breast, and radius of the areola, mm
-_VOLUME_ROUNDS = 4  # times that the height is scaled until the breast has the wanted volume
-_BEYOND_MM = 15.0  # an open front goes on at least this far behind the boundaries
-_LAYER_BACK_MM = 15.0  # layer before the muscle at the flanks, beyond both breasts
-_SHOW_MM = 2.5  # edges away from the breasts, in edges on them
+_STEP_MM = 0.5  # step of the differences for a surface's normal
+_SMOOTH_ANGLE_RAD = math.radians(110.0)  # direction in which a breast runs out flattest: up and slightly inwards
+_NIPPLE_MM, _AREOLA_MM = 4.0, 20.0  # height of the nipple above the breast, and radius of the areola, mm
+_VOLUME_ROUNDS = 4  # of scaling the height until the breast has its volume
+_BEYOND_MM = 15.0  # least depth of an open front behind the boundaries
+_LAYER_BACK_MM = 15.0  # thickness of the layer at the flanks, beyond both breasts
+_SHOW_MM = 2.5  # length of edges away from the breasts, relative to those on them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -49,7 +48,7 @@ class Woman:
     muscle_vertices: Float64[Array, "n 3"]
     """Points of the muscle straight behind the solid's front vertices, mm."""
     shape: WomanShape
-    """What was drawn."""
+    """Her measures."""
 
     def muscle_cc(self, side: str) -> float:
         """Volume from the skin to the muscle within the boundary, cc."""
@@ -70,17 +69,17 @@ class Woman:
         return closed.volume_mm3() / 1000
 
     def layer_mm(self, side: str) -> dict[str, float]:
-        """Layer normal to the muscle at the boundary, by quadrant, mm."""
+        """Thickness of the layer normal to the muscle at the boundary, by quadrant, mm."""
         lateral, upper, medial, lower = self.shape.breasts[side].layer_mm
         return {"lateral": lateral, "upper": upper, "medial": medial, "lower": lower}
 
     def front(self) -> TriangleMesh:
-        """The open mesh that a scanner of the front alone would give."""
+        """The open mesh of a scanner that sees only the front."""
         return front_of(self.solid, self.shape.cut_mm)
 
 
 def front_of(solid: Solid, cut_mm: float) -> TriangleMesh:
-    """Skin facing ahead, within `cut_mm` of the foremost or near boundaries."""
+    """Front skin within `cut_mm` of the foremost point, and at least as far back as the boundaries."""
     vertices = solid.mesh.vertices
     behind = min(float(vertices[breast.boundary, 2].min()) for breast in solid.breasts.values()) - _BEYOND_MM
     limit = min(float(vertices[:, 2].max()) - cut_mm, behind)
@@ -94,7 +93,7 @@ def front_of(solid: Solid, cut_mm: float) -> TriangleMesh:
 
 
 class _Chest:
-    """Muscle and flat skin by (arc around the trunk, height), mm."""
+    """Muscle and flat skin as functions of (arc around the trunk, height), mm."""
 
     def __init__(self, shape: WomanShape) -> None:
         self.shape = shape
@@ -162,7 +161,7 @@ class _Chest:
         return np.asarray((1 - back) * layer + back * _LAYER_BACK_MM)
 
     def skin(self, flat: Float64[Array, "n 2"]) -> tuple[Float64[Array, "n 3"], Float64[Array, "n 3"]]:
-        """The flat chest's skin and the muscle under it."""
+        """Points of the flat chest's skin and of the muscle under them."""
         muscle, aside, up = self.muscle(flat), *(_STEP_MM * np.eye(2))
         around = self.muscle(flat + aside) - self.muscle(flat - aside)
         along = self.muscle(flat + up) - self.muscle(flat - up)
@@ -171,7 +170,7 @@ class _Chest:
         return muscle + self.layer_mm(flat)[:, None] * normal, muscle
 
     def beneath(self, places: Float64[Array, "n 2"], side: str) -> Float64[Array, "n 2"]:
-        """Places of the flat skin at front coordinates, mm (Newton)."""
+        """Arc and height of the flat skin's points at front coordinates, mm (Newton's method)."""
         sign = 1.0 if side == "left" else -1.0
         flat = np.stack(
             [places[:, 0] / self.shape.breasts[side].middle_mm[0] * self._middles[side], places[:, 1]], axis=1
@@ -190,7 +189,7 @@ class _Chest:
 
 
 class _Breast:
-    """One breast over the chest: map to skin, flat chest, muscle."""
+    """One breast on the chest: mapping to skin, flat chest and muscle."""
 
     def __init__(self, chest: _Chest, shape: WomanBreast, side: str) -> None:
         self.chest, self.shape, self.sign = chest, shape, 1.0 if side == "left" else -1.0
@@ -204,7 +203,7 @@ class _Breast:
         self._power = self._powers()
 
     def _powers(self) -> float:
-        """Exponent of the profile whose mean 1/(1 + q) is the fill."""
+        """Exponent of the profile, whose mean 1/(1 + q) is the fill."""
         radius2 = ((self.rim - self.middle) ** 2).sum(axis=1)
         low, high = 0.05, 8.0
         for _ in range(50):
@@ -214,11 +213,11 @@ class _Breast:
         return power
 
     def flat(self, share: Array, turn: Array) -> Float64[Array, "n 2"]:
-        """Place on the chest laid flat."""
+        """Position on the flattened chest."""
         return np.asarray(self.middle + share[:, None] * (self._rim(np.mod(turn, 2 * math.pi)) - self.middle))
 
     def turns(self, along: Array) -> Float64[Array, " n"]:
-        """Directions of points along the boundary, given as shares of its length."""
+        """Directions of points along the boundary, given as fractions of its length."""
         closed = np.concatenate([self.rim, self.rim[:1]])
         length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
         return np.interp(along * length[-1], length, self._turn)
@@ -240,11 +239,11 @@ def woman(shape: WomanShape, *, name: str = "woman", edge_mm: float = 2.0) -> Wo
 
     Args:
         shape: her measures.
-        name: what to call her.
-        edge_mm: about the edges on the breasts; elsewhere they are longer.
+        name: her name.
+        edge_mm: approximate edge length on the breasts. Other edges are longer.
 
     Raises:
-        ValueError: the measures do not fit together.
+        ValueError: the measures are inconsistent.
     """
     chest = _Chest(shape)
     breasts = {side: _Breast(chest, shape.breasts[side], side) for side in SIDES}
@@ -305,7 +304,7 @@ def woman(shape: WomanShape, *, name: str = "woman", edge_mm: float = 2.0) -> Wo
 
 
 def _straight_behind(wall: Array, muscle: Array, faces: Array) -> Float64[Array, "n 3"]:
-    """Muscle points straight behind the flat chest, else below."""
+    """Points of the muscle straight behind the flat chest, or below it where there are none."""
     front = muscle[:, 2] > muscle[:, 2].max() - 90.0
     found = LinearNDInterpolator(muscle[front, :2], muscle[front, 2])(wall[:, :2])
     seen = front & np.isfinite(found)
@@ -332,7 +331,7 @@ def _with_facts(made: Woman) -> Woman:
 def _places(
     chest: _Chest, breasts: dict[str, _Breast], rings: int, edge_mm: float
 ) -> tuple[Float64[Array, "n 2"], Array, Array, Array]:
-    """Flattened chest points: share of the way out, direction, breast."""
+    """Points on the flattened chest, with relative distance from a breast's centre, direction and breast."""
     flat, share, turn, owner = [], [], [], []
     for number, breast in enumerate(breasts.values()):
         length = float(np.linalg.norm(breast.rim - np.roll(breast.rim, 1, axis=0), axis=1).sum())
@@ -361,7 +360,7 @@ def _places(
     grid_kept = ~_near_any(grid, within, 4.0 * edge_mm)
     rest = np.concatenate(beside)
     rest = rest[~_near_any(rest, within, 0.55 * edge_mm)]
-    rest = rest[_apart(rest, 0.5 * edge_mm)]
+    rest = rest[_spaced(rest, 0.5 * edge_mm)]
     rest = np.concatenate([grid[grid_kept], rest])
     flat.append(rest)
     none = np.full(len(rest), 9.0)
@@ -374,7 +373,7 @@ def _places(
 
 
 def _near_any(points: Array, outlines: list[tuple[Array, Array]], reach_mm: float) -> Bool[Array, " n"]:
-    """Whether points are inside or near a star-shaped outline (`reach_mm`)."""
+    """Whether points are inside or within `reach_mm` of a star-shaped outline."""
     near = np.zeros(len(points), dtype=bool)
     for middle, rim in outlines:
         around = np.arctan2(*(rim - middle).T[::-1])
@@ -389,8 +388,8 @@ def _near_any(points: Array, outlines: list[tuple[Array, Array]], reach_mm: floa
     return near
 
 
-def _apart(points: Array, least_mm: float) -> Bool[Array, " n"]:
-    """First of each group of points closer together than a distance."""
+def _spaced(points: Array, least_mm: float) -> Bool[Array, " n"]:
+    """The points without those that are closer than a distance to an earlier one."""
     keep = np.ones(len(points), dtype=bool)
     for first, second in cKDTree(points).query_pairs(least_mm):
         if keep[first]:
@@ -401,7 +400,7 @@ def _apart(points: Array, least_mm: float) -> Bool[Array, " n"]:
 def _closed(
     chest: _Chest, flat: Array, faces: Array, surfaces: tuple[Array, ...], share: Array, owner: Array
 ) -> tuple[Array, Array, tuple[Array, ...], Array, Array]:
-    """Join the trunk at the back, and cap both ends with fans."""
+    """Join the trunk's seam at the back, and close both ends with fans."""
     first = np.flatnonzero(flat[:, 0] == chest.low)
     last = np.flatnonzero(flat[:, 0] == chest.high)
     first, last = (corners[np.argsort(flat[corners, 1])] for corners in (first, last))
@@ -430,7 +429,7 @@ def _closed(
 
 
 def _in_order(faces: Array, rim: Array) -> Int32[Array, " n"]:
-    """The opening of some faces as a loop, in their direction."""
+    """Opening of some faces as a loop in their direction."""
     a, b = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     on_rim = np.isin(a, rim) & np.isin(b, rim)
     forward = {(int(p), int(q)) for p, q in zip(a[on_rim], b[on_rim], strict=True)}
@@ -443,7 +442,7 @@ def _in_order(faces: Array, rim: Array) -> Int32[Array, " n"]:
 
 
 def _swept_mm3(skin: Array, wall: Array, faces: Array) -> float:
-    """Volume between two surfaces of the same triangles and rim."""
+    """Volume between two surfaces with the same triangles and rim."""
     middle = wall[faces].mean(axis=(0, 1))
 
     def cone(points: Array) -> float:
@@ -462,11 +461,11 @@ def woman_named(name: str, seed: int, *, edge_mm: float = 2.0) -> Woman:
 
     Args:
         name: ``woman`` or ``leaning-woman``, with ``-wide`` for 100 to 1500 cc, and ``_1``, ``_2`` … for others.
-        seed: of everything drawn.
-        edge_mm: about the edges on the breasts.
+        seed: seed of all random values.
+        edge_mm: approximate edge length on the breasts.
 
     Raises:
-        ValueError: the name is none of these.
+        ValueError: the name is unknown.
     """
     family, _, number = name.partition("_")
     pose: Pose = "leaning" if family.startswith("leaning-") else "prone"

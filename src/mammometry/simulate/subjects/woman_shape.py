@@ -2,7 +2,7 @@
 
 The statistics are those of breasts labelled in prone magnetic resonance images (doi 10.1371/journal.pone.0302974): the
 boundary along the crease, the pectoral muscle behind the breast, and the layer of fat and skin that a chest without a
-breast would have over it. Only means, standard deviations and correlations are used. No image is.
+breast would have over it. Only means, standard deviations and correlations are used, no image.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ SIDES = ("left", "right")
 Pose: TypeAlias = Literal["prone", "leaning"]
 
 RADII = np.array([0.43, 0.54, 0.67, 0.55, 0.47, 0.58, 0.62, 0.59])
-"""Boundary's radius over the root of its area, every 45° from lateral by way of the head. ± .04 between women."""
+"""Boundary's radius over the root of its area, every 45° from lateral via the head. ± 0.04 between women."""
 WIDTH_MM, HEIGHT_MM = (121.0, 15.0), (167.0, 9.0)
-"""Of the boundary: mean and standard deviation between women, mm."""
+"""Width and height of the boundary: mean and standard deviation between women, mm."""
 FLAT_CC = (540.0, 0.36)
 """Volume in front of a flat chest: median, cc, and standard deviation of its logarithm (90 % from 295 to 960 cc)."""
 MUSCLE_ASIDE_MM = np.array([25.0, 50.0, 75.0, 100.0, 125.0])
 """Distances from the midline at which the muscle's height is known, mm."""
 MUSCLE_MM = np.array([3.6, 4.0, -2.5, -18.0, -33.0])
-"""The muscle's height there, relative to the midline, mm."""
+"""The muscle's height there relative to the midline, mm."""
 MUSCLE_SD_MM = np.array([2.4, 3.8, 6.4, 7.3, 6.2])
 """Its standard deviation between women, mm."""
 ALONG_PER_M = (2.9, 1.2)
@@ -38,50 +38,50 @@ TWIST_PER_M = (-0.7, 0.9)
 TILT_UP_DEG = (6.6, 1.8)
 """Tilt of a boundary's plane back towards the head: mean and standard deviation, degrees."""
 LAYER_MM = np.array([24.0, 18.0, 12.0, 16.0])
-"""Layer normal to the muscle at the boundary: lateral, above, medial, below. mm."""
+"""Thickness of the layer normal to the muscle at the boundary: lateral, above, medial, below. mm."""
 LAYER_SD_MM = np.array([8.0, 4.0, 4.0, 4.0])
 """Its standard deviation between women, mm."""
 LAYER_SECTORS_R, LAYER_SIDES_R = 0.68, 0.92
 """Correlation of the layer between sectors of one breast, and between both breasts."""
 
-_WIDE_CC = (100.0, 1500.0)  # volumes of the wide draw, evenly in their logarithm
-_WIDTH_HEIGHT_R = 0.66  # so that the area's scatter is 28 of 170 cm²
-_RADII_SD = 0.045  # scatter of the relative radii before width and height are set; after it ± .04
-_VOLUME_WIDTH_R = 0.65  # correlation of volume and width, in logarithms; chosen so that the apex has ± 18 mm
-_SIDES_R = 0.9  # correlation of both sides of one woman where the statistics give none; chosen by eye
-_FILL, _FILL_SD = 0.42, 0.035  # mean height over the greatest one, before the flat chest; met by volume, area and apex
-_FILL_GROWTH = 0.45  # power of the mean height with which that grows; chosen so that the apex has ± 18 mm
-_TYPICAL_MM = 33.0  # mean height of a typical breast before its flat chest, mm
-_LAYER_LEAST_MM = 4.0  # thinner layers that are drawn are made this thick
-_MIDLINE_MM = (8.0, 2.5)  # distance of a boundary's medial end from the midline; chosen so that planes tilt by 7.7°
-_MIDLINE_LEAST_MM = 4.0  # smaller distances that are drawn are made this large
-_MUSCLE_LAYER_R = 0.85  # a deep muscle has a thick lateral layer; chosen so that planes tilt by ± 3.4°
-_SLOPE_MORE_DEG = 1.2  # the muscle falls back more than the boundary's plane; chosen so that this tilts by 6.6°
-_ROUGH_MM = 1.6  # amplitude of the muscle's waves beyond its smooth form
+_WIDE_CC = (100.0, 1500.0)  # volumes of the wide draw: uniform in their logarithm
+_WIDTH_HEIGHT_R = 0.66  # gives the area's scatter of 28 of 170 cm²
+_RADII_SD = 0.045  # scatter of the relative radii before scaling to width and height; after it ± 0.04
+_VOLUME_WIDTH_R = 0.65  # correlation of the logarithms of volume and width: gives the apex's ± 18 mm
+_SIDES_R = 0.9  # correlation of a woman's sides where the statistics give none; invented, no result depends on it
+_FILL, _FILL_SD = 0.42, 0.035  # mean over largest height in front of the flat chest: fits volume, area and apex
+_FILL_GROWTH = 0.45  # power of the mean height in it: gives the apex's ± 18 mm
+_TYPICAL_MM = 33.0  # mean height of a typical breast in front of its flat chest, mm
+_LAYER_LEAST_MM = 4.0  # thinnest layer
+_MIDLINE_MM = (8.0, 2.5)  # distance of a boundary's medial end from the midline: gives the planes' tilt of 7.7°
+_MIDLINE_LEAST_MM = 4.0  # smallest such distance
+_MUSCLE_LAYER_R = 0.85  # correlation of a deep muscle with a thick lateral layer: gives the planes' tilt of ± 3.4°
+_SLOPE_MORE_DEG = 1.2  # additional slope of the muscle relative to the boundary's plane: gives its tilt of 6.6°
+_ROUGH_MM = 1.6  # amplitude of the muscle's unevenness
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WomanBreast:
-    """Measures of one breast, seen from the front, mm."""
+    """Measures of one breast seen from the front, mm."""
 
     volume_cc: float
-    """Before a flat chest, cc. Met exactly."""
+    """Volume in front of a flat chest, cc. Met exactly."""
     middle_mm: tuple[float, float]
-    """Middle of the boundary: distance from the midline, height."""
+    """Centre of the boundary: distance from the midline, height."""
     width_mm: float
-    """Of the boundary."""
+    """Width of the boundary."""
     height_mm: float
-    """Of the boundary."""
+    """Height of the boundary."""
     radii: tuple[float, ...]
-    """Relative radii of the boundary every 45° from lateral by way of the head. Only their ratios count."""
+    """Relative radii of the boundary every 45° from lateral via the head. Only their ratios matter."""
     layer_mm: tuple[float, float, float, float]
-    """Layer normal to the muscle at the boundary: lateral, above, medial, below."""
+    """Thickness of the layer normal to the muscle at the boundary: lateral, above, medial, below."""
     fill: float
-    """Mean height before the flat chest over the greatest one."""
+    """Mean over largest height in front of the flat chest."""
     fall_mm: tuple[float, float]
-    """Offset of the top to the side and upwards from the boundary's middle."""
+    """Offset of the top to the side and up from the boundary's centre."""
     run_out: float
-    """Extra flatness of the breast above, towards the midline, against below: 0 is equal."""
+    """Additional flatness above and towards the midline, relative to below. 0: equal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,7 +89,7 @@ class WomanShape:
     """A chest, its breasts and the pose."""
 
     pose: Pose
-    """prone: hanging straight ahead from the chest, flanks steep. leaning: pulled down over a fold."""
+    """prone: hanging straight ahead from the chest, with steep flanks. leaning: pulled down over a fold."""
     breasts: Mapping[str, WomanBreast]
     """"left" and "right", the patient's own."""
     muscle_mm: Mapping[str, tuple[float, ...]]
@@ -97,21 +97,21 @@ class WomanShape:
     along_per_mm: float
     """Curvature of the muscle along the body."""
     slope: float
-    """By how much it falls back towards the head."""
+    """Slope of the muscle back towards the head."""
     twist_per_mm: float
     """Twist of the muscle."""
     side_mm: float
     """Half width of the trunk."""
     thick_mm: float
-    """Depth of the trunk, back to front."""
+    """Depth of the trunk from back to front."""
     rough_mm: float
     """Amplitude of the muscle's unevenness."""
     lean_rad: float
-    """How far she leans before the rig."""
+    """Forward lean towards the rig."""
     cut_mm: float
-    """How far behind the breasts' tops an open front mesh ends."""
+    """Depth of an open front mesh behind the breasts' tops."""
     seed: int
-    """Of the unevenness."""
+    """Seed of the unevenness."""
 
     @property
     def areas_cm2(self) -> dict[str, float]:
@@ -123,37 +123,37 @@ def woman_shape(number: int, seed: int, pose: Pose = "prone", *, wide: bool = Fa
     """Make a random woman.
 
     Args:
-        number: in the family.
-        seed: of the random values.
+        number: number in the family.
+        seed: seed of the random values.
         pose: posture.
-        wide: volumes of 100 to 1500 cc, evenly in their logarithm, instead of those of the real women.
+        wide: volumes of 100 to 1500 cc, uniform in their logarithm, instead of those of the real women.
     """
     rng = np.random.default_rng([seed, number, 91, SIDES.index("left") if pose == "prone" else 1])
     shared = rng.normal(size=8)
-    common_width, common_volume = shared[0], _VOLUME_WIDTH_R * shared[0] + _beside(_VOLUME_WIDTH_R) * shared[1]
+    common_width, common_volume = shared[0], _VOLUME_WIDTH_R * shared[0] + _rest(_VOLUME_WIDTH_R) * shared[1]
     wide_cc = math.exp(rng.uniform(*np.log(_WIDE_CC)))
     radii_shared, layer_shared = rng.normal(size=8), _sectors(rng)
-    muscle_shared = -_MUSCLE_LAYER_R * layer_shared[0] + _beside(_MUSCLE_LAYER_R) * _muscle(rng)
+    muscle_shared = -_MUSCLE_LAYER_R * layer_shared[0] + _rest(_MUSCLE_LAYER_R) * _muscle(rng)
     breasts, muscle = {}, {}
     for side in SIDES:
         wide_one, tall_one, full_one = (
-            math.sqrt(_SIDES_R) * common + _beside(math.sqrt(_SIDES_R)) * rng.normal()
+            math.sqrt(_SIDES_R) * common + _rest(math.sqrt(_SIDES_R)) * rng.normal()
             for common in (
                 common_width,
-                _WIDTH_HEIGHT_R * shared[0] + _beside(_WIDTH_HEIGHT_R) * shared[2],
+                _WIDTH_HEIGHT_R * shared[0] + _rest(_WIDTH_HEIGHT_R) * shared[2],
                 common_volume,
             )
         )
         width = WIDTH_MM[0] + WIDTH_MM[1] * float(np.clip(wide_one, -2.5, 2.5))
         height = HEIGHT_MM[0] + HEIGHT_MM[1] * float(np.clip(tall_one, -2.5, 2.5))
-        uneven = math.sqrt(_SIDES_R) * radii_shared + _beside(math.sqrt(_SIDES_R)) * rng.normal(size=8)
+        uneven = math.sqrt(_SIDES_R) * radii_shared + _rest(math.sqrt(_SIDES_R)) * rng.normal(size=8)
         radii = RADII + _RADII_SD * np.clip(uneven, -2.5, 2.5)
         volume = FLAT_CC[0] * math.exp(FLAT_CC[1] * float(np.clip(full_one, -2.5, 2.5)))
         if wide:
             volume = wide_cc * math.exp(rng.normal(0.0, 0.1))
             grown = (volume / FLAT_CC[0]) ** 0.2  # a base grows less than a breast does
             width, height = width * min(grown, 1.15), height * min(grown, 1.15)
-        layer = math.sqrt(LAYER_SIDES_R) * layer_shared + _beside(math.sqrt(LAYER_SIDES_R)) * _sectors(rng)
+        layer = math.sqrt(LAYER_SIDES_R) * layer_shared + _rest(math.sqrt(LAYER_SIDES_R)) * _sectors(rng)
         shape = WomanBreast(
             volume_cc=volume, middle_mm=(0.0, 0.0), width_mm=width, height_mm=height,
             radii=tuple(radii.tolist()),
@@ -173,7 +173,7 @@ def woman_shape(number: int, seed: int, pose: Pose = "prone", *, wide: bool = Fa
             fill=float(np.clip(fill, 0.3, 0.6)), fall_mm=fall,
             run_out=float(np.clip(rng.normal(0.65, 0.15), 0.2, 1.0)),
         )  # fmt: skip
-        own = math.sqrt(_SIDES_R) * muscle_shared + _beside(math.sqrt(_SIDES_R)) * _muscle(rng)
+        own = math.sqrt(_SIDES_R) * muscle_shared + _rest(math.sqrt(_SIDES_R)) * _muscle(rng)
         muscle[side] = tuple((MUSCLE_MM + MUSCLE_SD_MM * own).tolist())
     return WomanShape(
         pose=pose,
@@ -192,7 +192,7 @@ def woman_shape(number: int, seed: int, pose: Pose = "prone", *, wide: bool = Fa
 
 
 def outline_mm(breast: WomanBreast, count: int = 360) -> Float64[Array, "n 2"]:
-    """The boundary about its middle, to the side and up, mm, anticlockwise from lateral."""
+    """The boundary relative to its centre, to the side and up, mm, anticlockwise from lateral."""
     from scipy.interpolate import CubicSpline
 
     knots = np.array([*breast.radii, breast.radii[0]])
@@ -209,16 +209,16 @@ def outline_area_mm2(curve: Float64[Array, "n 2"]) -> float:
     return float((curve[:, 0] * following[:, 1] - curve[:, 1] * following[:, 0]).sum()) / 2
 
 
-def _beside(correlation: float) -> float:
+def _rest(correlation: float) -> float:
     return math.sqrt(1.0 - correlation**2)
 
 
 def _sectors(rng: np.random.Generator) -> Float64[Array, 4]:
-    """Four numbers of unit variance that correlate as the layer's sectors do."""
-    return math.sqrt(LAYER_SECTORS_R) * rng.normal() + _beside(math.sqrt(LAYER_SECTORS_R)) * rng.normal(size=4)
+    """Four numbers of unit variance with the correlation of the layer's sectors."""
+    return math.sqrt(LAYER_SECTORS_R) * rng.normal() + _rest(math.sqrt(LAYER_SECTORS_R)) * rng.normal(size=4)
 
 
 def _muscle(rng: np.random.Generator) -> Float64[Array, 5]:
-    """Five numbers of unit variance: heights of one muscle. Near heights are alike."""
+    """Five numbers of unit variance: heights of a muscle, correlated by distance."""
     apart = np.abs(MUSCLE_ASIDE_MM[:, None] - MUSCLE_ASIDE_MM[None])
     return np.linalg.cholesky(np.exp(-apart / 60.0)) @ rng.normal(size=5)
