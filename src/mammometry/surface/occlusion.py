@@ -1,4 +1,4 @@
-"""Places where a silhouette does not bound the subject, because something stands in front of it.
+"""Places where a silhouette does not bound the subject, because something is in front of it.
 
 In a photograph a rail of a posing frame cuts a body in two, and a dark strap looks like background. The silhouette
 alone would then remove what other cameras see. Measured skin shows such places: a point that a pair has measured and
@@ -215,13 +215,13 @@ def _vote(
 
     A camera has no vote where its view is known to be blocked.
     """
-    on, beside = (np.zeros(poll.count, dtype=np.int32) for _ in range(2))
+    on, outside = (np.zeros(poll.count, dtype=np.int32) for _ in range(2))
     for name in poll.voters:
         at = poll.places[name]
         sees = (views[name].near if poll.shown is None else poll.shown[name])[at.row, at.column]
         on[at.index[sees]] += 1
-        beside[at.index[~sees & ~blocked[name][at.row, at.column]]] += 1
-    agreed = (on > 0) & (beside <= on)
+        outside[at.index[~sees & ~blocked[name][at.row, at.column]]] += 1
+    agreed = (on > 0) & (outside <= on)
     for name in poll.voters:
         at = poll.places[name]
         hit = agreed[at.index] & ~views[name].near[at.row, at.column]

@@ -244,7 +244,7 @@ def _contradicted(
         if worst is None or shares[worst][0] >= _WITHIN:
             return doubts
         share, what = shares[worst]
-        doubts[worst] = f"only {100 * share:.0f} % of {what} lies within its silhouette"
+        doubts[worst] = f"only {100 * share:.0f} % of {what} is within its silhouette"
         del looked[worst]
 
 
@@ -272,7 +272,7 @@ def _incomplete(
     if within >= _WITHIN:
         return {}
     return dict.fromkeys(
-        masks, f"only {100 * within:.0f} % of what the pairs see near lies within most of the silhouettes"
+        masks, f"only {100 * within:.0f} % of what the pairs see near is within most of the silhouettes"
     )
 
 

@@ -44,7 +44,7 @@ def draw(seed: int, difficulty: int) -> Situation:
         ValueError: an unknown difficulty.
     """
     if not 0 <= difficulty <= HARDEST:
-        raise UnknownWordError(f"the difficulty must lie between 0 and {HARDEST}", difficulty)
+        raise UnknownWordError(f"the difficulty must be between 0 and {HARDEST}", difficulty)
     drawn = [*_patient(np.random.default_rng([seed, 96]))]
     if difficulty:
         rng = np.random.default_rng([seed, 97, difficulty])

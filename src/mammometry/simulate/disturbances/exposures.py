@@ -1,6 +1,6 @@
 """Disturbances of rigs and cameras: drift, moments, mounting, films, flashes.
 
-Drift is that of mounts that warm up or are leant on. Sway and breath are some mm/s, as of people who stand still. Lens
+Drift is that of mounts that warm up or are pushed. Sway and breath are some mm/s, as of people who stand still. Lens
 effects scale with the picture. Effects of sensor and software (mosaic, sharpening, JPEG, noise) are per pixel at any
 size. All sizes here are invented scenery; no result depends on them.
 """

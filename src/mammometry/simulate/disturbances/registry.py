@@ -49,7 +49,7 @@ class Number:
             number = float("nan")
         low, high = self.within
         if not low <= number <= high:
-            raise UnknownWordError(f"{name} must lie between {low:g} and {high:g}", f"{text!r}")
+            raise UnknownWordError(f"{name} must be between {low:g} and {high:g}", f"{text!r}")
         if self.whole and number != round(number):
             raise UnknownWordError(f"{name} must be a whole number", f"{text!r}")
         return number

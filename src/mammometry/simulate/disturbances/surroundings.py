@@ -181,7 +181,7 @@ def _pale_wall(about: Surroundings, reflectance: float, rng: np.random.Generator
 @disturbance(
     "table",
     "thing",
-    "a bright table on which the subject stands or the cast lies: its reflectance",
+    "a bright table under the subject or the cast: its reflectance",
     Number(usual=0.7, within=(0.02, 0.95)),
 )
 def _table(about: Surroundings, reflectance: float, rng: np.random.Generator) -> Surroundings:
@@ -197,7 +197,7 @@ def _table(about: Surroundings, reflectance: float, rng: np.random.Generator) ->
 @disturbance(
     "board",
     "thing",
-    "a board of 420 mm on which the cast lies: its texture",
+    "a board of 420 mm under the cast: its texture",
     Word(usual="speckled", words=tuple(_BOARDS)),
 )
 def _board(about: Surroundings, texture: str, rng: np.random.Generator) -> Surroundings:
@@ -235,7 +235,7 @@ def _window(about: Surroundings, width_mm: float, rng: np.random.Generator) -> S
 @disturbance(
     "shelf",
     "thing",
-    "a shelf with things on it, behind the body: their number",
+    "a shelf with objects behind the body: their number",
     Number(usual=14.0, within=(1.0, 60.0), likely=(5.0, 30.0), whole=True),
 )
 def _shelf(about: Surroundings, number: float, rng: np.random.Generator) -> Surroundings:

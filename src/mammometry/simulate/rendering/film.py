@@ -65,7 +65,7 @@ class Film:
         ):
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
-                raise UnknownWordError(f"{name} must lie between {low:g} and {high:g}", value)
+                raise UnknownWordError(f"{name} must be between {low:g} and {high:g}", value)
 
     @property
     def is_processed(self) -> bool:
@@ -79,7 +79,7 @@ class Film:
             ValueError: it is not between 0 and 100.
         """
         if not 0.0 <= noise <= 100.0:
-            raise UnknownWordError("noise must lie between 0 and 100", f"{noise:g}")
+            raise UnknownWordError("noise must be between 0 and 100", f"{noise:g}")
         grain = max(noise, _LEAST_NOISE)
         return replace(self, electrons=self.electrons / grain**2, read_noise=self.read_noise / grain)
 

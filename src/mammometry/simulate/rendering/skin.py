@@ -87,7 +87,7 @@ class Skin:
 
 def _require(name: str, value: float, low: float, high: float) -> None:
     if not low <= value <= high:
-        raise UnknownWordError(f"{name} must lie between {low:g} and {high:g}", value)
+        raise UnknownWordError(f"{name} must be between {low:g} and {high:g}", value)
 
 
 _LIVING = Skin(

@@ -149,7 +149,7 @@ def build_rig(plan: RigPlan, scale: float, seed: int) -> Rig:
         ValueError: the scale is not within 0.02 … 2, or the plan's directions are impossible.
     """
     if not LEAST_SCALE <= scale <= LARGEST_SCALE:
-        raise UnknownWordError(f"scale must lie between {LEAST_SCALE} and {LARGEST_SCALE:g}", scale)
+        raise UnknownWordError(f"scale must be between {LEAST_SCALE} and {LARGEST_SCALE:g}", scale)
     rng = np.random.default_rng([seed, 11])
     cameras: dict[str, Camera] = {}
     pair_names: dict[str, tuple[str, str]] = {}

@@ -60,7 +60,7 @@ class BodyShape:
     sternum_mm: float = 4.0
     """Depth of the hollow over the sternum."""
     rib_mm: float = 0.3
-    """Height of the ribs' relief below and beside the breasts."""
+    """Height of the ribs' relief below and lateral to the breasts."""
     clavicle_mm: float = 4.0
     """Height of the collar-bones above the chest."""
     unevenness_mm: float = 1.0

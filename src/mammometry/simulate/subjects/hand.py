@@ -19,7 +19,7 @@ HAND_MM = 25.0
 """Thickness of a hand at its palm, mm: adults have 22 to 30."""
 _STEP_MM = 3.0  # step of the grid on which the hand is made: a third of a finger's radius
 _REACH_MM = 420.0  # around the breast: hand and forearm
-_DEPTH_MM = 170.0  # behind the foremost skin, where the arm is beside the trunk
+_DEPTH_MM = 170.0  # behind the foremost skin, where the arm is next to the trunk
 _FOLD_MM, _EVEN_MM, _SMOOTH_MM = 33.0, 12.0, 6.0  # skin under a hand: folds closed, levelled, smoothed
 # A hand in its own plane, mm, centre of the palm at 0, fingers along the first axis: adults' mean lengths.
 _PALM_MM, _CORNER_MM = (32.0, 27.0), 15.0

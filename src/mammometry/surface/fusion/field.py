@@ -28,10 +28,10 @@ TRUNCATION_MM = 2.0
 """Half-width of the band around a measured surface in which views are averaged, mm. 2 gave the smallest errors."""
 EXTEND_MM = 16.0
 """Distance by which range data are continued outwards along their tangent plane, mm across the ray. Matching loses the
-rim and a band beside every occluding edge, which otherwise swell: with 4 mm, errors on a torso are 10 % larger."""
+rim and a band along every occluding edge, which otherwise swell: with 4 mm, errors on a torso are 10 % larger."""
 SPAN_JUMP_MM = 20.0
 """Difference in range of a gap's sides above which it is spanned, mm: nothing unmeasured is in front of the span. This
-closes what is hidden beside a breast (between two, under one). 10 to 40 gave the same surfaces."""
+closes what a breast hides (between two, under one). 10 to 40 gave the same surfaces."""
 LOST_SLOPE = 0.1
 """Where a shadow hides a silhouette's edge: assumed distance of the subject's end outside it, px per px of distance to
 the nearest visible edge. Folds of casts have 0.05 to 0.2 (docs/decisions/0017)."""
@@ -52,7 +52,7 @@ _AROUND_PX = 64  # largest distance from a silhouette, and margin around the sub
 _OUTLIERS = 0.002  # percent of the data at either end of an axis that do not widen the closing box: one in 50,000
 _BOX_SAMPLES = 1_000_000  # data for the box's percentiles
 _SMALLEST_HOLE_SHARE = 2e-3  # of the subject's area: larger holes in a mask are gaps between limbs; not critical
-_SLOPE_MM = 4.0  # distance over which the slope of skin beside a gap is measured; not critical
+_SLOPE_MM = 4.0  # distance over which the slope of skin next to a gap is measured; not critical
 _BLOCK_PX = 4  # side of the blocks in which other views' data are looked up: each contains some data
 _BEFORE_MM = 5.0  # distance of other views' data in front of a span from which they contradict it; not critical
 _CLOSING_MM = 4.0  # without a silhouette, gaps in the data narrower than twice this are closed; not critical
@@ -252,7 +252,7 @@ def silhouette_distance_px(foreground: Foreground, step: int = 1, lost_slope: fl
     )
     inside = mask[window][::step, ::step]
     holes = _small_holes(inside)
-    if step > 1:  # dark pixels between two steps belong to the hole beside them
+    if step > 1:  # dark pixels between two steps belong to the hole next to them
         holes = ndimage.binary_dilation(holes)
     inside = inside | holes
     if inside.all():

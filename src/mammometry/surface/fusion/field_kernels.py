@@ -397,7 +397,7 @@ def contour_pieces(
     Args:
         coverage: of each pixel.
         window: first and last row (plus one), first and last column (plus one).
-        holes: holes at every `step`-th pixel of the window: pixels beside them count as covered.
+        holes: holes at every `step`-th pixel of the window: pixels next to them count as covered.
         step: pixels per step.
         level: level of the contour.
     """

@@ -128,7 +128,7 @@ def remove_dents(
         if settings.drop_seen_through:
             facing = [image.keeping(keep) for image, keep in zip(range_images, kept, strict=True)]
             through = map_in_threads(lambda k: _seen_through(k, facing, angles), range(len(kept)))
-            kept = [keep & ~beside for keep, beside in zip(kept, through, strict=True)]
+            kept = [keep & ~seen for keep, seen in zip(kept, through, strict=True)]
         kept = map_in_threads(_without_islands, kept)
     if not any(keep.any() for keep in kept):
         counts = ", ".join(f"{image.name} had {int(image.valid.sum())} data" for image in range_images)

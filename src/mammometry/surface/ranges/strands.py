@@ -14,7 +14,7 @@ from mammometry.matching.foreground.foreground import blocks_of
 from mammometry.surface.ranges.range_image import SIGMAS, RangeImage
 
 EDGE_PX = 6.0
-"""Width of the band beside an edge whose data are biased by it, px at the foreground's reference size: half a window.
+"""Width of the band along an edge whose data are biased by it, px at the foreground's reference size: half a window.
 """
 _WIDEST_MM = 16.0  # largest width: areolae and the shade below a breast are wider
 _LONGER_MM = 25.0  # smallest length: more than a nipple's
@@ -24,7 +24,7 @@ _STANDING = 0.25  # least share of a dark place's data in front: the rest of a s
 
 
 def strands_in(image: RangeImage, photograph: Photograph, camera: Camera) -> Bool[Array, "h w"]:
-    """Mask of the data on strands in front of the skin, and of data beside them.
+    """Mask of the data on strands in front of the skin, and of data next to them.
 
     Args:
         image: range image of a pair.
@@ -56,8 +56,8 @@ def strands_in(image: RangeImage, photograph: Photograph, camera: Camera) -> Boo
     strand &= [False, *(np.hypot(*side) > _LONGER_MM / block_mm for side in sides)]
     if not strand.any():
         return np.zeros(shape, dtype=bool)
-    beside = ndimage.distance_transform_edt(~strand[shown]) * step <= EDGE_PX * blocks.unit
-    return np.asarray(beside.repeat(step, axis=0).repeat(step, axis=1)[: shape[0], : shape[1]])
+    near = ndimage.distance_transform_edt(~strand[shown]) * step <= EDGE_PX * blocks.unit
+    return np.asarray(near.repeat(step, axis=0).repeat(step, axis=1)[: shape[0], : shape[1]])
 
 
 def _levelled(values: Float32[Array, "h w"], width: float) -> Float32[Array, "h w"]:

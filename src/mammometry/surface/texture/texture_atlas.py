@@ -253,7 +253,7 @@ def _laid_out(
 
 _FADING_ROUNDS = 5  # edges over which one photograph fades into the next; appearance only
 _LEAST_SHARE = 0.03  # least visible share of a photograph at a vertex; appearance only
-_MARGIN_PX = 1.5  # margin beside a face, for programs that interpolate between pixels
+_MARGIN_PX = 1.5  # margin around a face, for programs that interpolate between pixels
 _LEAST_WEIGHT = 1e-6  # weight of a face's own photograph, which it shows where all weights are 0
 _BAND_PX = 512  # rows of the picture that are processed at a time; limits memory
 

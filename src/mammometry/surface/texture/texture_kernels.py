@@ -106,10 +106,11 @@ def colours_at(pixels: Integer[Array, "h w c"], full_scale: float, uv: Float64[A
 def deepest_triangles(
     corners: Float64[Array, "b 3 2"], first: int, stop: int, width: int, margin: float
 ) -> tuple[Int32[Array, " p"], Int32[Array, " p"], Int32[Array, " p"], Float32[Array, "p 3"]]:
-    """Triangle in which each pixel is deepest, for pixels in or just beside triangles.
+    """Triangle in which each pixel is deepest, for pixels in triangles or just outside.
 
-    Beside: at most `margin` pixels outside the lines of the sides and the bounding box. Depth is the distance from the
-    nearest side, negative outside. Of equally deep triangles the last counts. Triangles without area have no pixels.
+    Just outside: at most `margin` pixels from the lines of the sides and the bounding box. Depth is the distance from
+    the nearest side, negative outside. Of equally deep triangles the last counts. Triangles without area have no
+    pixels.
 
     Args:
         corners: column and row, integers at pixel centres.
