@@ -274,7 +274,7 @@ def test_a_disturbance_is_put_beside_the_subject(run: Callable[[str], dict[str, 
     about = Surroundings(solid=solid, rig_from_solid=Transform.identity(), skin=Skin())
     (thing,) = disturbed(about, "thing", parse_situation("balloon=60"), 3).things
     assert np.ptp(thing.props.vertices[:, 1]) == pytest.approx(120.0)
-    with pytest.raises(ValueError, match="balloon .* 20 and 200"):
+    with pytest.raises(ValueError, match=r"balloon .* 20 and 200"):
         check(parse_situation("balloon=10"))
 
 
