@@ -10,6 +10,7 @@ import numpy as np
 from mammometry.base.machine.compiled import kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64
 from mammometry.surface.fusion.camera_records import LEAST_DEPTH_MM, View, in_camera, pixel, view_of
+from mammometry.surface.fusion.marching import longer
 from mammometry.surface.ranges.image_kernels import incidence_cosine
 
 RULE_DEFAULT, RULE_NEAREST, RULE_FURTHEST, RULE_TSDF = 0, 1, 2, 3
@@ -431,7 +432,7 @@ def contour_pieces(
                 if start < 0 or (sides[start, 0] == sides[end, 0] and sides[start, 1] == sides[end, 1]):
                     continue
                 if count == len(starts):
-                    starts, steps = _longer(starts), _longer(steps)
+                    starts, steps = longer(starts), longer(steps)
                 for axis in range(2):
                     starts[count, axis] = sides[start, axis] / step
                     steps[count, axis] = sides[end, axis] / step - sides[start, axis] / step
@@ -459,11 +460,3 @@ def _share(start, end, level):  # type: ignore[no-untyped-def]
     if end == start:
         return 0.0
     return (level - np.float64(start)) / (np.float64(end) - np.float64(start))
-
-
-@kernel
-def _longer(rows: Float64[Array, "n 2"]) -> Float64[Array, "2n 2"]:
-    longer = np.empty((2 * len(rows), 2))
-    for row in range(len(rows)):
-        longer[row, 0], longer[row, 1] = rows[row, 0], rows[row, 1]
-    return longer

@@ -113,9 +113,9 @@ def march(
                 if outside == 0 or outside == 8 or not cells[i, j, k]:
                     continue
                 if vertex_count + _MOST_EDGES + _MOST_LOOPS > len(vertices):
-                    vertices = _longer(vertices)
+                    vertices = longer(vertices)
                 if face_count + _MOST_EDGES > len(faces):
-                    faces = _longer(faces)
+                    faces = longer(faces)
                 code = 0
                 for corner in range(8):
                     code |= positive[corner >> 2, j + (corner >> 1 & 1), k + (corner & 1)] << corner
@@ -190,12 +190,13 @@ def _best_start(vertices, loop, length):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _longer(rows):  # type: ignore[no-untyped-def]
-    longer = np.empty((2 * len(rows), 3), dtype=rows.dtype)
+def longer(rows):  # type: ignore[no-untyped-def]
+    """The rows in an array of twice their number."""
+    copy = np.empty((2 * len(rows), rows.shape[1]), dtype=rows.dtype)
     for row in range(len(rows)):
-        for column in range(3):
-            longer[row, column] = rows[row, column]
-    return longer
+        for column in range(rows.shape[1]):
+            copy[row, column] = rows[row, column]
+    return copy
 
 
 @kernel

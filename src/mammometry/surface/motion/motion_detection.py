@@ -91,7 +91,7 @@ class MotionEstimate:
     motions: Float64[Array, " p"]
     """Most probable motions. 0 if nothing moved."""
     covariance: Float64[Array, "p p"]
-    """Covariance of the motions that remain. 0 if nothing moved."""
+    """Covariance of the motion that remains after the correction. 0 if nothing moved."""
     rest_mm: float
     """Disagreement that no motion explains, standard deviation, mm. 0 if nothing moved."""
     evidence: float
@@ -169,8 +169,8 @@ def find(
 
     seen, moved = most_probably(observed(rig, apart, rows, covariance, parameters.effects), parameters)
     before_mm = seen.rms_mm()
-    honest_mm = float(np.median(np.concatenate([comparison.expected_mm for comparison in apart])))
-    limit_mm = max(_UNEXPLAINED_MM, honest_mm)
+    expected_mm = float(np.median(np.concatenate([comparison.expected_mm for comparison in apart])))
+    limit_mm = max(_UNEXPLAINED_MM, expected_mm)
     evidence = moved.expected.log_evidence - moved.still.log_evidence
     if evidence < LEAST_EVIDENCE and moved.rest_mm < limit_mm:
         return _nothing(parameters, distance_mm=before_mm, evidence=evidence)
@@ -200,7 +200,7 @@ def find(
         found = replace(found, confirmation=_confirmed(rig, found, shared()))
     if found.refuted:
         return _matched_badly(found, moved.still_rest_mm, before_mm)
-    _refuse(found, settings, honest_mm)
+    _refuse(found, settings, expected_mm)
     if evidence >= LEAST_EVIDENCE and _is_trusted(found):
         return replace(found, corrected=True)
     return replace(found, covariance=found.covariance + np.outer(found.motions, found.motions))
@@ -350,8 +350,8 @@ def _rms(vectors: Float64[Array, "n 3"]) -> float:
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
 
 
-def _refuse(found: MotionEstimate, settings: StillnessSettings, honest_mm: float) -> None:
-    if found.rest_mm > max(settings.most_unexplained_mm, SIGMAS * honest_mm):
+def _refuse(found: MotionEstimate, settings: StillnessSettings, expected_mm: float) -> None:
+    if found.rest_mm > max(settings.most_unexplained_mm, SIGMAS * expected_mm):
         raise SurfaceError(
             "pairs of the capture",
             found=f"surfaces {found.distance_mm[0]:.2f} mm apart (RMS), {found.distance_mm[1]:.2f} mm with the best "
@@ -364,7 +364,7 @@ def _refuse(found: MotionEstimate, settings: StillnessSettings, honest_mm: float
         names = ", ".join(f"{turn.camera} by {turn.turn_deg:.2f}°" for turn in found.turns[:2])
         raise SurfaceError(
             f"pair {worst.pair}",
-            found=f"points {worst.effect_mm:.1f} mm off the other pairs'" + (f" ({names})" if names else ""),
+            found=f"points {worst.effect_mm:.1f} mm from the other pairs'" + (f" ({names})" if names else ""),
             expected=f"at most {settings.most_mm:g} mm, which can be corrected",
             remedy="A camera has moved since the calibration: calibrate again"
             if found.confirmation is None or found.confirmation.verdict == "confirmed"
@@ -436,5 +436,5 @@ def summary(found: MotionEstimate) -> str:
         for displacement in found.displaced
     )
     return (
-        f"{'put right' if found.corrected else 'not put right'}: {pairs}; pairs agree to {found.distance_mm[1]:.3f} mm"
+        f"{'corrected' if found.corrected else 'not corrected'}: {pairs}; pairs agree to {found.distance_mm[1]:.3f} mm"
     )

@@ -12,6 +12,7 @@ from mammometry.base.machine.compiled import kernel
 from mammometry.base.machine.cores import in_bands
 from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64, bounds
 from mammometry.geometry.mesh import TriangleMesh, on_microns
+from mammometry.surface.fusion.marching import longer
 from mammometry.surface.repair import elastic_kernels
 from mammometry.surface.repair.energy import Graph
 
@@ -218,18 +219,10 @@ def _crossings(
                             continue
                         if _side_pierces(vertices, faces[a], faces[b]) or _side_pierces(vertices, faces[b], faces[a]):
                             if count == len(found):
-                                found = _longer(found)
+                                found = longer(found)
                             found[count, 0], found[count, 1] = min(a, b), max(a, b)
                             count += 1
     return found[:count].copy()
-
-
-@kernel
-def _longer(pairs: Int64[Array, "k 2"]) -> Int64[Array, "2k 2"]:
-    longer = np.empty((2 * len(pairs), 2), dtype=np.int64)
-    for row in range(len(pairs)):
-        longer[row, 0], longer[row, 1] = pairs[row, 0], pairs[row, 1]
-    return longer
 
 
 @kernel
