@@ -78,18 +78,13 @@ def _drawn(
     seen = np.zeros(len(rig.cameras))
     for index in range(count):
         # Candidates face a mixture of pairs. Cameras with the fewest views so far have the largest weight.
-        candidates = [_candidate(rig, target, pair_axes, index == 0, rng) for _ in range(_CANDIDATES)]
+        draw = _HELD[target.body.attitude]
+        candidates = [draw(rig, target, pair_axes, index == 0, rng) for _ in range(_CANDIDATES)]
         good = np.array([[_usefulness(camera, pose, target) for camera in rig.cameras.values()] for pose in candidates])
         chosen = int(np.argmax(good @ np.exp(-_BALANCE * (seen - seen.min())) if index else good.sum(axis=1)))
         poses.append(candidates[chosen])
         seen += good[chosen] > 0.0
     return poses, int(seen.min())
-
-
-def _candidate(
-    rig: Rig, target: Target, pair_axes: Float64[Array, "p 3"], first: bool, rng: np.random.Generator
-) -> Transform:
-    return _HELD[target.body.attitude](rig, target, pair_axes, first, rng)
 
 
 def _upright(

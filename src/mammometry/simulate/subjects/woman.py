@@ -251,7 +251,8 @@ def woman(shape: WomanShape, *, name: str = "woman", edge_mm: float = 2.0) -> Wo
     flat, share, turn, owner = _places(chest, breasts, rings, edge_mm)
     faces = Delaunay(flat).simplices
     corners = flat[faces]
-    doubled = _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    doubled = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
     faces = np.where((doubled > 0)[:, None], faces, faces[:, ::-1])[np.abs(doubled) > 1e-9]
     wall, muscle = chest.skin(flat)
     for _ in range(_VOLUME_ROUNDS):
@@ -450,10 +451,6 @@ def _swept_mm3(skin: Array, wall: Array, faces: Array) -> float:
         return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
     return cone(skin) - cone(wall)
-
-
-def _cross(a: Array, b: Array) -> Float64[Array, " n"]:
-    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
 def woman_named(name: str, seed: int, *, edge_mm: float = 2.0) -> Woman:

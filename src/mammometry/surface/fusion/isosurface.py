@@ -37,7 +37,7 @@ def stitched(fine: OpenMesh, coarse: OpenMesh, step: int) -> OpenMesh | None:
     border_of_fine, _ = _border(fine)
     border_of_coarse, sides = _border(coarse)
     ends = np.unique(border_of_fine)
-    ends = ends[_on_coarse_edge(fine.vertices[ends], step)]
+    ends = ends[(fine.vertices[ends] % step == 0).sum(axis=1) == 2]  # on edges of coarse cubes
     own = np.unique(border_of_coarse)
     order = np.argsort(edge_keys(fine.vertices[ends], step))
     keys, wanted = edge_keys(fine.vertices[ends], step)[order], edge_keys(coarse.vertices[own], step)
@@ -80,10 +80,6 @@ def _border(mesh: OpenMesh) -> tuple[Int64[Array, "e 2"], Int64[Array, " e"]]:
     start, end = edges.T
     lonely = ends[start] & ends[end] & ~np.isin(start * n + end, end * n + start)
     return edges[lonely], near[np.flatnonzero(lonely) // 3]
-
-
-def _on_coarse_edge(vertices: Float64[Array, "n 3"], step: int) -> Bool[Array, " n"]:
-    return np.asarray((vertices % step == 0).sum(axis=1) == 2)
 
 
 def edge_keys(vertices: Float64[Array, "n 3"], step: int) -> Int64[Array, " n"]:

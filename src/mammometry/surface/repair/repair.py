@@ -150,7 +150,8 @@ def _drawn_to_data(
         displacement = solved
         moves.append(move)
         if number + 1 < rounds:
-            found = _correspondences(_moved(initial, displacement), views, settings)
+            moved = TriangleMesh(vertices=initial.vertices + displacement, faces=initial.faces)
+            found = _correspondences(moved, views, settings)
     provenance = np.where(found.found, Provenance.MEASURED, Provenance.REPAIRED).astype(np.uint8)
     _, away_mm = propagate(np.zeros((len(provenance), 1)), found.found, graph, initial.vertices)
     provenance[away_mm > REPAIRED_REACH_MM] = Provenance.BRIDGED
@@ -252,7 +253,3 @@ def _correspondences(mesh: TriangleMesh, views: list[ViewData | None], settings:
         blend=settings.target == "blend",
     )
     return correspond(mesh.vertices, mesh.vertex_normals(), views, gates)
-
-
-def _moved(mesh: TriangleMesh, displacement: Float64[Array, "n 3"]) -> TriangleMesh:
-    return TriangleMesh(vertices=mesh.vertices + displacement, faces=mesh.faces)
