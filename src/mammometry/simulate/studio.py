@@ -55,8 +55,7 @@ class Arrangement:
 _SKIN, _FILM = Skin(), Film()
 _BACKGROUNDS = ("dark", "clutter")
 _IMAGE_FORMATS = ("jpg", "png", "tif")
-_WORKERS_AT_MOST = 8
-"""Most threads: each stores a picture's radiance, 160 MB at full size."""
+_WORKERS_AT_MOST = 8  # most threads: each stores a picture's radiance, 160 MB at full size
 _MEASURED_PX = 0.03
 """Standard deviation of a dotted frame's points, as from a measuring program, px. Invented; no result depends on it."""
 

@@ -85,7 +85,8 @@ class StillnessSettings:
     most_mm: float = 3.0
     """Largest RMS displacement of a pair's points that is corrected, mm. Above it, calibrate again."""
     most_unexplained_mm: float = 0.7
-    """Largest disagreement that no motion of cameras or pairs explains, standard deviation, mm."""
+    """Largest disagreement that no motion of cameras or pairs explains, standard deviation, mm. Above it, the capture
+    is refused."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -27,8 +27,7 @@ from mammometry.surface.motion.rigid_motion import Effects, Observed, observed
 from mammometry.surface.ranges.range_image import RangeImage
 
 _OTHER_SKIN_MM = 12.0  # pairs that differ by more see different skin; a badly held breath makes some mm
-_SIZES_MM = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
-"""Standard deviations of a photograph's motion that are tried, mm."""
+_SIZES_MM = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)  # standard deviations of a photograph's motion that are tried, mm
 _LEVER_MM = 150.0  # from the body's centre to its sides: ratio of the shift to the turn that moves skin as much
 _CELL_MM = 0.05  # own error of a cell's distance
 _HUBER = 2.0  # threshold of Huber's loss, standard deviations

@@ -14,8 +14,7 @@ from mammometry.simulate.disturbances.registry import Number, Word, disturbance
 from mammometry.simulate.subjects.marks import Mark, Point
 from mammometry.simulate.subjects.torso_shape import SIDES, BreastShape, TorsoShape
 
-_SCAR = (0.92, 0.70, 0.68)
-"""Colour of a healed scar relative to the skin's: redder."""
+_SCAR = (0.92, 0.70, 0.68)  # colour of a healed scar relative to the skin's: redder
 
 
 @disturbance("removed", "patient", "one breast removed", Word(usual="right", words=SIDES), order=1)

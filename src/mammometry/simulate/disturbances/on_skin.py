@@ -16,8 +16,7 @@ from mammometry.simulate.subjects.marks import Mark
 from mammometry.simulate.subjects.torso_shape import SIDES, TorsoShape
 
 _LIVING = ("skin", "dark-skin", "pale-skin", "sweat")
-_INK = (0.22, 0.26, 0.34)
-"""Colour of a tattoo's lines relative to the skin's."""
+_INK = (0.22, 0.26, 0.34)  # colour of a tattoo's lines relative to the skin's
 
 
 @disturbance("skin", "skin", "the skin of a living person in place of the usual one", Word(usual="skin", words=_LIVING))

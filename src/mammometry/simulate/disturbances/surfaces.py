@@ -17,8 +17,7 @@ from scipy.spatial import ConvexHull
 from mammometry.geometry import Array, Float64, Int32, TriangleMesh
 from mammometry.simulate.rendering.props import Props
 
-_NOT_FOUND_MM = 150.0
-"""Radius assumed where a ray from the axis hits no skin, as beyond a body's cut ends, mm."""
+_NOT_FOUND_MM = 150.0  # radius assumed where a ray from the axis hits no skin, as beyond a body's cut ends, mm
 _BOX_STEP_MM, _AROUND_CLOTH = 40.0, 180  # edge length on a box's faces, and points around the trunk
 
 

@@ -29,18 +29,13 @@ _CLOTHS = MappingProxyType(
         "black": (0.025, 0.025, 0.03),
     }
 )
-_WALL_Z_MM = -600.0
-"""Position of a wall behind the body, rig frame."""
-_DAYLIGHT = 8.0
-"""Brightness of a window relative to the room's light on a white wall."""
-_ABOVE_TABLE_MM = 1.6
-"""Gap between a cast and the table for the dark board of a flat back."""
+_WALL_Z_MM = -600.0  # position of a wall behind the body, rig frame
+_DAYLIGHT = 8.0  # brightness of a window relative to the room's light on a white wall
+_ABOVE_TABLE_MM = 1.6  # gap between a cast and the table for the dark board of a flat back
 _BOARD_HALF_MM, _BOARD_CELL_MM = 210.0, 3.0
 """Half the side of a board below a cast, and the side of a cell of its texture."""
-_UNDER_CAST_MM = 0.4
-"""Gap between a cast and a board, above the dark board of a flat back."""
-_CHECK_CELLS = 5
-"""Cells per square of a patterned board: 15 mm."""
+_UNDER_CAST_MM = 0.4  # gap between a cast and a board, above the dark board of a flat back
+_CHECK_CELLS = 5  # cells per square of a patterned board: 15 mm
 _BOARDS = MappingProxyType(
     {  # reflectances, and shares of the cells with each
         "plain": ((0.10,), (1.0,)),
@@ -48,8 +43,7 @@ _BOARDS = MappingProxyType(
         "patterned": ((0.08, 0.55), (0.5, 0.5)),
     }
 )
-_ENDS_MM = -366.0
-"""Height of the trunk's lower end, solid's frame."""
+_ENDS_MM = -366.0  # height of the trunk's lower end, solid's frame
 
 
 @disturbance(

@@ -12,8 +12,7 @@ if TYPE_CHECKING:  # the command line uses these defaults and must not import Nu
     from mammometry.geometry.camera import Camera
     from mammometry.simulate.rendering.sampling import Aperture
 
-_LEAST_NOISE = 1e-3
-"""Least noise relative to the usual sensor's: 0 would need infinitely many electrons."""
+_LEAST_NOISE = 1e-3  # least noise relative to the usual sensor's: 0 would need infinitely many electrons
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,8 +16,7 @@ BOARD_MM = (270.0, 290.0)
 """Width and height of the dark board behind a flat back."""
 _BOARD_STEP_MM = 3.0  # distance of the board's vertices, which store its shadows
 _OBJECTS = 240  # boxes of the clutter, including the room itself
-_ROOM_MM = (1150.0, 1600.0)
-"""Range of the clutter's distance from the rig's centre, mm: beyond all cameras and flashes."""
+_ROOM_MM = (1150.0, 1600.0)  # range of the clutter's distance from the rig's centre, mm: beyond all cameras and flashes
 _WALL_MM = 2100.0  # distance of the room's walls from the centre: beyond all boxes
 _SIDES = 3  # of a hair's tube
 _JOINTS = 6  # points of a hair's centre line

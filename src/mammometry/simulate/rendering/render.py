@@ -33,8 +33,7 @@ _PLAIN_CONTRAST = 0.2  # mottling of everything but skin, logarithm of lightness
 AMBIENT = 0.10
 """Radiance of a white surface in the light of the surroundings."""
 _STRIP_PIXELS = 150_000  # pixels traced at a time; limits memory
-_JUMP = 0.004
-"""Relative difference of range between neighbouring pixels from which there is an edge."""
+_JUMP = 0.004  # relative difference of range between neighbouring pixels from which there is an edge
 
 
 @add_renderer(BUILT_IN)

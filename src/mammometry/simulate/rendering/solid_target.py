@@ -25,14 +25,11 @@ from mammometry.simulate.rendering.sampling import (
 
 INKS = (0.032, 0.72)
 """Reflectance of black ink and white paper: typical of laser prints. No result depends on it."""
-_UNSHARP_EDGE_SAMPLES = 64
-"""Rays per pixel on an edge, through a lens's aperture."""
+_UNSHARP_EDGE_SAMPLES = 64  # rays per pixel on an edge, through a lens's aperture
 _LIGHT_STEP_MM = 10.0
 """Distance of the points where light is computed, mm. Linear interpolation is accurate to 1e-4."""
-_RIM_STEPS = 21
-"""Points along each edge of the paper, so that the picture's window contains edges bent by distortion."""
-_GRIDS = {"squares": 0.0, "circles": 1.0, "staggered": 2.0}
-"""Number of a pattern's grid in the kernel's layout."""
+_RIM_STEPS = 21  # points along each edge of the paper, so that the picture's window contains edges bent by distortion
+_GRIDS = {"squares": 0.0, "circles": 1.0, "staggered": 2.0}  # number of a pattern's grid in the kernel's layout
 
 
 def render_board(
@@ -108,12 +105,9 @@ def irradiance(
 
 _EDGE_SAMPLES = 16
 """Rays per pixel near an edge, through a pinhole. Other pixels have one."""
-_EDGE_STEP = 1.05
-"""Ratio of neighbours that marks a pixel near an edge: light alone changes less."""
-_MARGIN_PX = 4
-"""Margin of the window around the target's picture in addition to the defocus, px."""
-_CHUNK = 500_000
-"""Rays traced at a time: limits memory to some hundred megabytes."""
+_EDGE_STEP = 1.05  # ratio of neighbours that marks a pixel near an edge: light alone changes less
+_MARGIN_PX = 4  # margin of the window around the target's picture in addition to the defocus, px
+_CHUNK = 500_000  # rays traced at a time: limits memory to some hundred megabytes
 
 
 def render_target(

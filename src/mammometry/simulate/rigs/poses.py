@@ -14,32 +14,21 @@ from mammometry.calibration.targets.target import Target
 from mammometry.geometry import Array, Camera, Float64, Rig, Transform
 from mammometry.simulate.rigs.targets import sees_target, visible_points
 
-_GRAZING_DEG = 65.0
-"""Angle between a board's normal and the line of sight above which a view is useless."""
-_FADE_DEG = 5.0
-"""Degrees below `_GRAZING_DEG` over which a view's value falls to 0."""
-_CANDIDATES = 30
-"""Candidates for each pose."""
-_ATTEMPTS = 6
-"""Most draws of all poses, of which the best is taken."""
-_WELL_SEEN_SHARE = 5 / 8
-"""Share of the poses that every camera should see well: five of the default eight."""
-_BALANCE = 1.5
-"""Weight of a camera that has seen one pose fewer: e to this power."""
-_SHIFT_MM = 35.0
-"""Largest shift of a target from the rig's centre along each axis."""
-_SMALL_SHIFT_MM = 20.0
-"""Largest shift of an upright target, mm: it must be completely in the picture."""
+_GRAZING_DEG = 65.0  # angle between a board's normal and the line of sight above which a view is useless
+_FADE_DEG = 5.0  # degrees below `_GRAZING_DEG` over which a view's value falls to 0
+_CANDIDATES = 30  # candidates for each pose
+_ATTEMPTS = 6  # most draws of all poses, of which the best is taken
+_WELL_SEEN_SHARE = 5 / 8  # share of the poses that every camera should see well: five of the default eight
+_BALANCE = 1.5  # weight of a camera that has seen one pose fewer: e to this power
+_SHIFT_MM = 35.0  # largest shift of a target from the rig's centre along each axis
+_SMALL_SHIFT_MM = 20.0  # largest shift of an upright target, mm: it must be completely in the picture
 _CYLINDER_TILT_DEG = 12.0
 """Standard deviation of an upright target's tilt about each axis. `find_cylinder` allows about 40° in all."""
-_TURN_DEG = 8.0
-"""Largest turn, to both sides, of a board whose x axis must point right."""
+_TURN_DEG = 8.0  # largest turn, to both sides, of a board whose x axis must point right
 _MIXING = 0.8
 """Concentration of the mixture of pairs that a board faces. Below 1 it mostly faces one of them."""
-_MIDDLE_SHARE = 0.6
-"""Weight of the direction that faces all pairs, relative to the mixture's."""
-_FACING_STD = 0.12
-"""Standard deviation of each coordinate of the direction that a board faces."""
+_MIDDLE_SHARE = 0.6  # weight of the direction that faces all pairs, relative to the mixture's
+_FACING_STD = 0.12  # standard deviation of each coordinate of the direction that a board faces
 
 
 def draw_poses(rig: Rig, target: Target, count: int, seed: int) -> dict[str, Transform]:

@@ -11,8 +11,7 @@ from mammometry.geometry.arrays import Array, Int32
 from mammometry.simulate.subjects.registry import SubjectRequest, add_subject
 from mammometry.simulate.subjects.solid import Solid, rounded_mesh
 
-_FIGURE_MM, _FIGURE_EDGE_MM = 52.0, 0.4
-"""Height of the small head on a table, and its longest edge, mm."""
+_FIGURE_MM, _FIGURE_EDGE_MM = 52.0, 0.4  # height of the small head on a table, and its longest edge, mm
 
 
 def sphere(radius_mm: float = 60.0, edge_mm: float = 0.7) -> Solid:

@@ -22,8 +22,7 @@ _STEEPEST = 6.0
 """Largest slope of a continued tangent plane, mm per mm across the ray: 80°. Seen edge-on it would diverge."""
 SPANNED = np.float32(1e-30)
 """Weight of a range that spans a gap: too small to count. It only bounds what was not measured."""
-_DISTORTION = 1.5
-"""Largest ratio of a block's width in the image to that of a ball around it without lens distortion."""
+_DISTORTION = 1.5  # largest ratio of a block's width in the image to that of a ball around it without lens distortion
 
 
 class Block(NamedTuple):

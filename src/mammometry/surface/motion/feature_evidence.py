@@ -31,8 +31,7 @@ _WIDTHS = ((450, 1000), (1200, 3000))
 ones, sharp marks are located better in large ones."""
 _FEATURE_PX = 0.5
 """Standard deviation of a feature's distance from its line, px of the reduced photograph: 0.3 to 0.6 on clean ones."""
-_ON_LINE = 3.0
-"""Standard deviations within which a match is on its line."""
+_ON_LINE = 3.0  # standard deviations within which a match is on its line
 _OFFSET_PX = 16.0
 """Largest distance from the line that is used, same px. Wrong matches are uniformly distributed up to it."""
 _BY_CHANCE = 0.3
@@ -50,8 +49,7 @@ _PARALLEL = 1e-6
 """Rays are parallel if 1 minus their cosine is smaller."""
 _FEWEST = 12
 """Fewest matches on their lines for a verdict, as in the check of photographs' names: fewer may be by chance."""
-_HALF = 0.5
-"""Share above which a correction improves more than it harms."""
+_HALF = 0.5  # share above which a correction improves more than it harms
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

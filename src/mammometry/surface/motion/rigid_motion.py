@@ -30,8 +30,7 @@ from mammometry.surface.motion.agreement import Differences, RowErrors
 
 _CELL_MM = 0.06
 """Standard deviation of a cell's difference in addition to its data's own, mm: matching errors within a window."""
-_COMMON_MM = 0.05
-"""Standard deviation common to cells within `_REACH_MM`, mm: curved skin is smoothed alike."""
+_COMMON_MM = 0.05  # standard deviation common to cells within `_REACH_MM`, mm: curved skin is smoothed alike
 _EXPECTED_SHARE = 0.5
 """Share of two pairs' expected standard deviation in a cell's median, and again in common with cells near it: noise and
 weak texture make windows err alike (docs/decisions/0009 has 0.35 for one pair)."""
