@@ -20,7 +20,7 @@ _ROOM_MM = (1150.0, 1600.0)  # range of the clutter's distance from the rig's ce
 _WALL_MM = 2100.0  # distance of the room's walls from the centre: beyond all boxes
 _SIDES = 3  # of a hair's tube
 _JOINTS = 6  # points of a hair's centre line
-_HAIR_RADIUS_MM = 0.05
+_HAIR_RADIUS_MM = 0.05  # of a hair
 _HAIR_LENGTH_MM = (4.0, 14.0)  # range of a uniform distribution
 
 
