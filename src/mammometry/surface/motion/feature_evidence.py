@@ -37,16 +37,13 @@ _OFFSET_PX = 16.0
 _BY_CHANCE = 0.3
 """Share of wrong matches among those. Up to a half occur."""
 _COMMON_PX = np.linspace(-2.0, 2.0, 41)
-"""Errors that all features of two cameras may share, same px: remaining calibration errors, and marks on curved skin that
-look different from two sides."""
+"""Errors that all features of two cameras may share, same px: remaining calibration errors, and marks on curved skin
+that look different from two sides."""
 _COMMON_STD_PX = np.array([0.05, 0.1, 0.2, 0.4, 0.8])
 """Standard deviations of those errors over all pairs of cameras, with equal prior probabilities."""
-_SHARES = np.linspace(-1.0, 2.0, 61)
-"""Shares of a correction that are compared: 0 is none of it, 1 all."""
-_SURE = 2.0
-"""Standard deviations by which the share must differ from 0 or 1."""
-_PARALLEL = 1e-6
-"""Rays are parallel if 1 minus their cosine is smaller."""
+_SHARES = np.linspace(-1.0, 2.0, 61)  # shares of a correction that are compared: 0 is none of it, 1 all
+_SURE = 2.0  # standard deviations by which the share must differ from 0 or 1
+_PARALLEL = 1e-6  # rays are parallel if 1 minus their cosine is smaller
 _FEWEST = 12
 """Fewest matches on their lines for a verdict, as in the check of photographs' names: fewer may be by chance."""
 _HALF = 0.5  # share above which a correction improves more than it harms
