@@ -15,6 +15,7 @@ import typer
 
 from mammometry.base.errors import FullDiskError, MammometryError
 from mammometry.cli import (
+    acceptance,
     batch,
     clinic,
     clinical_study,
@@ -48,7 +49,7 @@ app = typer.Typer(
     "3 session, settings or table, 4 photograph, 5 calibration, 6 matching, 7 surface, 8 measurement, 9 storage, "
     "10 a camera moved (check), 11 a session of a batch or a model of a study failed, "
     "12 a camera failed or the pictures are refused (capture), 13 a check failed (doctor), "
-    "130 interrupted.",
+    "14 a device is rejected and 15 undecided (acceptance), 130 interrupted.",
     no_args_is_help=True,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -67,6 +68,7 @@ for group in (
 ):
     app.registered_commands += group.registered_commands
 app.add_typer(clinical_study.app, no_args_is_help=True)  # the commands of `study`, and its own
+app.add_typer(acceptance.app, no_args_is_help=True)
 app.add_typer(clinic.app, no_args_is_help=True)
 app.add_typer(export.app, no_args_is_help=True)
 app.add_typer(mesh.app, no_args_is_help=True)

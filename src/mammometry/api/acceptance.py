@@ -1,0 +1,176 @@
+"""Acceptance test of a device, from its folder to its results.
+
+::
+
+    from mammometry.api.acceptance import run_acceptance
+
+    outcome = run_acceptance(Path("test-2026-11"))
+    print(outcome.decision, outcome.worst)
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+from pathlib import Path
+
+from mammometry.api.job import open_session
+from mammometry.base.errors import MeasureError, SessionError
+from mammometry.base.listing import visible
+from mammometry.base.parse import json_value, numbers, parsing, read_text
+from mammometry.base.progress import Progress, no_progress
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.io.acceptance_file import RESULTS, position_files, read_test
+from mammometry.io.meshes.foreign import read_foreign
+from mammometry.io.meshes.scans import MESH, is_scan
+from mammometry.settings import Settings
+from mammometry.study.acceptance.artefacts import KINDS, POSITIONS, AcceptanceTest, Cast, Kind
+from mammometry.study.acceptance.evaluate import Outcome, PositionResult, evaluate_mesh, evaluate_volume
+from mammometry.study.acceptance.patches import PatchError
+from mammometry.study.acceptance.tables import (
+    FORMAT,
+    PastTest,
+    acceptance_csv,
+    acceptance_json,
+    as_past,
+    history_csv,
+)
+
+__all__ = ["acceptance_files", "acceptance_inputs", "run_acceptance"]
+NUMBERS = "acceptance.json"
+FILES = (NUMBERS, "acceptance.csv", "history.csv")
+"""Files of the results."""
+
+
+def acceptance_inputs(folder: Path) -> tuple[AcceptanceTest, dict[Kind, dict[str, Path]]]:
+    """The test's description, and its files: artefact → position → mesh, scan or session.
+
+    Raises:
+        SessionError: the folder is not as documented, or holds no measurement of an artefact that it describes.
+    """
+    test = read_test(folder)
+    files = {kind: position_files(folder, kind) for kind in KINDS}
+    for kind in KINDS:
+        if files[kind] and kind not in test.artefacts:
+            raise SessionError(
+                str(folder / kind), found=f"{len(files[kind])} measurements", expected=f"a table [{kind}] for them",
+                remedy="Describe the artefact in acceptance.toml, or remove the folder",
+            )  # fmt: skip
+    if not any(files.values()):
+        places = " or ".join(f"{kind}/1.ply" for kind in test.artefacts)
+        raise SessionError(
+            str(folder), found="no measurements", expected=f"a mesh, scan or session per position, such as {places}",
+            remedy="Measure the artefacts at the positions of the protocol",
+        )  # fmt: skip
+    return test, files
+
+
+def run_acceptance(folder: Path, settings: Settings | None = None, *, progress: Progress = no_progress) -> Outcome:
+    """Evaluate all measurements of an acceptance test.
+
+    Args:
+        folder: as `mammometry acceptance new` makes it, with the measurements.
+        settings: for sessions of photographs; None for the recommended ones.
+        progress: fraction of the measurements.
+
+    Raises:
+        SessionError: the folder is not as documented.
+        MeasureError: an artefact is not in its mesh.
+        MammometryError: a mesh or session cannot be read or measured.
+    """
+    test, files = acceptance_inputs(folder)
+    places = [(kind, name, path) for kind, named in files.items() for name, path in named.items()]
+    results = []
+    for done, (kind, name, path) in enumerate(places):
+        progress(done / len(places))
+        results.append(_evaluated(path, kind, name, test, settings))
+    return Outcome(test=test, results=tuple(results))
+
+
+def _evaluated(path: Path, kind: Kind, name: str, test: AcceptanceTest, settings: Settings | None) -> PositionResult:
+    artefact = test.artefacts[kind]
+    try:
+        if isinstance(artefact, Cast):
+            return evaluate_volume(_volume_cc(path, test.units, settings), name, artefact, test.limits)
+        return evaluate_mesh(_surface(path, test.units, settings), kind, name, artefact, test.limits)
+    except PatchError as error:
+        words = next(place.words for place in POSITIONS[kind] if place.name == name)
+        raise MeasureError(
+            str(path), found=str(error), expected=f"the artefact of [{kind}] at position {name} ({words})",
+            remedy="Check the values in acceptance.toml, the unit of the mesh, and that the artefact is well seen",
+        ) from None  # fmt: skip
+
+
+def _surface(path: Path, units: str, settings: Settings | None) -> TriangleMesh:
+    if not path.is_dir():
+        return read_foreign(path, units or None).mesh
+    if is_scan(path):
+        return read_foreign(path / MESH, "mm").mesh
+    repaired = open_session(path, settings).surface().repaired
+    return repaired.mesh.submesh(repaired.mesh.faces_within(repaired.claimed))  # not what was filled in
+
+
+def _volume_cc(path: Path, units: str, settings: Settings | None) -> float:
+    if path.is_dir() and not is_scan(path):
+        volumes = open_session(path, settings).run(report=False).volumes_cc
+        if set(volumes) != {"model"}:
+            raise PatchError(f"volumes of {', '.join(volumes) or 'nothing'}, not of one model")
+        return volumes["model"]
+    mesh = read_foreign(path / MESH, "mm").mesh if path.is_dir() else read_foreign(path, units or None).mesh
+    if not mesh.is_watertight():
+        raise PatchError("an open mesh, which has no volume")
+    return abs(mesh.volume_mm3()) / 1000.0
+
+
+def acceptance_files(folder: Path, outcome: Outcome) -> dict[str, bytes]:
+    """The results' files: name → content.
+
+    Args:
+        folder: of the test. Earlier tests of the same device are looked for in the folders beside it.
+        outcome: of the test.
+    """
+    history = [*past_tests(folder, outcome.test.device), as_past(outcome)]
+    history.sort(key=lambda past: past.date)
+    return {
+        NUMBERS: (json.dumps(acceptance_json(outcome), indent=1, ensure_ascii=False) + "\n").encode(),
+        "acceptance.csv": acceptance_csv(outcome),
+        "history.csv": history_csv(outcome.test.device, history),
+    }
+
+
+def past_tests(folder: Path, device: str) -> list[PastTest]:
+    """Earlier tests of a device, from the results in the folders beside this test's. Others are skipped."""
+    found = []
+    for other in visible(folder.resolve().parent):
+        path = other / RESULTS / NUMBERS
+        if other.name == folder.resolve().name or not path.is_file():
+            continue
+        try:
+            past = read_past(path, device)
+        except SessionError:
+            continue  # not results of a test, or of another version
+        if past is not None:
+            found.append(past)
+    return sorted(found, key=lambda past: past.date)
+
+
+def read_past(path: Path, device: str) -> PastTest | None:
+    """Read the results of an earlier test. None of another device.
+
+    Raises:
+        SessionError: they are not results of a test in this format.
+    """
+    expected = "results of `mammometry acceptance run`"
+    table = json_value(read_text(path, str(path), expected, most_mib=16), str(path), expected)
+    with parsing("wrong content", str(path), expected):
+        if table["format"] != FORMAT:
+            raise ValueError(f"format {table['format']}, not {FORMAT}")
+        if table["device"] != device:
+            return None
+        worst: dict[str, tuple[float, float, float]] = {}
+        for one in table["findings"]:
+            name = f"{one['artefact']}/{one['quantity']}"
+            error, expanded, limit = numbers([one["error"], one["expanded_uncertainty"], one["limit"]], 3).tolist()
+            if name not in worst or abs(error) > abs(worst[name][0]):
+                worst[name] = (error, expanded, limit)
+        return PastTest(date=datetime.date.fromisoformat(table["date"]), decision=str(table["decision"]), worst=worst)

@@ -1,0 +1,92 @@
+"""Commands `acceptance new` and `acceptance run`: test a device with artefacts of known size."""
+
+from __future__ import annotations
+
+import datetime
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Any
+
+import typer
+
+from mammometry.base.shell import command_line
+from mammometry.cli.common import Answer, Bars, Options, OutputOptions, command
+
+app = typer.Typer(name="acceptance", help="Test a device with a sphere, a bar, a plane or a cast of known size.")
+REJECT, UNDECIDED = 14, 15
+"""Exit codes: an error is beyond its limit; nothing is, but not all is shown to be within."""
+_CODES = MappingProxyType({"accept": 0, "reject": REJECT, "undecided": UNDECIDED})
+_RUN, _NEW = "acceptance run", "acceptance new"
+
+
+@command(
+    app,
+    "mammometry acceptance new test-2026-11 --device 'Rig, room 3' --person ab",
+    name="new",
+)
+def new(
+    options: OutputOptions,
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the test.", show_default=False)],
+    device: Annotated[str, typer.Option(help="Name of the device, the same in every test.")] = "",
+    person: Annotated[str, typer.Option(help="Who tests: initials or a function.")] = "",
+) -> Answer:
+    """Prepare a test: its description to fill in, and a folder per artefact.
+
+    Measure the artefacts at the positions of the protocol. Put a mesh, a scan or a session per position into the
+    artefact's folder, named after the position's number.
+    """
+    from mammometry.io.acceptance_file import DESCRIPTION, template
+    from mammometry.io.outputs import require_free, write_outputs
+    from mammometry.study.acceptance.artefacts import KINDS
+
+    require_free(folder, [DESCRIPTION], command=_NEW)
+    files = {DESCRIPTION: template(device, person, datetime.date.today())}
+    write_outputs(folder, files, command=_NEW)
+    for kind in KINDS:
+        (folder / kind).mkdir(exist_ok=True)
+    table: dict[str, Any] = {"folder": str(folder), "files": sorted(files), "artefacts": list(KINDS)}
+    return Answer(
+        table,
+        [
+            f"{folder / DESCRIPTION}: fill in your artefacts.",
+            f"Then: {command_line('mammometry', *_RUN.split(), folder)}",
+        ],
+    )
+
+
+@command(
+    app,
+    "mammometry acceptance run test-2026-11",
+    "mammometry acceptance run test-2026-11 --json",
+    name="run",
+)
+def run(
+    options: Options,
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the test.", show_default=False)],
+    out: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Folder for the results.", show_default="FOLDER/results")
+    ] = None,
+) -> Answer:
+    """Evaluate the measured artefacts, and decide by ISO 14253-1 whether the device is accepted.
+
+    After VDI/VDE 2634-3 and ISO 10360-13. Meshes and scans of any device, and sessions of the rig. The exit code is 14
+    if an error is beyond its limit, and 15 if the uncertainty or missing positions leave it undecided.
+    """
+    from mammometry.api.acceptance import FILES, acceptance_files, acceptance_inputs, run_acceptance
+    from mammometry.io.acceptance_file import DESCRIPTION, RESULTS
+    from mammometry.io.outputs import require_apart, require_free, write_outputs
+    from mammometry.study.acceptance.tables import acceptance_json, summary
+
+    chosen = options.settings()
+    place = out or folder / RESULTS
+    _, files = acceptance_inputs(folder)
+    measured = [path for named in files.values() for path in named.values()]
+    require_apart(place, [folder / DESCRIPTION, options.file, *measured])
+    require_free(place, FILES, command=_RUN)
+    with Bars(options.silent) as bars:
+        with bars.task("acceptance", "artefacts") as progress:
+            outcome = run_acceptance(folder, chosen, progress=progress)
+        with bars.task("acceptance", "results"):
+            write_outputs(place, acceptance_files(folder, outcome), command=_RUN)
+    table = {"results": str(place), **acceptance_json(outcome)}
+    return Answer(table, [*summary(outcome), f"Results: {place}"], exit_code=_CODES[outcome.decision])

@@ -1,0 +1,181 @@
+"""Least-squares sphere and plane, widths that hold a share of the points, and uncertainties by leaving cells out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Bool, Float64, Int64
+
+LEFT_OUT = 0.003
+"""Share of the points that may be left out of a fit: 3 per mille, the farthest ones (VDI/VDE 2634)."""
+DISPERSION = 0.95
+"""Share of the points within a form error (ISO 10360-13)."""
+_STEPS = 30  # of Gauss and Newton at most; four are usual
+_CONVERGED = 1e-10  # change of the parameters, relative to the radius
+
+
+@value(eq=False)
+class SphereFit:
+    """Least-squares sphere."""
+
+    centre: Float64[Array, 3]
+    """mm, frame of the points."""
+    radius_mm: float
+
+    def deviations(self, points: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
+        """Distances of points from the sphere, mm, positive outside."""
+        return np.asarray(np.linalg.norm(points - self.centre, axis=1) - self.radius_mm)
+
+
+@value(eq=False)
+class PlaneFit:
+    """Least-squares plane."""
+
+    point: Float64[Array, 3]
+    """Weighted mean of the points, mm."""
+    normal: Float64[Array, 3]
+    """Unit length."""
+
+    def deviations(self, points: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
+        """Distances of points from the plane, mm, positive on the normal's side."""
+        return np.asarray((points - self.point) @ self.normal)
+
+
+def fit_sphere(
+    points: Float64[Array, "n 3"], weights: Float64[Array, " n"], start: SphereFit | None = None
+) -> SphereFit:
+    """Fit the sphere with the least weighted sum of squared distances.
+
+    Args:
+        points: at least four, not in one plane, mm.
+        weights: of the points, such as the area that each stands for.
+        start: near the result; None: the algebraic fit.
+
+    Raises:
+        numpy.linalg.LinAlgError: the points do not determine a sphere.
+    """
+    middle = np.average(points, axis=0, weights=weights)
+    moved = points - middle
+    if start is None:
+        unknowns = _solved(np.column_stack([2 * moved, np.ones(len(moved))]), (moved**2).sum(axis=1), weights)
+        centre, radius = unknowns[:3], float(np.sqrt(max(unknowns[3] + unknowns[:3] @ unknowns[:3], 0.0)))
+    else:
+        centre, radius = start.centre - middle, start.radius_mm
+    for _ in range(_STEPS):
+        away = moved - centre
+        distance = np.linalg.norm(away, axis=1)
+        rows = np.column_stack([-away / np.maximum(distance, 1e-12)[:, None], -np.ones(len(away))])
+        step = _solved(rows, radius - distance, weights)
+        centre, radius = centre + step[:3], radius + float(step[3])
+        if np.abs(step).max() <= _CONVERGED * abs(radius):
+            break
+    return SphereFit(centre=centre + middle, radius_mm=radius)
+
+
+def _solved(
+    rows: Float64[Array, "n k"], right: Float64[Array, " n"], weights: Float64[Array, " n"]
+) -> Float64[Array, " k"]:
+    weighted = rows * weights[:, None]
+    return np.asarray(np.linalg.solve(rows.T @ weighted, weighted.T @ right))
+
+
+def fit_plane(points: Float64[Array, "n 3"], weights: Float64[Array, " n"]) -> PlaneFit:
+    """Fit the plane with the least weighted sum of squared distances.
+
+    Args:
+        points: at least three, not in one line, mm.
+        weights: of the points.
+    """
+    middle = np.average(points, axis=0, weights=weights)
+    moved = points - middle
+    _, axes = np.linalg.eigh(moved.T @ (moved * weights[:, None]))
+    return PlaneFit(point=middle, normal=axes[:, 0])
+
+
+def narrowest_width(deviations: Float64[Array, " n"], weights: Float64[Array, " n"], share: float) -> float:
+    """Width of the narrowest interval that holds a share of the weight, mm."""
+    order = np.argsort(deviations)
+    return _narrowest(deviations[order], weights[order], share)
+
+
+def _narrowest(ordered: Float64[Array, " n"], weights: Float64[Array, " n"], share: float) -> float:
+    below = np.concatenate([[0.0], np.cumsum(weights)])
+    wanted = below[:-1] + share * below[-1]
+    ends = np.searchsorted(below[1:], wanted * (1 - 1e-12))
+    inside = ends < len(ordered)
+    return float((ordered[ends[inside]] - ordered[inside]).min())
+
+
+def within_rule(deviations: Float64[Array, " n"], share: float = LEFT_OUT) -> Bool[Array, " n"]:
+    """Points that count in a fit: all but the farthest 3 per mille, by their distance from the median."""
+    few = int(share * len(deviations))
+    kept = np.ones(len(deviations), dtype=bool)
+    if few:
+        distance = np.abs(deviations - np.median(deviations))
+        kept[np.argpartition(distance, len(distance) - few)[len(distance) - few :]] = False
+    return kept
+
+
+def sphere_shifts(
+    fit: SphereFit, points: Float64[Array, "n 3"], weights: Float64[Array, " n"], cells: Int64[Array, " n"]
+) -> Float64[Array, "c 4"]:
+    """Change of a sphere's centre and radius, mm, when each cell of points is left out.
+
+    One step of Gauss and Newton from the fit of all points.
+
+    Args:
+        fit: of all points.
+        points: mm.
+        weights: of the points.
+        cells: of each point, from 0.
+    """
+    away = points - fit.centre
+    distance = np.linalg.norm(away, axis=1)
+    rows = np.column_stack([away / np.maximum(distance, 1e-12)[:, None], np.ones(len(away))])
+    right = (distance - fit.radius_mm) * weights
+    count = int(cells.max()) + 1
+    matrix, vector = np.empty((count, 4, 4)), np.empty((count, 4))
+    for i in range(4):
+        vector[:, i] = np.bincount(cells, rows[:, i] * right, minlength=count)
+        for j in range(4):
+            matrix[:, i, j] = np.bincount(cells, rows[:, i] * rows[:, j] * weights, minlength=count)
+    full, rest = matrix.sum(axis=0), vector.sum(axis=0)
+    return np.asarray(np.linalg.solve(full - matrix, (rest - vector)[..., None])[..., 0])
+
+
+def width_shifts(
+    deviations: Float64[Array, " n"], weights: Float64[Array, " n"], cells: Int64[Array, " n"], share: float
+) -> Float64[Array, "c 1"]:
+    """Width that holds a share of the points, mm, when each cell is left out."""
+    order = np.argsort(deviations)
+    ordered, weights, cells = deviations[order], weights[order], cells[order]
+    kept = (cells != cell for cell in range(int(cells.max()) + 1))
+    return np.array([[_narrowest(ordered[used], weights[used], share)] for used in kept])
+
+
+def jackknife_std(partitions: Iterable[Float64[Array, "c k"]]) -> Float64[Array, " k"]:
+    """Standard uncertainties of estimates, from their values when each cell of points is left out.
+
+    Errors of neighbouring points are alike, so that cells and not points are taken as independent. How far they are
+    alike is unknown: of several sizes of cells the largest uncertainty counts.
+
+    Args:
+        partitions: for each size of cells, the estimates when each is left out.
+    """
+    found = []
+    for values in partitions:
+        count = len(values)
+        found.append((count - 1) / count * ((values - values.mean(axis=0)) ** 2).sum(axis=0))
+    return np.asarray(np.sqrt(np.max(found, axis=0)))
+
+
+def sphere_directions(count: int) -> Float64[Array, "k 3"]:
+    """Directions spread evenly over the sphere, on Fibonacci's spiral."""
+    place = np.arange(count) + 0.5
+    z = 1.0 - 2.0 * place / count
+    turn = np.pi * (1.0 + 5.0**0.5) * place
+    across = np.sqrt(1.0 - z**2)
+    return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
