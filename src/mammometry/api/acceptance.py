@@ -23,6 +23,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.acceptance_file import RESULTS, position_files, read_test
 from mammometry.io.meshes.foreign import read_foreign
 from mammometry.io.meshes.scans import MESH, is_scan
+from mammometry.report.documents.acceptance_page import DOCUMENT, PAGE, acceptance_page_files, picture_names
 from mammometry.settings import Settings
 from mammometry.study.acceptance.artefacts import KINDS, POSITIONS, AcceptanceTest, Cast, Kind
 from mammometry.study.acceptance.evaluate import Outcome, PositionResult, evaluate_mesh, evaluate_volume
@@ -38,8 +39,8 @@ from mammometry.study.acceptance.tables import (
 
 __all__ = ["acceptance_files", "acceptance_inputs", "run_acceptance"]
 NUMBERS = "acceptance.json"
-FILES = (NUMBERS, "acceptance.csv", "history.csv")
-"""Files of the results."""
+FILES = (PAGE, DOCUMENT, NUMBERS, "acceptance.csv", "history.csv", *picture_names())
+"""Files that results may have."""
 
 
 def acceptance_inputs(folder: Path) -> tuple[AcceptanceTest, dict[Kind, dict[str, Path]]]:
@@ -135,6 +136,7 @@ def acceptance_files(folder: Path, outcome: Outcome) -> dict[str, bytes]:
         NUMBERS: (json.dumps(acceptance_json(outcome), indent=1, ensure_ascii=False) + "\n").encode(),
         "acceptance.csv": acceptance_csv(outcome),
         "history.csv": history_csv(outcome.test.device, history),
+        **acceptance_page_files(outcome, history),
     }
 
 

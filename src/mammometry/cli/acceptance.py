@@ -30,28 +30,33 @@ def new(
     device: Annotated[str, typer.Option(help="Name of the device, the same in every test.")] = "",
     person: Annotated[str, typer.Option(help="Who tests: initials or a function.")] = "",
 ) -> Answer:
-    """Prepare a test: its description to fill in, and a folder per artefact.
+    """Prepare a test: its description to fill in, a page with the positions, and a folder per artefact.
 
-    Measure the artefacts at the positions of the protocol. Put a mesh, a scan or a session per position into the
+    Measure the artefacts at the positions of protocol.html. Put a mesh, a scan or a session per position into the
     artefact's folder, named after the position's number.
     """
     from mammometry.io.acceptance_file import DESCRIPTION, template
     from mammometry.io.outputs import require_free, write_outputs
+    from mammometry.report.documents.acceptance_page import PROTOCOL, protocol_page
     from mammometry.study.acceptance.artefacts import KINDS
 
-    require_free(folder, [DESCRIPTION], command=_NEW)
-    files = {DESCRIPTION: template(device, person, datetime.date.today())}
+    require_free(folder, [DESCRIPTION, PROTOCOL], command=_NEW)
+    with Bars(options.silent) as bars, bars.task("acceptance", "protocol"):
+        files = {
+            DESCRIPTION: template(device, person, datetime.date.today()),
+            PROTOCOL: protocol_page(device),
+        }
     write_outputs(folder, files, command=_NEW)
     for kind in KINDS:
         (folder / kind).mkdir(exist_ok=True)
     table: dict[str, Any] = {"folder": str(folder), "files": sorted(files), "artefacts": list(KINDS)}
-    return Answer(
-        table,
-        [
-            f"{folder / DESCRIPTION}: fill in your artefacts.",
-            f"Then: {command_line('mammometry', *_RUN.split(), folder)}",
-        ],
-    )
+    next_command = command_line("mammometry", *_RUN.split(), folder)
+    lines = [
+        f"{folder / DESCRIPTION}: fill in your artefacts.",
+        f"{folder / PROTOCOL}: measure them at these positions.",
+        f"Then: {next_command}",
+    ]
+    return Answer(table, lines)
 
 
 @command(
@@ -72,7 +77,7 @@ def run(
     After VDI/VDE 2634-3 and ISO 10360-13. Meshes and scans of any device, and sessions of the rig. The exit code is 14
     if an error is beyond its limit, and 15 if the uncertainty or missing positions leave it undecided.
     """
-    from mammometry.api.acceptance import FILES, acceptance_files, acceptance_inputs, run_acceptance
+    from mammometry.api.acceptance import FILES, PAGE, acceptance_files, acceptance_inputs, run_acceptance
     from mammometry.io.acceptance_file import DESCRIPTION, RESULTS
     from mammometry.io.outputs import require_apart, require_free, write_outputs
     from mammometry.study.acceptance.tables import acceptance_json, summary
@@ -89,4 +94,4 @@ def run(
         with bars.task("acceptance", "results"):
             write_outputs(place, acceptance_files(folder, outcome), command=_RUN)
     table = {"results": str(place), **acceptance_json(outcome)}
-    return Answer(table, [*summary(outcome), f"Results: {place}"], exit_code=_CODES[outcome.decision])
+    return Answer(table, [*summary(outcome), f"Page: {place / PAGE}"], exit_code=_CODES[outcome.decision])

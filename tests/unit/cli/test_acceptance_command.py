@@ -1,4 +1,4 @@
-"""`acceptance` from the command line: files of any device in, a decision and its exit code out, mistakes as sentences."""
+"""`acceptance` from the command line: files in, a decision and its exit code out, mistakes as sentences."""
 
 import json
 from pathlib import Path

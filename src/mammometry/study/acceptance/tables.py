@@ -72,8 +72,11 @@ def missing_sentences(outcome: Outcome) -> list[str]:
     lines = []
     for kind, names in outcome.missing.items():
         words = {place.name: place.words for place in POSITIONS[kind]}
+        if len(names) == len(words):
+            lines.append(f"{TITLES[kind]}: none of the {len(words)} positions was measured.")
+            continue
         listed = "; ".join(f"{name} ({words[name]})" for name in names)
-        lines.append(f"{TITLES[kind]}: {len(names)} of {len(words)} positions are missing: {listed}.")
+        lines.append(f"{TITLES[kind]}: {len(names)} of {len(words)} positions missing: {listed}.")
     untested = [TITLES[kind].lower() for kind in KINDS if kind not in outcome.test.artefacts]
     if untested:
         lines.append(f"Not tested: {', '.join(untested)}.")
