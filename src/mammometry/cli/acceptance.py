@@ -51,7 +51,7 @@ def new(
         (folder / kind).mkdir(exist_ok=True)
     table: dict[str, Any] = {"folder": str(folder), "files": sorted(files), "artefacts": list(KINDS)}
     next_command = command_line("mammometry", *_RUN.split(), folder)
-    lines = [
+    lines: list[Any] = [
         f"{folder / DESCRIPTION}: fill in your artefacts.",
         f"{folder / PROTOCOL}: measure them at these positions.",
         f"Then: {next_command}",
@@ -77,9 +77,10 @@ def run(
     After VDI/VDE 2634-3 and ISO 10360-13. Meshes and scans of any device, and sessions of the rig. The exit code is 14
     if an error is beyond its limit, and 15 if the uncertainty or missing positions leave it undecided.
     """
-    from mammometry.api.acceptance import FILES, PAGE, acceptance_files, acceptance_inputs, run_acceptance
+    from mammometry.api.acceptance import FILES, acceptance_files, acceptance_inputs, run_acceptance
     from mammometry.io.acceptance_file import DESCRIPTION, RESULTS
     from mammometry.io.outputs import require_apart, require_free, write_outputs
+    from mammometry.report.documents.acceptance_page import PAGE
     from mammometry.study.acceptance.tables import acceptance_json, summary
 
     chosen = options.settings()

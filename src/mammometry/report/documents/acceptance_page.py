@@ -30,7 +30,7 @@ _PICTURE_HEIGHT = 300  # of a picture in the document at most, points
 _RULES = (
     "After VDI/VDE 2634-3 and ISO 10360-13, with artefacts that a clinic can make. It does not replace an accredited "
     "laboratory's test.",
-    "Spheres and planes are fitted by least squares to the measured patch. The patch is chosen by place alone: 8° at "
+    "Spheres and planes are fitted by least squares to the measured patch. The patch is chosen by place alone: 6° at "
     "the edge of a ball and 2 % at the edge of a plane are left out, also around stands and tables.",
     "At most 3 per mille of the points may be left out of a fit, the farthest ones (VDI/VDE 2634). All points count in "
     "the form error and the flatness, which are the widths that hold 95 % of the points (ISO 10360-13).",
@@ -176,7 +176,7 @@ def _reference(outcome: Outcome, kind: Kind) -> str:
 
 
 def _story(outcome: Outcome, pictures: Mapping[str, bytes], width: float) -> Iterator[Any]:
-    from reportlab.platypus import Spacer
+    from reportlab.platypus import KeepTogether, Spacer
 
     yield paper.text("mammometry: acceptance test", size=8, colour=paper.ACCENT)
     yield paper.text(outcome.test.device, size=18, bold=True)
@@ -199,14 +199,15 @@ def _story(outcome: Outcome, pictures: Mapping[str, bytes], width: float) -> Ite
         for name, png in pictures.items():
             if name.endswith(f"-{kind}.png"):
                 picture = encoded(png)
-                yield paper.text(picture.title, size=8, bold=True, before=4)
-                yield paper.picture(picture.jpeg, width, _PICTURE_HEIGHT)
+                title = paper.text(picture.title, size=8, bold=True, before=4)
+                yield KeepTogether([title, paper.picture(picture.jpeg, width, _PICTURE_HEIGHT)])
         for table in tables:
             if table.title.startswith(TITLES[kind]):
                 yield paper.table(table, width, first=0.4)
     if "control-chart.png" in pictures:
-        yield paper.text("History of this device", size=11, bold=True, before=8)
-        yield paper.picture(encoded(pictures["control-chart.png"]).jpeg, width, 1.5 * _PICTURE_HEIGHT)
+        title = paper.text("History of this device", size=11, bold=True, before=8)
+        chart = paper.picture(encoded(pictures["control-chart.png"]).jpeg, width, 1.5 * _PICTURE_HEIGHT)
+        yield KeepTogether([title, chart])
     yield paper.text("Rules", size=11, bold=True, before=8)
     for rule in _RULES:
         yield paper.text(f"• {rule}", size=7.5)

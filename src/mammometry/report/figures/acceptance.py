@@ -108,7 +108,8 @@ def deviations(kind: Kind, results: Sequence[PositionResult]) -> bytes:
             step = max(1, len(points) // _POINTS)
             low, high = points.min(axis=0), points.max(axis=0)
             colours = canvas.coloured(patch.deviations_mm[::step], scale)
-            axes.scatter(*(points[::step] - [low[0] - gap, (low[1] + high[1]) / 2]).T, s=_DOT, c=colours, linewidths=0)
+            x, y = (points[::step] - [low[0] - gap, (low[1] + high[1]) / 2]).T
+            axes.scatter(x, y, s=_DOT, c=colours, linewidths=0)
             gap += 1.15 * (high[0] - low[0])
         axes.set_aspect("equal", adjustable="datalim")
     for row in range(rows):

@@ -29,9 +29,10 @@ _CANDIDATES = 6  # peaks that are looked at
 _NEAR = 0.05  # half the shell around a sphere that counts as its surface, relative to the radius
 _AROUND = 0.2  # half the shell whose points are the ball's neighbourhood, relative to the radius
 _CELLS = 3000  # directions over a whole sphere: cells of 4°
-_BLUR_RAD = np.radians(6.0)  # around a cell, over which the share of its surface is taken
+_BLUR_RAD = np.radians(8.0)  # around a cell, over which the share of its surface is taken
 _MOSTLY = 0.6  # share of a cell's area that must lie on the surface; more is another object beside it
-_EDGE_RAD = np.radians(8.0)  # rim of a patch that is left out
+_OUTWARDS = 0.5  # cosine between a ball's normal and its radius at least: rods and tables have less
+_EDGE_RAD = np.radians(14.0)  # around what is not the ball: with the blur, 6° at its rim are left out
 _LEAST_SHARE = 0.08  # of a sphere that must be seen
 _LEAST_POINTS = 300  # of a patch
 _ROBUST_POINTS = 10_000  # of a ball in the robust fit at most
@@ -207,9 +208,9 @@ def _sphere_patch(
     away = points - fit.centre
     unit = away / np.maximum(np.linalg.norm(away, axis=1), 1e-9)[:, None]
     cell = np.asarray(cKDTree(directions).query(unit)[1], dtype=np.int64)
-    faces_out = (unit * normals[around]).sum(axis=1) > 0
+    faces_out = (unit * normals[around]).sum(axis=1) > _OUTWARDS
     area, own = (np.bincount(cell, weights * part, minlength=_CELLS) for part in (beside, on & faces_out))
-    good = (own > 0) & (close @ own > _MOSTLY * (close @ area))
+    good = close @ own > _MOSTLY * (close @ area)
     bad = np.flatnonzero(~good)
     if len(bad):
         apart, _ = cKDTree(directions[bad]).query(directions)
