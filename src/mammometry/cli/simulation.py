@@ -14,6 +14,7 @@ import typer
 
 from mammometry.base.errors import SettingsError
 from mammometry.base.shell import command_line
+from mammometry.cli.acceptance import DEMO_FOLDER, acceptance_demo
 from mammometry.cli.common import Answer, Bars, Options, OutputOptions, command
 from mammometry.cli.compile_cache import compiled_ahead
 from mammometry.cli.stages import opened, volume_lines
@@ -99,22 +100,33 @@ _RECIPE, _FILM = SessionRecipe(), Film()
 _DEMO_RECIPE = _RECIPE
 
 
-@command(app, "mammometry demo", "mammometry demo /tmp/demo --json", "mammometry demo --scan")
+@command(
+    app, "mammometry demo", "mammometry demo /tmp/demo --json", "mammometry demo --scan", "mammometry demo --acceptance"
+)
 def demo(
     options: Options,
     folder: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[FOLDER]", help="Folder for the virtual session or scan.", show_default=f"{_DEMO}, or {FOLDER}"
+            metavar="[FOLDER]",
+            help="Folder for the virtual session, scan or test.",
+            show_default=f"{_DEMO}, {FOLDER} or {DEMO_FOLDER}",
         ),
     ] = None,
     scan: Annotated[
         bool, typer.Option("--scan", help="Scan a virtual standing woman with a virtual telephone, and measure that.")
     ] = False,
+    acceptance: Annotated[
+        bool, typer.Option("--acceptance", help="Test a virtual device with virtual artefacts of known size.")
+    ] = False,
 ) -> Answer:
     """Simulate, photograph and measure a plaster breast, and compare with its volume."""
     from mammometry.simulate.session import true_volumes_cc
 
+    if acceptance:
+        if scan:
+            raise typer.BadParameter("--scan and --acceptance are two demos: give one of them")
+        return acceptance_demo(folder or DEMO_FOLDER, options)
     if scan:
         chosen = folder or FOLDER
         return scan_demo(chosen, options)
@@ -277,6 +289,7 @@ def simulate(
     "mammometry target board.pdf --page A4 --squares 10x7 --square-mm 18 --marker-mm 13",
     "mammometry target board.pdf --session SESSION",
     "mammometry target board.pdf --telephone",
+    "mammometry target speckles.pdf --speckle --page A4",
 )
 def target(
     options: OutputOptions,
@@ -292,9 +305,12 @@ def target(
     telephone: Annotated[
         bool, typer.Option("--telephone", help="Draw the board that a patient wears for `mammometry photos`, on A4.")
     ] = False,
+    speckle: Annotated[
+        bool, typer.Option("--speckle", help="Draw a sheet of speckles for the plane of `mammometry acceptance`.")
+    ] = False,
 ) -> Answer:
     """Draw a calibration board as a PDF to print at true scale. Check the ruler on the print."""
-    from mammometry.calibration.targets.pdf import target_pdf
+    from mammometry.calibration.targets.pdf import speckle_pdf, target_pdf
     from mammometry.calibration.targets.table import target_from_table
     from mammometry.io.outputs import require_apart, require_free, write_output
     from mammometry.io.session import Session
@@ -303,6 +319,11 @@ def target(
     if out.suffix.lower() != ".pdf":
         raise typer.BadParameter(f"OUT ends with .pdf, found {out.name}: only a PDF has a true scale")
     require_free(out.parent, [out.name], command="target")
+    if speckle:
+        if session is not None or telephone:
+            raise typer.BadParameter("--speckle draws no board: leave out --session and --telephone")
+        write_output(out, speckle_pdf(page=page), command="target")
+        return Answer({"file": str(out)}, [f"{out}: print it at 100 %, and glue it on glass or aluminium."])
     table: dict[str, Any] = {"kind": "charuco" if marker_mm else "chessboard", "square_mm": square_mm}
     table["squares"] = _columns_and_rows(squares)
     if marker_mm:

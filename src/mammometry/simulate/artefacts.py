@@ -17,6 +17,36 @@ _PLATE_MM = (240.0, 180.0)  # sides of a plane: a sheet of A4 with margins
 _WAVES = 64  # cosines of which errors are made that neighbouring points share
 
 
+DEMO_DEVICE = """\
+format = 1
+[device]
+name = "Virtual device"
+person = "demo"
+date = 2026-11-29
+software = "drawn surfaces with errors"
+units = "mm"
+[sphere]
+diameter_mm = 145.0
+diameter_std_mm = 0.02
+form_std_mm = 0.02
+source = "drawn"
+[bar]
+distance_mm = 300.0
+distance_std_mm = 0.03
+diameter_mm = 60.0
+diameter_std_mm = 0.02
+source = "drawn"
+[plane]
+flatness_std_mm = 0.02
+source = "drawn"
+[cast]
+volume_cc = 400.0
+volume_std_cc = 0.5
+source = "drawn"
+"""
+"""Description of the demo's test."""
+
+
 @value
 class DeviceErrors:
     """Errors of a virtual device."""
@@ -104,3 +134,7 @@ def _seen(mesh: TriangleMesh) -> TriangleMesh:
     """Faces that look towards the device, or a little away from it."""
     vectors = mesh.face_vectors()
     return mesh.submesh(vectors[:, 2] > _SEEN * np.linalg.norm(vectors, axis=1))
+
+
+DEMO_ERRORS = DeviceErrors(scale=0.0003, noise_mm=0.03, shared_mm=0.03)
+"""Errors of the demo's device, about those of a calibrated rig."""

@@ -14,7 +14,7 @@ from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.calibration.targets.kinds.circles import CirclesTarget
 from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget, column_labels
 from mammometry.calibration.targets.kinds.points import PointsTarget
-from mammometry.calibration.targets.pdf import target_pdf
+from mammometry.calibration.targets.pdf import speckle_pdf, speckles, target_pdf
 
 MM_PER_POINT = 25.4 / 72
 CHARUCO = CharucoTarget(squares=(8, 6), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")
@@ -138,3 +138,21 @@ def test_more_columns_than_labels_are_said():
 def test_what_cannot_be_printed_is_said(target, page, words):
     with pytest.raises(SettingsError, match=words):
         target_pdf(target, page=page)
+
+
+def test_speckles_do_not_touch_and_fill_the_page() -> None:
+    sheet = speckles((60.0, 80.0), 1.5, seed=3)
+    places, radii = sheet.discs[:, :2], sheet.discs[:, 2]
+    gaps = np.linalg.norm(places[:, None] - places[None], axis=2) - radii[:, None] - radii[None]
+    assert gaps[~np.eye(len(places), dtype=bool)].min() >= 0.0
+    assert np.all(places - radii[:, None] >= 0.0)
+    assert np.all(places + radii[:, None] <= [60.0, 80.0])
+    assert 0.25 < np.pi * (radii**2).sum() / (60.0 * 80.0) < 0.5
+
+
+def test_the_speckled_page_has_its_size_and_is_small() -> None:
+    pdf = speckle_pdf(page="A4")
+    np.testing.assert_allclose(page_mm(pdf), [210.0, 297.0], atol=1e-3)
+    assert len(pdf) < 3_000_000
+    with pytest.raises(SettingsError):
+        speckle_pdf(page="A9")

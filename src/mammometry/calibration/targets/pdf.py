@@ -41,6 +41,11 @@ _FONT_POINTS = 6
 """Size of ruler's and caption's text."""
 _TRUETYPE = 42
 """matplotlib's number for embedded TrueType fonts."""
+_LEAST_SPECKLED_MM = (150.0, 200.0)  # page of speckles at least: half of A4
+_MANY_DISCS = 1000  # above which a page is compressed: speckles take several MB
+_SPECKLE_PITCH = 1.35  # distance of neighbouring speckles in diameters: 40 % of the paper is dark
+_SPECKLE_SHIFT, _SPECKLE_SIZE = 0.16, 0.25
+"""Largest shift of a speckle, of the pitch, and largest change of its diameter, of itself: none touch."""
 _MM_PER_INCH = 25.4  # by definition; matplotlib sizes pages in inches
 
 
@@ -63,6 +68,40 @@ def target_pdf(target: Target, *, page: str = "fit", margin_mm: float = 10.0) ->
     page_mm = _page(page, needed_mm)
     left_mm, top_mm = (page_mm[0] - width_mm) / 2, (page_mm[1] - _FOOT_MM - height_mm) / 2
     return _draw(sheet, target.caption(), page_mm, (left_mm, top_mm), margin_mm)
+
+
+def speckle_pdf(*, page: str = "A4", dot_mm: float = 1.5, margin_mm: float = 10.0, seed: int = 1) -> bytes:
+    """Draw a page of speckles, whose surface cameras without a projector can measure. Returns a PDF file.
+
+    Args:
+        page: a name of `PAGES_MM`, upright.
+        dot_mm: mean diameter of a speckle: three to five pixels of the cameras.
+        margin_mm: white border, which printers cannot print.
+        seed: of their places.
+
+    Raises:
+        SettingsError: the page is unknown.
+    """
+    width_mm, height_mm = _page(page, _LEAST_SPECKLED_MM)
+    sheet = speckles((width_mm - 2 * margin_mm, height_mm - 2 * margin_mm - _FOOT_MM), dot_mm, seed)
+    caption = f"speckles of {dot_mm:g} mm on average, for a plane or a ball"
+    return _draw(sheet, caption, (width_mm, height_mm), (margin_mm, margin_mm), margin_mm)
+
+
+def speckles(size_mm: tuple[float, float], dot_mm: float, seed: int) -> Sheet:
+    """Discs at random places that do not touch one another."""
+    rng = np.random.default_rng(seed)
+    pitch = _SPECKLE_PITCH * dot_mm
+    columns, rows = (int(side / pitch) for side in size_mm)
+    row, column = np.mgrid[:rows, :columns]
+    places = np.stack([column + 0.5, row + 0.5], axis=-1).reshape(-1, 2)
+    places += rng.uniform(-_SPECKLE_SHIFT, _SPECKLE_SHIFT, places.shape)
+    largest = (1.0 - 2 * _SPECKLE_SHIFT) * pitch / 2
+    radii = np.minimum(dot_mm / 2 * rng.uniform(1 - _SPECKLE_SIZE, 1 + _SPECKLE_SIZE, len(places)), largest)
+    return Sheet(
+        extent_mm=np.array([[0.0, 0.0], [columns * pitch, rows * pitch]]),
+        discs=np.column_stack([places * pitch, radii]),
+    )
 
 
 def _page(page: str, needed_mm: tuple[float, float]) -> tuple[float, float]:
@@ -90,7 +129,8 @@ def _draw(sheet: Sheet, caption: str, page_mm: tuple[float, float], corner_mm: C
     from matplotlib.figure import Figure
     from matplotlib.patches import PathPatch
 
-    with matplotlib.rc_context({"pdf.fonttype": _TRUETYPE, "pdf.compression": 0}):
+    packed = 6 if len(sheet.discs) > _MANY_DISCS else 0
+    with matplotlib.rc_context({"pdf.fonttype": _TRUETYPE, "pdf.compression": packed}):
         figure = Figure(figsize=(page_mm[0] / _MM_PER_INCH, page_mm[1] / _MM_PER_INCH), frameon=False)
         FigureCanvasPdf(figure)
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0.0, page_mm[0]), ylim=(page_mm[1], 0.0))
