@@ -89,12 +89,12 @@ def artefact_mesh(artefact: Artefact, position: Position, *, edge_mm: float = _E
 def measured_mesh(mesh: TriangleMesh, errors: DeviceErrors, rng: np.random.Generator) -> TriangleMesh:
     """A mesh as a device with these errors gives it."""
     offsets = errors.noise_mm * rng.normal(size=len(mesh.vertices))
-    offsets += errors.shared_mm * _shared(mesh.vertices, errors.shared_over_mm, rng)
+    offsets += errors.shared_mm * shared_errors(mesh.vertices, errors.shared_over_mm, rng)
     vertices = mesh.vertices + offsets[:, None] * mesh.vertex_normals()
     return TriangleMesh(vertices=(1.0 + errors.scale) * vertices, faces=mesh.faces)
 
 
-def _shared(points: Float64[Array, "n 3"], alike_mm: float, rng: np.random.Generator) -> Float64[Array, " n"]:
+def shared_errors(points: Float64[Array, "n 3"], alike_mm: float, rng: np.random.Generator) -> Float64[Array, " n"]:
     """Random numbers of unit variance whose correlation falls with distance as a Gaussian."""
     waves = rng.normal(0.0, 1.0 / alike_mm, (3, _WAVES))
     return np.asarray(np.sqrt(2.0 / _WAVES) * np.cos(points @ waves + rng.uniform(0, 2 * np.pi, _WAVES)).sum(axis=1))

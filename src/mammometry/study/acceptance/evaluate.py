@@ -192,9 +192,11 @@ def evaluate_mesh(mesh: TriangleMesh, kind: Kind, position: str, artefact: Artef
     """
     match artefact:
         case Sphere():
-            return _sphere(find_sphere(mesh, artefact.diameter_mm), position, artefact, limits)
+            return sphere_result(find_sphere(mesh, artefact.diameter_mm), position, artefact, limits)
         case Bar():
-            return _bar(find_two_spheres(mesh, artefact.diameter_mm, artefact.distance_mm), position, artefact, limits)
+            return bar_result(
+                find_two_spheres(mesh, artefact.diameter_mm, artefact.distance_mm), position, artefact, limits
+            )
         case Plane():
             return _plane(find_plane(mesh), position, artefact, limits)
         case Cast():
@@ -210,7 +212,8 @@ def evaluate_volume(volume_cc: float, position: str, cast: Cast, limits: Limits)
     return PositionResult(kind="cast", position=position, findings=(finding,))
 
 
-def _sphere(patch: SpherePatch, position: str, ball: Sphere, limits: Limits) -> PositionResult:
+def sphere_result(patch: SpherePatch, position: str, ball: Sphere, limits: Limits) -> PositionResult:
+    """Form and size of a ball at one position."""
     size_std = 2 * float(jackknife_std(_shifts(patch))[3])
     findings = (
         Finding(
@@ -238,7 +241,8 @@ def _shifts(patch: SpherePatch) -> list[Float64[Array, "c 4"]]:
     return [sphere_shifts(patch.fit, patch.points, patch.weights, cells) for cells in patch.cells]
 
 
-def _bar(patches: tuple[SpherePatch, SpherePatch], position: str, bar: Bar, limits: Limits) -> PositionResult:
+def bar_result(patches: tuple[SpherePatch, SpherePatch], position: str, bar: Bar, limits: Limits) -> PositionResult:
+    """Spacing and length of a bar at one position."""
     between = patches[1].fit.centre - patches[0].fit.centre
     distance = float(np.linalg.norm(between))
     variances = np.zeros(2)
