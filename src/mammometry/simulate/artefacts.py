@@ -1,4 +1,4 @@
-"""Artefacts of an acceptance test at their positions, as a virtual device with known errors measures them."""
+"""Artefacts of an acceptance test, as a device with known errors measures them."""
 
 from __future__ import annotations
 

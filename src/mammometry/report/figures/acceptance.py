@@ -1,4 +1,4 @@
-"""Pictures of an acceptance test: positions in the working volume, deviations in colour, and the control chart."""
+"""Acceptance test in pictures: positions, deviations in colour, control chart."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Acceptance test of a measuring device with artefacts of known size, after VDI/VDE 2634-3 and ISO 10360-13."""
+"""Acceptance test of a device, after VDI/VDE 2634-3 and ISO 10360-13."""

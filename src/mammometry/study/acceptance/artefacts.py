@@ -1,4 +1,4 @@
-"""Artefacts of known size, their positions in the working volume, and the limits of an acceptance test."""
+"""Artefacts of known size, their positions, and the limits of a test."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Least-squares sphere and plane, widths that hold a share of the points, and uncertainties by leaving cells out."""
+"""Fits of spheres and planes, widths, and uncertainties by leaving cells out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Find the measured part of a sphere or a plane in a mesh, with stands, tables and edges left out by place alone."""
+"""Find the measured part of a sphere or a plane in a mesh.
+
+Stands, tables and edges are left out by place alone, never by the deviation of a point.
+"""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ def headline(outcome: Outcome) -> str:
 
 
 def missing_sentences(outcome: Outcome) -> list[str]:
-    """Missing positions of each artefact, artefacts that were not tested, and positions with many points left out."""
+    """What is missing: positions, whole artefacts, and points that were left out."""
     lines = []
     for kind, names in outcome.missing.items():
         words = {place.name: place.words for place in POSITIONS[kind]}
