@@ -142,6 +142,21 @@ def repeatability(place: Path, patch: pytest.MonkeyPatch) -> Case:
     )
 
 
+def validation(place: Path, patch: pytest.MonkeyPatch) -> Case:
+    table = place / "data" / "table.csv"
+    table.parent.mkdir()
+    rows = (f"{w},{300 + 9 * w},{301 + 9 * w + w % 2}\n" for w in range(4))
+    table.write_text("woman,truth_cc,measured_cc\n" + "".join(rows))
+    out = place / "out"
+    names = ("report.html", "validation.json", "volumes.csv", "definitions.png", "bland-altman-1.png")
+    return Case(
+        ["study", "validation", table, "--out", out],
+        out,
+        names,
+        [["study", "validation", table, "--out", table.parent]],
+    )
+
+
 def nine_models(place: Path, patch: pytest.MonkeyPatch) -> Case:
     def write_session(out: Path, recipe: SessionRecipe, **_: object) -> None:
         (out / "truth").mkdir(parents=True)
@@ -417,6 +432,7 @@ CASES: dict[str, Callable[[Path, pytest.MonkeyPatch], Case]] = {
     "study agreement": agreement,
     "study observers": observers,
     "study repeatability": repeatability,
+    "study validation": validation,
     "study phantoms": nine_models,
     "evaluate": evaluate,
     "compare": compare,

@@ -1,4 +1,4 @@
-"""Command `study repeatability`: captures that are repeated in a clinic."""
+"""Commands `study repeatability` and `study validation`: what a clinic shows about its own measurements."""
 
 from __future__ import annotations
 
@@ -100,6 +100,84 @@ def repeatability(
         lines += [*table_lines(table), ""]
     page = out / "report.html"
     return Answer({"report": str(page), **repeatability_json(found, checked)}, [*lines, f"Report: {page}"])
+
+
+_TRUTH = "study validation"
+
+
+@command(
+    app,
+    "mammometry study validation --template water --out specimens",
+    "mammometry study validation specimens/water.csv --sem 6cc",
+    "mammometry study validation table.csv --truth weight --out validation",
+)
+def validation(
+    options: Options,
+    table: Annotated[
+        Path | None,
+        typer.Argument(metavar="[TABLE.csv]", help="One row per breast, with its truth.", show_default=False),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Folder for the report, its figures and its numbers.")
+    ] = Path("validation"),
+    truth: Annotated[
+        str | None,
+        typer.Option(help="Kind of truth: water, weight, segmentation or volume.", show_default="by the columns"),
+    ] = None,
+    template: Annotated[
+        str | None,
+        typer.Option(metavar="TRUTH", help="Only write an example of a table for a kind of truth.", show_default=False),
+    ] = None,
+    sem: Annotated[
+        str,
+        typer.Option(
+            metavar="VOLUME", help="Standard error from your study of repeatability, such as 6cc.", show_default=False
+        ),
+    ] = "",
+) -> Answer:
+    """Compare measured volumes with a truth: specimens in water or on a scale, segmentations.
+
+    Gives bias, limits of agreement and proportional bias for every definition of the volume, and the offsets between
+    the definitions.
+    """  # fmt: skip
+    from mammometry.io.outputs import require_apart, require_free, write_outputs
+    from mammometry.io.truth_tables import KINDS
+    from mammometry.io.truth_tables import template as example
+
+    for option, kind in (("--truth", truth), ("--template", template)):
+        if kind is not None and kind not in KINDS:
+            raise typer.BadParameter(f"{option}: one of {', '.join(KINDS)}")
+    if template is not None:
+        name = f"{template}.csv"
+        require_free(out, [name], command=_TRUTH)
+        write_outputs(out, {name: example(template).encode()}, command=_TRUTH)
+        return Answer({"table": str(out / name)}, [f"Table: {out / name}"])
+    if table is None:
+        raise typer.BadParameter("TABLE.csv is missing; --template water writes an example")
+    from mammometry.api.validation import read_cases
+    from mammometry.base.identity import shown_name
+    from mammometry.report.documents.validation_page import validation_files, validation_names
+    from mammometry.study.validation.study import validation as analyse
+    from mammometry.study.validation.tables import validation_json, validation_summary, validation_tables
+
+    sem_cc = _cc(sem, "--sem") if sem else None
+    require_apart(out, [table, options.file])
+    require_free(out, validation_names(1), command=_TRUTH)
+    with Bars(options.silent) as bars, bars.task("validation", "volumes") as progress:
+        kind, cases = read_cases(table, options.settings(), kind=truth, progress=progress)
+        try:
+            found = analyse(cases, kind, sem_cc)
+        except ValueError as error:
+            raise TableError(
+                str(table), found=str(error), expected="three or more women", remedy="Add women to the table"
+            ) from None
+        require_free(out, validation_names(len(found.definitions)), command=_TRUTH)
+        write_outputs(out, validation_files(shown_name(table.with_suffix("")), found), command=_TRUTH)
+    lines: list[Any] = [*validation_summary(found), ""]
+    for shown in validation_tables(found):
+        lines += [*table_lines(shown), ""]
+    page = out / "report.html"
+    return Answer({"report": str(page), **validation_json(found)}, [*lines, f"Report: {page}"])
 
 
 def _planned(claim_cc: float, sem_cc: float) -> Answer:

@@ -1,0 +1,219 @@
+"""Read a table of breasts with a truth: specimens, segmentations, volumes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from mammometry.base.errors import SessionError, TableError
+from mammometry.base.identity import folded
+from mammometry.base.parse import shown
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.io.csv_tables import Table, read_table
+from mammometry.io.meshes.foreign import read_foreign
+from mammometry.io.subject_columns import SIDE_WORDS, SIDES, SUBJECTS
+from mammometry.study.validation.truths import TrueVolume, skin_left, water, weight
+
+_COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "water": ("displaced_g", "water_c", "skin_left_cm2", "skin_mm", "displaced_sd_cc"),
+        "weight": ("weight_g", "age", "glandular_percent", "skin_left_cm2", "skin_mm"),
+        "segmentation": ("segmentation", "units", "truth_sd_cc"),
+        "volume": ("truth_cc", "truth_sd_cc"),
+    }
+)
+"""Kind of truth → its columns, the first of which is needed."""
+KINDS = tuple(_COLUMNS)
+"""Kinds of truth."""
+_EXAMPLES = MappingProxyType(
+    {
+        "water": ("512.0", "21", "35", "", ""),
+        "weight": ("498", "57", "", "35", ""),
+        "segmentation": ("segmentations/W1-left.stl", "mm", "10"),
+        "volume": ("530", "10"),
+    }
+)
+_ROOM_C = 20.0  # temperature of water that the table does not give, °C; 10 °C more or less change 0.2 %
+_FOLDER = "folder"
+_CC = "_cc"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TruthRow:
+    """A breast of the table: its truth, and its measured volumes or the folder of its results."""
+
+    woman: str
+    side: str
+    truth: TrueVolume
+    measured_cc: Mapping[str, float]
+    folder: Path | None
+    """A session or a scan, for all definitions of the volume."""
+
+
+def template(kind: str) -> str:
+    """An example of a table for a kind of truth: one line of columns, two breasts."""
+    columns, example = _COLUMNS[kind], _EXAMPLES[kind]
+    lines = [("woman", "side", *columns, "measured_cc")]
+    lines += [("W1", side, *(cell.replace("left", side) for cell in example), "520") for side in ("left", "right")]
+    return "\n".join(",".join(line) for line in lines) + "\n"
+
+
+def read_truths(path: Path, kind: str | None = None) -> tuple[str, tuple[TruthRow, ...]]:
+    """Read a table of breasts with a truth.
+
+    Columns: woman (or patient, subject, …), side, those of one kind of truth (see `template`), and either ``folder``
+    with sessions or scans, or one column per definition of the measured volume, such as ``flat_chest_cc``.
+
+    Args:
+        path: the table; folders and segmentations are below its own folder.
+        kind: of truth. None: the kind whose column is there.
+
+    Returns:
+        Kind of truth, and the rows.
+
+    Raises:
+        TableError: a column is missing, two kinds of truth are there and none is chosen, or a cell is not valid.
+        SessionError: a segmentation cannot be read or is not closed.
+    """
+    table = read_table(path, str(path), "a CSV table, one row per breast", refusal=TableError)
+    there = [name for name, columns in _COLUMNS.items() if columns[0] in table.columns]
+    if (kind is None and len(there) != 1) or (kind is not None and kind not in there):
+        raise _refused(
+            table,
+            f"the truth as {' and '.join(there)}" if there else "no column of a truth",
+            f"a column {_COLUMNS[kind][0]}" if kind else "one of " + ", ".join(own[0] for own in _COLUMNS.values()),
+            "Choose one: --truth water, weight, segmentation or volume" if len(there) > 1 else "Add the column",
+        )
+    chosen = kind or there[0]
+    known = {folded(name): name for name in reversed(table.columns)}
+    who = next((known[name] for name in SUBJECTS if name in known), None)
+    if who is None:
+        raise _refused(table, f"columns {', '.join(table.columns)}", "a column woman", "Name the column of the women")
+    which = next((known[name] for name in SIDES if name in known), None)
+    women = [folded(name) and name for name in table.texts(who)]
+    sides = [_side(table, row, word) for row, word in enumerate(table.texts(which))] if which else [""] * len(women)
+    _require_once(table, list(zip(women, sides, strict=True)))
+    used = {who, which, *(name for columns in _COLUMNS.values() for name in columns)}
+    definitions = [name for name in table.columns if name.endswith(_CC) and name not in used]
+    folders = table.texts(_FOLDER) if _FOLDER in table.columns else ("",) * len(women)
+    if not definitions and not any(folders):
+        raise _refused(table, "no measured volume", "columns such as measured_cc, or a column folder", "Add one")
+    measured = table.numbers(*definitions, blank=True, alike=True) if definitions else np.zeros((len(women), 0))
+    truths = _truths(table, path, chosen)
+    rows = tuple(
+        TruthRow(
+            woman=women[row],
+            side=sides[row],
+            truth=truths[row],
+            measured_cc={
+                name.removesuffix(_CC).replace("_", " "): float(volume)
+                for name, volume in zip(definitions, measured[row], strict=True)
+                if not math.isnan(volume)
+            },
+            folder=(path.parent / folders[row]).resolve() if folders[row] else None,
+        )
+        for row in range(len(women))
+    )
+    return chosen, rows
+
+
+def _truths(table: Table, path: Path, kind: str) -> list[TrueVolume]:
+    count = len(table.rows)
+    numbers = {
+        name: _optional(table, name, needed=place == 0)
+        for place, name in enumerate(_COLUMNS[kind])
+        if name not in ("segmentation", "units")
+    }
+    value = {name: [None if math.isnan(number) else float(number) for number in column]
+             for name, column in numbers.items()}  # fmt: skip
+    if kind == "segmentation":
+        files = table.texts("segmentation")
+        units = table.texts("units") if "units" in table.columns else ("",) * count
+        return [
+            TrueVolume(volume_cc=_enclosed_cc(path.parent / file, unit or None), sd_cc=_or_nan(sd))
+            for file, unit, sd in zip(files, units, value["truth_sd_cc"], strict=True)
+        ]
+    if kind == "volume":
+        return [
+            TrueVolume(volume_cc=float(volume), sd_cc=_or_nan(sd))
+            for volume, sd in zip(numbers["truth_cc"], value["truth_sd_cc"], strict=True)
+        ]
+    skins = [
+        skin_left(area or 0.0, thickness)
+        for area, thickness in zip(value["skin_left_cm2"], value["skin_mm"], strict=True)
+    ]
+    if kind == "water":
+        return [
+            water(float(grams), _ROOM_C if degrees is None else degrees, skin, sd)
+            for grams, degrees, sd, skin in zip(
+                numbers["displaced_g"], value["water_c"], value["displaced_sd_cc"], skins, strict=True
+            )
+        ]
+    return [
+        weight(float(grams), age, percent, skin)
+        for grams, age, percent, skin in zip(
+            numbers["weight_g"], value["age"], value["glandular_percent"], skins, strict=True
+        )
+    ]
+
+
+def _optional(table: Table, name: str, *, needed: bool) -> Float64[Array, " n"]:
+    """A column of numbers of 0 or more, NaN where it is empty or missing. The needed one is above 0 and complete."""
+    if name not in table.columns and not needed:
+        return np.full(len(table.rows), math.nan)
+    found = table.numbers(name, blank=not needed)[:, 0]
+    wrong = next((row for row, own in enumerate(found) if own < 0 or (needed and not own > 0)), None)
+    if wrong is not None:
+        raise TableError(
+            f"{table.name}, row {table.lines[wrong]}, column {name}",
+            found=f"{found[wrong]:g}",
+            expected="a value of more than 0" if needed else "a value of 0 or more",
+            remedy="Correct the value, or remove the row",
+        )
+    return found
+
+
+def _enclosed_cc(file: Path, units: str | None) -> float:
+    """Volume of a closed mesh, cc."""
+    mesh = read_foreign(file, units).mesh
+    if not mesh.is_watertight():
+        raise SessionError(
+            str(file),
+            found="a mesh with holes",
+            expected="the closed surface of a segmented breast",
+            remedy="Close the surface in the program that segmented it, and export it again",
+        )
+    return abs(mesh.volume_mm3()) / 1000.0
+
+
+def _or_nan(number: float | None) -> float:
+    return math.nan if number is None else number
+
+
+def _side(table: Table, row: int, word: str) -> str:
+    if word and folded(word) not in SIDE_WORDS:
+        raise TableError(
+            f"{table.name}, row {table.lines[row]}", found=f"the side {shown(word)}", expected="left or right",
+            remedy="Correct the side",
+        )  # fmt: skip
+    return SIDE_WORDS[folded(word)] if word else ""
+
+
+def _require_once(table: Table, breasts: Sequence[tuple[str, str]]) -> None:
+    for row, breast in enumerate(breasts):
+        if not breast[0] or breast in breasts[:row]:
+            raise TableError(
+                f"{table.name}, row {table.lines[row]}",
+                found=f"{' '.join(breast).strip()} twice" if breast[0] else "no woman",
+                expected="each breast once",
+                remedy="Correct or remove the row",
+            )
+
+
+def _refused(table: Table, found: str, expected: str, remedy: str) -> TableError:
+    return TableError(table.name, found=found, expected=expected, remedy=remedy)

@@ -1,0 +1,53 @@
+"""A validation against a hospital's own truth on one self-contained page."""
+
+import json
+
+from mammometry.report.documents.pages import embed, render
+from mammometry.report.figures.observers import bland_altman
+from mammometry.report.figures.validation import definitions_side_by_side
+from mammometry.study.tables import Table
+from mammometry.study.validation.study import ValidationStudy
+from mammometry.study.validation.tables import (
+    validation_json,
+    validation_remarks,
+    validation_summary,
+    validation_tables,
+)
+
+_MOST_PLOTS = 4  # Bland–Altman plots on a page, one a definition
+
+
+def validation_names(definitions: int) -> tuple[str, ...]:
+    """Names of all files of a validation with this number of definitions."""
+    plots = (f"bland-altman-{number + 1}.png" for number in range(min(definitions, _MOST_PLOTS)))
+    return ("report.html", "validation.json", "volumes.csv", "definitions.png", *plots)
+
+
+def validation_files(title: str, found: ValidationStudy) -> dict[str, bytes]:
+    """The page, its pictures, its numbers and the volumes: file name → content."""
+    pictures = {"definitions.png": definitions_side_by_side(found)}
+    for place, one in enumerate(found.definitions[:_MOST_PLOTS]):
+        pictures[f"bland-altman-{place + 1}.png"] = bland_altman(one.data, one.agreement)
+    tables = validation_tables(found)
+    page = render(
+        "agreement.html.j2",
+        kind="validation",
+        title=title,
+        subtitle="Measured volumes against a truth by another method",
+        summary=validation_summary(found),
+        pictures=[embed(png) for png in pictures.values()],
+        tables=tables,
+        remarks=validation_remarks(found),
+    )
+    numbers = json.dumps({"title": title, **validation_json(found)}, indent=1, ensure_ascii=False)
+    return {
+        "report.html": page.encode(),
+        "validation.json": (numbers + "\n").encode(),
+        "volumes.csv": _csv(tables[-1]).encode(),
+        **pictures,
+    }
+
+
+def _csv(table: Table) -> str:
+    rows = (table.columns, *table.rows)
+    return "\n".join(",".join(f'"{cell.replace("–", "")}"' for cell in row) for row in rows) + "\n"

@@ -1,0 +1,157 @@
+"""Agreement with a truth, for every definition of the volume, and the offsets between the definitions."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mammometry.base.value import value
+from mammometry.study.agreement import LEAST_SUBJECTS, Agreement, PairedMeasurements, agreement
+from mammometry.study.repeated import repeated_differences
+from mammometry.study.validation.regression import Line, concordance, deming, passing_bablok
+
+
+@value
+class ValidationCase:
+    """One breast with its truth, and measured by one or several definitions of its volume."""
+
+    woman: str
+    side: str = ""
+    truth_cc: float
+    truth_sd_cc: float
+    """Standard uncertainty of the truth, cc. NaN: not known."""
+    measured_cc: Mapping[str, float]
+    """Definition → volume, cc."""
+
+    @property
+    def breast(self) -> str:
+        """Woman and side."""
+        return f"{self.woman}, {self.side}" if self.side else self.woman
+
+
+@value(eq=False)
+class DefinitionAgreement:
+    """Agreement of one definition with the truth."""
+
+    definition: str
+    data: PairedMeasurements
+    agreement: Agreement
+    deming: Line
+    passing_bablok: Line
+    """Rows count as independent, both breasts of a woman too."""
+    concordance: float
+    """Lin's coefficient."""
+    truth_sd_cc: float
+    """Root mean square of the truth's own standard uncertainty, cc: part of the scatter. NaN: not known."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Offset:
+    """One definition less another one for the same breasts, cc.
+
+    Neither is wrong: they measure different things.
+    """
+
+    first: str
+    second: str
+    breasts: int
+    mean_cc: float
+    """Second less first."""
+    sd_cc: float
+    percent: float
+    """Of the mean of the first, %."""
+    concordance: float
+
+
+@value(eq=False)
+class ValidationStudy:
+    """All definitions against the truth."""
+
+    truth: str
+    """Kind of truth: ``water``, ``weight``, ``segmentation`` or ``volume``."""
+    women: int
+    breasts: int
+    ratio: float
+    """Error variance of the measurement by that of the truth, for Deming's line."""
+    definitions: tuple[DefinitionAgreement, ...]
+    offsets: tuple[Offset, ...]
+
+
+def validation(cases: Sequence[ValidationCase], truth: str, sem_cc: float | None = None) -> ValidationStudy:
+    """Compare measured volumes with their truth.
+
+    Args:
+        cases: one a breast.
+        truth: kind of truth.
+        sem_cc: standard error of the measurement from a study of repeatability: with the truth's own uncertainty it
+            gives the ratio of errors for Deming's line. None: the errors are taken to be equal.
+
+    Raises:
+        ValueError: fewer than three women with a truth and one definition.
+    """
+    own = math.sqrt(float(np.mean([case.truth_sd_cc**2 for case in cases]))) if cases else math.nan
+    ratio = (sem_cc / own) ** 2 if sem_cc is not None and own > 0 else 1.0
+    names = tuple(dict.fromkeys(name for case in cases for name in case.measured_cc))
+    found = [one for name in names if (one := _against(name, cases, ratio)) is not None]
+    if not found:
+        raise ValueError(f"fewer than {LEAST_SUBJECTS} women with a truth and a measured volume")
+    return ValidationStudy(
+        truth=truth,
+        women=len({case.woman for case in cases}),
+        breasts=len(cases),
+        ratio=ratio,
+        definitions=tuple(found),
+        offsets=tuple(_offsets(names, cases)),
+    )
+
+
+def _against(name: str, cases: Sequence[ValidationCase], ratio: float) -> DefinitionAgreement | None:
+    own = [case for case in cases if name in case.measured_cc]
+    women = tuple(case.woman for case in own)
+    if len(set(women)) < LEAST_SUBJECTS:
+        return None
+    truth = np.array([case.truth_cc for case in own])
+    measured = np.array([case.measured_cc[name] for case in own])
+    data = PairedMeasurements(
+        names=tuple(case.breast for case in own),
+        reference=truth,
+        measured=measured,
+        reference_name="truth",
+        measured_name=name,
+        unit="cc",
+        subjects=women if len(set(women)) < len(own) else (),
+    )
+    return DefinitionAgreement(
+        definition=name,
+        data=data,
+        agreement=agreement(data),
+        deming=deming(truth, measured, data.clusters, ratio),
+        passing_bablok=passing_bablok(truth, measured),
+        concordance=concordance(truth, measured),
+        truth_sd_cc=math.sqrt(float(np.mean([case.truth_sd_cc**2 for case in own]))),
+    )
+
+
+def _offsets(names: Sequence[str], cases: Sequence[ValidationCase]) -> Iterator[Offset]:
+    for first, second in itertools.combinations(names, 2):
+        own = [case for case in cases if {first, second} <= case.measured_cc.keys()]
+        if len({case.woman for case in own}) < 2:
+            continue
+        one, other = (np.array([case.measured_cc[name] for case in own]) for name in (first, second))
+        women = {name: place for place, name in enumerate(dict.fromkeys(case.woman for case in own))}
+        clusters = np.array([women[case.woman] for case in own], dtype=np.int64)
+        apart = other - one
+        repeated = len(women) < len(own)
+        yield Offset(
+            first=first,
+            second=second,
+            breasts=len(own),
+            mean_cc=float(apart.mean()),
+            sd_cc=repeated_differences(apart, clusters).sd if repeated else float(apart.std(ddof=1)),
+            percent=100 * float(apart.mean() / one.mean()),
+            concordance=concordance(one, other),
+        )
