@@ -1,4 +1,4 @@
-"""Commands `study repeatability` and `study validation`: what a clinic shows about its own measurements."""
+"""Commands `study repeatability` and `study validation`: proof in a clinic."""
 
 from __future__ import annotations
 
