@@ -34,6 +34,7 @@ _AROUND = 0.2  # half the shell whose points are the ball's neighbourhood, relat
 _CELLS = 3000  # directions over a whole sphere: cells of 4°
 _BLUR_RAD = np.radians(8.0)  # around a cell, over which the share of its surface is taken
 _MOSTLY = 0.6  # share of a cell's area that must lie on the surface; more is another object beside it
+_LARGEST_AREA = 2.0  # of a point in the search, of their median: faces at outliers are large
 _OUTWARDS = 0.5  # cosine between a ball's normal and its radius at least: rods and tables have less
 _EDGE_RAD = np.radians(14.0)  # around what is not the ball: with the blur, 6° at its rim are left out
 _LEAST_SHARE = 0.08  # of a sphere that must be seen
@@ -212,7 +213,8 @@ def _sphere_patch(
     unit = away / np.maximum(np.linalg.norm(away, axis=1), 1e-9)[:, None]
     cell = np.asarray(cKDTree(directions).query(unit)[1], dtype=np.int64)
     faces_out = (unit * normals[around]).sum(axis=1) > _OUTWARDS
-    area, own = (np.bincount(cell, weights * part, minlength=_CELLS) for part in (beside, on & faces_out))
+    usual = np.minimum(weights, _LARGEST_AREA * np.median(weights[on]))
+    area, own = (np.bincount(cell, usual * part, minlength=_CELLS) for part in (beside, on & faces_out))
     good = close @ own > _MOSTLY * (close @ area)
     bad = np.flatnonzero(~good)
     if len(bad):
