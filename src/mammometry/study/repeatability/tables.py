@@ -45,8 +45,9 @@ def repeatability_summary(found: RepeatabilityStudy, claim: ClaimCheck | None = 
         detectable = one.detectable_cc
         lines.append(
             f"If {_WHO[one.level]}, one volume scatters by {number(one.sem_cc.value, '.1f')} cc "
-            f"({number(one.cv_percent.value, '.1f')} %). A change of more than {number(detectable.value, '.0f')} cc "
-            f"({_span(detectable, '.0f')} cc) is real with 95 % confidence."
+            f"({number(one.cv_percent.value, '.1f')} %). A change of more than "
+            f"{number(math.ceil(detectable.value), '.0f')} cc ({_span(detectable, '.0f')} cc) is real "
+            "with 95 % confidence."
         )
     if claim is not None:
         lines.append(
