@@ -209,7 +209,10 @@ def _shared_rows(body: Body) -> Iterator[tuple[str, int, Row]]:
     table = json.loads(body.file.read_text(encoding="utf-8"))
     apart_cc = _left_less_right(table["above_smallest_cup_cc"])
     outlines = table.get("outline_10_percent", {})
-    truth = {"volumes_cc": {}, "difference_cc": apart_cc, "outlines": outlines, "landmarks": {}}
+    truth = {
+        "volumes_cc": {}, "above_smallest_cup_cc": table["above_smallest_cup_cc"], "difference_cc": apart_cc,
+        "outlines": outlines, "landmarks": {},
+    }  # fmt: skip
     for quality, repetition in body.scans:
         kind, units = ("clean", "mm") if quality == CLEAN else ("scan", "m")
         path = body.file.with_name(f"{body.name}_{kind}.ply")
@@ -233,8 +236,10 @@ def _summary(row: Row) -> str:
     parts = []
     for side in SIDES:
         true, own = row["truth"]["volumes_cc"].get(side), row["sides"].get(side)
-        known = "" if true is None else f" for {true:.0f}"
-        parts.append(f"{side} {'–' if own is None else format(own['volume_cc'], '.0f')}{known}")
+        least = row["truth"].get("above_smallest_cup_cc", {}).get(side)
+        known = f" for {true:.0f}" if true is not None else "" if least is None else f" for more than {least:.0f}"
+        low, high = (own and own["interval_cc"]) or (np.nan, np.nan)
+        parts.append(f"{side} " + ("–" if own is None else f"{own['volume_cc']:.0f} [{low:.0f}, {high:.0f}]") + known)
     return ", ".join(parts)
 
 

@@ -1,5 +1,6 @@
 """A fold under a hanging breast that a scan does not show."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -46,3 +47,17 @@ def test_a_hanging_breasts_interval_holds_its_clean_mesh_and_no_ptosis_is_stated
         assert low < CLEAN_CC[measured.name] < high
     assert job.plan[measure.dimensions]().ptosis == ()
     assert sum(notice.code == "fold-not-seen" for notice in body_doubts(job.plan)) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.requirement("R-FRONT-3")
+def test_breasts_that_reach_further_aside_than_the_trunk_are_measured_whole(shared_data: Path, tmp_path: Path) -> None:
+    """The true volumes are those above the smallest cup that the body's generator has, not above a flat chest."""
+    files = MeshFiles(mesh=shared_data / "scans" / "hanging_3_clean.ply", units="mm", automatic=True)
+    truth = json.loads((shared_data / "scans" / "hanging_3_truth.json").read_text())["above_smallest_cup_cc"]
+    measured = {one.name: one for one in MeshJob(files, tmp_path / "out").plan[measure.measurements]()}
+    for name, true_cc in truth.items():
+        assert measured[name].interval_cc is not None
+        low_cc, high_cc = measured[name].interval_cc
+        assert low_cc < true_cc < high_cc
+        assert measured[name].volume_cc == pytest.approx(true_cc, rel=0.15)

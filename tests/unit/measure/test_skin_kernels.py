@@ -57,6 +57,25 @@ def test_an_arm_comes_from_the_shoulder_and_a_breast_that_fell_aside_does_not():
     assert not (relief.arm & relief.known).any()
 
 
+def test_a_breast_that_reaches_further_aside_than_the_trunk_is_no_arm():
+    """Up to 55 mm high, 30 to 85° aside on the left, up to the picture's top; an arm 40 mm high on the right."""
+    trunk = Trunk(frame=np.eye(3), origin=np.zeros(3), half_width_mm=150.0)
+    thorax = Thorax(trunk=trunk, coefficients=np.concatenate([[150.0], np.zeros(26)]), rms_mm=1.0)
+    degrees, up = (each.ravel() for each in np.meshgrid(np.arange(-110, 110.1, 0.5), np.arange(-139, 139.1, 1.0)))
+    shape = np.clip((degrees - 30) / 55, 0, 1)
+    out_mm = np.where(up > -60, 55 * np.sin(np.pi * shape) ** 2, 0.0)
+    arm = (np.abs(degrees + 80) < 20) & (up > 20)
+    radius, angle = 150 + np.where(arm, 40.0, out_mm), np.deg2rad(degrees)
+    relief = lay_flat(thorax, np.stack([radius * np.sin(angle), up, radius * np.cos(angle)], axis=1))
+    beyond = (radius * np.sin(angle) > 1.15 * 150 + 5) & (up > -50)
+    assert beyond.sum() > 1000
+    places = np.stack([150.0 * angle, up], axis=1)[beyond]
+    assert (relief.at(places, relief.known.astype(float)) > 0.5).all()
+    assert np.abs(relief.at(places, relief.bulge_mm) - out_mm[beyond]).max() < 6.0  # the innermost of 2 mm
+    held_aside = np.stack([150.0 * angle, up], axis=1)[arm & (degrees < -70) & (degrees > -96) & (up > 30)]
+    assert (relief.at(held_aside, relief.arm.astype(float)) > 0.5).all()
+
+
 def test_samples_are_the_middles_of_equal_parts_of_each_face():
     rng = np.random.default_rng(4)
     vertices = rng.uniform(0, 12, (30, 3))

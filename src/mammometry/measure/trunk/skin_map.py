@@ -130,6 +130,10 @@ _FINEST_MM = 0.75 * PIXEL_MM  # distance of samples on the skin, so that no pixe
 _MOST_SAMPLES = 1_000_000  # of the skin; chosen for memory
 KNOWN_MM = 5.0  # a pixel is known if skin was seen this near; chosen by eye
 _EDGE_MM = 13.0  # from the end of the seen skin: three scales of 4 mm at which creases are looked at, and a pixel
+_JUMP_MM, _JUMP_REACH = 10.0, 20
+"""Rise of the bulge from one pixel to the next at the edge of an arm, mm, and the pixels of the trunk after which it
+has no effect: an arm's edge is near the trunk's side. A breast's flank that is as steep is near the midline."""
+_RISE_MM = 6.0  # by which skin that continues aside may rise again, as a border's (`boundary.crease`)
 _STEEP_MM = 60.0  # bulges above this count as this; chosen by eye
 
 
@@ -206,6 +210,11 @@ def lay_flat(thorax: Thorax, points_world: Float64[Array, "n 3"]) -> Relief:
         return found
 
     inner = np.min(in_bands(of_band, len(points_world)), axis=0)
+    aside = points_world[np.abs((points_world - trunk.origin) @ trunk.frame[0]) >= limits[3]]
+    if len(aside):
+        limits = np.array([*limits[:3], np.inf])
+        beyond = innermost(aside, trunk.frame, trunk.origin, radius, limits, PIXEL_MM, size)
+        inner = np.where(_continues(inner, beyond), beyond, inner)
     known = np.isfinite(inner)
     if not known.any():
         raise MeasureError(
@@ -220,6 +229,41 @@ def lay_flat(thorax: Thorax, points_world: Float64[Array, "n 3"]) -> Relief:
     # A few pixels under an overhang may have been sampled on its outer layer only.
     bulge_mm = grey_opening(inner[tuple(nearest)], size=(_SPECK, _SPECK))
     return Relief(low=low, bulge_mm=bulge_mm, known=seen, arm=_arms(trunk, points_world, low, ~seen))
+
+
+def _continues(inner: Float64[Array, "h w"], beyond: Float64[Array, "h w"]) -> Bool[Array, "h w"]:
+    """Mask of the pixels beyond the trunk's side in which a breast's skin is seen.
+
+    A large breast reaches further aside than the trunk. At each height its skin continues the trunk's outwards without
+    rising, and the trunk's flank is seen outside it. An arm rises from the trunk, is not connected with it at that
+    height, or hides it, so that the bulge jumps at its edge. Skin in a hole that remains is the breast's, too.
+
+    Args:
+        inner: bulge of the skin no further aside than the trunk's side, mm, ∞ where none was seen.
+        beyond: the same of the skin further aside.
+    """
+    trunk, arm = np.isfinite(inner), np.isfinite(beyond) & ~np.isfinite(inner)
+    continued = np.zeros(inner.shape, dtype=bool)
+    half = inner.shape[1] // 2
+    for columns in (range(half, inner.shape[1]), range(half - 1, -1, -1)):
+        lowest, missed = np.full(len(inner), -np.inf), np.zeros(len(inner), dtype=np.int64)
+        since_jump = np.full(len(inner), _JUMP_REACH)
+        for column in columns:
+            jumped = trunk[:, column] & (inner[:, column] > lowest + _JUMP_MM) & np.isfinite(lowest)
+            since_jump = np.where(jumped, 0, since_jump + trunk[:, column])
+            own = arm[:, column] & (beyond[:, column] <= lowest + _RISE_MM) & (since_jump >= _JUMP_REACH)
+            continued[:, column] = own
+            lowest = np.where(trunk[:, column], inner[:, column], lowest)
+            lowest = np.where(own, np.minimum(lowest, beyond[:, column]), lowest)
+            missed = np.where(trunk[:, column] | own, 0, missed + 1)
+            lowest = np.where(missed > _SPECK, -np.inf, lowest)
+        flank_outside = np.zeros(len(inner), dtype=bool)
+        for column in reversed(columns):
+            flank_outside = np.where(arm[:, column] & ~continued[:, column], False, flank_outside | trunk[:, column])
+            continued[:, column] &= flank_outside
+    parts, _ = label(~(trunk | continued))
+    outer = np.unique(np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]]))
+    return continued | (arm & ~np.isin(parts, np.append(outer, 0)))
 
 
 def _arms(
