@@ -17,6 +17,7 @@ _ELSEWHERE = (
     "mammometry.calibration.adjust.initialise:TooFewViewsError",
     "mammometry.calibration.judge.suspects:SuspectPhotographsError",
     "mammometry.io.drawn:LateError",
+    "mammometry.measure.scanned:DirectionError",
 )
 _TOP = """# Codes
 

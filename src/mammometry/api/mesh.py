@@ -36,7 +36,7 @@ from mammometry.base.machine.cores import available_cores, one_blas_thread
 from mammometry.base.notices import Notice
 from mammometry.base.progress import Progress, no_progress
 from mammometry.base.shell import command_line
-from mammometry.geometry import Rig
+from mammometry.geometry import Array, Float64, Rig, TriangleMesh
 from mammometry.geometry.nearest import barycentric, closest_on_mesh
 from mammometry.io.drawn import (
     BOUNDARIES,
@@ -191,7 +191,7 @@ class MeshJob(Job):
         self.merged = tuple(also.as_table() for also in self.also)
         scan = repair_scan(foreign.mesh, largest=files.largest, skin_alone=self.kind == "torso")
         by_axes = self.kind == "torso" and (files.automatic or files.head is not None)
-        frame = scanned.frame_from_axes(scan.mesh, files.head, files.ahead) if by_axes else None
+        frame = self._frame_from_axes(scan.mesh, files) if by_axes else None
         if frame is not None:
             scan = front_of_body(scan, frame)
         checked = files.sides_checked or (files.scan is not None and bool(files.scan.sides))
@@ -226,6 +226,19 @@ class MeshJob(Job):
         if self.also:
             skin = repaired.mesh.vertices
             self._sources = stored_sources(files.mesh, skin) if merged is None else merged.sources_at(skin)
+
+    def _frame_from_axes(self, mesh: TriangleMesh, files: MeshFiles) -> Float64[Array, "3 3"]:
+        """Patient's left, head, straight ahead (rows). Where the front is not known, a page shows all sides."""
+        from mammometry.measure.scanned import DirectionError, frame_from_axes
+        from mammometry.report.figures.refused import directions_seen
+
+        try:
+            return frame_from_axes(mesh, files.head, files.ahead)
+        except DirectionError as refused:
+            take_folder(self.store.folder, command=_COMMAND)
+            pictures = partial(directions_seen, mesh, refused.fronts)
+            show_refusal(self.store.folder, self.identity, refused, lambda: {"directions": pictures()})
+            raise
 
     @property
     def session(self) -> Session:

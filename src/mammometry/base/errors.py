@@ -153,7 +153,10 @@ class MeasureError(MammometryError):
 
     def of_mesh(self) -> MeasureError:
         """Return the error worded for a mesh, without session and cameras."""
-        return type(self)(self.subject, found=self.found, expected=self.expected, remedy=self._mesh_remedy)
+        made = copy.copy(self)
+        made.remedy = _on_one_line(self._mesh_remedy)
+        made.args = (made._sentence(),)
+        return made
 
 
 class CrossingError(MeasureError):

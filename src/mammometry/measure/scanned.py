@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -41,6 +42,15 @@ _ON_MESH_MM = 15.0  # median distance from the vertices at which a curve lies on
 
 Places = Mapping[str, Float64[Array, "_ 3"]]
 """Landmark → its points, mm, world frame."""
+
+
+class DirectionError(MeasureError):
+    """A scan does not show which side is the patient's front: `--ahead` names it."""
+
+    code = "direction"
+    kind = "MeasureError"
+    fronts: Mapping[str, Float64[Array, "3 3"]] = MappingProxyType({})
+    """Option that names a side ("--ahead z") → frame as it would be: patient's left, head, straight ahead (rows)."""
 
 
 def as_scanned(mesh: TriangleMesh, invented: Bool[Array, " n"] | None = None) -> RepairedSurface:
@@ -195,7 +205,8 @@ def frame_from_axes(mesh: TriangleMesh, head: str | None = None, ahead: str | No
             a mesh looks to all sides, the side on which a trunk with breasts is seen.
 
     Raises:
-        MeasureError: no such axis, both along one line, or a mesh that shows no front.
+        MeasureError: no such axis, or both along one line.
+        DirectionError: the mesh does not show its front; it has the frames of the sides that may be it.
     """
     if ahead is not None:
         forward = _axis(ahead, "--ahead")
@@ -219,7 +230,7 @@ def frame_from_axes(mesh: TriangleMesh, head: str | None = None, ahead: str | No
     if found is None:
         stands = int(np.argmax(np.abs(up)))
         sides = [f"{sign}{letter}" for letter in "zyx" if letter != "xyz"[stands] for sign in ("", "-")]
-        raise MeasureError(
+        refusal = DirectionError(
             "mesh",
             found="a mesh that faces all sides equally, without clear breasts on one side, where the head is taken "
             f"to be at {'' if up[stands] > 0 else '-'}{'xyz'[stands]}",
@@ -227,6 +238,8 @@ def frame_from_axes(mesh: TriangleMesh, head: str | None = None, ahead: str | No
             remedy=f"Say which of the file's axes points straight ahead: --ahead {', '.join(sides[:-1])} or "
             f"{sides[-1]}; and which to the head, if another does: --head",
         )
+        refusal.fronts = {f"--ahead {side}": orthonormal(up, _axis(side, "--ahead")) for side in sides}
+        raise refusal
     return orthonormal(up, _along_axis(found))
 
 

@@ -4,13 +4,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from solids import ball
 from trunks import RADIUS_MM, trunk_mesh
 
+from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.io.meshes.foreign import read_foreign
 from mammometry.measure.scan_planes import planar_faces
 from mammometry.measure.scan_repair import repair_scan
-from mammometry.measure.scanned import as_scanned, frame_from_axes
+from mammometry.measure.scanned import DirectionError, as_scanned, frame_from_axes
 from mammometry.measure.solid.cut import above, opening_loops
 from mammometry.measure.trunk.body import find_body
 
@@ -77,3 +80,20 @@ def test_hanging_breasts_do_not_tilt_the_trunks_axis() -> None:
         curves.append(np.stack([RADIUS_MM * np.sin(angle), height, RADIUS_MM * np.cos(angle)], axis=1))
     lean_deg = np.rad2deg(np.arccos(find_body(scan, np.eye(3), boundaries=curves).up[1]))
     assert lean_deg < 3.0
+
+
+@pytest.mark.requirement("R-FRONT-1")
+def test_a_scan_without_a_front_is_refused_with_a_picture_of_all_sides(tmp_path: Path) -> None:
+    path, results = tmp_path / "egg.ply", tmp_path / "out" / "results"
+    round_all_over = ball(150.0, 4)
+    body = TriangleMesh(vertices=round_all_over.vertices * (1.0, 2.0, 0.7), faces=round_all_over.faces)
+    write_ply(path, body, {}, comments=())
+    with pytest.raises(DirectionError) as refused:
+        MeshJob(MeshFiles(mesh=path, units="mm", automatic=True), results)
+    assert refused.value.code == "direction"
+    assert set(refused.value.fronts) == {"--ahead z", "--ahead -z", "--ahead x", "--ahead -x"}
+    for option, frame in refused.value.fronts.items():
+        assert np.allclose(frame[1], [0, 1, 0])
+        assert np.argmax(np.abs(frame[2])) == "xyz".index(option[-1])
+    assert refused.value.page == results / "refused" / "refused.html"
+    assert (results / "refused" / "directions.png").is_file()

@@ -8,6 +8,7 @@ import numpy as np
 
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.detection.detect import Observations
+from mammometry.geometry import TriangleMesh
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.job.inputs import FinishedSurface
 from mammometry.measure.boundary.boundary import Boundary
@@ -15,7 +16,7 @@ from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import Sheet
 from mammometry.report.figures.measure import curve
 from mammometry.report.figures.names import NAMES
-from mammometry.report.figures.shading import Scene, picture_wh, standard_views
+from mammometry.report.figures.shading import Scene, picture_wh, standard_views, views_of
 from mammometry.report.figures.surface import show
 from mammometry.surface.texture.unmeasured import WORDS, shown_colours
 
@@ -112,3 +113,19 @@ def surface_seen(
             curve(axes, scene, view, boundary.points_world, canvas.CYCLE[k], size_px=_VIEW_PX)
     found = "A curve is dashed where it is hidden" if boundaries else "No boundary was found on it"
     return sheet.png("The surface", f"Standard views, all at one scale. {found}. {WORDS}.")
+
+
+def directions_seen(mesh: TriangleMesh, fronts: Mapping[str, Float64[Array, "3 3"]]) -> bytes:
+    """A scan from each side that may be its front.
+
+    Args:
+        mesh: the scan, mm.
+        fronts: option that names the side → right, up and towards the viewer, as rows.
+    """
+    views = views_of(mesh, dict(fronts))
+    columns, rows = canvas.grid(len(views))
+    sheet, scene = Sheet(columns, rows, picture_wh(views[0], _VIEW_PX)), Scene(mesh)
+    for index, view in enumerate(views):
+        show(sheet.panel(index, view.name), scene.render(view, size_px=_VIEW_PX), view)
+    text = "Measure again with the option above the picture that shows the patient upright and from the front."
+    return sheet.png("Which side is the front", text)
