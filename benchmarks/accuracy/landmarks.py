@@ -51,7 +51,7 @@ Known: TypeAlias = dict[str, Float64[Array, "k 3"]]
 _UPRIGHT = np.eye(3)  # frame of every mesh. Rows: the patient's left, the head, straight ahead
 _FAMILIES = ("woman", "leaning-woman")  # of the second generator
 _EDGE_MM = 2.5  # of its triangles
-_SCALE = 0.2  # of a virtual rig's photographs, of 4504 × 3000 pixels
+_SCALE = 0.15  # of a virtual rig's photographs, of 4504 × 3000 pixels
 _WALKS = {"clean": "4", "disturbed": "3"}  # walk → shared body
 _RIG, _PHOTOGRAPHS = "rig", "photographs"
 
