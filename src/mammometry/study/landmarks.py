@@ -225,7 +225,7 @@ def score_tables(found: Sequence[Score]) -> tuple[Table, ...]:
     return (
         Table(
             title="Landmarks and borders, errors in mm",
-            columns=("landmark", "input", "women", "found", "missing", "invented", "median", "mean", "95 %", "worst"),
+            columns=("landmark", "input", "women", "found", "invented", "median", "mean", "95 %", "worst"),
             rows=tuple(_row(one) for one in found),
         ),
         Table(title="Published figures of raters", columns=("what", "mm", "source"), rows=PUBLISHED),
@@ -233,7 +233,7 @@ def score_tables(found: Sequence[Score]) -> tuple[Table, ...]:
 
 
 def _row(one: Score) -> tuple[str, ...]:
-    counts = (f"{one.found} of {one.true}", str(one.true - one.found), str(one.invented))
+    counts = (f"{one.found} of {one.true}", str(one.invented))
     figures = (number(figure, ".1f") for figure in (one.median_mm, one.mean_mm, one.p95_mm, one.worst_mm))
     return (one.landmark, one.kind, one.generator, *counts, *figures)
 
