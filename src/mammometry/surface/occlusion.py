@@ -269,7 +269,7 @@ def _depths(place: Bool[Array, "H W"]) -> Float64[Array, "H W"]:
 
 _WIDEST_MM = 90.0  # between both sides of a slit: a band or a rail has 15 to 50 mm; not critical
 _SIDE_MM = 12.0  # width of the skin on each side from which its slope and curvature are measured; not critical
-_LEAST_BLOCKS = 4  # of measured skin on each side
+_LEAST_BLOCKS = 4  # fewest blocks of measured skin on each side
 _EDGE_BLOCKS = 4  # largest distance from the slit to measured skin: windows end before an edge; not critical
 _STEEPEST = np.tan(np.radians(60.0))  # largest slope of skin at a slit: at the subject's end it is larger; not critical
 _SQUARE = np.cos(np.radians(50.0))  # a line must cross both edges: others are chords of a curved outline; not critical

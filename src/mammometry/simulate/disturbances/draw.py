@@ -21,7 +21,7 @@ OF_OTHER_CAPTURES = ("board", "grey", "soft-focus", "table")
 HARDEST = 3
 """Greatest difficulty."""
 _THIRD, _HELD_OUT_FROM = 3, 9000  # one seed in three is held out, and all from this one
-_NOT_AT_RANDOM = ("rail", "upright")  # of a posing frame: at most one of the two, else too much is hidden
+_NOT_AT_RANDOM = ("rail", "upright")  # parts of a posing frame: at most one, else too much is hidden
 _ROLLED = "mounted"
 _ROLLED_FROM, _ROLLED_SHARE = 2, 0.2  # least difficulty at which rigs are rolled, and share of rolled rigs
 # Shares below are guesses for a clinic that rebuilds breasts, not from a register.

@@ -25,7 +25,7 @@ from mammometry.simulate.rendering.shading import paint_at
 from mammometry.simulate.rendering.skin import Skin
 
 _VARIANT = "scalar_rgb"
-_BOUNCES = 4  # of light between surfaces: skin of reflectance 0.6 keeps a tenth after as many
+_BOUNCES = 4  # reflections of light between surfaces: skin of reflectance 0.6 keeps a tenth
 _SAMPLES = 8  # samples per pixel and light; twice as many at edges
 _PIXELS_AT_ONCE = 4096  # pixels traced at a time; limits memory
 _LOCK = Lock()

@@ -18,10 +18,10 @@ _BOARD_STEP_MM = 3.0  # distance of the board's vertices, which store its shadow
 _OBJECTS = 240  # boxes of the clutter, including the room itself
 _ROOM_MM = (1150.0, 1600.0)  # range of the clutter's distance from the rig's centre, mm: beyond all cameras and flashes
 _WALL_MM = 2100.0  # distance of the room's walls from the centre: beyond all boxes
-_SIDES = 3  # of a hair's tube
+_SIDES = 3  # sides of a hair's tube
 _JOINTS = 6  # points of a hair's centre line
-_HAIR_RADIUS_MM = 0.05  # of a hair
-_HAIR_LENGTH_MM = (4.0, 14.0)  # range of a uniform distribution
+_HAIR_RADIUS_MM = 0.05  # radius of a hair
+_HAIR_LENGTH_MM = (4.0, 14.0)  # range of hairs' lengths, uniformly distributed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

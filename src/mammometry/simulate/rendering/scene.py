@@ -72,7 +72,7 @@ BACKDROP_GAP_MM = 0.8
 """Distance of the board behind a flat back."""
 SCATTER, LIGHTS = 5, 8
 """First columns of `Scene.attributes` with scattered light, and with shares of lights."""
-_BACKDROP_REFLECTANCE = 0.022  # of the dark board
+_BACKDROP_REFLECTANCE = 0.022  # reflectance of the dark board
 _HAIR_RGB = (0.045, 0.03, 0.02)  # reflectance
 _ROOM_LIGHT = 2.2
 """Brightness of a cluttered room's objects relative to the subject's ambient light: only the room lights them."""

@@ -76,19 +76,19 @@ class RigErrors:
     """Standard deviations of a built rig's differences from its plan."""
 
     position_mm: float = 8.0
-    """Of each coordinate of a camera, mm."""
+    """Position of a camera, each coordinate, mm."""
     aim_mm: float = 4.0
-    """Of each coordinate of the point it looks at, mm."""
+    """Point that it looks at, each coordinate, mm."""
     roll_deg: float = 1.0
-    """Of its turn about the line of sight, degrees."""
+    """Roll about the line of sight, degrees."""
     focal: float = 0.01
-    """Of the focal length, relative."""
+    """Focal length, relative."""
     aspect: float = 1e-4
-    """Of the pixel's height over its width."""
+    """Height of a pixel over its width."""
     principal_point: float = 0.007
-    """Of each coordinate of the principal point, in heights of the picture."""
+    """Principal point, each coordinate, in heights of the picture."""
     distortion: tuple[float, float, float, float] = (0.03, 0.1, 3e-4, 3e-4)
-    """Of k1, k2, p1 and p2."""
+    """Distortion k1, k2, p1 and p2."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -23,8 +23,8 @@ from mammometry.simulate.subjects.torso_shape import SIDES, BreastShape, TorsoSh
 _COARSE_MM = 7.0  # edges of the body before it is refined
 _DEEPEST_MM, _HIGHEST_MM = 110.0, 45.0  # range of the chest wall's height relative to a breast's tangent plane
 _SNAP = 0.2  # share of an edge: a vertex closer than this to the boundary is moved onto it
-_VOLUME_ROUNDS = 3  # of scaling a breast to its volume
-_HANG_ROUNDS = 2  # of pulling a breast down: the nipple's height is almost linear in the pull
+_VOLUME_ROUNDS = 3  # rounds of scaling a breast to its volume
+_HANG_ROUNDS = 2  # rounds of pulling a breast down: the nipple's height is almost linear in the pull
 _ARMPIT_MM = 25.0  # height above the lowest junction of arm and trunk in which the armpit's front is searched
 # Invented scenery; no result depends on these two.
 _FORWARD = 0.6  # weight of straight ahead, relative to the chest's normal, in a breast's direction

@@ -69,7 +69,7 @@ _MIN_DATA = 50  # fewest data of a usable view; not critical
 _SILHOUETTE_SAMPLES = 5000  # data looked up in a mask: gives the share outside it to 1 %
 _MOST_OUTSIDE = 0.5  # largest share of a view's data that another camera may see outside the subject
 _LEAST_IN_PICTURE = 0.2  # least share of a view's data in a camera's image for this test; not critical
-_LONGEST_SIDE_PX = 4.0  # of an open surface's triangles: distance of neighbours on skin at 75°
+_LONGEST_SIDE_PX = 4.0  # longest side of an open surface's triangles: distance of neighbours on skin at 75°
 
 
 def extract(

@@ -34,7 +34,7 @@ SIMILARITY_MM = 2.0
 REPAIRED_REACH_MM, BRIDGED_REACH_MM = 2.0, 15.0
 """Distance from measured vertices along the surface up to which a vertex without a datum counts as repaired, and as
 bridged, mm. Errors: repaired skin 0.7 mm on average, bridged skin millimetres (docs/decisions/0026)."""
-_MAX_ITERATIONS = 400  # of the conjugate gradients; about 125 are usual (docs/decisions/0007)
+_MAX_ITERATIONS = 400  # most iterations of conjugate gradients; about 125 are usual (docs/decisions/0007)
 _TOLERANCE = 1e-3  # relative residual at which they stop; 1e-6 changed nothing
 _FADED = 10.0  # fading lengths after which a displacement is negligible: e⁻¹⁰
 

@@ -25,7 +25,7 @@ CLEARANCE_MM = 0.7
 """Least distance in front of a vertex from which the surface hides it from a camera, mm: more than a cube's edge."""
 _LEAST_COSINE = 0.1  # 84° from the normal: at larger angles a photograph shows nothing of the skin
 _LEAST_COMMON = 200  # fewest common vertices for levelling two photographs; appearance only
-_LEAST_BRIGHT = 0.02  # of full scale: darker values are noise, so their ratio is random; appearance only
+_LEAST_BRIGHT = 0.02  # share of full scale: darker values are noise, with random ratios; appearance only
 UNSEEN = 128
 """Mid grey, sRGB, where no camera sees the surface."""
 _SHADOW_MM = 0.5  # side on the skin of the pixels used for occlusion: about a cube's edge

@@ -330,7 +330,7 @@ def fading_pixels(
     return FadingPixels(row=row, column=column, corners=corners, between=between, shares=shares)
 
 
-_QUALITY = 92  # of the JPEG, 1…100: keeps the viewer's file small; appearance only
+_QUALITY = 92  # quality of the JPEG, 1…100: keeps the viewer's file small; appearance only
 
 
 def as_jpeg(atlas: Atlas) -> Atlas:
