@@ -180,7 +180,7 @@ def evidence(
 ) -> Evidence:
     """Results of earlier stages that determine the errors of a volume.
 
-    Views are used for casts only, which are convex where they are not seen. A patient's folds are closed too far
+    Views are used for casts only, which are round where they are not seen. A patient's folds are closed too far
     outside, and no view shows how deep the skin is (docs/decisions/0043).
     """
     from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence, movement_of
