@@ -52,7 +52,8 @@ from mammometry.simulate.session import write_session
 SOURCE = Path(mammometry.__file__).parent
 STAGES = ("calibration", "matching", "surface", "measure", "geometry", "job")
 """Packages whose constants are turned."""
-BY_EYE = "by eye"
+WITHOUT_SOURCE = "not critical", "by eye"
+"""What comments say of constants that have neither a source nor a measurement."""
 TURNS = (1.25, 0.75)
 MOVED = 0.1
 """Of the interval's width."""
@@ -120,7 +121,7 @@ def all_settings() -> Iterator[Number]:
 
 
 def constants(everything: bool = False) -> Iterator[Number]:
-    """Yield the numbers that modules of the stages call chosen by eye.
+    """Yield the constants of the stages that have no source.
 
     Args:
         everything: whether to yield all other numeric constants, too.
@@ -128,7 +129,7 @@ def constants(everything: bool = False) -> Iterator[Number]:
     for folder in STAGES:
         for path in sorted((SOURCE / folder).rglob("*.py")):
             text = path.read_text(encoding="utf-8")
-            if BY_EYE not in text and not everything:
+            if not everything and not any(mark in text for mark in WITHOUT_SOURCE):
                 continue
             module = ".".join(("mammometry", *path.relative_to(SOURCE).with_suffix("").parts))
             yield from (
@@ -148,7 +149,7 @@ def _constants_in(text: str, module: str, everything: bool) -> Iterator[tuple[st
         above = statement.lineno - 2
         while above >= 0 and lines[above].startswith("#"):
             said, above = [lines[above], *said], above - 1
-        if not everything and BY_EYE not in " ".join(said).lower():
+        if not everything and not any(mark in " ".join(said).lower() for mark in WITHOUT_SOURCE):
             continue
         __import__(module)
         known = vars(sys.modules[module])

@@ -1,8 +1,8 @@
 """Shortest paths over a triangulated surface, like a tape measure.
 
-A path runs from point to point within triangles. Points are spread over the edges (Lanthier, Maheshwari and Sack 1997)
-and the shortest way along them is found by Dijkstra's algorithm. This is repeated with more points in an ever narrower
-belt that can still hold the shortest path. The length found is never below the true one, and up to 0.4 % above it.
+Points are placed on the edges (Lanthier, Maheshwari and Sack 1997), and Dijkstra's algorithm finds the shortest path
+from point to point. This is repeated with more points in a narrower belt that still contains the shortest path. The
+length is never below the true one, and up to 0.4 % above it.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.landmarks.geodesic_kernels import shortest
 
 _ROUNDS = ((0, 1.16), (1, 1.04), (4, 1.006), (12, 1.0))
-"""Points on each edge, and ratio to the shortest length up to which a path stays in the next round's belt (1: none
-follows). Along edges alone a path is up to 2/√3 = 1.155 times too long."""
-_BELT = 0.4  # edge lengths by which the belt is wider: on a coarse mesh more than one row of faces; chosen by eye
-_PAIRS = 2_000_000  # of points that see one another, at most in a round; a fine mesh needs fewer points on each edge
-_ROOMS = ((1.12, 10.0), (1.6, 40.0), (np.inf, 0.0))
-"""Lengths up to which a path is looked for, in turn: a factor of the straight distance, plus mm. For speed alone."""
+"""For each round: points per edge, and length relative to the shortest up to which paths stay in the next round's belt
+(1: last round). Along edges alone a path is up to 2/√3 = 1.155 times too long."""
+_BELT = 0.4  # width added to the belt, in edge lengths: on a coarse mesh more than one row of faces; not critical
+_PAIRS = 2_000_000  # most pairs of points in one face, all faces together; a fine mesh gets fewer points per edge
+_SEARCHES = ((1.12, 10.0), (1.6, 40.0), (np.inf, 0.0))
+"""Longest paths that are searched, one after the other: factor of the straight distance, plus mm. For speed only."""
 
 
 @value(eq=False)
@@ -30,28 +30,28 @@ class SurfacePath:
     """A shortest path over a mesh."""
 
     points_world: Float64[Array, "k 3"]
-    """From start to stop, neighbours in one triangle, mm, world frame."""
+    """From start to stop, each two neighbours in one triangle, mm, world frame."""
     length_mm: float
 
 
 def geodesic(mesh: TriangleMesh, start_world: Float64[Array, 3], stop_world: Float64[Array, 3]) -> SurfacePath:
-    """Find the shortest path over the surface between two points. Each point is moved onto the mesh.
+    """Shortest path over the surface between two points. Each is first projected onto the mesh.
 
     Args:
         mesh: the surface, mm, world frame; open or closed.
-        start_world: near the surface.
-        stop_world: near the surface.
+        start_world: near the surface, mm.
+        stop_world: near the surface, mm.
 
     Raises:
-        MeasureError: no way over the surface leads from one to the other.
+        MeasureError: the surface does not connect the points.
     """
     ends = np.stack([start_world, stop_world])
     straight_mm = float(np.linalg.norm(start_world - stop_world))
-    for factor, more_mm in _ROOMS:
+    for factor, more_mm in _SEARCHES:
         most_mm = factor * straight_mm + more_mm if np.isfinite(factor) else np.inf
-        room = _room(mesh, ends, most_mm)
-        path = _path(mesh.submesh(room), ends) if room.any() else None
-        # No shorter path leaves the room: each of its points is no farther from both ends together than it is long.
+        ellipsoid = _in_ellipsoid(mesh, ends, most_mm)
+        path = _path(mesh.submesh(ellipsoid), ends) if ellipsoid.any() else None
+        # A path that leaves the ellipsoid is longer: a path's length bounds the sum of distances from its ends.
         if path is not None and path.length_mm + _moved_mm(path, ends) <= most_mm:
             return path
     raise MeasureError(
@@ -62,8 +62,8 @@ def geodesic(mesh: TriangleMesh, start_world: Float64[Array, 3], stop_world: Flo
     )
 
 
-def _room(mesh: TriangleMesh, ends: Float64[Array, "2 3"], most_mm: float) -> Bool[Array, " m"]:
-    """Faces in the ellipsoid that holds all paths up to a length."""
+def _in_ellipsoid(mesh: TriangleMesh, ends: Float64[Array, "2 3"], most_mm: float) -> Bool[Array, " m"]:
+    """Faces in the ellipsoid that contains all paths up to a length."""
     if not np.isfinite(most_mm):
         return np.ones(len(mesh.faces), dtype=bool)
     middle = ends.mean(axis=0)
@@ -93,16 +93,16 @@ def _path(local: TriangleMesh, ends: Float64[Array, "2 3"]) -> SurfacePath | Non
         places, of_face = _spread(local.vertices, corners, min(wanted, max(fitting, 1)))
         start, stop = len(places), len(places) + 1
         places = np.concatenate([places, nearest.points])
-        own = np.full((len(corners), 1), -1)  # a third kind of place: start and stop, each in its face
+        own = np.full((len(corners), 1), -1)  # start and stop, each in its face
         own[last, 0] = start, stop
         of_face = np.concatenate([of_face, own], axis=1)
         distance, before = shortest(places, of_face, start, stop, slack, belt_mm)
         if not np.isfinite(distance[stop]):
             return None
-        way = [stop]
-        while way[-1] != start:
-            way.append(int(before[way[-1]]))
-        points = places[way[::-1]]
+        trail = [stop]
+        while trail[-1] != start:
+            trail.append(int(before[trail[-1]]))
+        points = places[trail[::-1]]
         if slack == 1:
             break
         both = distance + shortest(places, of_face, stop, start, slack, belt_mm)[0]
@@ -115,7 +115,7 @@ def _path(local: TriangleMesh, ends: Float64[Array, "2 3"]) -> SurfacePath | Non
 def _spread(
     vertices: Float64[Array, "n 3"], faces: Int64[Array, "m 3"], per_edge: int
 ) -> tuple[Float64[Array, "k 3"], Int64[Array, "m c"]]:
-    """Places on corners and evenly spread on edges, and the places of each face."""
+    """Corners and evenly spaced points on the edges, and their indices for each face."""
     edges, of_face = edge_table(faces.astype(np.int32))
     share = ((np.arange(per_edge) + 1) / (per_edge + 1))[None, :, None]
     a, b = vertices[edges[:, 0], None], vertices[edges[:, 1], None]

@@ -1,7 +1,4 @@
-"""Compiled kernel of shortest ways over a surface.
-
-Its twin, SciPy's Dijkstra, stands in tests/unit/measure/test_geodesic.py.
-"""
+"""Compiled shortest paths over a surface. The test's reference is SciPy's Dijkstra (unit/measure/test_geodesic.py)."""
 
 from heapq import heappop, heappush
 
@@ -15,21 +12,21 @@ from mammometry.geometry.arrays import Array, Float64, Int64
 def shortest(
     places: Float64[Array, "n 3"], of_face: Int64[Array, "m c"], start: int, stop: int, slack: float, more_mm: float
 ) -> tuple[Float64[Array, " n"], Int64[Array, " n"]]:
-    """Length of the shortest way from one place to others, and the place before it on that way (A*).
+    """Lengths of shortest paths from one place to the others, and each place's predecessor (A*).
 
-    Those are found that may lie on a way from start to stop of `slack` times the shortest length and `more_mm`: no way
-    is shorter than the straight one.
+    Lengths are exact for places on any path from start to stop of at most `slack` times the shortest length plus
+    `more_mm`. The straight distance to `stop` is the lower bound.
 
     Args:
         places: on the surface, mm.
-        of_face: numbers of the places in each face, which see one another; negative ones stand for none.
-        start: number of the place.
-        stop: number of another one.
+        of_face: indices of the places in each face, which are joined to one another; negative: none.
+        start: index of the first place.
+        stop: index of the last place.
         slack: a factor, 1 or more.
         more_mm: at least 0.
 
     Returns:
-        The lengths, mm, right where that may be, elsewhere too long or ∞; and the places before, −1 for none.
+        Lengths, mm: exact where promised above, elsewhere too long or ∞. Predecessors, −1 for none.
     """
     n, (m, c) = len(places), of_face.shape
     first = np.zeros(n + 1, dtype=np.int64)
@@ -49,26 +46,26 @@ def shortest(
     length[start] = 0.0
     heap, most = [(0.0, 0.0, start)], np.inf
     while len(heap):
-        whole, way, place = heappop(heap)
+        whole, travelled, place = heappop(heap)
         if whole > most:
             break
-        if way > length[place]:
+        if travelled > length[place]:
             continue
         if place == stop:
-            most = way * slack + more_mm
+            most = travelled * slack + more_mm
         for face in faces_at[first[place] : first[place + 1]]:
             for k in range(c):
                 other = of_face[face, k]
-                if other < 0 or length[other] <= way:
+                if other < 0 or length[other] <= travelled:
                     continue
-                longer = way + _apart(places, place, other)
+                longer = travelled + _distance(places, place, other)
                 if longer < length[other]:
                     length[other], before[other] = longer, place
-                    heappush(heap, (longer + _apart(places, other, stop), longer, other))
+                    heappush(heap, (longer + _distance(places, other, stop), longer, other))
     return length, before
 
 
 @kernel
-def _apart(places: Float64[Array, "n 3"], one: int, other: int) -> float:
+def _distance(places: Float64[Array, "n 3"], one: int, other: int) -> float:
     x, y, z = places[one, 0] - places[other, 0], places[one, 1] - places[other, 1], places[one, 2] - places[other, 2]
     return np.sqrt(x * x + y * y + z * z)

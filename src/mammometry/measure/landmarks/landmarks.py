@@ -1,7 +1,6 @@
-"""Landmarks of anthropometry: their names, and where they lie on one surface.
+"""Anthropometric landmarks: their names and their places on one surface.
 
-Picked landmarks are checked, not corrected. A landmark off the surface or on the wrong side of the patient is an error:
-only the person who picked it knows what was meant.
+Picked landmarks are checked, not corrected: a landmark off the surface or on the wrong side of the patient is an error.
 """
 
 from __future__ import annotations
@@ -57,36 +56,35 @@ def _of_torso() -> tuple[LandmarkName, ...]:
 LANDMARKS: Mapping[str, tuple[LandmarkName, ...]] = MappingProxyType(
     {"torso": _of_torso(), "model": (LandmarkName(name="nipple_model", title="nipple", kind="point"),), "surface": ()}
 )
-"""Kind of subject → the landmarks that it may have."""
+"""Kind of subject → its possible landmarks."""
 
 
 PICKED_SIGMA_MM = 2.0
 """Standard uncertainty of a picked landmark along the skin, mm. Repeated picks on 3D scans scatter by 1 to 3."""
-_OFF_SURFACE_MM = 10.0  # farther off, a landmark was picked on another surface or in another unit; chosen by eye
-_WRONG_SIDE_MM = 5.0  # a landmark may lie this far beyond the middle, which is not known better; chosen by eye
+_OFF_SURFACE_MM = 10.0  # a landmark further off was picked on another surface or in another unit; not critical
+_WRONG_SIDE_MM = 5.0  # tolerance beyond the midline, whose position is uncertain by this; not critical
 
 
 @value(eq=False)
 class Landmark:
-    """Place of a landmark, with its uncertainty.
+    """A landmark's position, with its uncertainty.
 
     Raises:
-        ValueError: no point, or one that is not finite.
+        ValueError: there is no point, or one is not finite.
     """
 
     name: str
     """One of `LANDMARKS` (`mammometry.measure.landmarks.landmarks`)."""
     points_world: Float64[Array, "k 3"]
-    """One point, or the corners of a line in order. mm, world frame."""
+    """One point, or the corners of a line in order, mm, world frame."""
     method: str
-    """Who or what found it, one sentence."""
+    """How it was found, one sentence."""
     sigma_mm: float
-    """Standard uncertainty of its place along the skin, mm."""
+    """Standard uncertainty along the skin, mm."""
     probability: float = 1.0
-    """Probability that it exists: 1 if somebody picked it. Results from a landmark are left out if this is too small
-    (`NippleSettings.least_probability`)."""
+    """Probability that it exists: 1 if it was picked. Below `NippleSettings.least_probability` it is not used."""
     proposed: bool = False
-    """Whether it was found automatically, and nobody has confirmed it yet."""
+    """Whether it was found automatically and is not confirmed yet."""
 
     def __post_init__(self) -> None:
         if not len(self.points_world) or not np.isfinite(self.points_world).all():
@@ -101,17 +99,17 @@ def picked_landmarks(
     sigma_mm: float,
     middle_world: Float64[Array, 3] | None = None,
 ) -> tuple[Landmark, ...]:
-    """Lay picked landmarks onto the surface.
+    """Picked landmarks, projected onto the surface.
 
     Args:
         places: name → one point or the corners of a line, mm, world frame.
         mesh: the surface.
-        frame: rows: the patient's left, the head, straight ahead; None where that is not known.
+        frame: rows: the patient's left, the head, straight ahead; None if unknown.
         sigma_mm: standard uncertainty of a picked place, mm.
         middle_world: a point on the body's midline, mm, used if neither notch nor midline was picked.
 
     Raises:
-        MeasureError: a landmark lies off the surface, or on the other side than its name says.
+        MeasureError: a landmark is off the surface or on the wrong side.
     """
     if not places:
         return ()
@@ -142,7 +140,7 @@ def picked_landmarks(
 def _check_sides(
     landmarks: Mapping[str, Landmark], frame: Float64[Array, "3 3"], middle_world: Float64[Array, 3] | None
 ) -> None:
-    """Refuse a left landmark on the patient's right, and the reverse."""
+    """Raise a MeasureError for a left landmark on the patient's right, and the reverse."""
     across = {name: float(landmark.points_world.mean(axis=0) @ frame[0]) for name, landmark in landmarks.items()}
     central = [across[name] for name in ("sternal_notch", "midline") if name in across]
     if not central and middle_world is not None:
@@ -161,6 +159,6 @@ def _check_sides(
             raise MeasureError(
                 f"landmark {name!r}",
                 found=f"a point {beyond:.0f} mm to the patient's {opposite} of the middle",
-                expected=f"one on the patient's own {side}, which a picture from the front shows on the {opposite}",
-                remedy="Exchange the left and right landmarks, or pick it again",
+                expected=f"one on the patient's own {side}, which is on the {opposite} in a picture from the front",
+                remedy="Swap the left and right landmarks, or pick it again",
             )

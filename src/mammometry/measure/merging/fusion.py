@@ -1,4 +1,4 @@
-"""Fuse registered scans in one signed distance field, and say which scan showed which skin."""
+"""Fuse registered scans in one signed distance field, and record which scan shows each vertex."""
 
 from __future__ import annotations
 
@@ -15,22 +15,20 @@ from mammometry.measure.merging.registration import edge_distance_mm
 from mammometry.measure.scan_repair import largest_part
 from mammometry.surface.fusion.marching import march
 
-_CUBE_MM = (1.0, 2.0)
-"""Edges of the field's cubes, at least and at most, mm. Between them 0.7 of the finest mesh's median edge."""
-_OF_AN_EDGE = 0.7  # share of the finest mesh's median edge
+_CUBE_MM = (1.0, 2.0)  # least and greatest edge of the field's cubes
+_CUBE_PER_EDGE = 0.7  # edge of a cube between these limits, relative to the finest mesh's median edge
 _MOST_CORNERS = 60_000_000  # of the grid, 0.5 GB; larger bodies get larger cubes
-_BAND_CUBES = 3.0  # distance from a scan up to which the field is known, in cubes
-_MARGIN_CUBES = 5  # around both scans, so that the level never meets the grid's edge
+_BAND_CUBES = 3.0  # distance from a scan up to which the field is computed, in cubes
+_MARGIN_CUBES = 5  # margin of the grid around the scans, so that the surface never reaches its border
 _TAPER_MM = 25.0
-"""Distance from a scan's edge within which its weight rises from 0 to 1, mm. Scanners lose skin that they see at a
-slant, so skin beside an edge is the least certain. It also spreads a difference of both scans at a seam, which would
-otherwise be a step."""
-_APART_MM = 6.0  # nearest points of both scans farther apart than this are on different skin
-_FACING = 0.3  # and so are those whose normals differ by more than 73°
-_STRAIGHT = 0.5  # cosine between the way to the nearest point and its normal, below which it is an edge seen from aside
-_LEAST_WEIGHT = 1e-6  # of skin at a scan's edge: it counts where no other scan shows it
-_NO_SHARE = 0.05  # share of the weight below which a scan is not said to show a vertex
-_OFF_LEVEL = 1e-3  # share of a cube by which a value of 0 is moved: marching cubes take none
+"""Distance from a scan's edge over which its weight rises from 0 to 1, mm. Skin near an edge is seen at a grazing angle
+and is the least certain. The taper also avoids a step at the seam where the scans differ."""
+_SAME_SKIN_MM = 6.0  # largest distance between nearest points of two scans on the same skin
+_FACING = 0.3  # least cosine between normals of the same skin (73°)
+_STRAIGHT = 0.5  # least cosine between the offset to the nearest point and its normal; below it the point is on an edge
+_LEAST_WEIGHT = 1e-6  # weight of skin at a scan's edge, so that it counts where no other scan shows it
+_LEAST_SHARE = 0.05  # share of the weight from which a scan counts as showing a vertex
+_OFF_LEVEL = 1e-3  # least absolute value of the field, in cubes: marching cubes need a sign
 
 
 @value(eq=False)
@@ -56,10 +54,11 @@ class FusedScans:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Seen:
-    """What one scan says of some points."""
+class _ScanView:
+    """Signed distances of points from one scan."""
 
     seen: Bool[Array, " n"]
+    """Whether the scan shows the nearest skin."""
     distance_mm: Float64[Array, " n"]
     """Signed, positive outside."""
     weight: Float64[Array, " n"]
@@ -68,10 +67,10 @@ class _Seen:
 
 
 def fuse_scans(scans: Sequence[ColouredMesh]) -> FusedScans:
-    """Fuse scans that lie in one frame.
+    """One mesh of several scans in the same frame.
 
-    Where several show the same skin, their signed distances are averaged. A scan's weight rises with the distance from
-    its edge. Where one shows skin, its own counts. Where none does, the mesh stays open.
+    Where several show the same skin, the result is the mean of their signed distances, each weighted by the distance
+    from its scan's edge. Where none shows skin, the mesh is open.
 
     Args:
         scans: at most eight.
@@ -85,7 +84,7 @@ def fuse_scans(scans: Sequence[ColouredMesh]) -> FusedScans:
     near = _near(meshes, origin, cube_mm, shape)
     points = origin + cube_mm * np.stack(np.unravel_index(near, shape), axis=1)
     band_mm = _BAND_CUBES * cube_mm
-    known, distance_mm = _fused([_seen(points, mesh, band_mm) for mesh in meshes])
+    known, distance_mm = _fused([_view(points, mesh, band_mm) for mesh in meshes])
     off_mm = _OFF_LEVEL * cube_mm
     distance_mm = np.where(np.abs(distance_mm) < off_mm, np.where(distance_mm < 0, -off_mm, off_mm), distance_mm)
     field = np.full(shape, band_mm, dtype=np.float32)
@@ -98,18 +97,18 @@ def fuse_scans(scans: Sequence[ColouredMesh]) -> FusedScans:
 
 
 def _cube_mm(meshes: Sequence[TriangleMesh]) -> float:
-    """Edge of the field's cubes."""
+    """Edge of the field's cubes, mm."""
     edges = []
     for mesh in meshes:
         ends = mesh.vertices[mesh.edges()]
         edges.append(float(np.median(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))))
-    return float(np.clip(_OF_AN_EDGE * min(edges), *_CUBE_MM))
+    return float(np.clip(_CUBE_PER_EDGE * min(edges), *_CUBE_MM))
 
 
 def _near(
     meshes: Sequence[TriangleMesh], origin: Float64[Array, 3], cube_mm: float, shape: tuple[int, ...]
 ) -> Int64[Array, " k"]:
-    """Numbers of the grid's corners within the band around any scan."""
+    """Flat indices of the grid's corners within the band around any scan."""
     marked = np.zeros(shape, dtype=bool)
     for mesh in meshes:
         corners = mesh.corners()
@@ -124,8 +123,8 @@ def _near(
     return np.flatnonzero(binary_dilation(marked, iterations=reach))
 
 
-def _seen(points: Float64[Array, "n 3"], mesh: TriangleMesh, band_mm: float) -> _Seen:
-    """Signed distances of points from one scan, where it shows skin."""
+def _view(points: Float64[Array, "n 3"], mesh: TriangleMesh, band_mm: float) -> _ScanView:
+    """Signed distances of points from one scan."""
     closest = closest_on_mesh(points, mesh)
     faces = mesh.faces[closest.faces]
     shares = barycentric(closest.points, mesh.vertices[faces])
@@ -135,7 +134,7 @@ def _seen(points: Float64[Array, "n 3"], mesh: TriangleMesh, band_mm: float) -> 
     along = (away * outward).sum(axis=1)
     edge_mm = edge_distance_mm(closest.points, mesh)
     straight = np.abs(along) > _STRAIGHT * closest.distances_mm
-    return _Seen(
+    return _ScanView(
         seen=(closest.distances_mm < band_mm) & (straight | (closest.distances_mm < 1e-9)) & (edge_mm > 0),
         distance_mm=np.where(along < 0, -1.0, 1.0) * closest.distances_mm,
         weight=np.clip(edge_mm / _TAPER_MM, _LEAST_WEIGHT, 1.0),
@@ -144,21 +143,21 @@ def _seen(points: Float64[Array, "n 3"], mesh: TriangleMesh, band_mm: float) -> 
     )
 
 
-def _fused(views: Sequence[_Seen]) -> tuple[Bool[Array, " n"], Float64[Array, " n"]]:
-    """Where any scan shows skin, and the signed distances of all that show the nearest skin, mm."""
+def _fused(views: Sequence[_ScanView]) -> tuple[Bool[Array, " n"], Float64[Array, " n"]]:
+    """Whether any scan shows skin, and the weighted mean of the signed distances from the nearest skin, mm."""
     every = np.arange(len(views[0].seen))
-    away = np.array([np.where(view.seen, np.abs(view.distance_mm), np.inf) for view in views])
-    nearest = np.argmin(away, axis=0)
+    distances = np.array([np.where(view.seen, np.abs(view.distance_mm), np.inf) for view in views])
+    nearest = np.argmin(distances, axis=0)
     closest = np.array([view.closest for view in views])[nearest, every]
     outward = np.array([view.outward for view in views])[nearest, every]
     total, weights = np.zeros(len(every)), np.zeros(len(every))
     for view in views:
-        same = np.linalg.norm(view.closest - closest, axis=1) < _APART_MM
+        same = np.linalg.norm(view.closest - closest, axis=1) < _SAME_SKIN_MM
         same &= (view.outward * outward).sum(axis=1) > _FACING
         weight = np.where(view.seen & same, view.weight, 0.0)
         total += weight * view.distance_mm
         weights += weight
-    return np.isfinite(away.min(axis=0)), total / np.maximum(weights, 1e-12)
+    return np.isfinite(distances.min(axis=0)), total / np.maximum(weights, 1e-12)
 
 
 def _whole_cells(seen: Bool[Array, "x y z"]) -> Bool[Array, "i j k"]:
@@ -170,16 +169,16 @@ def _whole_cells(seen: Bool[Array, "x y z"]) -> Bool[Array, "i j k"]:
 
 
 def _with_sources(mesh: TriangleMesh, scans: Sequence[ColouredMesh]) -> FusedScans:
-    """Scans that show each vertex, and its colour."""
+    """A mesh with the scans that show each vertex, and its colour."""
     weights = np.zeros((len(scans), len(mesh.vertices)))
     painted = np.zeros((len(mesh.vertices), 3))
     for own, scan in zip(weights, scans, strict=True):
         closest = closest_on_mesh(mesh.vertices, scan.mesh)
-        near = closest.distances_mm < _APART_MM
+        near = closest.distances_mm < _SAME_SKIN_MM
         own[near] = np.clip(edge_distance_mm(closest.points[near], scan.mesh) / _TAPER_MM, _LEAST_WEIGHT, 1.0)
         nearest = np.asarray(point_tree(scan.mesh.vertices).query(mesh.vertices)[1])
         painted += own[:, None] * scan.colours[nearest]
     shares = weights / np.maximum(weights.sum(axis=0), 1e-12)
-    bits = (shares > _NO_SHARE).T @ (1 << np.arange(len(scans)))
+    bits = (shares > _LEAST_SHARE).T @ (1 << np.arange(len(scans)))
     colours = np.round(painted / np.maximum(weights.sum(axis=0), 1e-12)[:, None])
     return FusedScans(mesh=mesh, sources=bits.astype(np.uint8), colours=colours.clip(0, 255).astype(np.uint8))
