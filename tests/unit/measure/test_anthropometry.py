@@ -211,7 +211,7 @@ def test_landmarks_of_the_wrong_side_and_off_the_surface_are_named() -> None:
     with pytest.raises(MeasureError, match=r"^landmark 'nipple_left': .*middle"):
         picked_landmarks({**notch, "nipple_left": on_trunk(RIGHT[0], RIGHT[1])[None]}, mesh, FRAME, sigma_mm=2.0)
     swapped = {"nipple_left": on_trunk(RIGHT[0], 0.0)[None], "nipple_right": on_trunk(LEFT[0], 0.0)[None]}
-    with pytest.raises(MeasureError, match="Exchange"):
+    with pytest.raises(MeasureError, match="Swap"):
         picked_landmarks(swapped, mesh, FRAME, sigma_mm=2.0)
     lonely = {"nipple_right": on_trunk(LEFT[0], 0.0)[None]}
     with pytest.raises(MeasureError, match="nipple_right"):

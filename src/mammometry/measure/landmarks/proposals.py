@@ -1,12 +1,12 @@
 """Proposed landmarks: nipples, sternal notch and umbilicus, the midline, and the ends of a breast.
 
-The skin's height over a plane across the body is averaged on a grid. A hollow lies below the ring around it along the
-body as well as across it, and is deepest at its own place. A groove, such as that over the breastbone, does so across
-it alone.
+The skin's distance ahead of the coronal plane is averaged on a grid. A hollow (sternal notch, umbilicus) is a local
+minimum below the ring around it both along and across the body. A groove, such as that over the breastbone, is below
+its ring only across the body.
 
-A nipple lies between the middle of the areola and the tip within it, or at the tip near the most projecting point if
-no areola is seen. Colour is ln R − ln G of linear light, which shading does not change: an areola is redder and darker
-than the skin around it. A tip stands out from the ring of skin around it. What is not seen is not proposed.
+The nipple is half way between the areola's centre and the tip within it, or the tip near the most projecting point if
+no areola is visible. Colour is ln R − ln G of linear light, which shading does not change: areolae are redder than the
+skin around them. A tip protrudes from the ring of skin around it. Nothing is proposed where neither is visible.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from mammometry.geometry import Array, Bool, Float64, TriangleMesh, UInt8
 from mammometry.geometry.nearest import closest_on_mesh, point_tree
 from mammometry.measure.landmarks.landmarks import Landmark
 
-_STEP_MM, _ASIDE_MM = 2.0, 60.0  # cells of the grid, and its half width; chosen by eye
-_SMOOTH_CELLS = 2.0  # standard deviation of the mean over cells; noise of telephones vanishes, hollows stay
-_FACING = 0.05  # cosine by which skin faces ahead at least
-_DISC_MM, _RING_MM = 5.0, (14.0, 22.0)  # radii of a hollow's middle and of the ring around it; chosen by eye
-_WHOLE = 0.98  # share of disc and ring that must be seen
-_LEAST_CELL = 1e-3  # of the smoothed number of vertices: below it a cell is not seen
-# On virtual bodies and scans: notches 2.7 to 4.2 mm, navels of another generator .9 to 2.1, else .7 at most.
+_STEP_MM, _ASIDE_MM = 2.0, 60.0  # cell size and half width of the grid; not critical
+_SMOOTH_CELLS = 2.0  # Gaussian σ, in cells: removes a telephone's noise and keeps hollows
+_FACING = 0.05  # least cosine between a normal and straight ahead
+_DISC_MM, _RING_MM = 5.0, (14.0, 22.0)  # radius of a hollow's disc, and radii of the ring around it; not critical
+_WHOLE = 0.98  # share of disc and ring that must be visible
+_LEAST_CELL = 1e-3  # smoothed number of vertices below which a cell counts as not visible
 _NOTCH_MM, _NAVEL_MM = 1.8, 0.9
-_NOTCH_ASIDE_MM, _NAVEL_ASIDE_MM = 12.0, 8.0  # from the midline at most; chosen by eye
-_BONE_MM = 6.0  # by which the breastbone's edge lies below the hollow's middle, as on virtual bodies
-_NAVEL_BELOW_MM = 80.0  # below the breasts at least; another generator's 104 to 157, hollows beneath a fold to 60
+"""Least depth. Virtual bodies and scans have notches of 2.7 to 4.2 mm, navels of 0.9 to 2.1, other hollows ≤ 0.7."""
+_NOTCH_ASIDE_MM, _NAVEL_ASIDE_MM = 12.0, 8.0  # largest distance from the midline; not critical
+_BONE_MM = 6.0  # distance of the breastbone's upper edge below the hollow's centre, from virtual bodies
+_NAVEL_BELOW_MM = 80.0  # least distance below the breasts: virtual navels 104 to 157, hollows under a fold up to 60
 _NOTCH_SIGMA_MM, _NAVEL_SIGMA_MM = 4.0, 5.0  # measured: benchmarks/accuracy/scans; two scans of one navel
-_PROBABILITY = 0.8  # of a hollow to be what it is called; chosen by eye
-_LINE_MM = 10.0  # between points of the midline
+_PROBABILITY = 0.8  # probability that a hollow is the landmark; not critical
+_LINE_MM = 10.0  # spacing of the midline's points
 
 
 def propose_on_midline(
@@ -47,9 +47,9 @@ def propose_on_midline(
     lowest_mm: float,
     highest_mm: float,
     *,
-    claimed: Bool[Array, " n"] | None = None,
+    known: Bool[Array, " n"] | None = None,
 ) -> tuple[Landmark, ...]:
-    """Propose midline, sternal notch and umbilicus, as far as they are seen.
+    """Proposals for the midline, the sternal notch and the umbilicus, if they are visible.
 
     Args:
         mesh: the whole surface, mm, world frame.
@@ -58,11 +58,11 @@ def propose_on_midline(
         plane_sigma_mm: standard uncertainty of the plane's place, mm.
         lowest_mm: height of the boundaries' lowest point over `point_world`, along the frame's second row.
         highest_mm: height of their highest point.
-        claimed: vertices that are measured skin or right beside it. None: all of them. Nothing is proposed elsewhere.
+        known: vertices on measured skin or next to it; proposals are made only there. None: all.
     """
     ahead = mesh.vertex_normals() @ frame[2] > _FACING
-    if claimed is not None:
-        ahead &= claimed
+    if known is not None:
+        ahead &= known
     places = (mesh.vertices[ahead] - point_world) @ frame.T
     places = places[np.abs(places[:, 0]) < _ASIDE_MM]
     if not len(places):
@@ -70,7 +70,7 @@ def propose_on_midline(
     bottom = float(places[:, 1].min())
     height = _height_map(places, bottom)
     hollow = _hollows(height)
-    deepest = hollow >= ndimage.maximum_filter(hollow, footprint=np.hypot(*_window(_RING_MM[0])) < _RING_MM[0])
+    is_minimum = hollow >= ndimage.maximum_filter(hollow, footprint=np.hypot(*_window(_RING_MM[0])) < _RING_MM[0])
     aside = (np.arange(height.shape[1]) * _STEP_MM - _ASIDE_MM)[None, :]
     up = (bottom + np.arange(height.shape[0]) * _STEP_MM)[:, None]
     found = []
@@ -78,7 +78,7 @@ def propose_on_midline(
         ("sternal_notch", _NOTCH_MM, _NOTCH_ASIDE_MM, _NOTCH_SIGMA_MM, up > highest_mm, -_BONE_MM),
         ("umbilicus", _NAVEL_MM, _NAVEL_ASIDE_MM, _NAVEL_SIGMA_MM, up < lowest_mm - _NAVEL_BELOW_MM, 0.0),
     ):
-        depth = np.where(within & deepest & (np.abs(aside) <= near), hollow, -np.inf)
+        depth = np.where(within & is_minimum & (np.abs(aside) <= near), hollow, -np.inf)
         row, column = np.unravel_index(np.argmax(depth), depth.shape)
         if depth[row, column] < least:
             continue
@@ -112,7 +112,7 @@ def _proposed(
 
 
 def _height_map(places: Float64[Array, "n 3"], bottom_mm: float) -> Float64[Array, "h w"]:
-    """Mean distance ahead in each cell, smoothed. NaN where nothing is seen."""
+    """Smoothed mean distance ahead in each cell, mm. NaN where no skin is visible."""
     cell = np.round((places[:, :2] + [_ASIDE_MM, -bottom_mm]) / _STEP_MM).astype(np.int64)
     shape = (int(cell[:, 1].max()) + 1, int(2 * _ASIDE_MM / _STEP_MM) + 1)
     number = cell[:, 1] * shape[1] + cell[:, 0]
@@ -125,14 +125,14 @@ def _height_map(places: Float64[Array, "n 3"], bottom_mm: float) -> Float64[Arra
 
 
 def _window(radius_mm: float) -> Float64[Array, "2 k k"]:
-    """Places of the cells around one, across and along, mm."""
+    """Offsets of the cells around a cell, across and along the body, mm."""
     reach = int(radius_mm / _STEP_MM) + 1
     at = np.arange(-reach, reach + 1) * _STEP_MM
     return np.stack(np.meshgrid(at, at))
 
 
 def _hollows(height: Float64[Array, "h w"]) -> Float64[Array, "h w"]:
-    """Depth of each place below the ring around it, along or across the body, whichever is less. −∞ where not seen."""
+    """Depth of each cell below its ring, the smaller of along and across the body, mm. −∞ where not visible."""
     x, y = _window(_RING_MM[1])
     radius = np.hypot(x, y)
     ring = (radius >= _RING_MM[0]) & (radius <= _RING_MM[1])
@@ -151,31 +151,30 @@ def _hollows(height: Float64[Array, "h w"]) -> Float64[Array, "h w"]:
     return np.where(seen_whole, np.where(seen_whole, around, 0.0) - np.where(seen_whole, middle, 0.0), -np.inf)
 
 
-_PARTS, _EVEN_MM = 4, 15.0  # of each edge of the curve; length over which its points' scatter is evened out
-_ROUND_MM = 8.0  # where a border runs around the flank its end is known by no more: scans of virtual women, 7 to 14 mm
-_FLAT_MM = 0.3  # of an end: as good as the end itself
-_ALIKE = 0.15  # share of the boundary's uncertainty by which its places differ: 41 of 42 ends of scans lie within 2 σ
+_PARTS, _EVEN_MM = 4, 15.0  # samples per edge of the curve, and length over which they are smoothed
+_ROUND_MM = 8.0  # uncertainty of the lateral end, where the border curves around the flank; virtual scans: 7 to 14 mm
+_FLAT_MM = 0.3  # points this close to the extreme one count as the end
+_ALIKE = 0.15  # share of the boundary's uncertainty that is independent between points: 41 of 42 ends are within 2 σ
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EndSigmas:
-    """Standard uncertainty of the boundary across itself, mm."""
+    """Standard uncertainty of the boundary, across it, at its three ends, mm."""
 
     lower_mm: float
     medial_mm: float
     lateral_mm: float
     across_mm: Float64[Array, " b"] | None = None
-    """Of each point, beside that of its end: how little the skin shows of the border there. None: nothing beside."""
+    """Additional uncertainty of each point, from how weakly the skin shows the border there. None: none."""
 
 
 def propose_ends(
     side: str, boundary_world: Float64[Array, "b 3"], frame: Float64[Array, "3 3"], sigmas: EndSigmas
 ) -> Iterator[Landmark]:
-    """Yield the three ends of one breast.
+    """Yield the lowest, the medial and the lateral end of one breast.
 
-    An end's place along a flat piece of the boundary is hardly known: it is taken in the middle of that piece. Wherever
-    the boundary comes nearly as far, for what is known of it there, the end may lie too: its uncertainty is that of all
-    these places.
+    Along a flat piece of the boundary the end is poorly defined: the middle of the piece is taken. The uncertainty
+    includes the distance to all points that may be the end, given the boundary's own uncertainty.
 
     Args:
         side: the patient's ``left`` or ``right``.
@@ -206,42 +205,30 @@ def propose_ends(
         yield _proposed(f"{name}_{side}", place[None], "the boundary's end in this direction", sigma_mm)
 
 
-_MARGIN_MM = 15.0
-"""Nipples are not looked for nearer to the boundary than this, mm."""
-_AREOLA_CONTRAST = 0.05
-"""Least difference of ln(R/G), in linear light, between the areola and the skin around it. Pale areolae have .1."""
+_MARGIN_MM = 15.0  # least distance of a nipple from the boundary
+_AREOLA_CONTRAST = 0.05  # least contrast of an areola, ln(R/G) in linear light; pale areolae have 0.1
 _LEAST_TIP_MM = 1.2
-"""Least height of a nipple above the ring of skin 8 to 14 mm around it, beyond that of the skin up to 36 mm away,
-mm. A round breast has up to .5, a mound on a telephone's scan up to .7, a nipple 1.6 to 5."""
-_TIP_SIGMA_MM = 2.5
-"""Standard uncertainty of a tip within an areola, mm. It was 2.6 and 3.2 mm off on a virtual torso at .15 of full
-size."""
-_ALONE_SIGMA_MM = 4.0
-"""Standard uncertainty of the middle of an areola without a tip, and of a tip where no areola is seen, mm."""
+"""Least protrusion of a nipple: height above the ring 8 to 14 mm around it, less that of the skin up to 36 mm away, mm.
+A round breast has up to 0.5, a mound on a telephone's scan up to 0.7, a nipple 1.6 to 5."""
+_TIP_SIGMA_MM = 2.5  # standard uncertainty of a tip within an areola; errors on a virtual torso: 2.6 and 3.2 mm
+_ALONE_SIGMA_MM = 4.0  # standard uncertainty of an areola's centre without a tip, and of a tip without an areola
+# Probabilities of a nipple; not critical. A tip without an areola may be a reconstructed nipple, a scan without colours
+# or a scar.
 _AREOLA_TIP_PROBABILITY = 0.98
-"""Probability that a tip within an areola's colour is a nipple. This and the next two chosen by eye."""
 _AREOLA_PROBABILITY = 0.9
-"""Of an areola's colour without a tip."""
 _TIP_PROBABILITY = 0.6
-"""Probability that a tip without an areola's colour is a nipple: it may be a reconstructed nipple, a scan without
-colours, or a scar."""
 
-# All of these were chosen by eye.
-_SAMPLE_MM = 2.5  # one vertex is taken in every cube of this side
-_AREOLA_MM, _AREOLA_RING_MM = (
-    10.0,
-    (22.0, 36.0),
-)  # radius of the areola's disc, and of the ring of skin that it is compared with
-_TIP_MM, _FOOT_MM = 4.5, (8.0, 14.0)  # radius of the nipple's disc, and of the ring above which it stands
-_WIDEST_MM, _CENTRING_ROUNDS = 32.0, 8  # radius of the widest areola, and times that its middle is found from itself
-_NEAR_TIP_MM, _NEAR_APEX_MM = 14.0, 30.0  # how far a tip may lie from the areola's middle, and from the apex
-_HEIGHT = 0.85  # a tip without an areola lies at least this high, as a share of the apex's height
-_FEWEST = 60  # samples below which a piece of skin is too small to tell
-_EVERY = 10  # of the samples that a wide ring is computed from, one in so many
-_AREOLA_SCATTERS = 5.0
-"""Standard deviations of the colour difference over the breast by which an areola differs, so that mottled skin is not
-taken for one."""
-_GAMMA, _BLACK = 2.2, 2e-3  # of sRGB, approximately; added to linear light, so that black has a logarithm
+# Not critical:
+_SAMPLE_MM = 2.5  # one vertex is used per cube of this side
+_AREOLA_MM, _AREOLA_RING_MM = 10.0, (22.0, 36.0)  # radius of the areola's disc, and radii of the ring around it
+_TIP_MM, _FOOT_MM = 4.5, (8.0, 14.0)  # radius of the nipple's disc, and radii of the ring around it
+_WIDEST_MM, _CENTRING_ROUNDS = 32.0, 8  # radius of the widest areola, and rounds of centring it
+_NEAR_TIP_MM, _NEAR_APEX_MM = 14.0, 30.0  # largest distance of a tip from the areola's centre, and from the apex
+_HEIGHT = 0.85  # least height of a tip without an areola, relative to the apex
+_FEWEST = 60  # fewest samples of a usable piece of skin
+_EVERY = 10  # a wide ring uses every tenth sample
+_AREOLA_SCATTERS = 5.0  # least contrast of an areola, in standard deviations over the breast: skin may be mottled
+_GAMMA, _BLACK = 2.2, 2e-3  # approximate gamma of sRGB, and light added so that black has a logarithm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -262,23 +249,19 @@ class _Samples:
     """Distance from the boundary, mm."""
     near: _Pairs
     far: _Pairs
-    """Pairs with every tenth sample only: a wide ring needs no more."""
+    """Pairs with every tenth sample."""
 
 
 def propose_nipple(
     name: str, skin: TriangleMesh, colours: UInt8[Array, "n 3"], boundary_world: Float64[Array, "b 3"]
 ) -> Landmark | None:
-    """Find the nipple of one breast.
+    """Proposed nipple of one breast, near the skin. None if neither areola nor tip is visible.
 
     Args:
         name: name of the landmark, e.g. ``nipple_left``.
         skin: the breast's skin within its boundary, open, mm, world frame.
-        colours: colour of each vertex, sRGB. Without any contrast the shape alone decides.
+        colours: colour of each vertex, sRGB. Without any contrast only the shape is used.
         boundary_world: the breast's boundary, mm.
-
-    Returns:
-        The proposal near the skin, how it was found, how well, and how probably it is a nipple. None if neither areola
-        nor tip is seen.
     """
     samples = _sampled(skin, colours, boundary_world)
     inner = samples.edge_mm > _MARGIN_MM
@@ -313,7 +296,7 @@ def propose_nipple(
 
 
 def _along_skin(samples: _Samples, at: Float64[Array, 3], offset: Float64[Array, 3]) -> Float64[Array, 3]:
-    """The part of an offset that runs along the skin: an areola's middle lies below the skin that curves around it."""
+    """Tangential part of an offset: the mean of a curved areola's points is below the skin."""
     near = np.linalg.norm(samples.points - at, axis=1) < _AREOLA_RING_MM[0]
     normal = samples.normals[near].mean(axis=0)
     normal /= max(float(np.linalg.norm(normal)), 1e-9)
@@ -321,7 +304,7 @@ def _along_skin(samples: _Samples, at: Float64[Array, 3], offset: Float64[Array,
 
 
 def _sampled(skin: TriangleMesh, colours: UInt8[Array, "n 3"], boundary: Float64[Array, "b 3"]) -> _Samples:
-    """One vertex in every cube of `_SAMPLE_MM`."""
+    """One vertex per cube of side `_SAMPLE_MM`, with colour and distance from the boundary."""
     cells = np.floor(skin.vertices / _SAMPLE_MM).astype(np.int64)
     chosen = np.unique(cells, axis=0, return_index=True)[1]
     points = skin.vertices[chosen]
@@ -345,7 +328,7 @@ def _pairs(points: Float64[Array, "n 3"], chosen: Array, within_mm: float) -> _P
 def _mean(
     samples: _Samples, values: Float64[Array, "n k"], within_mm: float, beyond_mm: float = 0.0
 ) -> Float64[Array, "n k"]:
-    """Mean over the samples at a distance from each sample. Its own value where there are none."""
+    """Mean over the samples in a ring around each sample; its own value if there are none."""
     pairs = samples.near if within_mm <= _FOOT_MM[1] else samples.far
     kept = (pairs.distance_mm >= beyond_mm) & (pairs.distance_mm < within_mm)
     row, column = pairs.row[kept], pairs.column[kept]
@@ -357,7 +340,7 @@ def _mean(
 
 
 def _areola(samples: _Samples, inner: Bool[Array, " n"]) -> Float64[Array, 3] | None:
-    """Middle of a disc that is redder than the ring around it. None if none stands out from the scatter."""
+    """Centre of a disc that is significantly redder than the ring around it, or None."""
     redness = samples.redness[:, None]
     contrast = (_mean(samples, redness, _AREOLA_MM) - _mean(samples, redness, _AREOLA_RING_MM[1], _AREOLA_RING_MM[0]))[
         :, 0
@@ -380,7 +363,7 @@ def _areola(samples: _Samples, inner: Bool[Array, " n"]) -> Float64[Array, 3] | 
 
 
 def _protrusion(samples: _Samples) -> Float64[Array, " n"]:
-    """Height of a small disc over the ring around it along the normal, less its surroundings', mm."""
+    """Height of a small disc over the ring around it along the normal, less that of the wider surroundings, mm."""
     tip = _mean(samples, samples.points, _TIP_MM)
     foot = _mean(samples, samples.points, _FOOT_MM[1], _FOOT_MM[0])
     out = np.asarray(((tip - foot) * _mean(samples, samples.normals, _FOOT_MM[1])).sum(axis=1))

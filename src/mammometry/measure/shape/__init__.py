@@ -1,1 +1,1 @@
-"""Lengths, shape, symmetry."""
+"""Lengths, shape, ptosis, symmetry and body size."""

@@ -1,8 +1,8 @@
-"""Measures of a breast beside its volume: landmarks, base, distribution, lengths, ptosis.
+"""Measures of a breast other than its volume: landmarks, base, distribution, lengths, ptosis.
 
-Volumes on one side of a plane are exact for the mesh, without caps. The divergence theorem gives the volume of a solid
-as a sum over its faces of the tetrahedra that they make with any origin. With the origin on the cutting planes, the cut
-faces make tetrahedra without volume: they need not be built.
+Volumes on one side of a plane are exact for the mesh. By the divergence theorem a solid's volume is the sum of the
+tetrahedra that its faces form with any origin. With the origin on the cutting planes, the cut faces contribute nothing,
+so no caps are built.
 """
 
 from __future__ import annotations
@@ -27,14 +27,12 @@ from mammometry.surface.repair.repair import RepairedSurface
 
 
 def volume_within_mm3(solid: TriangleMesh, origin: Float64[Array, 3], normals: Sequence[Float64[Array, 3]]) -> float:
-    """Volume of a closed solid's part on the positive side of planes.
-
-    The planes go through one common point.
+    """Volume of the part of a closed solid on the positive side of planes through one point, mm³.
 
     Args:
         solid: closed, mm.
-        origin: the planes' common point, mm.
-        normals: of each plane, towards the side that counts; one plane, or several that meet in `origin`.
+        origin: a point on all planes, mm.
+        normals: of one or more planes, towards the positive side.
     """
     triangles = solid.corners() - origin
     for normal in normals:
@@ -44,13 +42,13 @@ def volume_within_mm3(solid: TriangleMesh, origin: Float64[Array, 3], normals: S
 
 
 def _clipped(triangles: Float64[Array, "m 3 3"], normal: Float64[Array, 3]) -> Float64[Array, "k 3 3"]:
-    """Parts of triangles above the plane through the origin. They are triangles of the same orientation."""
+    """Triangles clipped to the positive side of the plane through the origin, orientation kept."""
     height = triangles @ normal
     inside = height >= 0
     count = inside.sum(axis=1)
-    a, b, c, up = _turned(triangles, height, inside, count == 1)
+    a, b, c, up = _odd_first(triangles, height, inside, count == 1)
     ab, ac = _crossing(a, b, up[:, 0], up[:, 1]), _crossing(a, c, up[:, 0], up[:, 2])
-    d, e, f, down = _turned(triangles, height, ~inside, count == 2)
+    d, e, f, down = _odd_first(triangles, height, ~inside, count == 2)
     ed, fd = _crossing(e, d, down[:, 1], down[:, 0]), _crossing(f, d, down[:, 2], down[:, 0])
     parts = [
         triangles[count == 3],
@@ -61,13 +59,13 @@ def _clipped(triangles: Float64[Array, "m 3 3"], normal: Float64[Array, 3]) -> F
     return np.concatenate(parts)
 
 
-def _turned(
+def _odd_first(
     triangles: Float64[Array, "m 3 3"],
     height: Float64[Array, "m 3"],
     odd: Bool[Array, "m 3"],
     chosen: Bool[Array, " m"],
 ) -> tuple[Float64[Array, "k 3"], Float64[Array, "k 3"], Float64[Array, "k 3"], Float64[Array, "k 3"]]:
-    """Corners of the chosen triangles, odd one first, with their heights."""
+    """Corners of the triangles, the odd one first, and their heights."""
     order = (np.argmax(odd[chosen], axis=1)[:, None] + np.arange(3)) % 3
     corners = np.take_along_axis(triangles[chosen], order[..., None], axis=1)
     return corners[:, 0], corners[:, 1], corners[:, 2], np.take_along_axis(height[chosen], order, axis=1)
@@ -81,37 +79,37 @@ def _crossing(
 
 @value
 class BreastShape:
-    """Extent of one breast and the distribution of its volume, in the patient's directions."""
+    """Extent of one breast and distribution of its volume, in the body frame."""
 
     name: BreastName
-    """"model", or the patient's "left" or "right"."""
+    """``model``, or the patient's ``left`` or ``right``."""
     skin_cm2: float
     """Area of the skin within the boundary, cm²."""
     base_width_mm: float
-    """Extent of the boundary from side to side, straight, mm."""
+    """Extent of the boundary from side to side, mm."""
     base_height_mm: float
     """Extent of the boundary from its lowest to its highest point, mm."""
     base_sigma_mm: float
-    """Standard uncertainty of base width and height, from the boundary curve's, mm."""
+    """Standard uncertainty of base width and height, from that of the boundary, mm."""
     projection_mm: float
     """Greatest distance of the skin from the boundary's best plane, mm."""
     projection_sigma_mm: float
-    """Standard uncertainty of the projection, from the boundary curve's, mm."""
+    """Standard uncertainty of the projection, from that of the boundary, mm."""
     quadrants_cc: Mapping[str, float]
-    """Volume of each quadrant about the nipple, cc: upper or lower, and medial or lateral (for a model: left or right,
-    as for a patient facing the cameras). They add up to the volume. Empty without a nipple."""
+    """Volume of each quadrant about the nipple, cc: upper or lower, medial or lateral (of a model: left or right, as of
+    a patient who faces the cameras). Their sum is the volume. Empty without a nipple."""
     above_nipple_cc: float | None
-    """Volume above the level of the nipple, cc: the upper pole."""
+    """Upper pole: volume above the level of the nipple, cc."""
     below_nipple_cc: float | None
-    """Volume below the level of the nipple, cc: the lower pole."""
+    """Lower pole: volume below the level of the nipple, cc."""
     pole_sigma_cc: float | None
-    """Standard uncertainty of either pole from that of the nipple's height, cc."""
+    """Standard uncertainty of either pole, from that of the nipple's height, cc."""
 
 
 def shape_of(
     measured: VolumeMeasurement, frame: Float64[Array, "3 3"], nipple: Landmark | None, *, boundary_sigma_mm: float
 ) -> BreastShape:
-    """Measure the shape of one breast.
+    """Shape of one breast.
 
     Args:
         measured: the closed solid and its boundary.
@@ -147,9 +145,9 @@ def shape_of(
 
 
 def _projection_sigma_mm(measured: VolumeMeasurement, boundary_sigma_mm: float) -> float:
-    """Movement of the boundary's best plane by a boundary one sigma further out on the skin, mm.
+    """Shift of the boundary's best plane when the whole boundary moves outwards on the skin by one sigma, mm.
 
-    An observer who draws wider does so all around: errors along the curve are taken as one.
+    Errors along the curve are taken as fully correlated: an observer who draws wider does so all around.
     """
     points, skin = measured.boundary_world, measured.skin
     plane_normal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][2]
@@ -157,7 +155,7 @@ def _projection_sigma_mm(measured: VolumeMeasurement, boundary_sigma_mm: float) 
     along = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
     outward = np.cross(along, skin_normals)
     length = np.linalg.norm(outward, axis=1)
-    rise = np.divide(outward @ plane_normal, length, out=np.zeros_like(length), where=length > 0)  # 0: no way outwards
+    rise = np.divide(outward @ plane_normal, length, out=np.zeros_like(length), where=length > 0)  # 0: no direction
     return float(abs(np.average(rise, weights=np.linalg.norm(along, axis=1))) * boundary_sigma_mm)
 
 
@@ -170,7 +168,7 @@ class Dimensions:
     """Shape, lengths and ptosis of all breasts of one subject."""
 
     frame: Float64[Array, "3 3"]
-    """Rows: the patient's left, the head, straight ahead, as used. World frame."""
+    """Rows: the patient's left, the head, straight ahead; world frame."""
     shapes: tuple[BreastShape, ...]
     lengths: tuple[LinearMeasure, ...]
     ptosis: tuple[Ptosis, ...]
@@ -186,23 +184,22 @@ def find_landmarks(
     *,
     boundaries: Sequence[Boundary] = (),
 ) -> tuple[Landmark, ...]:
-    """Picked landmarks, and proposed ones where none was picked.
+    """Picked landmarks, and proposals for those that were not picked.
 
-    Proposed are nipples, the ends of the boundaries, and what the trunk shows on its mid-sagittal plane. No nipple,
-    notch or umbilicus is proposed on unmeasured skin.
+    Nipples, the ends of the boundaries and landmarks on the mid-sagittal plane are proposed. No nipple, notch or
+    umbilicus is proposed on unmeasured skin.
 
     Args:
-        surface: all of it, mm, world frame.
+        surface: the whole surface, mm, world frame.
         colours: colour of each vertex, sRGB.
         measurements: one for each breast.
         picked: landmark → its points, mm.
-        body: the patient's own directions; None: of a cast. Without a mid-sagittal plane nothing on the midline is
-            proposed.
-        settings: how well a drawn boundary is known.
-        boundaries: of the breasts, with what is known of each of their points.
+        body: the body frame; None: of a cast. Without a mid-sagittal plane nothing on the midline is proposed.
+        settings: uncertainty of a drawn boundary.
+        boundaries: of the breasts, with the uncertainty of their points.
 
     Raises:
-        MeasureError: a picked landmark lies off the surface or on the wrong side.
+        MeasureError: a picked landmark is off the surface or on the wrong side.
     """
     middles = [measured.boundary_world.mean(axis=0) for measured in measurements if measured.name != "model"]
     middle = np.mean(middles, axis=0) if len(middles) == 2 else None
@@ -234,7 +231,7 @@ def _of_torso(
     settings: MeasureSettings,
     boundaries: Sequence[Boundary],
 ) -> Iterator[Landmark]:
-    """Yield the ends of the breasts, and what lies on the midline."""
+    """Yield proposals for the ends of the breasts and the landmarks on the midline."""
     frame, plane = body.frame, body.plane
     scatter = settings.observers
     curves = {
@@ -267,19 +264,19 @@ def dimensions(
     plane: MirrorPlane | None = None,
     hidden_folds: Collection[str] = (),
 ) -> Dimensions:
-    """Measure shape, lengths and ptosis.
+    """Shape, lengths and ptosis of all breasts.
 
     Args:
         mesh: the whole surface, mm, world frame.
         measurements: one for each breast.
-        landmarks: of this surface; those that are hardly probable are left out.
+        landmarks: of this surface; improbable ones are ignored.
         frame: rows: the patient's left, the head, straight ahead; world frame.
         settings: uncertainty of the boundary.
-        plane: the mid-sagittal plane, which replaces a midline that was not picked.
-        hidden_folds: breasts whose fold is not seen: their ptosis is measured from a picked fold alone.
+        plane: the mid-sagittal plane, used if no midline was picked.
+        hidden_folds: breasts whose fold is not visible; their ptosis is measured only from a picked fold.
 
     Raises:
-        MeasureError: landmarks on parts of the surface that are not connected.
+        MeasureError: the surface does not connect two landmarks.
     """
     named = by_name([mark for mark in landmarks if mark.probability >= settings.nipple.least_probability])
     sigma = settings.observers.mean_mm
@@ -309,5 +306,5 @@ def dimensions(
 
 
 def _picked(landmark: Landmark | None) -> Landmark | None:
-    """The landmark, unless it is but proposed: the boundary's own lowest point is surer than the middle of its foot."""
+    """A picked landmark, or None: the boundary's own lowest point is more certain than a proposal."""
     return None if landmark is None or landmark.proposed else landmark

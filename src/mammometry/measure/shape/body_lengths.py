@@ -1,4 +1,4 @@
-"""Measure the lengths of a torso that are compared with adults'."""
+"""Lengths of a torso that are compared with those of adults."""
 
 from __future__ import annotations
 
@@ -17,15 +17,12 @@ from mammometry.measure.trunk.thorax import seen_skin, trunk_breadth_mm
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.surface.repair.repair import RepairedSurface
 
-_GREY = 128  # colour of skin on which only the shape shows a nipple
+_GREY = 128  # colour given to all skin, so that nipples are found from the shape alone
 
 
 @contextmanager
 def size_remarked(surface: RepairedSurface, frame: Float64[Array, "3 3"]) -> Iterator[None]:
-    """Add to refusals that the trunk's breadth is rare, where it is.
-
-    Then the scale may be the reason.
-    """
+    """Context in which errors mention an unusual breadth of the trunk: the scale may be wrong."""
     try:
         yield
     except MeasureError as error:
@@ -39,15 +36,15 @@ def find_body_size(
     body: Body,
     settings: MeasureSettings = MeasureSettings(),
 ) -> BodySize:
-    """Measure the lengths that are compared, as far as the shape shows them.
+    """Breadth of the trunk, distance of the nipples, and distance of the notch from a nipple, if visible.
 
-    Picked landmarks are not used: a volume does not depend on them.
+    Picked landmarks are not used, so that no volume depends on them.
 
     Args:
         surface: the repaired mesh, world frame, mm.
         breasts: cut out of it.
-        body: the patient's own directions.
-        settings: how probable a nipple must be.
+        body: the body frame.
+        settings: least probability of a nipple.
     """
     curves = [breast.boundary.points_world for breast in breasts]
     middle = np.mean([curve.mean(axis=0) for curve in curves], axis=0) if curves else None
@@ -72,14 +69,14 @@ def _trunk(
 
 
 def _nipples(breasts: Sequence[OpenBreast], settings: MeasureSettings) -> dict[str, Float64[Array, 3]]:
-    """Place of each nipple that the shape shows."""
+    """Side → nipple found from the shape, world frame, mm."""
     found: dict[str, Float64[Array, 3]] = {}
     for breast in breasts:
         name = f"nipple_{breast.boundary.name}"
         try:
             skin = breast.part.mesh
         except MeasureError:
-            continue  # the measurement reports the fault of the curve
+            continue  # the measurement reports the error
         grey = np.full((len(skin.vertices), 3), _GREY, dtype=np.uint8)
         mark = propose_nipple(name, skin, grey, breast.boundary.points_world)
         if mark is not None and mark.probability >= settings.nipple.least_probability:

@@ -1,8 +1,7 @@
-"""Lengths between landmarks, straight and along the skin.
+"""Straight and geodesic lengths between landmarks, with standard uncertainties, and grades of ptosis.
 
-Each has a standard uncertainty. A landmark is uncertain along the skin, equally in both directions. A straight
-distance changes only with the part that points along it. A distance along the skin changes with all of it, since its
-gradient is a unit tangent.
+A landmark's uncertainty is isotropic in the skin. A straight distance changes with the component along it. A geodesic
+distance changes with all of it, since its gradient is a unit tangent.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ Place = tuple[float, float, float]
 PtosisGrade = Literal["none", "I", "II", "III", "pseudoptosis"]
 _SIDES = ("left", "right")
 _GRADE_II_MM, _GRADE_III_MM, _AT_CONTOUR_MM, _PSEUDO_MM = 10.0, 30.0, 5.0, 20.0  # after Regnault, see `Ptosis`
-_HEIGHTS = 41  # of the interval at which grades are looked up; 1/20 of its half-width apart
+_HEIGHTS = 41  # heights in the interval at which grades are evaluated
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,13 +34,13 @@ class LinearMeasure:
     name: str
     """``SN-N left``, ``N-IMF left``, ``N-N``, ``N-midline left``, ``base width left``."""
     title: str
-    """For the reader."""
+    """Its name in reports."""
     straight_mm: float
     """Straight distance, mm."""
     straight_sigma_mm: float
-    """Standard uncertainty of the straight distance, from the landmarks', mm."""
+    """Standard uncertainty of the straight distance, from that of the landmarks, mm."""
     geodesic_mm: float | None
-    """Distance along the skin, mm. None if one end does not lie on the skin."""
+    """Distance along the skin, mm. None if one end is not on the skin."""
     geodesic_sigma_mm: float | None
     """Standard uncertainty of the distance along the skin, mm."""
     ends_world: tuple[Place, Place]
@@ -50,23 +49,22 @@ class LinearMeasure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ptosis:
-    """Ptosis: sagging of a breast, after Regnault. Clin Plast Surg 1976, 3:193."""
+    """Ptosis (sagging) of a breast, graded after Regnault (Clin Plast Surg 1976, 3:193)."""
 
     name: str
     """The patient's ``left`` or ``right``."""
     grade: PtosisGrade
-    """Where the nipple lies. none: above the fold. I: at its level or up to 1 cm below. II: 1 to 3 cm below. III: more
+    """Position of the nipple. none: above the fold. I: at its level or up to 1 cm below. II: 1 to 3 cm below. III: more
     than 3 cm below, or more than 1 cm below and within 5 mm of the breast's lowest contour. pseudoptosis: above the
-    fold, while the breast reaches more than 2 cm below it."""
+    fold, and the breast reaches more than 2 cm below it."""
     likely: tuple[PtosisGrade, ...]
-    """All grades that the 95 % intervals of the nipple's height touch, over the fold and over the lowest contour. One
-    if the grade is certain."""
+    """All grades within the 95 % intervals of the nipple's height over the fold and over the lowest contour."""
     nipple_below_fold_mm: float
-    """Height of the fold over the nipple, mm. Negative if the nipple is above."""
+    """Distance of the nipple below the fold, mm. Negative if it is above."""
     sigma_mm: float
-    """Standard uncertainty of that, mm."""
+    """Standard uncertainty of that distance, mm."""
     nipple_above_lowest_mm: float
-    """Height of the nipple over the breast's lowest contour, mm."""
+    """Height of the nipple above the breast's lowest contour, mm."""
 
 
 def linear_measures(
@@ -75,16 +73,16 @@ def linear_measures(
     *,
     midline: tuple[Float64[Array, 3], Float64[Array, 3], float] | None = None,
 ) -> tuple[LinearMeasure, ...]:
-    """Measure all lengths that the landmarks allow.
+    """All lengths that the landmarks allow.
 
     Args:
         landmarks: by name.
-        mesh: the surface that they lie on, mm, world frame.
+        mesh: the surface that they are on, mm, world frame.
         midline: a point and the unit normal of the mid-sagittal plane, and its standard uncertainty, mm. It replaces a
             midline that was not picked.
 
     Raises:
-        MeasureError: two landmarks lie on parts of the surface that are not connected.
+        MeasureError: the surface does not connect two landmarks.
     """
     skin = _Skin(tree=point_tree(mesh.vertices), normals=mesh.vertex_normals())
     pairs = [("N-N", "nipple to nipple", "nipple_left", "nipple_right")]
@@ -142,14 +140,14 @@ def ptosis(
     *,
     boundary_sigma_mm: float,
 ) -> Ptosis:
-    """Grade the ptosis of one breast.
+    """Grade of ptosis of one breast.
 
     Args:
         measured: the closed breast.
         up_world: unit vector towards the patient's head.
         nipple: of this side.
         fold: lowest point of the inframammary fold; None: the boundary's lowest point.
-        boundary_sigma_mm: standard uncertainty of the boundary, mm, for that case.
+        boundary_sigma_mm: standard uncertainty of the boundary, mm; used if there is no fold.
     """
     level = float((measured.boundary_world @ up_world).min() if fold is None else fold.points_world[0] @ up_world)
     place = float(nipple.points_world[0] @ up_world)
@@ -208,13 +206,13 @@ class _Skin:
 
 
 def _tangential(landmark: Landmark, direction: Float64[Array, 3], skin: _Skin) -> float:
-    """Length of a unit vector's part in the skin at a landmark."""
+    """Length of a unit vector's tangential component at a landmark."""
     normal = skin.normals[skin.tree.query(landmark.points_world[0])[1]]
     return float(np.linalg.norm(direction - normal * (direction @ normal)))
 
 
 def _foot(place: Float64[Array, 3], line: Float64[Array, "k 3"]) -> Float64[Array, 3]:
-    """The point of a polyline that is nearest to a place."""
+    """Nearest point of a polyline."""
     if len(line) == 1:
         return line[0]
     a, step = line[:-1], np.diff(line, axis=0)
@@ -224,5 +222,5 @@ def _foot(place: Float64[Array, 3], line: Float64[Array, "k 3"]) -> Float64[Arra
 
 
 def by_name(landmarks: Sequence[Landmark]) -> dict[str, Landmark]:
-    """Name → landmark."""
+    """Landmarks by name."""
     return {landmark.name: landmark for landmark in landmarks}

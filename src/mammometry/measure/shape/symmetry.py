@@ -1,4 +1,4 @@
-"""Left breast against the mirrored right one. The mirror is the trunk's mid-sagittal plane."""
+"""Comparison of the left breast with the right one, mirrored at the trunk's mid-sagittal plane."""
 
 from __future__ import annotations
 
@@ -17,48 +17,46 @@ from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _OBLIQUE, _FLUSH_MM = 0.8, 3.0
-"""Largest distance of a counterpart from the normal, as a share of its distance along it, or in mm. Chosen by eye."""
-_FARTHEST_MM = 80.0  # a counterpart is looked for within this distance; chosen by eye
+"""Largest distance of a counterpart from the normal: share of the distance along it, or mm if larger. Not critical."""
+_FARTHEST_MM = 80.0  # largest distance of a counterpart; not critical
 
 
 @value(eq=False)
 class Symmetry:
-    """Differences of both breasts of a torso."""
+    """Differences between the breasts of a torso."""
 
     plane_point_world: Float64[Array, 3]
     """A point of the mid-sagittal plane, mm."""
     plane_normal_world: Float64[Array, 3]
     """Its unit normal, towards the patient's left."""
     plane_sigma_mm: float
-    """Standard uncertainty of the plane's place along its normal, mm."""
+    """Standard uncertainty of the plane's position along its normal, mm."""
     trunk_scatter_mm: float
-    """Robust standard deviation of the trunk from its mirror image, without the breasts, mm."""
+    """Robust standard deviation of the trunk, without the breasts, from its mirror image, mm."""
     left_from_mirrored: Transform
-    """Rigid motion that moves the mirrored right breast onto the left one."""
+    """Rigid motion of the mirrored right breast onto the left one."""
     shift_mm: Float64[Array, 3]
-    """Shift of the mirrored right breast's middle by that motion, mm: to the patient's left, the head, ahead."""
+    """Shift of the mirrored right breast's centre by that motion, mm: to the patient's left, the head, ahead."""
     turn_deg: float
-    """Angle of that motion, degrees."""
+    """Rotation angle of that motion, degrees."""
     difference_cc: float
     """Volume left minus right, cc."""
     difference_interval_cc: tuple[float, float] | None
-    """Its 95 % interval, in which what both sides share cancels (`volume.difference`), cc. None if a volume has none.
-    """
+    """Its 95 % interval without errors that both sides share (`volume.difference`), cc. None if a volume has none."""
     ratio: float
     """Volume of the smaller breast over that of the larger."""
     rms_mirrored_mm: float
-    """Root mean square distance of the left skin from the mirrored right one before registration, mm: place and shape.
-    """
+    """RMS distance of the left skin from the mirrored right one before registration, mm: position and shape."""
     rms_mm: float
-    """Root mean square distance after the rigid motion, mm: shape alone."""
+    """RMS distance after registration, mm: shape alone."""
     left_mm: Float64[Array, " n"]
-    """For each vertex of the left closed solid, distance by which the left skin stands out of the registered mirrored
-    right one, mm. NaN on the wall and where the other skin has no counterpart."""
+    """For each vertex of the left closed solid, signed distance of the left skin in front of the registered, mirrored
+    right one, mm. NaN on the wall and where there is no counterpart."""
     right_mm: Float64[Array, " m"]
-    """For each vertex of the right closed solid, distance by which the right skin stands out of the left one, mm."""
+    """For each vertex of the right closed solid, signed distance of the right skin in front of the left one, mm."""
 
     def mirrored(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-        """Mirrored points of the right side, laid onto the left, mm. The mirror is the plane. World frame."""
+        """Points of the right side, mirrored and registered to the left, mm, world frame."""
         plain = mirror(points_world, self.plane_point_world, self.plane_normal_world)
         return self.left_from_mirrored.apply(plain)
 
@@ -66,12 +64,12 @@ class Symmetry:
 def symmetry(
     measurements: Sequence[VolumeMeasurement], frame: Float64[Array, "3 3"], plane: MirrorPlane
 ) -> Symmetry | None:
-    """Compare both breasts. None unless both were measured.
+    """Differences between left and right. None unless both were measured.
 
     Args:
         measurements: of both breasts.
         frame: rows: the patient's left, the head, straight ahead; world frame.
-        plane: the trunk's mid-sagittal plane, the breasts left out.
+        plane: the mid-sagittal plane of the trunk without breasts.
 
     Raises:
         MeasureError: the breasts do not match at all.
@@ -116,7 +114,7 @@ def symmetry(
 def trunk_skin(
     surface: RepairedSurface, boundaries: Sequence[Float64[Array, "_ 3"]]
 ) -> tuple[Float64[Array, "n 3"], Float64[Array, "n 3"]]:
-    """Visible vertices at least a centimetre outside every boundary, and their normals."""
+    """Visible vertices at least 10 mm outside every boundary, and their normals."""
     seen = surface.provenance != Provenance.INVENTED
     seen &= np.bincount(surface.mesh.faces.ravel(), minlength=len(seen)) > 0
     if not seen.any():
@@ -129,15 +127,15 @@ def trunk_skin(
 def signed_mm(
     skin: TriangleMesh, other: TriangleMesh, *, selected: Bool[Array, " n"] | None = None
 ) -> Float64[Array, " n"]:
-    """Distance of each vertex out of another, finely triangulated surface, mm.
+    """Signed distance of each vertex from another, finely triangulated surface, mm; positive outside.
 
-    NaN without a counterpart. This is the distance to the tangent plane at the nearest vertex. There is no counterpart
-    beyond the other's edge, where the way to the nearest place runs along the surface, or further away than 80 mm.
+    It is the distance from the tangent plane at the nearest vertex. NaN without a counterpart: beyond the other's edge,
+    where the offset to the nearest vertex runs along the surface, or more than 80 mm away.
 
     Args:
         skin: the surface whose vertices are compared.
-        other: the surface that they stand out of.
-        selected: which of its vertices are compared; the others are NaN. None: all.
+        other: the surface that they are compared with.
+        selected: vertices to compare; the others are NaN. None: all.
     """
     selected = np.ones(len(skin.vertices), dtype=bool) if selected is None else selected
     found = np.full(len(skin.vertices), np.nan)
@@ -157,7 +155,7 @@ def signed_mm(
 
 
 def rms_mm(skin: TriangleMesh, values_mm: Float64[Array, " n"]) -> float:
-    """Root mean square of the finite values on vertices, weighted by area."""
+    """Area-weighted RMS of the finite values on vertices."""
     areas = np.linalg.norm(skin.face_vectors(), axis=1)
     weight = np.bincount(skin.faces.ravel(), np.repeat(areas, 3), minlength=len(skin.vertices))
     known = np.isfinite(values_mm)
@@ -165,7 +163,7 @@ def rms_mm(skin: TriangleMesh, values_mm: Float64[Array, " n"]) -> float:
 
 
 def _on_solid(measured: VolumeMeasurement, values: Float64[Array, " n"]) -> Float64[Array, " m"]:
-    """Values on the skin's vertices, for all vertices of the solid."""
+    """Values on the skin's vertices, extended by NaN to all vertices of the solid."""
     result = np.full(len(measured.closed.vertices), np.nan)
     result[measured.closed.vertices_used_by(np.arange(measured.skin_faces))] = values
     return result

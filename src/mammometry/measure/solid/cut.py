@@ -1,13 +1,13 @@
 """Cut a closed mesh by a surface or along a closed curve.
 
-The surface has zero height. The curve lies on the mesh. The cut is exact for the mesh: triangles are split where they
-cross, none is left out, and the edges of the opening are returned as closed loops, so that a wall can be sewn to them
-without a gap.
+The surface is a level set of height zero. The curve runs along edges of the mesh. The cut is exact: triangles that
+cross it are split, none is dropped, and the edges of the opening are returned as closed loops, to which a wall can be
+sewn without a gap.
 
-Skin between two large breasts is seen by no camera, and the surface may join them in front of the cleavage. A curve
-around one of them alone then parts nothing: the other one leads back to the trunk. The second cut is the closed curve
-of least length, by the theorem of maximum flow and minimum cut (Ford and Fulkerson, 1956): skin is a net of faces that
-lets through as much as their common edge is long, from one side of the first curve to the other.
+No camera sees the skin between two large breasts, and the surface may join them in front of the cleavage. A curve
+around one of them then does not separate it: the other one connects it to the trunk. A second cut is made along the
+shortest closed curve, by maximum flow and minimum cut (Ford and Fulkerson, 1956): faces are nodes, and the capacity
+between two faces is the length of their common edge.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Float64, Int64, TriangleMesh, mesh_kernels, read_only
 from mammometry.geometry.mesh_kernels import edge_rings, face_parts
 
-_CELL_MM = 6.0  # of the first, coarse search; a neck is wider
-_AROUND = 2  # rings of coarse patches around their cut in which single faces are looked at; chosen by eye
-_UNITS_PER_MM = 100  # flow is counted in whole numbers
-_ENDLESS = 10**8  # 1 km: more than any cut
+_CELL_MM = 6.0  # patch size of the coarse search; a neck is wider
+_AROUND = 2  # rings of patches around the coarse cut in which the cut is refined by face; not critical
+_UNITS_PER_MM = 100  # flow is an integer
+_ENDLESS = 10**8  # capacity of 1 km: more than any cut
 
 
 def neck_sides(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> Bool[Array, " h"]:
-    """Find a second cut where the curve parts nothing.
+    """Second cut, for a curve that does not separate a breast, as a mask of sides of faces.
 
     Args:
         mesh: the skin around a breast, mm.
         curve: vertices of a closed curve of edges.
 
     Returns:
-        Whether each side of a face lies on the second cut. None does where it would be longer than the curve: that is
-        no neck. Side 3 f + k runs from corner k of face f to the next.
+        Whether each side of a face is on the second cut. Side 3 f + k runs from corner k of face f to the next. All
+        false if the cut would be longer than the curve: then there is no neck.
     """
     after = np.full(len(mesh.vertices), -1, dtype=np.int64)
     after[curve] = np.roll(curve, -1)
@@ -60,7 +60,7 @@ def neck_sides(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> Bool[Array, " h
     near[patch[a][before[patch[a]] != before[patch[b]]]] = True
     for _ in range(_AROUND):
         near[patch[a][near[patch[b]]]] = True
-    # Faces near the coarse cut are nodes of their own, all others belong to the end on whose side they lie.
+    # Faces near the coarse cut are nodes of their own; all others are merged into the end on their side.
     fine = near[patch]
     node = np.where(fine, 2 + np.cumsum(fine) - 1, before[patch].astype(np.int64))
     own = np.concatenate([[1], node[ends[0]]]), np.concatenate([[0], node[ends[1]]])
@@ -79,13 +79,13 @@ def _before_cut(
     width_mm: Float64[Array, " k"],
     ends: tuple[Int64[Array, " i"], Int64[Array, " j"]],
 ) -> tuple[Bool[Array, " count"], float]:
-    """Nodes before the narrowest place between two ends, and its width, mm."""
+    """Nodes on the source side of the minimum cut between two ends, and the cut's length, mm."""
     between = a != b
     source, sink = count, count + 1
     first, last = np.unique(ends[0]), np.unique(ends[1])
     rows = np.concatenate([a[between], np.full(len(first), source), last])
     columns = np.concatenate([b[between], first, np.full(len(last), sink)])
-    # Sums are exact in 64 bit; the flow wants 32.
+    # Sums are exact in 64 bits; the flow needs 32.
     width = np.concatenate([width_mm[between] * _UNITS_PER_MM, np.full(len(first) + len(last), float(_ENDLESS))])
     net = csr_array((width, (rows, columns)), shape=(count + 2, count + 2))
     net.sum_duplicates()
@@ -100,34 +100,30 @@ def _before_cut(
 
 
 Height = Callable[[Float64[Array, "n 3"]], Float64[Array, " n"]]
-"""Signed height of world points above a surface, mm. Positive on the kept side."""
+"""Signed height of world points above a surface, mm; positive on the kept side."""
 
-_BISECTIONS = 60  # rounds of the Illinois method at most; it ends at 1e-10 mm
-_ON_BASE_MM = 0.01  # an opening that the base made lies on it to 1e-10 mm
-_FACING = 0.1  # cosine by which the skin within a boundary may look inwards; chosen by eye
+_BISECTIONS = 60  # most iterations of the Illinois method, which stops at 1e-10 mm
+_ON_BASE_MM = 0.01  # tolerance; an opening made by the base is on it to 1e-10 mm
+_FACING = 0.1  # cosine up to which the skin within a boundary may face inwards; not critical
 _SPHERE, _SPHERE_MM = 1.6, 40.0
-"""Radius of the sphere that holds a breast: this factor of its boundary's radius, plus so many mm, about the boundary's
-middle. Chosen by eye. A part that reaches the sphere's edge is not the breast.
-"""
+"""Radius of the sphere around the boundary's centre that contains the breast: factor of the boundary's radius, plus mm.
+A part that reaches the sphere's edge is not the breast. Not critical."""
 
 
 @value(eq=False)
 class OpenPart:
-    """The part of a closed mesh that was kept, and its openings."""
+    """Kept part of a closed mesh, and its openings."""
 
     mesh: TriangleMesh
-    """The part that was kept. mm, world frame."""
+    """mm, world frame."""
     loops: tuple[Int64[Array, " _"], ...]
-    """Vertices of every opening, in the direction of the part's own faces, longest first."""
+    """Vertices of each opening, in the direction of the part's own faces, longest first."""
 
 
 def above(mesh: TriangleMesh, height: Height) -> OpenPart:
-    """Keep a mesh's largest connected part with positive `height`.
+    """Largest connected part of a mesh with positive `height`; without faces if there is none.
 
-    Edges that cross are split where the height vanishes, to 1e-10 mm.
-
-    Returns:
-        The part; without faces where nothing lies above.
+    Edges that cross are split at zero height, to 1e-10 mm.
     """
     heights = height(mesh.vertices)
     inside = heights > 0
@@ -154,27 +150,24 @@ def above(mesh: TriangleMesh, height: Height) -> OpenPart:
 
 
 def inside_curve(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> OpenPart:
-    """Keep the smaller part of a closed mesh cut by a curve. The closed curve consists of edges.
+    """Smaller part of a closed mesh cut along a closed curve; without faces if the curve separates nothing.
 
     Args:
         mesh: a closed mesh.
-        curve: vertices of the curve in order, neighbours joined by an edge of the mesh, none twice.
-
-    Returns:
-        The part; without faces where the curve divides nothing.
+        curve: vertices of the curve in order, without repetition; neighbours are joined by an edge of the mesh.
     """
     return open_part(mesh, faces_inside(mesh, curve), curve)
 
 
 def check_above_base(part: OpenPart, height: Height) -> None:
-    """Refuse a cast with a hole above its base.
+    """Raise an error if a cast has a hole above its base.
 
     Args:
-        part: what lies above the base.
+        part: the part above the base.
         height: above the base, mm.
 
     Raises:
-        MeasureError: an opening lies above the base as a whole.
+        MeasureError: an opening is entirely above the base.
     """
     if any(float(height(part.mesh.vertices[loop]).min()) > _ON_BASE_MM for loop in part.loops):
         raise MeasureError(
@@ -186,14 +179,14 @@ def check_above_base(part: OpenPart, height: Height) -> None:
 
 
 def check_whole(name: str, part: OpenPart) -> None:
-    """Refuse a part that is no whole breast, before any volume is made of it.
+    """Raise an error if a part is not a complete breast.
 
     Args:
         name: of the boundary.
-        part: what was cut out along it, or above a cast's base.
+        part: cut out along it, or above a cast's base.
 
     Raises:
-        MeasureError: it has another opening than the cut's, or is hollow seen from outside.
+        MeasureError: it has another opening than the cut's, or is concave seen from outside.
     """
     if len(part.loops) != 1:
         raise MeasureError(
@@ -208,31 +201,28 @@ def check_whole(name: str, part: OpenPart) -> None:
     if outwards @ stands_out < -_FACING * np.linalg.norm(outwards) * np.linalg.norm(stands_out):
         raise MeasureError(
             f"boundary {name!r}",
-            found="skin that is hollow seen from outside",
+            found="skin that is concave seen from outside",
             expected="a convex breast: faces that point outwards",
             remedy="Flip the mesh's normals in the program that made it, or draw the boundary around a breast",
         )
 
 
 def faces_inside(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> Bool[Array, " m"]:
-    """Faces of the part that `inside_curve` keeps.
-
-    Where another breast touches this one, that is the part before the neck between them.
-    """
+    """Faces of the part that `inside_curve` keeps. If another breast touches it, it ends at the neck between them."""
     around = faces_around(mesh.vertices[curve], mesh)
     inside = np.zeros(len(mesh.faces), dtype=bool)
     near = TriangleMesh(vertices=mesh.vertices, faces=mesh.faces[around])
     chosen = _smaller_part(near, curve, goes_on=True)
-    if chosen is None:  # by way of another breast both sides go on beyond the neighbourhood
+    if chosen is None:  # connected by another breast, both sides leave the neighbourhood
         return np.asarray(_smaller_part(mesh, curve, goes_on=False))
     inside[around] = chosen
     return inside
 
 
 def _smaller_part(near: TriangleMesh, curve: Int64[Array, " n"], *, goes_on: bool) -> Bool[Array, " m"] | None:
-    """Faces on the smaller side of a curve, none if it divides nothing.
+    """Faces on the smaller side of a curve; all false if it separates nothing.
 
-    Where the mesh goes on beyond its edge, a part that reaches the edge is not the smaller one. None if both do.
+    If the mesh `goes_on` beyond its edge, parts that reach the edge are not small. None if both do.
     """
     walls = sides_on(near, curve)
     along = np.flatnonzero(walls) // 3
@@ -252,10 +242,7 @@ def _smaller_part(near: TriangleMesh, curve: Int64[Array, " n"], *, goes_on: boo
 
 
 def sides_on(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> Bool[Array, " h"]:
-    """Sides of faces that lie on a closed curve of edges, as a mask.
-
-    Side 3 f + k runs from corner k of face f to the next.
-    """
+    """Mask of the sides of faces on a closed curve. Side 3 f + k runs from corner k of face f to the next."""
     after = np.full(len(mesh.vertices), -1, dtype=np.int64)
     after[curve] = np.roll(curve, -1)
     starts, stops = mesh.faces.ravel(), mesh.faces[:, [1, 2, 0]].ravel()
@@ -263,15 +250,12 @@ def sides_on(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> Bool[Array, " h"]
 
 
 def open_part(mesh: TriangleMesh, faces: Bool[Array, " m"], curve: Int64[Array, " n"]) -> OpenPart:
-    """Some faces of a mesh with their openings, ready for a wall.
-
-    Openings that were cut elsewhere than along the curve are closed.
-    """
+    """Faces of a mesh with their openings, ready for a wall. Openings cut elsewhere than along the curve are closed."""
     return _without_chords(_without_necks(_compact(mesh, faces), mesh, faces, curve))
 
 
 def _without_necks(part: OpenPart, mesh: TriangleMesh, faces: Bool[Array, " m"], curve: Int64[Array, " n"]) -> OpenPart:
-    """Close openings that neither the curve made nor the mesh had, each by a fan of triangles around its middle."""
+    """Close openings made by a second cut, each by a fan of triangles around its centre."""
     if len(part.loops) < 2:
         return part
     had = mesh_kernels.open_vertices(len(mesh.vertices), mesh.faces)
@@ -279,7 +263,7 @@ def _without_necks(part: OpenPart, mesh: TriangleMesh, faces: Bool[Array, " m"],
     had = had[mesh.vertices_used_by(faces)]
     necks = [loop for loop in part.loops if not had[loop].any()]
     n = len(part.mesh.vertices)
-    # The loops run as the part's own faces do, so what closes them runs against them.
+    # Loops have the direction of the part's own faces, so the fans' faces run against them.
     fans = [
         np.stack([np.roll(loop, -1), loop, np.full(len(loop), n + number)], axis=1) for number, loop in enumerate(necks)
     ]
@@ -294,7 +278,7 @@ def _without_necks(part: OpenPart, mesh: TriangleMesh, faces: Bool[Array, " m"],
 
 
 def faces_around(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> Bool[Array, " m"]:
-    """Faces within a sphere that holds more than the breast. The breast is the one over a curve."""
+    """Faces within a sphere that contains the breast inside a curve."""
     centre = points.mean(axis=0)
     reach = _SPHERE * float(np.linalg.norm(points - centre, axis=1).max()) + _SPHERE_MM
     within = np.linalg.norm(mesh.vertices - centre, axis=1) < reach
@@ -302,7 +286,7 @@ def faces_around(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> Bool[Arra
 
 
 def opening_loops(faces: Int64[Array, "m 3"], n_vertices: int) -> tuple[Int64[Array, " n"], ...]:
-    """Closed loops of the edges with one face, longest first. In the faces' direction."""
+    """Closed loops of open edges, in the faces' direction, longest first."""
     a, b = faces.ravel(), faces[:, [1, 2, 0]].ravel()
     rings = mesh_kernels.edge_rings(n_vertices, read_only(faces.astype(np.int32)))
     single = rings == np.arange(len(rings))
@@ -318,7 +302,7 @@ def opening_loops(faces: Int64[Array, "m 3"], n_vertices: int) -> tuple[Int64[Ar
             stop = stops.pop()
             if not stops:
                 del follow[path[-1]]
-            if stop in place:  # a loop closes; where loops touch in one vertex the rest of the path goes on
+            if stop in place:  # a loop is closed; if loops touch in a vertex, the rest of the path continues
                 closed = path[place[stop] :]
                 loops.append(np.array(closed, dtype=np.int64))
                 for vertex in closed[1:]:
@@ -333,13 +317,13 @@ def opening_loops(faces: Int64[Array, "m 3"], n_vertices: int) -> tuple[Int64[Ar
 
 
 def _rotate(faces: Int64[Array, "m 3"], odd: Bool[Array, "m 3"]) -> Int64[Array, "m 3"]:
-    """Turn every face so that its odd corner comes first."""
+    """Faces with their corners rotated so that the odd one comes first."""
     start = np.argmax(odd, axis=1) if len(faces) else np.zeros(0, dtype=np.int64)
     return np.take_along_axis(faces, (start[:, None] + np.arange(3)) % 3, axis=1)
 
 
 def _roots(vertices: Float64[Array, "n 3"], pairs: Int64[Array, "k 2"], height: Height) -> Float64[Array, "k 3"]:
-    """Points of zero height between inside and outside vertices. Illinois method."""
+    """Points of zero height between inside and outside vertices, by the Illinois method."""
     a, b = vertices[pairs[:, 0]], vertices[pairs[:, 1]]
     if not len(pairs):
         return a
@@ -352,7 +336,7 @@ def _roots(vertices: Float64[Array, "n 3"], pairs: Int64[Array, "k 2"], height: 
         if np.all((np.abs(h) < 1e-10) | (t_b - t_a < 1e-12)):
             break
         positive = h > 0
-        # Illinois: the end that stays twice counts half, so that both ends close in.
+        # Illinois: the value at an end that stays is halved, so that both ends converge.
         h_b = np.where(positive, h_b / 2, h)
         h_a = np.where(positive, h, h_a / 2)
         t_b = np.where(positive, t_b, t)
@@ -361,10 +345,7 @@ def _roots(vertices: Float64[Array, "n 3"], pairs: Int64[Array, "k 2"], height: 
 
 
 def _without_chords(part: OpenPart) -> OpenPart:
-    """Split every inner edge that joins two vertices of the opening.
-
-    A wall may need the same edge for itself.
-    """
+    """Split inner edges that join two vertices of the opening: the wall may contain the same edge."""
     if not part.loops:
         return part
     n = len(part.mesh.vertices)
@@ -403,17 +384,17 @@ def _edge_keys(a: Int64[Array, "*n"], b: Int64[Array, "*n"], n: int) -> Int64[Ar
 
 
 def _areas_mm2(mesh: TriangleMesh) -> Float64[Array, " m"]:
-    x, y, z = mesh.face_vectors().T  # a norm over an axis of three is many times slower
+    x, y, z = mesh.face_vectors().T  # much faster than a norm over an axis of length 3
     return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
 def _largest(mesh: TriangleMesh) -> OpenPart:
-    """Compact the connected part with the largest area. Parts are joined by edges or corners."""
+    """Connected part with the largest area. Parts are connected by edges or corners."""
     part = mesh.components()[1][mesh.faces[:, 0]]
     return _compact(mesh, part == np.argmax(np.bincount(part, _areas_mm2(mesh), minlength=1)))
 
 
 def _compact(mesh: TriangleMesh, chosen: Bool[Array, " m"]) -> OpenPart:
-    """Some faces, and their openings."""
+    """The chosen faces as a mesh of their own, with its openings."""
     part = mesh.submesh(chosen)
     return OpenPart(mesh=part, loops=opening_loops(part.faces.astype(np.int64), len(part.vertices)))

@@ -1,7 +1,6 @@
-"""Fill closed loops in a plane with triangles, and sew such a patch onto a skin's opening.
+"""Triangulation of closed loops in a plane, harmonic values on it, and sewing of such a patch onto an opening.
 
-Values are carried from the loops over them. No vertex is added on a loop, so that a patch can be sewn to the mesh
-which the loop came from.
+No vertex is added on a loop, so that a patch can be sewn to the mesh from which the loop was taken.
 """
 
 from __future__ import annotations
@@ -28,11 +27,11 @@ class Patch:
     """A triangulated region of a plane."""
 
     points: Float64[Array, "n 2"]
-    """The loops' points in the order given, then the inner ones. mm."""
+    """The loops' points in the given order, then the inner ones, mm."""
     faces: Int64[Array, "m 3"]
     """Counter-clockwise."""
     n_loop: int
-    """Number of leading points that lie on the loops."""
+    """Number of points on the loops, which come first."""
 
     def area_mm2(self) -> float:
         """Area of the region, mm²."""
@@ -41,17 +40,17 @@ class Patch:
 
 
 def fill(loops: Sequence[Float64[Array, "_ 2"]], spacing_mm: float | None = None) -> Patch:
-    """Triangulate the region inside closed loops (outer ones counter-clockwise, holes clockwise).
+    """Triangulation of the region inside closed loops (outer ones counter-clockwise, holes clockwise).
 
-    Where a loop crosses itself, a simple one in its place is filled, and what fills it is moved harmonically onto the
-    loop: triangles then lie over one another there, and their signed areas still add up to the loop's.
+    A loop that crosses itself is replaced by a simple one, and the triangulation is then moved harmonically onto the
+    loop. Triangles overlap there, but their signed areas still add up to that of the loop.
 
     Args:
-        loops: corners in order, the first not repeated; mm.
+        loops: corners in order, the first not repeated, mm.
         spacing_mm: side of the inner grid's squares; None: no inner points (enough for a flat wall).
 
     Raises:
-        CrossingError: the loops cross one another, so that they bound no region.
+        CrossingError: the loops cross one another and so enclose no region.
     """
     given = np.concatenate(loops)
     for simple in (uncrossed, rounded):
@@ -69,7 +68,7 @@ def fill(loops: Sequence[Float64[Array, "_ 2"]], spacing_mm: float | None = None
 
 
 def _filled(loops: Sequence[Float64[Array, "_ 2"]], spacing_mm: float | None) -> Patch | None:
-    """Triangulate the region inside simple loops. None where they bound no region."""
+    """Triangulation of the region inside simple loops. None if they enclose no region."""
     points = np.concatenate(loops)
     starts = np.cumsum([0, *(len(loop) for loop in loops)])
     rings = [np.arange(a, b) for a, b in pairwise(starts)]
@@ -81,7 +80,7 @@ def _filled(loops: Sequence[Float64[Array, "_ 2"]], spacing_mm: float | None) ->
         points = np.concatenate([points, inner])
         rings += [ring[::-1] for ring in opening_loops(cells, len(points))] if len(cells) else []
     order = np.concatenate(rings)
-    centre = points.mean(axis=0)  # far from the origin the sweep would lose digits
+    centre = points.mean(axis=0)  # the sweep would lose precision far from the origin
     seam = manifold3d.triangulate([points[ring] - centre for ring in rings])
     faces = np.concatenate([order[np.asarray(seam, dtype=np.int64)].reshape(-1, 3), cells])
     wanted = sum(signed_area_mm2(loop) for loop in loops)
@@ -93,7 +92,7 @@ def _filled(loops: Sequence[Float64[Array, "_ 2"]], spacing_mm: float | None) ->
 
 
 def harmonic(patch: Patch, boundary_values: Float64[Array, "b k"]) -> Float64[Array, "n k"]:
-    """Harmonic values over the patch, from values on its loops. Linear finite elements."""
+    """Harmonic interpolation over the patch of values on its loops (linear finite elements)."""
     return harmonic_between(patch.points, patch.faces, np.arange(len(patch.points)) < patch.n_loop, boundary_values)
 
 
@@ -103,7 +102,7 @@ def harmonic_between(
     held: Bool[Array, " n"],
     values_held: Float64[Array, "h k"],
 ) -> Float64[Array, "n k"]:
-    """Harmonic values over triangles in the plane or in space, from values at the points that are held."""
+    """Harmonic interpolation over triangles, in the plane or in space, of values at fixed points."""
     values = np.empty((len(points), values_held.shape[1]))
     values[held] = values_held
     if not held.all():
@@ -113,10 +112,7 @@ def harmonic_between(
 
 
 def cotangent_laplacian(points: Float64[Array, "n d"], faces: Int64[Array, "m 3"]) -> csr_matrix:
-    """Stiffness matrix of linear finite elements over triangles.
-
-    The triangles are in the plane or in space.
-    """
+    """Stiffness matrix of linear finite elements over triangles in the plane or in space."""
     n = len(points)
     rows, columns, weights = [], [], []
     for corner in range(3):
@@ -124,7 +120,7 @@ def cotangent_laplacian(points: Float64[Array, "n d"], faces: Int64[Array, "m 3"
         u, v = points[j] - points[i], points[k] - points[i]
         dot = (u * v).sum(axis=1)
         twice_area = np.sqrt(np.maximum((u * u).sum(axis=1) * (v * v).sum(axis=1) - dot * dot, 1e-24))
-        # A sliver's cotangent is bounded: it joins points that are as good as one.
+        # A sliver's cotangent is bounded: its points practically coincide.
         cotangent = np.clip(dot / twice_area, -1e4, 1e4) / 2
         rows += [j, k, j, k]
         columns += [k, j, j, k]
@@ -135,7 +131,7 @@ def cotangent_laplacian(points: Float64[Array, "n d"], faces: Int64[Array, "m 3"
 def _inner_grid(
     loops: Sequence[Float64[Array, "_ 2"]], spacing: float
 ) -> tuple[Float64[Array, "n 2"], Int64[Array, "m 3"]]:
-    """Square cells inside the loops, as points and triangles. They keep a cell's distance from the loops."""
+    """Square cells at least one cell's width inside the loops, as points and triangles."""
     points = np.concatenate(loops)
     low = points.min(axis=0) - 2 * spacing
     width, height = (int(size) for size in np.ceil((points.max(axis=0) + 2 * spacing - low) / spacing))
@@ -167,7 +163,7 @@ def _cells_inside(loops: Sequence[Float64[Array, "_ 2"]], height: int, width: in
             x = a[hit, 0] + (y - a[hit, 1]) / (b[hit, 1] - a[hit, 1]) * (b[hit, 0] - a[hit, 0])
             np.add.at(crossings, (row[hit], np.ceil(x - 0.5).astype(int)), 1)
     inside = (np.cumsum(crossings, axis=1)[:, :-1] % 2 == 1) & ~binary_dilation(touched)
-    while True:  # cells that touch in a corner only would make the inner region's edge cross itself
+    while True:  # cells that touch only in a corner would make the inner region's edge cross itself
         first = inside[:-1, :-1] & inside[1:, 1:] & ~inside[:-1, 1:] & ~inside[1:, :-1]
         second = inside[:-1, 1:] & inside[1:, :-1] & ~inside[:-1, :-1] & ~inside[1:, 1:]
         if not (first.any() or second.any()):
@@ -181,7 +177,7 @@ def _cross(u: Float64[Array, "n 2"], v: Float64[Array, "n 2"]) -> Float64[Array,
 
 
 Lift = Callable[[Patch], Float64[Array, "k 3"]]
-"""World positions, mm, of a patch's inner points."""
+"""Function that gives the world positions of a patch's inner points, mm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -189,36 +185,36 @@ class Closed:
     """A skin and the wall that closes it, world frame, mm."""
 
     wall: TriangleMesh
-    """The wall alone, open, its normals pointing away from the skin."""
+    """The wall alone, open, normals pointing away from the skin."""
     skin: TriangleMesh
     """The skin alone, open."""
     solid: TriangleMesh
-    """Both, sewn together without a gap. The skin's faces come first."""
+    """Both, joined without a gap. The skin's faces come first."""
     kind: str | None = None
-    """Name of the resulting wall, if not the requested one: a cylinder may turn out flat."""
+    """Name of the resulting wall if it is not the requested one: a cylinder may become a plane."""
     definition: str | None = None
-    """Definition of the wall, one sentence, if it depends on the breast: the radius of a cylinder."""
+    """Definition of the wall, one sentence, if it depends on the breast, such as a cylinder's radius."""
 
 
 def sew(
     part: OpenPart, flat_loops: tuple[Float64[Array, "_ 2"], ...], lift: Lift, *, spacing_mm: float | None, subject: str
 ) -> Closed:
-    """Close an open skin.
+    """Skin closed by a wall.
 
     Args:
-        part: the skin; its loops run counter-clockwise around it for a viewer outside.
-        flat_loops: each loop laid flat as that viewer sees it, mm.
-        lift: where the wall's inner points go.
-        spacing_mm: distance of the wall's inner points; None for a flat wall, which needs none.
-        subject: whose skin, for messages.
+        part: the skin; its loops run counter-clockwise for a viewer outside.
+        flat_loops: each loop flattened as that viewer sees it, mm.
+        lift: world positions of the wall's inner points.
+        spacing_mm: spacing of the wall's inner points; None for a flat wall, which needs none.
+        subject: name for messages.
 
     Raises:
-        MeasureError: the skin has no opening, or the opening laid flat runs the wrong way.
+        MeasureError: the skin has no opening, or the flattened opening runs clockwise.
     """
     if not part.loops:
         raise MeasureError(
             subject,
-            found="a surface without an opening where the wall should meet it",
+            found="a surface without an opening for the wall",
             expected="a wall that cuts the surface",
             remedy="Check the boundary: it must run around the breast, on the surface",
         )

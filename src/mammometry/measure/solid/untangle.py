@@ -1,4 +1,4 @@
-"""A simple curve in place of a flattened boundary that crosses itself."""
+"""Replacement of a flattened boundary that crosses itself by a simple curve."""
 
 from __future__ import annotations
 
@@ -6,21 +6,17 @@ import numpy as np
 
 from mammometry.geometry.arrays import Array, Float64, Int64
 
-_ROUNDS = 20  # straightening one curl may make another cross; after them a circle is taken; chosen by eye
+_ROUNDS = 20  # rounds of removing crossings, after which a circle is used; not critical
 
 
 def uncrossed(loop: Float64[Array, "n 2"]) -> Float64[Array, "n 2"]:
-    """Straighten what a closed curve does between meeting itself and leaving itself.
+    """A closed curve without self-crossings; the curve itself if it has none.
 
-    On skin that leans over, a curve that is simple on the surface may cross itself in a flat map of it. The points
-    between both passes of a crossing are put on the straight line from the one before to the one behind. What still
-    crosses itself then is made a circle.
+    On overhanging skin, a curve that is simple on the surface may cross itself in a flat map. Points between the two
+    passes of a crossing are put on a straight line. A curve that still crosses itself is replaced by a circle.
 
     Args:
         loop: corners in order, the first not repeated, mm.
-
-    Returns:
-        The curve itself where it crosses itself nowhere.
     """
     simple = loop
     for _ in range(_ROUNDS):
@@ -29,7 +25,7 @@ def uncrossed(loop: Float64[Array, "n 2"]) -> Float64[Array, "n 2"]:
             return simple
         simple = simple.copy()
         for first, second in crossings:
-            between = _shorter_way(simple, int(first), int(second))
+            between = _shorter_arc(simple, int(first), int(second))
             ends = simple[(between[0] - 1) % len(loop)], simple[(between[-1] + 1) % len(loop)]
             share = np.arange(1, len(between) + 1)[:, None] / (len(between) + 1)
             simple[between] = (1 - share) * ends[0] + share * ends[1]
@@ -37,7 +33,7 @@ def uncrossed(loop: Float64[Array, "n 2"]) -> Float64[Array, "n 2"]:
 
 
 def rounded(loop: Float64[Array, "n 2"]) -> Float64[Array, "n 2"]:
-    """A circle as long as a closed curve, that runs the same way round, mm."""
+    """Circle of the same length and direction as a closed curve, mm."""
     steps = np.linalg.norm(loop - np.roll(loop, 1, axis=0), axis=1)
     around = np.sign(signed_area_mm2(loop)) * 2 * np.pi * np.cumsum(steps) / steps.sum()
     radius = steps.sum() / (2 * np.pi)
@@ -45,13 +41,13 @@ def rounded(loop: Float64[Array, "n 2"]) -> Float64[Array, "n 2"]:
 
 
 def signed_area_mm2(loop: Float64[Array, "n 2"]) -> float:
-    """Area inside a closed loop, mm². Positive when it runs counter-clockwise."""
+    """Area inside a closed loop, mm²; positive if counter-clockwise."""
     x, y = (loop - loop.mean(axis=0)).T
     return float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2)
 
 
 def self_crossings(loop: Float64[Array, "n 2"]) -> Int64[Array, "k 2"]:
-    """Pairs of edges of a closed curve that cross. Edge i leads from corner i to the next."""
+    """Pairs of edges of a closed curve that cross. Edge i runs from corner i to the next."""
     a, b = loop, np.roll(loop, -1, axis=0)
     low, high = np.minimum(a, b), np.maximum(a, b)
     order = np.argsort(low[:, 0], kind="stable")
@@ -72,13 +68,13 @@ def self_crossings(loop: Float64[Array, "n 2"]) -> Int64[Array, "k 2"]:
 def _side(
     start: Float64[Array, "... 2"], end: Float64[Array, "... 2"], points: Float64[Array, "... 2"]
 ) -> Float64[Array, " n"]:
-    """Positive where points lie to the left of lines."""
+    """Twice the signed area of triangles of line and point: positive left of the line."""
     along, away = end - start, points - start
     return np.atleast_1d(along[..., 0] * away[..., 1] - along[..., 1] * away[..., 0])
 
 
-def _shorter_way(loop: Float64[Array, "n 2"], first: int, second: int) -> Int64[Array, " k"]:
-    """Corners between two edges, on the shorter way along the curve."""
+def _shorter_arc(loop: Float64[Array, "n 2"], first: int, second: int) -> Int64[Array, " k"]:
+    """Corners between two edges, along the shorter part of the curve."""
     forth = np.arange(first + 1, second + 1)
     back = np.arange(second + 1, first + 1 + len(loop)) % len(loop)
     return forth if len(forth) <= len(back) else back

@@ -1,4 +1,4 @@
-"""The wall that closes a breast at its back. Every result names and defines the chosen one."""
+"""The wall that closes a breast at its back. Every result states its name and definition."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import DEFAULT, in_order
 from mammometry.surface.repair.repair import Provenance
 
-_ASTRAY_MM = 40.0
-"""Mean distance of a wall from a straight one through the boundary above which it is no chest, mm: 145 breasts of real
-women have 15 ± 4 mm in the middle, and half of it on average."""
-_MUCH_UNSEEN = 0.1  # share of a boundary on unmeasured skin from which its crossing is blamed on that; chosen by eye
+_MAX_OFFSET_MM = 40.0
+"""Largest plausible mean distance of a wall from a straight one through the boundary, mm. 145 breasts of real women
+have 15 ± 4 mm in the middle, and half of it on average."""
+_MUCH_UNSEEN = 0.1  # share of a boundary on unmeasured skin from which that explains a crossing; not critical
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -29,21 +29,21 @@ class ChestWall:
     kind: str
     """Its name in the registry (`wall.registry`)."""
     definition: str
-    """One sentence that says what surface it is. Goes into every result."""
+    """What surface it is, in one sentence that every result contains."""
     mesh: TriangleMesh
-    """The wall within the boundary, open, with normals pointing away from the breast. mm, world frame."""
+    """The wall within the boundary, open, normals pointing away from the breast, mm, world frame."""
     skin: TriangleMesh
-    """The breast's own surface up to the wall, open. mm, world frame."""
+    """The breast's own surface up to the wall, open, mm, world frame."""
     closed: TriangleMesh
-    """Skin and wall, sewn together. mm, world frame."""
+    """Skin and wall joined, mm, world frame."""
 
 
 def fit(breast: OpenBreast, kind: str | None = None) -> ChestWall:
-    """Close one breast or cast with a wall.
+    """One breast or cast closed by a wall.
 
     Args:
-        breast: with its boundary; world frame, mm.
-        kind: name of the wall; None for the settings' own.
+        breast: with its boundary, mm, world frame.
+        kind: name of the wall; None: that of the settings.
 
     Raises:
         MeasureError: the wall does not fit the subject, does not cut the surface, or crosses itself.
@@ -52,26 +52,25 @@ def fit(breast: OpenBreast, kind: str | None = None) -> ChestWall:
 
 
 def fit_all(breast: OpenBreast) -> tuple[ChestWall, ...]:
-    """Close a breast or cast with every wall that fits.
+    """A breast or cast closed by each wall that fits, the selected wall first.
 
-    The wanted wall comes first. The surface is cut once. Walls other than the wanted one are information, and are left
-    out if they do not fit.
+    The surface is cut once. Walls other than the selected one are for comparison, and are omitted if they do not fit.
 
     Raises:
-        MeasureError: the wanted wall does not fit.
+        MeasureError: the selected wall does not fit.
     """
     walls = [fit(breast)]
     for kind in in_order(breast.walls):
         if kind != walls[0].kind:
             with suppress(MeasureError):
                 wall = _close(breast, kind)
-                # A cylinder through a flat rim is a plane. A wall that lies before the skin encloses nothing.
+                # A cylinder through a flat rim is a plane. A wall in front of the skin encloses nothing.
                 walls += [wall] if wall.kind == kind and wall.closed.volume_mm3() > 0 else []
     return tuple(walls)
 
 
 def _wanted(breast: OpenBreast, wanted: str) -> str:
-    """Name of the wall to take first. By default a separately measured one, else the subject's own."""
+    """Name of the selected wall; by default a separately measured one if there is one, else the subject's default."""
     names = in_order(breast.walls)
     if wanted != DEFAULT and wanted not in names:
         raise MeasureError(
@@ -88,7 +87,7 @@ def _wanted(breast: OpenBreast, wanted: str) -> str:
 
 
 def _close_first(breast: OpenBreast, kind: str) -> ChestWall:
-    """The wanted wall. If the boundary crosses itself on skin that was not measured, the error says so."""
+    """The selected wall. If the boundary crosses itself on unmeasured skin, the error mentions it."""
     try:
         return _close(breast, kind)
     except CrossingError as error:
@@ -98,10 +97,10 @@ def _close_first(breast: OpenBreast, kind: str) -> ChestWall:
             raise
         raise CrossingError(
             f"boundary {breast.boundary.name!r}",
-            found=f"{error.found}; {100 * unseen:.0f} % of it runs over skin that was not measured",
+            found=f"{error.found}; {100 * unseen:.0f} % of it is on unmeasured skin",
             expected=error.expected,
             remedy="Photograph it with more pairs of cameras, from the front or from below, or draw the boundary with "
-            "`mammometry edit`, clear of unmeasured skin",
+            "`mammometry edit`, away from unmeasured skin",
             mesh_remedy="Scan it again without holes there, or draw the boundary around them with `mammometry edit`",
         ) from error
 
@@ -121,19 +120,15 @@ def _close(breast: OpenBreast, kind: str) -> ChestWall:
 
 
 def _check_plausible(closed: Closed, part: OpenPart, kind: str) -> None:
-    """Refuse a wall too far from the boundary's surface for a chest.
-
-    Raises:
-        MeasureError: says by how much.
-    """
+    """Raise a MeasureError if a wall is too far from a straight one to be a chest."""
     rim = part.mesh.vertices[np.concatenate(part.loops)]
     volume_mm3, area_mm2 = closed.solid.volume_mm3(), closed.wall.area_mm2()
     straight_mm3 = mesh_kernels.volume(closed.skin.vertices, closed.skin.faces, rim.mean(axis=0))
-    astray_mm = abs(volume_mm3 - straight_mm3) / max(area_mm2, 1e-9)
-    if astray_mm > _ASTRAY_MM:
+    offset_mm = abs(volume_mm3 - straight_mm3) / max(area_mm2, 1e-9)
+    if offset_mm > _MAX_OFFSET_MM:
         raise MeasureError(
             f"{kind} wall",
-            found=f"{volume_mm3 / 1000:.0f} cc in front of it, {astray_mm:.0f} mm on average from a straight wall",
-            expected=f"at most {_ASTRAY_MM:.0f} mm",
+            found=f"{offset_mm:.0f} mm on average from a straight wall, {volume_mm3 / 1000:.0f} cc in front of it",
+            expected=f"at most {_MAX_OFFSET_MM:.0f} mm",
             remedy="Check the boundary in the report's picture, or choose --set measure.wall=default",
         )

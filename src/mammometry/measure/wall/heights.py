@@ -1,7 +1,7 @@
 """Walls as heights over a chart, and the charts.
 
-The boundary is not exactly on such a height. Its misfit is carried inwards harmonically. So every wall meets the skin
-exactly. `through` does this for all walls.
+The boundary is not exactly at such a height. `through` spreads the misfit harmonically inwards, so that every wall
+meets the skin exactly.
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ from mammometry.measure.solid.untangle import signed_area_mm2
 from mammometry.measure.trunk.thorax import Trunk
 
 Height: TypeAlias = Callable[[Float64[Array, "n 2"]], Float64[Array, " n"]]
-"""Height over a chart at its flat places, mm."""
+"""Height over a chart at flat coordinates, mm."""
 
 SPACING_MM = 2.5
-"""Distance of a wall's inner points, mm. Chosen by eye. Scherk's surface over 100 mm is met to 0.15 mm with it
-(tests/unit/measure/test_walls.py)."""
-_PLATE_KNOTS = 240  # knots of a thin plate at most; chosen by eye
-_SAME_PLACE_DIGITS = 6  # of mm: knots nearer than a nanometre are one, since two make the spline singular
-_CELL_MM = 4.0  # scattered places are averaged over cells of this side; chosen by eye
-_LEAST_COVERED = 0.95  # share of the base that a layer must cover, else it is refused; chosen by eye
+"""Spacing of a wall's inner points, mm. It reproduces Scherk's surface over 100 mm to 0.15 mm
+(tests/unit/measure/test_walls.py). Not critical."""
+_PLATE_KNOTS = 240  # most knots of a thin plate; not critical
+_SAME_PLACE_DIGITS = 6  # decimals of mm to which knots are compared: coincident knots make the spline singular
+_CELL_MM = 4.0  # side of the cells over which scattered points are averaged; not critical
+_LEAST_COVERED = 0.95  # least share of the base that a layer must cover; not critical
 
 
 @runtime_checkable
 class Chart(Protocol):
-    """Coordinates of a wall as a height over a plane region."""
+    """Coordinates in which a wall is a height over a plane region."""
 
     def flatten(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-        """Flat place (two) and height (the third) of world points, mm."""
+        """Flat coordinates (two) and height (the third) of world points, mm."""
         ...
 
     def world(self, places: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-        """World points, mm: the inverse."""
+        """World points, mm (the inverse)."""
         ...
 
 
@@ -57,7 +57,7 @@ class PlaneChart:
     """Rows: two directions in the plane and its normal, towards the breast. World frame."""
 
     def flatten(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-        """Place in the plane and height over it, mm."""
+        """Coordinates in the plane and height over it, mm."""
         return (points_world - self.origin) @ self.frame.T
 
     def world(self, places: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
@@ -66,7 +66,7 @@ class PlaneChart:
 
 
 def best_plane(part: OpenPart) -> PlaneChart:
-    """Plane of least squares through the opening, its loops anticlockwise about its normal."""
+    """Least-squares plane through the opening, whose loops run counter-clockwise about its normal."""
     points = part.mesh.vertices[np.concatenate(part.loops)]
     origin = points.mean(axis=0)
     frame = frame_towards(np.linalg.svd(points - origin, full_matrices=False)[2][2])
@@ -82,7 +82,7 @@ class TrunkChart:
     trunk: Trunk
 
     def flatten(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-        """Laid flat, mm."""
+        """Flat coordinates and distance from the axis, mm."""
         return self.trunk.cylindrical(points_world)
 
     def world(self, places: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
@@ -91,10 +91,10 @@ class TrunkChart:
 
 
 def through(part: OpenPart, chart: Chart, height: Height | None = None, *, subject: str) -> Closed:
-    """Close a skin with a height over a chart. The misfit on the opening is added, harmonic inside.
+    """Skin closed by a height over a chart, plus the misfit on the opening, harmonic inside.
 
     Raises:
-        MeasureError: the opening laid flat crosses itself, or the height is not known everywhere within it.
+        MeasureError: the flattened opening crosses itself, or the height is not known everywhere inside it.
     """
     loops = tuple(chart.flatten(part.mesh.vertices[loop]) for loop in part.loops)
 
@@ -107,7 +107,7 @@ def through(part: OpenPart, chart: Chart, height: Height | None = None, *, subje
 
 
 def plate(places: Float64[Array, "n 3"]) -> Height:
-    """Thin-plate spline through evenly chosen places and heights. Of coincident places the first."""
+    """Thin-plate spline through evenly chosen points; of coincident points the first is used."""
     knots = places[np.unique(np.linspace(0, len(places) - 1, min(_PLATE_KNOTS, len(places))).astype(int))]
     knots = knots[np.sort(np.unique(knots[:, :2].round(_SAME_PLACE_DIGITS), axis=0, return_index=True)[1])]
     spline = RBFInterpolator(knots[:, :2], knots[:, 2], kernel="thin_plate_spline", degree=1)
@@ -120,10 +120,10 @@ def plate(places: Float64[Array, "n 3"]) -> Height:
 
 
 def layer(places: Float64[Array, "n 3"], subject: str) -> Height:
-    """A height between scattered places. The mean of each 4 mm cell, linear between them.
+    """Height interpolated linearly between the means of 4 mm cells of scattered points.
 
     Raises:
-        MeasureError: when asked for places of which many lie beyond the scattered ones.
+        MeasureError: too many of the places asked for are not between the scattered points.
     """
     cell = np.round(places[:, :2] / _CELL_MM).astype(np.int64)
     _, number = np.unique(cell, axis=0, return_inverse=True)

@@ -1,4 +1,4 @@
-"""A breast cut out along its boundary, and inputs of its walls."""
+"""A breast cut out along its boundary, with the inputs of its walls."""
 
 from __future__ import annotations
 
@@ -24,46 +24,43 @@ from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OpenBreast:
-    """One breast or cast with its boundary, to close with a wall.
-
-    The cut and the trunk are computed when first needed, and kept.
-    """
+    """One breast or cast with its boundary, to be closed by a wall. Cut and trunk are computed on first use."""
 
     boundary: Boundary
-    """Around it, on the surface. mm, world frame."""
+    """On the surface, mm, world frame."""
     surface: RepairedSurface
-    """The closed, repaired mesh that it is cut from."""
+    """The closed, repaired mesh."""
     settings: MeasureSettings = field(default_factory=MeasureSettings)
-    """Which wall, and how a trunk is described."""
+    """Selected wall, and description of the trunk."""
     boundaries: Sequence[Boundary] = ()
-    """Every breast's boundary, this one's included, to separate the trunk's skin from the breasts'. Empty: this breast
-    is the only one."""
+    """Boundaries of all breasts including this one, which separate the trunk's skin from theirs. Empty: this breast is
+    the only one."""
     frame: Float64[Array, "3 3"] | None = None
-    """The body's frame (`measure.trunk.body`), rows: the patient's left, the head, straight ahead. Without it, the left
-    and the right boundary must determine it."""
+    """Body frame (`measure.trunk.body`), rows: the patient's left, the head, straight ahead. None: it follows from the
+    left and right boundaries."""
     back: TriangleMesh | None = None
-    """The separately measured wall (wall.ply), mm, world frame. It is then the default."""
+    """Separately measured wall (wall.ply), mm, world frame; then the default."""
     seen: Skin | None = None
-    """Visible skin, if known already."""
+    """Visible skin, if already known."""
     cut: OpenPart | None = None
-    """Its skin cut out of the surface, if known already."""
+    """Its skin cut out of the surface, if already known."""
 
     @property
     def is_cast(self) -> bool:
-        """Whether the breast is a cast, with a base instead of a chest."""
+        """Whether it is a cast, with a base instead of a chest."""
         return self.boundary.name == "model"
 
     @property
     def walls(self) -> Registry[WallModel]:
-        """Walls that may close it."""
+        """Walls that can close it."""
         return CAST_WALLS if self.is_cast else TORSO_WALLS
 
     @cached_property
     def part(self) -> OpenPart:
-        """Its skin, cut out of the surface: whole, with the cut as its only opening.
+        """Its skin, cut out of the surface, complete, with the cut as the only opening.
 
         Raises:
-            MeasureError: the boundary cannot be followed on the surface, or does not cut out a whole breast.
+            MeasureError: the boundary cannot be followed on the surface, or does not enclose a complete breast.
         """
         name, mesh = self.boundary.name, self.surface.mesh
         if self.is_cast:
@@ -76,10 +73,10 @@ class OpenBreast:
         return part
 
     def above(self, base: Base) -> OpenPart:
-        """A cast's skin above a base, with no other opening than that.
+        """A cast's skin above a base, with the base as the only opening.
 
         Raises:
-            MeasureError: a hole lies above the base.
+            MeasureError: there is a hole above the base.
         """
         part = above(self.surface.mesh, base.height)
         check_above_base(part, base.height)
@@ -87,7 +84,7 @@ class OpenBreast:
 
     @cached_property
     def own_base(self) -> Base:
-        """A cast's base, plane or convex cylinder, whichever its rim shows."""
+        """A cast's base, plane or convex cylinder, depending on its rim."""
         return self._base_through(None)
 
     def base_as(self, kind: BaseKind) -> Base:
@@ -107,7 +104,7 @@ class OpenBreast:
 
     @cached_property
     def body_frame(self) -> Float64[Array, "3 3"] | None:
-        """The body's frame, or None where nothing shows it. Given, or from a boundary on each side."""
+        """Body frame, as given or from a boundary on each side; None if unknown."""
         if self.frame is not None:
             return self.frame
         curves = {boundary.name: boundary.points_world for boundary in self._all_boundaries()}
@@ -120,7 +117,7 @@ class OpenBreast:
         """The trunk's axis at the height of this breast.
 
         Raises:
-            MeasureError: neither a frame nor two boundaries show the patient's left, or no skin of the sides was seen.
+            MeasureError: the body frame is unknown, or no skin of the sides is visible.
         """
         frame = self.body_frame
         if frame is None:
@@ -144,7 +141,7 @@ class OpenBreast:
 
     @cached_property
     def thorax(self) -> Thorax:
-        """The trunk's smooth radius without breasts."""
+        """Smooth radius of the trunk without breasts."""
         return fit_thorax(self.trunk, self._skin_beside)
 
     def _all_boundaries(self) -> tuple[Boundary, ...]:
@@ -159,14 +156,14 @@ def open_breasts(
     frame: Float64[Array, "3 3"] | None = None,
     back: TriangleMesh | None = None,
 ) -> tuple[OpenBreast, ...]:
-    """All breasts of one subject. The visible skin is found once for all of them.
+    """All breasts of one subject, which share the visible skin.
 
     Args:
         boundaries: one for each breast.
         surface: the closed, repaired mesh, mm, world frame.
         settings: of the measurement.
-        frame: the body's frame, rows: the patient's left, the head, straight ahead.
-        back: the wall as it was measured by itself, mm, world frame.
+        frame: body frame, rows: the patient's left, the head, straight ahead.
+        back: separately measured wall, mm, world frame.
     """
     seen = None if all(boundary.name == "model" for boundary in boundaries) else seen_skin(surface)
     return tuple(
@@ -184,7 +181,7 @@ def open_breasts(
 
 
 def _outside(points: Float64[Array, "n 3"], boundaries: Sequence[Boundary], trunk: Trunk) -> Bool[Array, " n"]:
-    """Points beside every breast, with the trunk laid flat."""
+    """Points outside every boundary on the flattened trunk."""
     flat = trunk.cylindrical(points)[:, :2]
     keep = np.ones(len(points), dtype=bool)
     for boundary in boundaries:

@@ -14,12 +14,12 @@ if TYPE_CHECKING:
     from mammometry.measure.wall.open_breast import OpenBreast
 
 Close: TypeAlias = "Callable[[OpenBreast], Closed]"
-"""Closes a breast that was cut out. Raises a MeasureError if the wall does not fit it."""
+"""Function that closes a breast. It raises a MeasureError if the wall does not fit it."""
 DEFAULT = "default"
-"""The setting that leaves the choice of the wall to the subject."""
-_LAST = 100  # place of a wall that names none: after all that do
-_USUAL_BASE_CM2 = 170.0  # of the real women on whom walls were tried
-_UNTRIED_MM = 9.5  # of a wall that was not tried on real women: the worst of those that were (docs/decisions/0029)
+"""Setting by which the wall depends on the subject."""
+_LAST = 100  # place of a wall without one: after all others
+_USUAL_BASE_CM2 = 170.0  # mean area of the base of the real women on whom walls were tested
+_UNTRIED_MM = 9.5  # half-width for an untested wall: that of the worst tested one (docs/decisions/0029)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,30 +28,27 @@ class WallModel:
 
     close: Close
     definition: str
-    """One sentence that says what surface it is. Goes into every result."""
+    """What surface it is, in one sentence that every result contains."""
     place: int = _LAST
-    """Order among a breast's walls in results, lowest first. The first one is the default."""
+    """Rank among a breast's walls in results, lowest first. The first one is the default."""
     sees_the_chest: bool = True
-    """Whether it follows the chest. If not, it runs straight behind a torso's breast and overestimates it."""
+    """Whether it follows the chest's curvature. If not, it is straight and overestimates a torso's breast."""
     measured: bool = False
-    """Whether it was measured separately (wall.ply): then it is the default, and better known."""
+    """Whether it was measured separately (wall.ply). It is then the default, with a smaller uncertainty."""
     flat_u95_mm: float = _UNTRIED_MM
-    """Half-width of the 95 % interval of its distance from a flat chest, mm, on 145 breasts of real women, whose bases
-    have 170 cm²."""
+    """Half-width of the 95 % interval of its distance from a flat chest, mm, on 145 breasts of real women with bases of
+    170 cm²."""
 
     def off_u95_mm(self, base_cm2: float) -> float:
-        """That half-width over a base of this area, mm.
-
-        A wall errs by what the chest bends where it is not seen: the more, the wider it spans.
-        """
+        """That half-width for a base of this area, mm: the chest's unseen curvature matters more over a wider base."""
         return self.flat_u95_mm * (base_cm2 / _USUAL_BASE_CM2) ** 0.5
 
 
-_KINDS = "mammometry.measure.wall.kinds"  # a file there is a wall
+_KINDS = "mammometry.measure.wall.kinds"  # each file there defines walls
 TORSO_WALLS: Registry[WallModel] = Registry("chest wall", package=_KINDS)
 """Walls of a torso's breast."""
 CAST_WALLS: Registry[WallModel] = Registry("wall of a cast", package=_KINDS)
-"""Walls of a cast: its own base (plane or convex cylinder, as the rim shows) and others."""
+"""Walls of a cast: its own base (plane or convex cylinder, depending on the rim) and others."""
 
 
 def add_wall(
@@ -63,7 +60,7 @@ def add_wall(
     measured: bool = False,
     flat_u95_mm: float = _UNTRIED_MM,
 ) -> Callable[[Close], Close]:
-    """Register a function that closes a breast as a wall. The facts are those of `WallModel`."""
+    """Decorator that registers a function as a wall. The parameters are those of `WallModel`."""
 
     def enter(close: Close) -> Close:
         model = WallModel(
@@ -82,15 +79,15 @@ def add_wall(
 
 
 def in_order(walls: Registry[WallModel]) -> list[str]:
-    """Names of the walls as results list them, the default first."""
+    """Names of the walls in the order of results, the default first."""
     return sorted(walls, key=lambda name: (walls[name].place, name))
 
 
 def check_wall(name: str) -> None:
-    """Refuse a wall that closes neither torsos nor casts.
+    """Raise an error for an unknown wall.
 
     Raises:
-        SettingsError: it lists the known ones.
+        SettingsError: it lists the known walls.
     """
     if name != DEFAULT:
         known = dict.fromkeys((DEFAULT, *in_order(TORSO_WALLS), *in_order(CAST_WALLS)))

@@ -1,4 +1,4 @@
-"""A cast's own base: a plane or convex cylinder through its rim."""
+"""Walls of a cast: the plane or the convex cylinder through its rim."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mammometry.measure.solid.patch import Closed, sew
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import CAST_WALLS, add_wall
 
-_SPACING_MM = 2.0  # distance of the inner points of a curved base, mm; chosen by eye
+_SPACING_MM = 2.0  # spacing of the inner points of a curved base; not critical
 _FLAT = "the cast's own flat base: the plane through the rim that the photographs show"
 
 
@@ -27,12 +27,12 @@ def flat_base(breast: OpenBreast) -> Closed:
     "photographs show",
 )
 def curved_base(breast: OpenBreast) -> Closed:
-    """A cast closed by the cylinder through its rim. By the plane where the rim is flat."""
+    """A cast closed by the cylinder through its rim, or by the plane if the rim is flat."""
     return _closed_by(breast.base_as("convex-cylinder"), breast)
 
 
 def _closed_by(base: Base, breast: OpenBreast) -> Closed:
-    """The cast above a base, closed by it."""
+    """Part of a cast above a base, closed by the base."""
     part = breast.above(base)
     closed = sew(
         part,

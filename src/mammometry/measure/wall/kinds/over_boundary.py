@@ -1,4 +1,4 @@
-"""Walls through a breast's boundary: membranes, a thin plate, Coons' patch, a plane, the skin's slope."""
+"""Walls through a breast's boundary: membranes, thin plates, a plane and Coons' patch."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mammometry.measure.wall.heights import SPACING_MM, TrunkChart, best_plane, 
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS, add_wall
 
-_ROUNDS = 6  # of harmonic over itself; Scherk's surface is met after them (tests/unit/measure/test_walls.py)
+_ROUNDS = 6  # iterations, after which Scherk's surface is reproduced (tests/unit/measure/test_walls.py)
 
 
 @add_wall(
@@ -30,7 +30,7 @@ _ROUNDS = 6  # of harmonic over itself; Scherk's surface is met after them (test
     definition="the surface of least area through the boundary, as a film of soap would hang in it",
 )
 def membrane(breast: OpenBreast) -> Closed:
-    """Surface of least area: harmonic height, then harmonic over itself (Pinkall, Polthier)."""
+    """Surface of least area through the boundary, by iterated harmonic maps (Pinkall and Polthier)."""
     part = breast.part
     chart = best_plane(part)
     loops = tuple(chart.flatten(part.mesh.vertices[loop]) for loop in part.loops)
@@ -50,20 +50,20 @@ def membrane(breast: OpenBreast) -> Closed:
     TORSO_WALLS,
     name="cylinder-membrane",
     place=1,
-    flat_u95_mm=4.5,  # 4.1 on 145 breasts, which tell that limit to 3.7 to 4.5
+    flat_u95_mm=4.5,  # 4.1 (3.7 to 4.5) on 145 breasts
     definition="a membrane stretched over the boundary, in the trunk's cylindrical coordinates (the distance from "
     "the axis is harmonic); the breast is what lies in front of it",
 )
 def cylinder_membrane(breast: OpenBreast) -> Closed:
-    """Harmonic radius from the trunk's axis, fixed on the boundary. Harmonic over (θ, y)."""
+    """Radius from the trunk's axis that is harmonic over (θ, y) and fixed on the boundary."""
     return through(breast.part, TrunkChart(trunk=breast.trunk), subject="cylinder-membrane wall")
 
 
 _USUAL_PER_MM = 0.0033
-"""Curvature along the body of a flat chest: mean of real women, 1/mm (docs/decisions/0029)."""
+"""Curvature of a flat chest along the body, 1/mm: mean of real women (docs/decisions/0029)."""
 _GOES_ON = 0.5
-"""Share of the curvature beside a breast that goes on behind it: between .3 and .9 in five families with known chests,
-and the one with which their errors are least (docs/decisions/0029)."""
+"""Curvature behind a breast, relative to that beside it. It is 0.3 to 0.9 in five families of bodies with known chests;
+0.5 gives the smallest errors (docs/decisions/0029)."""
 
 
 @add_wall(
@@ -86,14 +86,14 @@ def rounded_membrane(breast: OpenBreast) -> Closed:
 
 
 def _curvature_per_mm(breast: OpenBreast) -> float:
-    """Curvature of the chest along the body, 1/mm: the mean of what the skin beside shows and what is usual.
+    """Curvature of the chest along the body, 1/mm: mean of that of the skin beside the breast and that of real women.
 
-    Skin beside breasts is no chest without one: folds, armpits and a hanging breast's slope bend it. So what it shows
-    counts no more than real women's mean, and never as less than none or more than twice that.
+    The skin beside breasts is also bent by folds, armpits and the slope of a hanging breast. So its curvature has the
+    same weight as the mean of real women, and is limited to between 0 and twice that mean.
     """
     try:
         thorax = breast.thorax
-    except MeasureError:  # too little skin was seen beside the breasts
+    except MeasureError:  # too little skin is visible beside the breasts
         return _USUAL_PER_MM
     rim = breast.trunk.cylindrical(breast.part.mesh.vertices[np.concatenate(breast.part.loops)])
     shown = float(thorax.bend_per_mm(rim[:, :2]).mean())
@@ -109,22 +109,22 @@ def _curvature_per_mm(breast: OpenBreast) -> float:
     definition="the plate of least bending through the boundary: a thin-plate spline over its best plane",
 )
 def thin_plate(breast: OpenBreast) -> Closed:
-    """Plate of least bending through the boundary. A thin-plate spline over its best plane (Duchon)."""
+    """Thin-plate spline through the boundary over its best plane: least bending energy (Duchon)."""
     part = breast.part
     chart = best_plane(part)
     rim = chart.flatten(part.mesh.vertices[np.concatenate(part.loops)])
     return through(part, chart, plate(rim), subject="thin-plate wall")
 
 
-_RING_MM = (12.0, 24.0)  # skin this far outside the boundary gives the slope; docs/decisions/0009 has what came of it
-_SECTORS = 120  # directions around the boundary; the ring's skin in each gives one knot; chosen by eye
-_FEWEST_SECTORS = _SECTORS // 2  # that must hold skin; chosen by eye
+_RING_MM = (12.0, 24.0)  # distances outside the boundary of the skin that gives the slope (docs/decisions/0009)
+_SECTORS = 120  # directions around the boundary, in each of which the ring's skin gives one knot; not critical
+_FEWEST_SECTORS = _SECTORS // 2  # fewest directions with skin; not critical
 _STEEPEST = 0.8
-"""Slope of the ring's skin against the boundary, in the trunk's coordinates, above which it is no chest. Chosen by eye:
-folds made slopes of up to 12 on real women."""
+"""Largest slope of the ring's skin against the boundary, in the trunk's coordinates. Not critical. Folds have slopes of
+up to 12 on real women."""
 _NOT_BREAST = 0.8
-"""Skin nearer to the breast's own skin than this share of its distance from the boundary belongs to the breast, which
-may hang over its fold. Without this, volumes were 108 cc too large (docs/decisions/0009). Chosen by eye."""
+"""Skin belongs to the breast, which may hang over its fold, if it is nearer to the breast's skin than this share of its
+distance from the boundary. Without this test volumes were 108 cc too large (docs/decisions/0009). Not critical."""
 
 
 @add_wall(
@@ -135,13 +135,12 @@ may hang over its fold. Without this, volumes were 108 cc too large (docs/decisi
     "24 mm outside it, so that it continues that skin's slope",
 )
 def tangent_continuous(breast: OpenBreast) -> Closed:
-    """A plate through the boundary that continues the slope outside it.
+    """Thin plate through the boundary and the skin 12 to 24 mm outside it, which continues that skin's slope.
 
-    It goes through the boundary and the skin 12 to 24 mm outside. Distances are those laid flat around the trunk: skin
-    that is near in space may lie under a fold, at the same place.
+    Distances are measured on the flattened trunk, because skin that is near in space may be under a fold.
 
     Raises:
-        MeasureError: no skin was seen there, or only around less than half of the boundary.
+        MeasureError: skin is visible there around less than half of the boundary.
     """
     part, trunk = breast.part, breast.trunk
     rim = trunk.cylindrical(part.mesh.vertices[np.concatenate(part.loops)])
@@ -151,7 +150,7 @@ def tangent_continuous(breast: OpenBreast) -> Closed:
     near &= np.abs(flat[:, 2] - rim[nearest, 2]) < _STEEPEST * away
     ring, away = flat[near], away[near]
     off_breast = np.asarray(point_tree(part.mesh.vertices).query(breast.beside[near])[0]) > _NOT_BREAST * away
-    knots = _one_each(ring[off_breast], rim)
+    knots = _one_per_sector(ring[off_breast], rim)
     if len(knots) < _FEWEST_SECTORS:
         raise MeasureError(
             "tangent-continuous wall",
@@ -166,8 +165,8 @@ def tangent_continuous(breast: OpenBreast) -> Closed:
     )
 
 
-def _one_each(ring: Float64[Array, "n 3"], rim: Float64[Array, "m 3"]) -> Float64[Array, "k 3"]:
-    """The ring's median place in each direction from the boundary's middle that holds skin."""
+def _one_per_sector(ring: Float64[Array, "n 3"], rim: Float64[Array, "m 3"]) -> Float64[Array, "k 3"]:
+    """Median point of the ring in each direction from the boundary's centre that contains skin."""
     offset = ring[:, :2] - rim[:, :2].mean(axis=0)
     sector = ((np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi) + 0.5) * _SECTORS).astype(int) % _SECTORS
     found = [np.median(ring[sector == number], axis=0) for number in range(_SECTORS) if (sector == number).any()]
@@ -183,13 +182,13 @@ def _one_each(ring: Float64[Array, "n 3"], rim: Float64[Array, "m 3"]) -> Float6
     definition="the boundary's best-fitting plane, joined to it by a skirt along the plane's normal",
 )
 def plane(breast: OpenBreast) -> Closed:
-    """The boundary's best plane, joined to it by a skirt. The skirt runs along the plane's normal."""
+    """The boundary's best plane, joined to the boundary by a skirt along the plane's normal."""
     part = breast.part
     chart = best_plane(part)
     patch = fill(tuple(chart.flatten(part.mesh.vertices[loop])[:, :2] for loop in part.loops))
     loop = np.concatenate(part.loops)
     n, n_skin = len(loop), len(part.mesh.vertices)
-    sunk = chart.world(np.concatenate([patch.points, np.zeros((n, 1))], axis=1))
+    base_points = chart.world(np.concatenate([patch.points, np.zeros((n, 1))], axis=1))
     upper, follower = [], []
     start = 0
     for ring in part.loops:
@@ -200,10 +199,10 @@ def plane(breast: OpenBreast) -> Closed:
     a, b = np.concatenate(upper), np.concatenate(follower)
     skirt = np.concatenate([np.stack([b, a, a + n], axis=1), np.stack([b, a + n, b + n], axis=1)])
     faces = np.concatenate([skirt, patch.faces[:, ::-1] + n])
-    wall = TriangleMesh(vertices=np.concatenate([part.mesh.vertices[loop], sunk]), faces=faces.astype(np.int32))
+    wall = TriangleMesh(vertices=np.concatenate([part.mesh.vertices[loop], base_points]), faces=faces.astype(np.int32))
     number = np.concatenate([loop, n_skin + np.arange(n)])
     closed = TriangleMesh(
-        vertices=np.concatenate([part.mesh.vertices, sunk]),
+        vertices=np.concatenate([part.mesh.vertices, base_points]),
         faces=np.concatenate([part.mesh.faces, number[faces].astype(np.int32)]),
     )
     return Closed(wall=wall, skin=part.mesh, solid=closed)
@@ -221,7 +220,7 @@ def coons(breast: OpenBreast) -> Closed:
     """Coons' bilinearly blended patch between the sides above, below, towards and off the midline.
 
     Raises:
-        MeasureError: the skin has more openings than one, or the boundary has no four sides.
+        MeasureError: the skin has more than one opening, or the boundary does not have four sides.
     """
     part = breast.part
     if len(part.loops) != 1:

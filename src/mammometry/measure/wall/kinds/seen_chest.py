@@ -1,4 +1,4 @@
-"""Walls that follow a chest that was seen: beside the breasts, on the other side, or by itself."""
+"""Walls that follow visible or measured skin: beside the breasts, on the other side, or measured separately."""
 
 from __future__ import annotations
 
@@ -22,14 +22,16 @@ from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS, add_wall
     "its misfit on the boundary spread smoothly inwards",
 )
 def thorax_fit(breast: OpenBreast) -> Closed:
-    """Thorax fitted to the skin beside the breasts, its misfit on the boundary spread harmonically."""
+    """Thorax fitted to the skin beside the breasts, with its misfit on the boundary spread harmonically."""
     thorax = breast.thorax
     return through(breast.part, TrunkChart(trunk=thorax.trunk), thorax.radius_mm, subject="thorax-fit wall")
 
 
-_AROUND_MM = 10.0  # skin this far outside the mirrored boundary is taken too, so that the layer ends beyond it
-_CORE = 0.7  # share of the boundary's half extent within which a breast on the other side is looked for; by eye
-_STANDING_OUT = 0.95  # quantile of the bulge there that says whether one stands; by eye, leaves room for outliers
+_AROUND_MM = 10.0  # margin of skin around the mirrored boundary, so that the layer covers all of it
+_CORE = 0.7  # share of the boundary's half extent in which a breast on the other side is looked for; not critical
+_STANDING_OUT = 0.95
+"""Quantile of the bulge there that is compared with the prominence of a breast, so that 5 % outliers do not matter. A
+quarter more is no quantile."""
 
 
 @add_wall(
@@ -40,10 +42,10 @@ _STANDING_OUT = 0.95  # quantile of the bulge there that says whether one stands
     "its misfit on the boundary spread smoothly inwards",
 )
 def mirrored(breast: OpenBreast) -> Closed:
-    """The other side's skin without a breast, mirrored at the trunk's mid-sagittal plane (θ = 0).
+    """Skin of the other, flat side, mirrored at the trunk's mid-sagittal plane (θ = 0).
 
     Raises:
-        MeasureError: the other side bears a breast, or was not seen.
+        MeasureError: there is a breast on the other side, or it is not visible.
     """
     part, trunk, thorax, skin = breast.part, breast.trunk, breast.thorax, breast.skin
     other = trunk.cylindrical(skin.points_world) * [-1.0, 1.0, 1.0]
@@ -56,14 +58,14 @@ def mirrored(breast: OpenBreast) -> Closed:
     if not core.any() or np.quantile(bulge, _STANDING_OUT) > MIN_PROMINENCE_MM:
         raise MeasureError(
             "mirrored wall",
-            found="a breast on the other side" if core.any() else "no skin seen on the other side",
+            found="a breast on the other side" if core.any() else "no visible skin on the other side",
             expected="a flat other side, to be mirrored",
             remedy="Choose another wall with --set measure.wall=default",
         )
     return through(part, TrunkChart(trunk=trunk), layer(other, "mirrored wall"), subject="mirrored wall")
 
 
-_NEAR_MM = 60.0  # the measured surface is taken this far around the opening, in every coordinate; chosen by eye
+_NEAR_MM = 60.0  # margin of the measured surface around the opening, in each coordinate; not critical
 
 
 @add_wall(
@@ -74,10 +76,10 @@ _NEAR_MM = 60.0  # the measured surface is taken this far around the opening, in
     definition="the wall measured separately (wall.ply), its misfit on the boundary spread smoothly inwards",
 )
 def measured_wall(breast: OpenBreast) -> Closed:
-    """A separately measured chest, as far as it is behind the opening.
+    """The separately measured chest behind the opening.
 
     Raises:
-        MeasureError: there is none, or it does not cover the opening.
+        MeasureError: it is missing, or does not cover the opening.
     """
     return _measured(breast, TrunkChart(trunk=breast.trunk))
 
@@ -90,19 +92,16 @@ def measured_wall(breast: OpenBreast) -> Closed:
     definition="the cast's back measured separately (wall.ply), its misfit on the rim spread smoothly inwards",
 )
 def measured_back(breast: OpenBreast) -> Closed:
-    """A cast's back that was measured by itself.
+    """A cast's separately measured back.
 
     Raises:
-        MeasureError: there is none, or it does not cover the opening.
+        MeasureError: it is missing, or does not cover the opening.
     """
     return _measured(breast, best_plane(breast.part))
 
 
 def _measured(breast: OpenBreast, chart: Chart) -> Closed:
-    """Close a breast with its measured back, as one layer.
-
-    The coordinates are chosen so that the back is one layer.
-    """
+    """A breast closed by its measured back, which is a single layer over the chart."""
     part, back = breast.part, breast.back
     if back is None:
         raise MeasureError(
