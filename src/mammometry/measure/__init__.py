@@ -1,1 +1,1 @@
-"""Boundary, chest wall, volume, shape."""
+"""Boundary, chest wall, volume and shape of breasts, from a surface."""

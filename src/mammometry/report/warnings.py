@@ -194,7 +194,7 @@ def mesh_warnings(measurements: Sequence[VolumeMeasurement], body: Body | None) 
     sunk = (
         []
         if body is None
-        else [measurement.sunk(body.up) for measurement in measurements if measurement.name != "model"]
+        else [measurement.inferior_shift(body.up) for measurement in measurements if measurement.name != "model"]
     )
     if len(sunk) == 2 and sum(sunk) / 2 < _HUNG_UPWARDS:
         yield Notice(code="breasts-fuller-above")

@@ -33,8 +33,8 @@ def said(tip_y_mm: float, up: float, names: tuple[str, ...] = ("left", "right"))
 
 
 def test_a_pyramids_mass_lies_a_quarter_of_the_way_to_its_tip() -> None:
-    assert pyramid("left", -20.0).sunk(UP) == pytest.approx(5 / 50)
-    assert pyramid("left", -20.0).sunk(-UP) == pytest.approx(-5 / 50)
+    assert pyramid("left", -20.0).inferior_shift(UP) == pytest.approx(5 / 50)
+    assert pyramid("left", -20.0).inferior_shift(-UP) == pytest.approx(-5 / 50)
 
 
 @pytest.mark.requirement("R-SIDE-2")

@@ -1,1 +1,1 @@
-"""Volume and its 95 % interval."""
+"""Volumes with their 95 % intervals."""

@@ -1,4 +1,4 @@
-"""Attribution: who drew a boundary, and who confirmed it by eye."""
+"""Attribution: who drew a boundary, and who confirmed it."""
 
 from __future__ import annotations
 
@@ -16,51 +16,51 @@ from mammometry.measure.boundary import BoundaryRemark, boundary_words
 if TYPE_CHECKING:
     from mammometry.measure.volume.measurement import VolumeMeasurement
 
-_DIGITS = 3  # micrometres: another machine's last bits are no other curve
+_DIGITS = 3  # decimals of mm: differences below a micrometre between machines do not matter
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Confirmation:
-    """Somebody looked at one curve and found it right."""
+    """Confirmation of one curve by a person who looked at it."""
 
     by: str
     """The name that was typed."""
     at: str
-    """When, UTC, ISO 8601."""
+    """Time, UTC, ISO 8601."""
     curve: str
-    """Digest of the curve that was looked at (`curve_digest`)."""
+    """Digest of the confirmed curve (`curve_digest`)."""
 
     def holds(self, curve_world: Float64[Array, "n 3"]) -> bool:
-        """Whether this is the curve that was looked at."""
+        """Whether this is the confirmed curve."""
         return self.curve == curve_digest(curve_world)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attribution:
-    """Origin of one boundary, as boundaries.json has it."""
+    """Origin of one boundary, from boundaries.json."""
 
     method: str | None = None
-    """How it was drawn, without names. None where nobody says, or where it is found automatically."""
+    """How it was drawn, without names. None if unknown or found automatically."""
     origin: str | None = None
-    """The same with names and dates."""
+    """The same, with names and dates."""
     confirmation: Confirmation | None = None
 
 
 def curve_digest(curve_world: Float64[Array, "n 3"]) -> str:
     """SHA-256 of a curve's points to the micrometre, hexadecimal."""
-    rounded = np.round(np.asarray(curve_world, dtype=np.float64), _DIGITS) + 0.0  # no negative zeros
+    rounded = np.round(np.asarray(curve_world, dtype=np.float64), _DIGITS) + 0.0  # no −0.0
     return hashlib.sha256(rounded.astype("<f8").tobytes()).hexdigest()
 
 
 def attributed(
     measured: VolumeMeasurement, attributions: Mapping[str, Attribution], *, named: bool = True
 ) -> VolumeMeasurement:
-    """Name who drew and who confirmed a boundary, in its description.
+    """The measurement, with who drew and who confirmed its boundary.
 
     Args:
         measured: one breast.
         attributions: breast → its entry in boundaries.json.
-        named: whether names, dates and people's own words are given, which a de-identified report must not do.
+        named: whether to include names, dates and free text; false in a de-identified report.
     """
     attribution, curve = attributions.get(measured.name, Attribution()), curve_digest(measured.boundary_world)
     method, remarks = measured.boundary_method, measured.boundary_remarks
@@ -74,14 +74,14 @@ def attributed(
 def attributed_words(
     method: str, remarks: Sequence[BoundaryRemark], curve: str, attribution: Attribution, *, named: bool = True
 ) -> str:
-    """A boundary's method with who drew and who confirmed it.
+    """Method and remarks of a boundary, with who drew and who confirmed it.
 
     Args:
         method: how it was found or given.
         remarks: facts about it.
         curve: its digest.
         attribution: its entry in boundaries.json.
-        named: as of `attributed`.
+        named: as in `attributed`.
     """
     if "given" in remarks:
         if not named:
@@ -94,7 +94,7 @@ def attributed_words(
 def attributed_remarks(
     remarks: Sequence[BoundaryRemark], curve: str, confirmation: Confirmation | None
 ) -> tuple[BoundaryRemark, ...]:
-    """The remarks, with the newest confirmation if it is of this curve."""
+    """The remarks, with the latest confirmation if it is of this curve."""
     kept = tuple(code for code in remarks if code != "to-be-confirmed")
     return (*kept, "confirmed") if confirmation is not None and confirmation.curve == curve else tuple(remarks)
 
@@ -107,14 +107,14 @@ def confirmed_words(
     *,
     named: bool = True,
 ) -> str:
-    """A boundary's method with what is known of its confirmation.
+    """A boundary's method, and whether this curve or an earlier one was confirmed.
 
     Args:
         method: how it was found or drawn.
         curve: its digest.
         confirmation: of this curve or of an earlier one.
         remarks: facts about the boundary.
-        named: whether name and date are given.
+        named: whether to include name and date.
     """
     words = boundary_words(method, attributed_remarks(remarks, curve, confirmation))
     if confirmation is None:

@@ -1,7 +1,7 @@
-"""Change of the volume when the boundary is drawn again. Linear theory on the real cut.
+"""Change of the volume when the boundary is redrawn: linear theory, with real cuts.
 
-The part is cut out again along curves near its first one (`Band`). Only a band of skin around the curve is looked at.
-The part is the same, bit by bit, as if the whole mesh had been cut.
+The part is cut out again along curves near the first one. For speed only a band of skin around that curve is searched
+(`Band`). The part is identical to one cut out of the whole mesh.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from mammometry.surface.repair.repair import Provenance
 
 
 class Band:
-    """The skin around a curve along which a mesh was cut.
+    """Skin around a curve along which a mesh was cut.
 
     Args:
         mesh: a closed mesh, mm.
         curve: vertices of the closed curve, as for `inside_curve`.
-        reach_mm: how far the band reaches to both sides.
+        reach_mm: half width of the band.
     """
 
     def __init__(self, mesh: TriangleMesh, curve: Int64[Array, " n"], reach_mm: float) -> None:
@@ -44,14 +44,14 @@ class Band:
         self._faces = np.flatnonzero(in_band)
         self._vertices = np.flatnonzero(mesh.vertices_used_by(self._faces))
         self.mesh = mesh.submesh(self._faces)
-        """The band alone, open, mm."""
+        """The band, open, mm."""
         self._core = self._inside & ~in_band
         self._at_core = self._beside(self._core)
         self._at_rest = self._beside(~self._inside & ~in_band)
         self._rings = mesh_kernels.edge_rings(len(self.mesh.vertices), self.mesh.faces)
 
     def inside(self, curve: Int64[Array, " k"]) -> OpenPart:
-        """Keep the part inside another curve.
+        """Part inside another curve.
 
         Args:
             curve: vertices of `mesh`, the band, in order.
@@ -62,52 +62,46 @@ class Band:
         core[part[self._at_core]] = rest[part[self._at_rest]] = True
         touching[part[np.flatnonzero(walls) // 3]] = True
         if (core & rest).any() or (core & touching).sum() != 1 or (rest & touching).sum() != 1 or touching.sum() != 2:
-            return inside_curve(self._whole, self._vertices[curve])  # the band alone does not tell
+            return inside_curve(self._whole, self._vertices[curve])  # undecidable in the band
         faces = self._core.copy()
         faces[self._faces] = core[part] | (~rest[part] & self._inside[self._faces])
         return open_part(self._whole, faces, self._vertices[curve])
 
     def _beside(self, faces: Bool[Array, " m"]) -> Bool[Array, " b"]:
-        """Mask of the band's faces that share a vertex with others outside it."""
+        """Mask of the band's faces that share a vertex with faces outside it."""
         near = self._whole.vertices_used_by(faces)[self._vertices]
         a, b, c = self.mesh.faces.T
         return np.asarray(near[a] | near[b] | near[c])
 
 
 UNSEEN_SLOPE = 0.5
-"""Growth of the uncertainty of skin, and of a boundary on it, mm for each mm of distance from measured skin. On a
-photographed cast that of skin grows no further than views leave it room outwards. For a ptotic cast photographed by one
-pair, with its lower pole hidden (63 cm², up to 49 mm away), the volume was off by .5 times distance times area. For
-casts photographed by four pairs, at .15 of full size, it was -.2 to .4 times (docs/decisions/0009)."""
+"""Uncertainty of skin, and of a boundary on it, per mm of distance from measured skin, mm. On a photographed cast that
+of skin is limited to the space that no view excludes. For a ptotic cast photographed by one pair, with its lower pole
+hidden (63 cm², up to 49 mm away), the volume error was 0.5 times distance times area. For casts photographed by four
+pairs, at 0.15 of full size, it was −0.2 to 0.4 times (docs/decisions/0009)."""
 ORDERS = 4  # Fourier orders 0 to 3: wider, shifted, oblong, three-lobed (docs/decisions/0009)
-_SHARES = (1.0, 0.5, -1.0, -0.5)  # of a displacement that are tried in turn where the curve meets an edge of the skin
-_SMOOTH = 48
-"""A curve's uncertainty is smoothed over this part of its length (standard deviation); chosen by eye."""
-_SKIN_MARGIN_MM = 10.0  # skin around a redrawn curve onto which it is laid; chosen by eye
+_SHARES = (1.0, 0.5, -1.0, -0.5)  # factors on a displacement, tried one after the other at an edge of the skin
+_SMOOTH = 48  # length of the curve over the σ with which its uncertainty is smoothed; not critical
+_SKIN_MARGIN_MM = 10.0  # skin around a redrawn curve onto which it is projected; not critical
 
 
 def boundary_std_cc(breast: OpenBreast, wall: ChestWall) -> float | None:
-    """Root mean square volume change by jitter of a torso's boundary, cc.
+    """Standard deviation of the volume by jitter of a torso's boundary, cc.
 
-    The boundary jitters as persons draw it elsewhere: by ``settings.observers``, most towards the armpit, least at the
-    fold. It jitters by more where its skin was not measured: that skin may itself be off by ``UNSEEN_SLOPE``
-    of its distance from measured skin, and shows no crease.
+    None if no displaced curve can be followed, so that a derivative is unknown. The standard deviation of the jitter is that between observers (``settings.observers``), plus ``UNSEEN_SLOPE`` of
+    the distance from measured skin, because unmeasured skin may be wrong and shows no crease.
 
-    The jitter is a random displacement across the curve, along the skin, of independent Fourier terms up to the third
-    around it, each with that profile: persons differ in how wide, how high, how oblong they draw, and places a quarter
-    of the curve apart differ on their own. Each order has the same share of the variance. For each of the seven terms
-    the curve is redrawn, cut and closed again.
+    The jitter is a displacement across the curve, along the skin, by independent Fourier terms up to the third order,
+    each with that profile. Each order has the same share of the variance. For each of the seven terms the curve is
+    redrawn, cut and closed again.
 
-    Where skin and wall part tangentially, a curve too wide costs nothing and one too narrow cuts the breast. So both
-    signs of the widest term are taken, V₊ and V₋. The mean change b = (V₊ + V₋)/2 − V depends on the variances alone,
-    which are equal, so each order brings it: ((V₊ − V₋)/2)² + Σ (Vₖ − V − b/2)² + (4b)².
+    Where skin and wall meet tangentially, a wider curve changes nothing and a narrower one cuts the breast. So both
+    signs of the widest term are computed, V₊ and V₋. The mean change b = (V₊ + V₋)/2 − V depends only on the variances,
+    which are equal, so each order contributes it: ((V₊ − V₋)/2)² + Σ (Vₖ − V − b/2)² + (4b)².
 
     Args:
         breast: of a torso.
         wall: that closes it; its kind is kept.
-
-    Returns:
-        None where the curve could not be followed displaced to either side, so that a derivative is not known.
     """
     boundary, surface = breast.boundary, breast.surface
     volume_cc = wall.closed.volume_mm3() / 1000
@@ -134,7 +128,7 @@ def boundary_std_cc(breast: OpenBreast, wall: ChestWall) -> float | None:
 
 
 def _redrawn_cc(breast: OpenBreast, wall: ChestWall, band: Band, across_mm: Float64[Array, " n"]) -> float | None:
-    """Volume within a displaced boundary, cc. None where it could not be followed."""
+    """Volume within a displaced boundary, cc. None if it cannot be followed."""
     redrawn = redraw(breast.boundary, across_mm, band.mesh)
     boundaries = [redrawn if other.name == redrawn.name else other for other in breast.boundaries]
     try:
@@ -146,7 +140,7 @@ def _redrawn_cc(breast: OpenBreast, wall: ChestWall, band: Band, across_mm: Floa
 
 
 def _sigma_mm(breast: OpenBreast) -> Float64[Array, " n"]:
-    """Standard uncertainty of each boundary point across the curve, mm. Smooth along the curve."""
+    """Smoothed standard uncertainty of each boundary point across the curve, mm."""
     boundary, surface, settings = breast.boundary, breast.surface, breast.settings
     points = boundary.points_world
     measured = surface.mesh.vertices[surface.provenance == Provenance.MEASURED]
@@ -161,14 +155,14 @@ def _sigma_mm(breast: OpenBreast) -> Float64[Array, " n"]:
 def drawn_sigma_mm(
     boundary: Boundary, frame: Float64[Array, "3 3"] | None, observers: ObserverSettings
 ) -> Float64[Array, " n"]:
-    """Standard uncertainty of a drawn curve across itself, mm.
+    """Standard uncertainty of each point of a drawn curve, across the curve, mm.
 
-    With φ from lateral through up around the curve's middle, each region's variance counts by the square of that
-    direction's cosine, where it is positive; the four weights add up to 1.
+    The variance is the mean of those of the four regions, weighted by the squared cosine of the angle from each
+    region's direction about the curve's centre, where the cosine is positive; the weights add up to 1.
 
     Args:
         boundary: of a torso's breast.
-        frame: the body's frame, rows: the patient's left, the head, straight ahead. None: all regions alike.
+        frame: body frame, rows: the patient's left, the head, straight ahead. None: all regions have equal weight.
         observers: by region.
     """
     points = boundary.points_world
@@ -183,7 +177,7 @@ def drawn_sigma_mm(
 
 
 def displacements_mm(sigma_mm: Float64[Array, " n"]) -> Float64[Array, "m n"]:
-    """Displacements across a closed curve, one per Fourier term. Their squares add up to σ²."""
+    """Displacements across a closed curve, mm, one row per Fourier term. Their squares add up to σ²."""
     count = len(sigma_mm)
     around = 2 * np.pi * np.arange(count) / count
     terms = [np.ones(count)]
@@ -193,7 +187,7 @@ def displacements_mm(sigma_mm: Float64[Array, " n"]) -> Float64[Array, "m n"]:
 
 
 def redraw(boundary: Boundary, across_mm: Float64[Array, " n"], mesh: TriangleMesh) -> Boundary:
-    """Displace a boundary outwards along its best plane, and lay it back onto the skin's vertices."""
+    """A boundary displaced outwards along its best plane, and moved to the skin's nearest vertices."""
     points = boundary.points_world
     centre = points.mean(axis=0)
     normal = np.linalg.svd(points - centre, full_matrices=False)[2][2]

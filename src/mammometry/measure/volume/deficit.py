@@ -1,7 +1,7 @@
-"""Volume that one side of a torso lacks to the mirrored other.
+"""Volume deficit of one side of a torso relative to the mirrored other side, for planning a reconstruction.
 
-A reconstruction is planned with it. It needs one curve, on the fuller side, and no wall: it lies between the fuller
-side's skin, mirrored at the trunk's mid-sagittal plane, and the skin of this side.
+It is the volume between the fuller side's skin, mirrored at the trunk's mid-sagittal plane, and the skin of this side.
+It needs one curve, on the fuller side, and no chest wall.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.surface.repair.repair import RepairedSurface
 
-_STEP_MM = 2.0  # of the grid on which the space between both walls is summed; chosen for speed
+_STEP_MM = 2.0  # grid spacing of the sum between both walls; chosen for speed
 _WALL = "cylinder-membrane"
-_NEAREST_MM = 25.0  # a mirrored curve farther off the skin than this mirrors onto something else; chosen by eye
+_NEAREST_MM = 25.0  # largest distance of the mirrored curve from the skin of this side; not critical
 
 
 def volume_deficit(
@@ -39,15 +39,14 @@ def volume_deficit(
     body: Body,
     settings: MeasureSettings = MeasureSettings(),
 ) -> VolumeDeficit | None:
-    """Measure what the smaller side lacks.
+    """Volume deficit of the smaller side. None without a measured breast or a mid-sagittal plane.
 
-    None if no breast was measured, or if the trunk shows no plane. With W the fuller breast's wall, V its volume, and
-    a prime for what is mirrored, the volume is
+    Let W be the fuller breast's wall, V its volume, and a prime the mirror image. The deficit is
 
         V − V₂ − ∫ (r₂² − r′²)/2 dθ dy
 
-    where V₂ stands out of the other side within the mirrored boundary before a membrane of its own, whose radius is r₂,
-    and r′ is that of W′. The walls cancel: what remains lies between W′'s skin and the skin that is there.
+    V₂ is the volume of the other side within the mirrored boundary, in front of a membrane of its own with radius r₂,
+    and r′ is the radius of W′. The walls cancel: the result is the volume between the mirrored skin and this side's.
 
     Args:
         surface: the repaired mesh, world frame, mm.
@@ -56,7 +55,7 @@ def volume_deficit(
         settings: uncertainty of the boundary.
 
     Raises:
-        MeasureError: the mirrored boundary does not lie on the skin of the other side, or cannot be followed there.
+        MeasureError: the mirrored boundary is not on the skin of the other side, or cannot be followed there.
     """
     sides = [measured for measured in measurements if measured.name != "model"]
     plane = body.plane
@@ -70,7 +69,7 @@ def volume_deficit(
         raise MeasureError(
             f"the patient's {name} side",
             found="no skin at the mirrored boundary of the other breast",
-            expected="a trunk seen on both sides",
+            expected="a trunk that is visible on both sides",
             remedy="Photograph the trunk from both sides",
             mesh_remedy="Scan the trunk from both sides",
         )
@@ -105,7 +104,7 @@ def _between(
     rim_world: Float64[Array, "b 3"],
     mirrored_rim_world: Float64[Array, "b 3"],
 ) -> tuple[float, float]:
-    """Volume of one wall in front of another, and their rims' distance. cc, and RMS in mm."""
+    """Volume between two walls, cc, and the RMS distance of their rims, mm."""
     first, second = (trunk.cylindrical(points) for points in (wall_world, mirrored_world))
     rims = [trunk.cylindrical(points) for points in (rim_world, mirrored_rim_world)]
     low, high = first[:, :2].min(axis=0), first[:, :2].max(axis=0)
@@ -119,7 +118,7 @@ def _between(
 
 
 def _within(flat: Float64[Array, "n 2"], outline: Float64[Array, "k 2"]) -> Array:
-    """Whether points are inside a closed polygon. An odd number of its edges is then to their right."""
+    """Whether points are inside a closed polygon (even–odd rule)."""
     inside = np.zeros(len(flat), dtype=bool)
     for (ax, ay), (bx, by) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
         crosses = (ay > flat[:, 1]) != (by > flat[:, 1])
@@ -133,11 +132,11 @@ def _terms(
 ) -> dict[str, float]:
     """Half-widths at 95 %, cc, of independent sources.
 
-    The trunk is its own mirror image only so well: its scatter counts as common to the whole base. That is of skin
-    beside the breasts. Behind them a chest is less alike: on real women what both sides' chests do not share is
-    `WALL_SIDES_U95_MM` for each side, and no less is taken. The plane moves mirrored skin by twice its own error. A
-    curve drawn elsewhere takes in or leaves out a strip as thick as both skins are apart there. Errors of the skin
-    count twice, once for either side.
+    - Asymmetry of the trunk: the scatter of its skin beside the breasts, common to the whole base, but at least
+      `WALL_SIDES_U95_MM` per side, the difference of real women's chests behind the breasts.
+    - Mid-sagittal plane: mirrored skin moves by twice the plane's error.
+    - Boundary: a displaced curve adds or removes a strip as thick as the distance between both skins.
+    - Errors of the skin count twice, once per side.
     """
     base_cm2 = fuller.base_area_cm2
     loop = np.concatenate([fuller.boundary_world, fuller.boundary_world[:1]])

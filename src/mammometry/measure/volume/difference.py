@@ -1,10 +1,8 @@
-"""Difference of two volumes, with its own interval.
+"""Difference of two volumes (left and right, or before and after), with its own interval.
 
-Left with right, or before with after. Both volumes are made from one capture or of one breast, and share errors: one
-target's scale, one scanner's or matching's bias, one trunk, the form of one chest, motions of one body. Errors that
-both share act by the difference of their signed effects, so that they cancel as far as the effects are alike. The
-others add up (root of the sum of squares). Whether the difference is then better known than either volume depends on
-how much of the errors is shared. That of a border that a person drew is not (docs/decisions/0046).
+The volumes share errors: the target's scale, the bias of scanner or matching, the trunk, the form of the chest, motions
+of the body. Of a shared error only the difference of its signed effects remains. All other errors add up (root of the
+sum of squares). Errors of a border that a person drew are not shared (docs/decisions/0046).
 """
 
 from __future__ import annotations
@@ -21,9 +19,9 @@ from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.volume.sources import AXIS, SCALE, WALL, WALL_FIT_U95_MM, WALL_SAME_POSE_U95_MM
 
 Pairing: TypeAlias = Literal["sides", "same pose", "across poses"]
-"""What is compared: both sides of one capture, or one breast in two captures, standing alike or differently."""
+"""Both sides of one capture, or one breast in two captures, in the same or in different poses."""
 _UNSHARED_MM: Mapping[Pairing, float] = {"same pose": WALL_SAME_POSE_U95_MM / 2**0.5, "across poses": WALL_FIT_U95_MM}
-"""Half-width of what one breast's wall at one date does not share with that at another, mm."""
+"""Half-width of the error of a breast's wall that is not shared between two dates, mm."""
 
 
 @value
@@ -31,11 +29,11 @@ class VolumeDifference:
     """Difference and ratio of two volumes, with 95 % intervals."""
 
     first: str
-    """Name of the minuend: "left", or the later session."""
+    """Name of the minuend: ``left``, or the later session."""
     second: str
-    """Name of the subtrahend: "right", or the earlier session."""
+    """Name of the subtrahend: ``right``, or the earlier session."""
     pairing: Pairing
-    """What is compared. Decides how much of the wall's error is shared."""
+    """It determines how much of the wall's error is shared."""
     difference_cc: float
     """First − second, cc."""
     difference_interval_cc: tuple[float, float] | None
@@ -45,13 +43,13 @@ class VolumeDifference:
     ratio_interval: tuple[float, float] | None
     """95 % interval of the ratio, symmetric in its logarithm. None if one of the volumes has none."""
     terms_cc: Mapping[str, float]
-    """Half-width at 95 % that each named source contributes to the difference, cc. Empty without an interval."""
+    """Contribution of each source to the difference: half-width at 95 %, cc. Empty without an interval."""
     note: str
-    """What the interval covers and which shared errors it leaves out, one sentence."""
+    """What the interval covers, and which shared errors cancel."""
 
     @property
     def beyond_error(self) -> bool | None:
-        """Whether the difference's 95 % interval leaves out zero. None without an interval."""
+        """Whether the 95 % interval of the difference excludes zero. None without an interval."""
         if self.difference_interval_cc is None:
             return None
         low, high = self.difference_interval_cc
@@ -66,20 +64,20 @@ def difference(
     names: tuple[str, str] | None = None,
     common_scale: bool = True,
 ) -> VolumeDifference:
-    """Compare two volumes.
+    """Difference and ratio of two volumes, with their intervals, by linear theory.
 
-    Linear theory. Of both sides of one capture, every source's common errors have signed effects c₁ and c₂ on the
-    volumes (`VolumeMeasurement.common_cc`), and what is each volume's own is r₁ and r₂, so that the source contributes
-    √(|c₁ − c₂|² + r₁² + r₂²). Of one breast in two captures, scale and an assumed axis are common so, and walls of one
-    kind over base areas A contribute w·√(A₁² + A₂²), where w is what one date's wall does not share with the other's.
-    Everything else counts in full on either side. ln(V₁/V₂) likewise, with every effect divided by its volume.
+    Both sides of one capture: common errors of a source have signed effects c₁ and c₂ on the volumes
+    (`VolumeMeasurement.common_cc`), its other errors r₁ and r₂; it contributes √(|c₁ − c₂|² + r₁² + r₂²). One breast in
+    two captures: the same holds for scale and an assumed axis; walls of one kind over bases A contribute
+    w·√(A₁² + A₂²), where w is the error that is not shared between the dates; all other errors count in full. For
+    ln(V₁/V₂) each effect is divided by its volume.
 
     Args:
         first: minuend, a `VolumeMeasurement`.
         second: subtrahend.
         pairing: both sides of one capture, or one breast in two captures.
-        names: what to call the two, instead of the breasts' own names.
-        common_scale: whether both depend on one target that was measured once; else each has a scale of its own.
+        names: names of the two, instead of the breasts' own.
+        common_scale: whether both depend on one measurement of the same target.
     """
     called = names or (first.name, second.name)
     gap, ratio = first.volume_cc - second.volume_cc, first.volume_cc / second.volume_cc
@@ -97,7 +95,7 @@ def difference(
         effects = [_effect(measured, name, common=common) for measured in (first, second)]
         if name == WALL and alike and pairing != "sides":
             areas_cm2 = (first.base_area_cm2, second.base_area_cm2)
-            # Walls that are known better by themselves (measured ones) are no worse together.
+            # Two measured walls, which have smaller errors of their own, are not made worse.
             effects = [
                 _Effect(common_cc=(), own_cc=min(_UNSHARED_MM[pairing] * area_cm2 / 10, effect.own_cc))
                 for area_cm2, effect in zip(areas_cm2, effects, strict=True)
@@ -131,7 +129,7 @@ def difference(
 
 
 def _is_common(name: str, pairing: Pairing, *, alike: bool, common_scale: bool) -> bool:
-    """Whether a source of error is one and the same for both volumes, so far as it is common at all."""
+    """Whether a source's common errors are the same for both volumes."""
     if name == SCALE:
         return common_scale
     if name in (AXIS, WALL) and not alike:
@@ -141,12 +139,12 @@ def _is_common(name: str, pairing: Pairing, *, alike: bool, common_scale: bool) 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Effect:
-    """How one source of error acts on one volume, cc at 95 %."""
+    """Effect of one source of error on one volume, cc at 95 %."""
 
     common_cc: tuple[float, ...]
-    """Signed, by each error that the other volume has too."""
+    """Signed effect of each shared error."""
     own_cc: float
-    """By what is this volume's own."""
+    """Effect of the errors that are not shared."""
 
 
 def _effect(measured: VolumeMeasurement, name: str, *, common: bool) -> _Effect:
@@ -157,7 +155,7 @@ def _effect(measured: VolumeMeasurement, name: str, *, common: bool) -> _Effect:
 
 
 def _half_width(effects: Sequence[_Effect], over: tuple[float, float]) -> float:
-    """Half-width of the difference of two volumes, each divided by a number, by one source."""
+    """One source's half-width of the difference of two volumes, each divided by a number."""
     first, second = effects
     common = [
         one / over[0] - other / over[1] for one, other in zip_longest(first.common_cc, second.common_cc, fillvalue=0.0)

@@ -1,8 +1,7 @@
-"""The 95 % interval of a volume by source (linear theory).
+"""The 95 % interval of a volume, by source (linear theory).
 
-To first order a skin that lies off by u changes the volume by ∫ n·u over it. Where cameras or a body moved, u is what
-the motion leaves unknown (`movement_cc`). What moves the boundary along changes nothing, since the wall moves, too:
-the rigid motion of the boundary is taken off u.
+To first order, a displacement u of the skin changes the volume by ∫ n·u over it. After a motion of cameras or body, u
+is its uncertainty (`movement_cc`), minus the rigid motion of the boundary, with which the wall moves.
 """
 
 from __future__ import annotations
@@ -40,17 +39,16 @@ from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _SAMPLES = 2000  # vertices of the skin at which displacements are computed; chosen for speed
 _ALIKE_MM = 40.0
-"""Distance within which the motion that is not rigid is alike, mm: breathing lifts whole parts of a chest. Chosen by
-eye."""
+"""Correlation length of non-rigid motion, mm: breathing lifts whole parts of a chest. Not critical."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Movement:
-    """Motion of cameras or body, and the rig that measured."""
+    """Motion of cameras or body, and the rig with its corrected cameras."""
 
     found: MotionEstimate
     rig: Rig
-    """The cameras where they were taken to stand."""
+    """The corrected cameras."""
 
 
 def movement_of(found: MotionEstimate, rig: Rig) -> Movement | None:
@@ -61,17 +59,17 @@ def movement_of(found: MotionEstimate, rig: Rig) -> Movement | None:
 def movement_cc(
     movement: Movement, skin: TriangleMesh, boundary_world: Float64[Array, "n 3"], surface: RepairedSurface
 ) -> tuple[Float64[Array, " p"], float]:
-    """What the motions leave unknown of a volume, cc.
+    """Uncertainty of a volume after motions, cc.
 
     Args:
         movement: of the capture.
-        skin: the breast's own, mm, world frame.
-        boundary_world: the curve around it.
-        surface: the whole repaired surface, which knows what pairs measured each vertex.
+        skin: of the breast, mm, world frame.
+        boundary_world: the curve around it, mm.
+        surface: the whole repaired surface, with the pairs that measured each vertex.
 
     Returns:
-        Signed change of the volume by one standard deviation of each independent motion, the same motions for all
-        volumes of the capture; and the standard deviation by what is not rigid, which is the volume's own.
+        Signed change of the volume by one standard deviation of each independent motion, which all volumes of the
+        capture share; and the standard deviation by non-rigid motion, which they do not.
     """
     found = movement.found
     area_mm2 = np.zeros(len(skin.vertices))
@@ -98,7 +96,7 @@ def movement_cc(
 def _displacements(
     movement: Movement, points: Float64[Array, "n 3"], surface: RepairedSurface
 ) -> Float64[Array, "n 3 p"]:
-    """Displacement of surface points by a unit of each unknown. Mean of the pairs that measured there."""
+    """Displacement of surface points by a unit of each motion parameter: mean of the pairs that measured there."""
     bits = _measured_by(points, surface)
     total = np.zeros((len(points), 3, movement.found.parameters.count))
     count = np.zeros(len(points))
@@ -112,7 +110,7 @@ def _displacements(
 
 
 def _measured_by(points: Float64[Array, "n 3"], surface: RepairedSurface) -> Int32[Array, " n"]:
-    """Pairs that measured the nearest vertex which some pair measured."""
+    """Bit mask of the pairs that measured the nearest measured vertex."""
     known = np.flatnonzero(surface.pair_bits)
     if not len(known):
         return np.zeros(len(points), dtype=np.int32)
@@ -121,73 +119,72 @@ def _measured_by(points: Float64[Array, "n 3"], surface: RepairedSurface) -> Int
 
 
 COMMON_SHARE = 0.35
-"""Share of the measured skin's expected error that is common to all of it. Weak texture and noise make matching flatten
-convex skin: for casts at .15 of full size the mean error was .1 to .4 of the expected one."""
+"""Share of measured skin's expected error that is common to all of it: with weak texture and noise, matching flattens
+convex skin. For casts at 0.15 of full size the mean error was 0.1 to 0.4 of the expected one."""
 MATCHING_REACH_MM = 3.0
-"""Distance on the skin within which random errors of a matched surface are alike, mm. Half a matching window."""
+"""Correlation length of random errors of a matched surface, mm: half a matching window."""
 REPAIRED_SIGMA_MM = 0.1
-"""Standard uncertainty of repaired skin beside measured skin, along its normal, mm. Common to all of it. Repaired casts
-were off by .08 mm on average and .8 mm at worst (99 %), in both directions."""
+"""Standard uncertainty of repaired skin beside measured skin, along its normal, mm; common to all of it. Errors of
+repaired casts: mean 0.08 mm, 99 % below 0.8 mm, of both signs."""
 INVENTED_SIGMA_MM = 0.4
-"""Standard uncertainty of skin that no camera measured and no neighbour supports, mm. Common to all of it."""
+"""Standard uncertainty of skin without measurements and measured neighbours, mm; common to all of it."""
 _HIDDEN_FOLD_U95_MM = 40.0
-"""Half-width of the depth that a hidden fold's bridged skin leaves out or adds, mm. Five breasts scanned by a telephone
-lack 6 to 37 mm of their clean meshes' volume over that skin (docs/decisions/0051)."""
+"""Half-width of the depth error over bridged skin at a hidden fold, mm. Five breasts scanned by a telephone lack 6 to
+37 mm of their clean meshes' volume over that skin (docs/decisions/0051)."""
 AXIS_U95_SHARE = 0.025
-"""Share of the volume that a trunk's axis of assumed depth adds: ± 2.5 % from 80 to 170 mm, on the same breasts."""
+"""Half-width for an assumed depth of the trunk's axis, as a share of the volume: depths of 80 to 170 mm change volumes
+by ± 2.5 %."""
 WALL_MEASURED_U95_MM = 1.0
 """Half-width for a separately measured wall (wall.ply), mm: how well two scans can be registered."""
 _BOUNDARY_CC_PER_MM_CM2 = 0.025
-"""Change of a torso's volume when its curve jitters by a standard deviation of 1 mm, cc for each cm² of base: 4 mm made
-16 cc of standard deviation on breasts of 166 cm² base. Used where the boundary cannot be drawn again."""
-_ROOM_SAMPLES = 4000  # unseen vertices whose room is computed; the others take the nearest one's. Chosen for speed
+"""Standard deviation of a torso's volume per mm of boundary jitter and cm² of base, cc: 16 cc for 4 mm on bases of
+166 cm². Used if the boundary cannot be redrawn."""
+_ROOM_SAMPLES = 4000  # unseen vertices whose free space is computed; the others use the nearest one's; for speed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EarlierErrors:
-    """The calibration's own errors, which imported cameras do not tell."""
+    """Errors of the calibration; unknown for imported cameras."""
 
     scale_std: float | None = None
-    """Relative standard uncertainty of every length, from how well the target was measured."""
+    """Relative standard uncertainty of all lengths, from the measurement of the target."""
     point_std_mm: float | None = None
-    """Standard uncertainty of a reconstructed point from the cameras' covariance, all three directions together, mm."""
+    """Standard uncertainty of a reconstructed point from the cameras' covariance, root sum of three directions, mm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evidence:
-    """Earlier stages' results on the errors of a volume. Each may be unknown."""
+    """Results of earlier stages about the errors of a volume; each may be unknown."""
 
     surface: RepairedSurface | None = None
-    """Where the skin was measured, repaired and invented. None: all of it counts as measured."""
+    """Surface with its measured, repaired and invented skin. None: all skin counts as measured."""
     views: Sequence[Bound] = ()
-    """What the views say about where a cast is not (`unseen_space.bounds`). A patient's folds they do not bound."""
+    """Space that views exclude for a cast (`unseen_space.bounds`). They do not bound a patient's folds."""
     earlier: EarlierErrors = EarlierErrors()
-    """What the calibration knows about its own errors."""
+    """Errors of the calibration."""
     boundary_std_cc: float | None = None
-    """Standard deviation of the volume when the boundary jitters (`boundary_jitter`), cc. None: about .025 cc for each
-    mm and cm²."""
+    """Standard deviation of the volume by boundary jitter (`boundary_jitter`), cc. None: 0.025 cc per mm and cm²."""
     movement: Movement | None = None
-    """What moved between the calibration and the exposures. None: nothing, or it is not known."""
+    """Motion between calibration and exposures. None: none or unknown."""
     axis_assumed: bool = False
-    """Whether the trunk's sides were not seen, and the depth of its axis is assumed."""
+    """Whether the depth of the trunk's axis is assumed, because its sides are not visible."""
 
 
 @value
 class Uncertainty:
-    """A 95 % interval and what it is made of."""
+    """A 95 % interval and its contributions."""
 
     interval_cc: tuple[float, float] | None
-    """95 % interval, cc. None where no honest one is known."""
+    """95 % interval, cc. None if unknown."""
     as_defined_cc: tuple[float, float] | None
-    """95 % interval of the volume in front of the named wall, wherever the chest is, cc. None for a cast, whose base is
-    its own end, and without an interval."""
+    """95 % interval of the volume in front of the named wall, cc. None for a cast, and without an interval."""
     terms_cc: Mapping[str, float]
     """Half-width at 95 % of each source, cc."""
     common_cc: Mapping[str, tuple[float, ...]]
     """Source → signed changes of the volume, cc at 95 %, by errors that all volumes of a capture share
     (`VolumeMeasurement.common_cc`)."""
     note: str
-    """What the interval covers and what not, one sentence."""
+    """What the interval covers and what it does not."""
 
 
 def interval(
@@ -197,33 +194,32 @@ def interval(
     settings: MeasureSettings = MeasureSettings(),
     evidence: Evidence = Evidence(),
 ) -> Uncertainty:
-    """Combine the known sources of a volume's uncertainty.
+    """Interval of a volume from the known sources, taken as independent (root of the sum of squares).
 
-    They are taken as independent (root of the sum of squares). To first order, a surface that lies off by e along its
-    normal over an area A changes the volume by e·A. So, each at 95 %:
+    To first order, an error e of the surface along its normal over an area A changes the volume by e·A. At 95 %:
 
     - *scale*: 3·u·V.
     - *calibration*: the expected error of a point along the normal, over the skin.
-    - *movement*, where cameras or body moved: what was not put right (`movement_cc`).
-    - *matching*: what windows make of convex skin, over the measured skin, and each vertex's own σ over its share.
-    - *repaired* and *invented surface*: over theirs. They grow with the distance from measured skin, on a photographed
-      cast no further than skin could stand out unseen. Invented skin that lies in a pit may be off by all of the pit.
-    - *base*, of a cast: scatter of the rim, silhouettes off by a fraction of a pixel, and how the rim is rounded.
-    - *boundary*, of a torso: drawn again (`boundary_jitter`).
-    - *chest wall*, of a torso: a height over the base, in proportion to the base's width.
+    - *movement* of cameras or body: its uncertainty after correction (`movement_cc`).
+    - *matching*: the bias of windows on convex skin, over the measured skin, and each vertex's own σ over its area.
+    - *repaired* and *invented surface*: an error that grows with the distance from measured skin; on a photographed
+      cast it is limited to the space that no view excludes. Invented skin in a pit may be wrong by the whole pit.
+    - *base* of a cast: scatter of the rim, errors of the silhouettes, and the rounding of the rim.
+    - *boundary* of a torso: redrawn (`boundary_jitter`).
+    - *chest wall* of a torso: a height over the base, proportional to the base's width.
     - *hidden fold*: a depth over the skin that closes a hole below a hanging breast.
-    - *trunk's axis*, where it is assumed: a share of the volume.
+    - *trunk's axis*, if assumed: a share of the volume.
 
-    A torso's interval is about what stands out of a flat chest, which no photograph shows behind the breast. What
-    stands in front of the wall that is named is better known. There only the difference between walls of one breast
-    from one capture to the next remains of the wall's term (`WALL_FIT_U95_MM`).
+    A torso's interval refers to the volume above a flat chest, which no photograph shows behind the breast. The volume
+    in front of the named wall has a smaller error: the wall's term is then only the difference between walls of one
+    breast from capture to capture (`WALL_FIT_U95_MM`).
 
     Args:
         boundary: around the breast.
         wall: that closes it.
-        volume_cc: what they enclose, cc.
-        settings: standard uncertainties that no other stage knows.
-        evidence: what earlier stages know.
+        volume_cc: between skin and wall, cc.
+        settings: standard uncertainties that earlier stages do not provide.
+        evidence: results of earlier stages.
     """
     area_cm2 = wall.mesh.area_mm2() / 100
     torso = boundary.name != "model"
@@ -310,7 +306,7 @@ def _around(volume_cc: float, terms_cc: Mapping[str, float]) -> tuple[float, flo
 def _of_skin(
     skin: TriangleMesh, surface: RepairedSurface | None, views: Sequence[Bound], settings: MeasureSettings
 ) -> tuple[dict[str, float], dict[str, tuple[float, ...]]]:
-    """Half-widths at 95 % that measured, repaired and invented skin contribute, cc; what all skin shares of them."""
+    """Half-widths at 95 % from measured, repaired and invented skin, cc, and their parts common to all skin."""
     own_mm2 = np.zeros(len(skin.vertices))
     face_mm2 = np.linalg.norm(skin.face_vectors(), axis=1)
     for corner in range(3):
@@ -323,7 +319,7 @@ def _of_skin(
     seen, invented = origin == Provenance.MEASURED, origin == Provenance.INVENTED
     repaired = ~(seen | invented)
     sigma_mm = np.nan_to_num(surface.sigma_mm[nearest[seen]].astype(np.float64))
-    # Windows overlap: errors of measured vertices are alike within a patch, and but for a share independent beyond it.
+    # Windows overlap: errors of measured vertices are equal within a patch, and beyond it share only a common part.
     patch_mm2 = np.pi * MATCHING_REACH_MM**2
     scatter = np.sqrt(np.sum(sigma_mm**2 * own_mm2[seen] * np.maximum(own_mm2[seen], patch_mm2)))
     common = own_mm2[seen] @ np.hypot(settings.surface_sigma_mm, COMMON_SHARE * sigma_mm)
@@ -345,9 +341,9 @@ def _of_skin(
 
 
 def _pits_mm3(skin: TriangleMesh, invented: Bool[Array, " n"]) -> float:
-    """Volume by which invented skin lies behind what spans it from its edge, mm³. 0 where it stands out.
+    """Volume of pits in invented skin, behind a harmonic surface from its edge, mm³.
 
-    Skin has no pits: a view carved it away that something before it, such as a rail, led astray.
+    Skin has no pits: they are carved by views in which something in front, such as a rail, hides the skin.
     """
     held = ~invented
     held[mesh_kernels.open_vertices(len(skin.vertices), skin.faces)] = True
@@ -366,9 +362,9 @@ def _at_95(std_mm3: Mapping[str, float]) -> dict[str, float]:
 def _may_be_off_mm(
     skin: TriangleMesh, which: Bool[Array, " n"], surface: RepairedSurface, views: Sequence[Bound]
 ) -> Float64[Array, " k"]:
-    """Largest error of unmeasured vertices, mm.
+    """Largest error of unmeasured vertices, mm; 0 if nothing was measured.
 
-    The distance of measured skin, or the space that no view excludes, whichever is less. 0 if nothing was measured.
+    It is the distance of measured skin, or the space that no view excludes if that is less.
     """
     measured = surface.mesh.vertices[surface.provenance == Provenance.MEASURED]
     if not (len(measured) and which.any()):

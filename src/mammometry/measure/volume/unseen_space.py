@@ -1,8 +1,8 @@
-"""Distance by which unmeasured skin could stand out unseen.
+"""Distance by which unmeasured skin could protrude unseen.
 
-Nothing of the subject lies outside a silhouette, or in front of skin that a pair measured: the pair looked through
-there. An outline may be not the subject's own edge but the border of a shadow on it (`contour`). There the edge is
-lost. It may lie further out, the more so the farther along the outline from where it was last seen.
+The subject is nowhere outside a silhouette or in front of skin that a pair measured. Where an outline is the border of
+a shadow instead of the subject's edge (`contour`), the true edge may be further out, the more so the farther along the
+outline from the visible edge.
 """
 
 from __future__ import annotations
@@ -20,31 +20,30 @@ from mammometry.matching.foreground.foreground import Foreground
 from mammometry.surface.ranges.range_image import RangeImage
 
 SILHOUETTE_DOUBT_PX = 1.0
-"""Distance outside a silhouette at which nothing of the subject is left, pixels."""
+"""Distance outside a silhouette from which points are excluded, px."""
 SILHOUETTE_DOUBT_SLOPE = 0.25
-"""Growth of that distance, px for each px along an outline that is not an edge but the border of a shadow. In eight
-outlines of a cast whose fold is as dark as the backdrop, such stretches lay up to .2 of it inside the true one."""
+"""Growth of that distance along an outline that is the border of a shadow, px per px. In eight outlines of a cast whose
+fold is as dark as the backdrop, such stretches were up to 0.2 of it inside the true one."""
 SEEN_THROUGH_MM = 0.5
-"""Largest distance of the subject in front of skin that a pair measured, mm, beyond three standard deviations of the
-datum."""
-_STEPS = 24  # into which the farthest distance is divided; chosen for speed
-_SIGMAS = 3  # standard deviations of a datum within which nothing is excluded
+"""Distance in front of measured skin from which points are excluded, mm, in addition to three standard deviations."""
+_STEPS = 24  # steps of the search along a normal; chosen for speed
+_SIGMAS = 3  # standard deviations of a range
 
 
 @value(eq=False)
 class Silhouette:
-    """One camera's silhouette. No part of the subject shows outside it."""
+    """One camera's silhouette, outside which there is no part of the subject."""
 
     camera: Camera
     background: Bool[Array, "h w"]
-    """Pixels whose centre lies outside the silhouette."""
+    """Pixels whose centre is outside the silhouette."""
     outline_uv: Float64[Array, "n 2"]
-    """Points of the outline, pixels."""
+    """Points of the outline, px."""
     doubt_px: Float64[Array, " n"]
-    """How far outside each point the subject may end, pixels."""
+    """Distance outside each point up to which the subject may extend, px."""
 
     def excludes(self, points_world: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
-        """Points, mm, world frame, outside the silhouette by more than its doubt, as a mask."""
+        """Mask of the points, mm, world frame, that are outside the silhouette by more than `doubt_px`."""
         seen, column, row = _pixels(self.camera, points_world)
         outside = seen[self.background[row, column]]
         uv = self.camera.project(points_world[outside])
@@ -54,22 +53,22 @@ class Silhouette:
 
 @value(eq=False)
 class SeenThrough:
-    """Range data of one pair. Nothing stands in front of them."""
+    """Range data of one pair, in front of which there is no part of the subject."""
 
     camera: Camera
-    """The pair's left one, of the whole range image."""
+    """The pair's left camera, of the whole range image."""
     first: tuple[int, int]
-    """Row and column of the window that holds all data."""
+    """First row and column of the window that contains all data."""
     range_mm: Float32[Array, "h w"]
     sigma_mm: Float32[Array, "h w"]
     valid: Bool[Array, "h w"]
-    """Inside the window."""
+    """Whether each pixel of the window has a range."""
     margin_mm: float
-    """Possible error of a datum, mm, besides three of its standard deviations."""
+    """Possible error of a range, mm, in addition to three standard deviations."""
 
     @classmethod
     def of(cls, image: RangeImage, margin_mm: float) -> SeenThrough:
-        """Cut out what holds data. The rest of a range image excludes nothing."""
+        """The window of a range image that contains data; the rest excludes nothing."""
         top, bottom, left, right = mesh_kernels.extent(image.valid).tolist()
         window = (slice(top, bottom), slice(left, right))
         return cls(
@@ -82,7 +81,7 @@ class SeenThrough:
         )
 
     def excludes(self, points_world: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
-        """Points, mm, world frame, that stand in front of a datum, as a mask."""
+        """Mask of the points, mm, world frame, that are in front of measured skin."""
         seen, column, row = _pixels(self.camera, points_world)
         row, column = row - self.first[0], column - self.first[1]
         height, width = self.valid.shape
@@ -94,17 +93,15 @@ class SeenThrough:
 
 
 Bound = Silhouette | SeenThrough
-"""What one view says about where the subject is not."""
+"""Space that one view excludes."""
 
 
 def bounds(foregrounds: Mapping[str, Foreground], range_images: Sequence[RangeImage], rig: Rig) -> tuple[Bound, ...]:
-    """Bounds of all views, from silhouettes and measured skin.
-
-    Cameras without a silhouette have none. Pairs look through the space in front of measured skin.
+    """Space that views exclude, from silhouettes and from range images.
 
     Args:
-        foregrounds: silhouettes by camera, in the original photographs.
-        range_images: what each pair measured, with its valid data.
+        foregrounds: silhouettes by camera, in the original photographs; cameras without one exclude nothing.
+        range_images: of each pair.
         rig: the calibrated cameras.
     """
     through = (SeenThrough.of(image, SEEN_THROUGH_MM) for image in range_images)
@@ -133,13 +130,13 @@ def outward_room_mm(
     views: Sequence[Bound],
     farthest_mm: Float64[Array, " n"],
 ) -> Float64[Array, " n"]:
-    """Distance, mm, that each point may move out along its normal before a view excludes it.
+    """Distance that each point can move outwards along its normal before a view excludes it, mm.
 
     Args:
         points_world: skin, mm, world frame.
         normals_world: unit, outwards.
-        views: what excludes.
-        farthest_mm: largest distance returned; the distance is found to 1/24 of it.
+        views: excluded space.
+        farthest_mm: largest distance returned; the resolution is 1/24 of it.
     """
     room_mm = farthest_mm.copy()
     for view in views:
@@ -154,7 +151,7 @@ def outward_room_mm(
 def _pixels(
     camera: Camera, points_world: Float64[Array, "n 3"]
 ) -> tuple[Int64[Array, " k"], Int64[Array, " k"], Int64[Array, " k"]]:
-    """Mask of the points in the picture, and their pixels' column and row."""
+    """Mask of the points inside the image, and their pixels' column and row."""
     uv = camera.project(points_world)
     with np.errstate(invalid="ignore"):
         within = np.flatnonzero((uv > -0.5).all(axis=1) & (uv < np.array(camera.size_wh) - 0.5).all(axis=1))

@@ -1,7 +1,4 @@
-"""Volumes of all breasts of one subject, with their intervals, and sides that have none.
-
-The volume of the closed breast is exact for its mesh, by the divergence theorem.
-"""
+"""Volumes of all breasts of one subject, with their intervals, and sides without a volume."""
 
 from __future__ import annotations
 
@@ -36,7 +33,7 @@ from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import TORSO_WALLS
 from mammometry.surface.repair.repair import RepairedSurface
 
-_WIDEST = 0.5  # share of a volume by which it may be wrong; more is no result
+_WIDEST = 0.5  # largest half-width, as a share of the volume
 
 
 def measure(
@@ -47,19 +44,17 @@ def measure(
     alternatives: Sequence[ChestWall] = (),
     evidence: Evidence = Evidence(),
 ) -> VolumeMeasurement:
-    """Measure the solid between the skin and the wall.
-
-    The volume is exact for the closed mesh (divergence theorem); world frame, mm in, cc out.
+    """Measurement of the solid between skin and wall. The volume is exact for the mesh (divergence theorem).
 
     Args:
-        boundary: around the breast.
+        boundary: around the breast, mm, world frame.
         wall: fitted to that boundary.
         settings: uncertainties of boundary and wall.
-        alternatives: other walls on the same boundary, for information.
-        evidence: what earlier stages know about the errors, for the interval.
+        alternatives: other walls on the same boundary, for comparison.
+        evidence: results of earlier stages, for the interval.
 
     Raises:
-        MeasureError: skin and wall do not make a closed solid, or it has no volume.
+        MeasureError: skin and wall do not form a closed solid, or it has no volume.
     """
     watertight = wall.closed.is_watertight()
     volume_cc = wall.closed.volume_mm3() / 1000
@@ -101,12 +96,9 @@ def measure(
 
 
 def _require_known(name: str, volume_cc: float, uncertainty: Uncertainty) -> None:
-    """Refuse a torso's volume in front of its wall that is no better known than by half.
+    """Raise a MeasureError if a torso's volume in front of its wall is uncertain by more than half.
 
-    Where the chest lies behind a small breast does not count: that is no fault of what was seen.
-
-    Raises:
-        MeasureError: names the largest causes.
+    The position of the chest behind the wall does not count: it is unknown for every small breast.
     """
     if uncertainty.as_defined_cc is None:
         return
@@ -154,16 +146,15 @@ def _definitions(
 def measure_volumes(
     breasts: Sequence[OpenBreast], evidence: Evidence = Evidence(), *, progress: Progress = no_progress
 ) -> tuple[VolumeMeasurement, ...]:
-    """Close every breast with every fitting wall, and measure it. The wanted wall comes first.
+    """Measurements of all breasts, each with every wall that fits.
 
     Args:
         breasts: of one subject (`open_breasts`).
-        evidence: what earlier stages know about the errors. The surface and the boundary's jitter are each breast's
-            own and need not be given.
+        evidence: results of earlier stages, without surface and boundary jitter, which are found for each breast.
         progress: called with the fraction done.
 
     Raises:
-        MeasureError: the wanted wall does not fit, or skin and wall do not make a closed solid.
+        MeasureError: the selected wall does not fit, or skin and wall do not form a closed solid.
     """
     measured = measured_or_refused(breasts, evidence, progress=progress)
     for outcome in measured:
@@ -175,10 +166,7 @@ def measure_volumes(
 def measured_or_refused(
     breasts: Sequence[OpenBreast], evidence: Evidence = Evidence(), *, progress: Progress = no_progress
 ) -> list[VolumeMeasurement | MeasureError]:
-    """Measure every breast, side by side, or say why it is refused.
-
-    Args and order as of `measure_volumes`. One side does not stop the other.
-    """
+    """For each breast its measurement or the error that refused it, computed in parallel. See `measure_volumes`."""
 
     def measured(breast: OpenBreast) -> VolumeMeasurement | MeasureError:
         try:
@@ -194,10 +182,10 @@ def measured_or_refused(
 
 
 def measure_volume(breast: OpenBreast, evidence: Evidence = Evidence()) -> VolumeMeasurement:
-    """Close one breast with every fitting wall, and measure it. The wanted wall comes first.
+    """Measurement of one breast, with every wall that fits.
 
     Raises:
-        MeasureError: the wanted wall does not fit, or skin and wall do not make a closed solid.
+        MeasureError: the selected wall does not fit, or skin and wall do not form a closed solid.
     """
     wall, *others = chest_wall.fit_all(breast)
     std_cc = None if breast.is_cast else boundary_jitter.boundary_std_cc(breast, wall)
@@ -206,19 +194,19 @@ def measure_volume(breast: OpenBreast, evidence: Evidence = Evidence()) -> Volum
 
 
 def _assumed(breast: OpenBreast, kind: str) -> bool:
-    """Whether a wall stands on a trunk whose axis is assumed."""
+    """Whether a wall depends on a trunk whose axis is assumed."""
     return not breast.is_cast and breast.walls[kind].sees_the_chest and breast.trunk.assumed
 
 
-_ASIDE_MM = 80.0  # of the midline, where a removed breast is marked; a breast's middle lies so far aside
+_ASIDE_MM = 80.0  # distance from the midline at which a removed breast is marked: that of a breast's centre
 
 
 def refused_side(breast: OpenBreast, refusal: MeasureError | None = None) -> NoBreast:
-    """Say why a side of a torso has no volume.
+    """A side of a torso without a volume, with the reason.
 
     Args:
         breast: whose volume was refused.
-        refusal: the reason. None: it is found by another attempt.
+        refusal: the error. None: the measurement is tried again to find it.
     """
     points = breast.boundary.points_world
     vertices = breast.surface.mesh.vertices
@@ -241,15 +229,15 @@ def refused_side(breast: OpenBreast, refusal: MeasureError | None = None) -> NoB
 
 
 def wanted_boundaries(sides: TorsoSides, removed: Sequence[str], *, required: bool) -> tuple[Boundary, ...]:
-    """Boundaries that were found, but for sides that are said to be removed.
+    """Boundaries that were found, except on sides recorded as removed.
 
     Args:
-        sides: what was found.
-        removed: sides that are said to be removed.
-        required: whether one must be left.
+        sides: boundaries and absent breasts.
+        removed: sides recorded as removed.
+        required: whether at least one boundary must remain.
 
     Raises:
-        MeasureError: neither side has a breast, though nobody said that both were removed.
+        MeasureError: neither side has a breast, and not both are recorded as removed.
     """
     wanted = tuple(boundary for boundary in sides.boundaries if boundary.name not in removed)
     if wanted or not required:
@@ -266,7 +254,7 @@ def wanted_boundaries(sides: TorsoSides, removed: Sequence[str], *, required: bo
 
 
 def removed_side(name: Literal["left", "right"], body: Body, surface: RepairedSurface) -> NoBreast:
-    """A side whose breast is said to be removed."""
+    """A side whose breast is recorded as removed."""
     aside = body.left if name == "left" else -body.left
     vertices = surface.mesh.vertices
     from_middle = (vertices - body.point_world) @ np.stack([aside, body.up, body.frame[2]], axis=1)
