@@ -1,9 +1,8 @@
 """Changes of the breasts between two dates, with their own intervals.
 
-The dates are registered on the trunk without breasts and arms: breasts may have changed, and arms may have moved. So
-the map shows how the breasts changed, not how the patient stood. The thorax between and beside them is assumed to be
-the same body, and the fit tests this: another patient's trunk does not fit. Volumes are compared as they were measured
-at each date, with one kind of wall, whose error both share.
+The dates are registered on the trunk without breasts and arms, which may have changed or moved. So the map shows the
+change of the breasts and not of the pose. The fit also tests whether both trunks are of the same patient. Volumes are
+compared as measured at each date, with the same kind of wall, whose error they share.
 """
 
 from __future__ import annotations
@@ -30,15 +29,15 @@ from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _FIXED = 60_000  # points of the earlier trunk; chosen for speed
-_JUDGED = 20_000  # points of the later trunk whose distance is judged; chosen for speed
-_STARTS_MM = (0.0, -25.0, 25.0)  # along the axis, along which a trunk slides; six starts in all (decision 22)
-_BEYOND_MM = 20.0  # later skin this far beyond the earlier one's edge is not compared; 1.4 mm off on a round trunk
-_SHARE = 0.8  # four fifths: the robust scatter does not tell bodies apart (decision 22)
+_JUDGED = 20_000  # points of the later trunk whose distance is measured; chosen for speed
+_STARTS_MM = (0.0, -25.0, 25.0)  # shifts along the trunk's axis, its least certain direction (decision 22)
+_BEYOND_MM = 20.0  # later skin farther beyond the earlier one's edge is not compared; error 1.4 mm on a round trunk
+_SHARE = 0.8  # quantile of the distances: the robust scatter does not separate bodies (decision 22)
 
 
 @value(eq=False)
 class TrunkSkin:
-    """The part of a torso that a registration may trust."""
+    """The part of a torso used for registration."""
 
     points_world: Float64[Array, "n 3"]
     """Visible vertices outside the breasts and the arms, mm, world frame."""
@@ -47,37 +46,37 @@ class TrunkSkin:
     trunk: Trunk
     """Its axis and frame."""
     frame: Float64[Array, "3 3"]
-    """Rows: the patient's left, the head, straight ahead, roughly, as in the photographs. World frame."""
+    """Rows: the patient's left, the head, straight ahead, approximately; world frame."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TrunkFit:
-    """One date's trunk laid onto the other's."""
+    """Registration of the later date's trunk to the earlier one's."""
 
     before_from_after: Transform
-    """World frame of the later date to that of the earlier one."""
+    """Motion from the later date's world frame to the earlier one's."""
     scatter_mm: float
-    """Robust standard deviation of the distances between both trunks, along the normal, mm."""
+    """Robust standard deviation of the distances between both trunks along the normal, mm."""
     within_mm: float
-    """Distance from the earlier trunk within which four fifths of the later one lie, along the normal, mm."""
+    """Distance along the normal within which 80 % of the later trunk agree with the earlier one, mm."""
     weakest_mm: float
-    """Standard uncertainty of the least certain motion (`register.Registration.weakest_mm`), mm."""
+    """Standard uncertainty of the least certain motion (`mirror_plane.Registration.weakest_mm`), mm."""
     turned_deg: float
-    """Difference in the trunk's lean: angle between the photographs' upright at both dates, degrees."""
+    """Difference of the trunk's lean: angle between the photographs' vertical at both dates, degrees."""
 
 
 def trunk_of(
     surface: RepairedSurface, boundaries: Sequence[Float64[Array, "_ 3"]], frame: Float64[Array, "3 3"]
 ) -> TrunkSkin:
-    """Cut the trunk's skin out of a torso.
+    """The trunk's skin of a torso, without breasts and arms.
 
     Args:
         surface: the whole torso, world frame, mm.
         boundaries: around the breasts.
-        frame: rows: the patient's left, the head, straight ahead, roughly, as the photographs stand.
+        frame: rows: the patient's left, the head, straight ahead, approximately, from the photographs.
 
     Raises:
-        MeasureError: no skin was seen at the patient's sides.
+        MeasureError: no skin is visible at the patient's sides.
     """
     middle = np.mean([boundary.mean(axis=0) for boundary in boundaries], axis=0)
     trunk = find_trunk(seen_skin(surface), frame, height_of=middle)
@@ -85,7 +84,7 @@ def trunk_of(
         raise MeasureError(
             "torso",
             found="no measured skin on one of the patient's sides",
-            expected="skin beside the breasts, by which the two dates are aligned",
+            expected="skin beside the breasts, on which the two dates are registered",
             remedy="Add views from the sides",
         )
     points, normals = trunk_skin(surface, boundaries)
@@ -96,13 +95,13 @@ def trunk_of(
 
 
 def fit_trunks(before: TrunkSkin, after: TrunkSkin) -> TrunkFit:
-    """Lay the later trunk onto the earlier one.
+    """Registration of the later trunk to the earlier one.
 
-    The search starts at several places along the axis, along which a trunk slides: with axis on axis, and as the
-    photographs stand in case one of the axes was not found.
+    It starts at several shifts along the axis, its least certain direction, with the axes aligned and, in case an axis
+    is wrong, with the photographs' frames aligned.
 
     Raises:
-        MeasureError: the trunks do not lie on one another from any start.
+        MeasureError: the trunks do not match from any start.
     """
     fixed = _every(before, _FIXED)
     found: list[tuple[float, Registration]] = []
@@ -135,7 +134,7 @@ def fit_trunks(before: TrunkSkin, after: TrunkSkin) -> TrunkFit:
 def _within_mm(
     motion: Transform, after: TrunkSkin, fixed: tuple[Float64[Array, "m 3"], Float64[Array, "m 3"]]
 ) -> float:
-    """Distance along the normal that holds four fifths of the moved trunk, where the earlier date shows it too."""
+    """Distance along the normal within which 80 % of the moved trunk agree, where both dates show it, mm."""
     moved = motion.apply(_every(after, _JUDGED)[0])
     fixed_points, outward = fixed
     nearest = np.asarray(point_tree(fixed_points).query(moved)[1])
@@ -151,11 +150,10 @@ def _every(skin: TrunkSkin, at_most: int) -> tuple[Float64[Array, "m 3"], Float6
 
 
 SAME_POSE_MM = 0.8
-"""Trunks that agree to this stand in one pose, mm. Measured skin has .1 to .3. Arms and breath add a millimetre."""
+"""Largest `within_mm` of one pose. Measured skin has 0.1 to 0.3 mm; arms and breathing add 1 mm."""
 SAME_POSE_DEG = 4.0
-"""Difference in lean above which poses count as different, because breasts hang differently, degrees."""
+"""Largest difference of lean in one pose, degrees: beyond it breasts hang differently."""
 EARLIER, LATER = "before", "after"
-"""What the two dates are called."""
 
 
 @value(eq=False)
@@ -166,9 +164,9 @@ class Visit:
     measurements: tuple[VolumeMeasurement, ...]
     """One for each breast."""
     frame: Float64[Array, "3 3"]
-    """Rows: the patient's left, the head, straight ahead, roughly, as in the photographs."""
+    """Rows: the patient's left, the head, straight ahead, approximately, from the photographs."""
     lengths: tuple[LinearMeasure, ...] = ()
-    """Lengths between the landmarks of that date."""
+    """Lengths between landmarks."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -178,13 +176,13 @@ class LengthChange:
     name: str
     """As `LinearMeasure.name`."""
     title: str
-    """For the reader."""
+    """Its name in reports."""
     along: bool
-    """Whether it is the distance along the skin instead of the straight one."""
+    """Whether it is measured along the skin instead of straight."""
     before_mm: float
     after_mm: float
     sigma_mm: float
-    """Standard uncertainty of the change, from both dates' landmarks."""
+    """Standard uncertainty of the change, from the landmarks of both dates."""
 
     @property
     def change_mm(self) -> float:
@@ -193,7 +191,7 @@ class LengthChange:
 
     @property
     def beyond_error(self) -> bool:
-        """Whether the 95 % interval of the change leaves out zero."""
+        """Whether the 95 % interval of the change excludes zero."""
         return abs(self.change_mm) > COVERAGE_95 * self.sigma_mm
 
 
@@ -202,13 +200,13 @@ class BreastChange:
     """One breast at both dates."""
 
     name: str
-    """The patient's "left" or "right"."""
+    """The patient's ``left`` or ``right``."""
     before: VolumeMeasurement
     after: VolumeMeasurement
     volume: VolumeDifference
     """After − before, with its own interval."""
     rms_mm: float
-    """Root mean square distance between both dates' skin within the later boundary, mm."""
+    """RMS distance between the skin of both dates within the later boundary, mm."""
 
 
 @value(eq=False)
@@ -216,17 +214,17 @@ class Change:
     """Changes between two dates."""
 
     fit: TrunkFit
-    """Fit of the later trunk onto the earlier one, and its agreement."""
+    """Registration of the trunks, with its quality."""
     doubtful: bool
-    """Whether the trunks agree so badly that they may be two patients' (`CompareSettings.doubt_mm`)."""
+    """Whether the trunks may be of two patients (`CompareSettings.doubt_mm`)."""
     pairing: Pairing
-    """``same pose`` or ``across poses``: how much of the walls' errors is common."""
+    """``same pose`` or ``across poses``: it determines how much of the walls' errors is shared."""
     breasts: tuple[BreastChange, ...]
     lengths: tuple[LengthChange, ...]
     """Lengths that were measured at both dates."""
     after_mm: Float64[Array, " m"]
-    """For each vertex of the later surface, distance by which it stands out of the earlier skin, mm. NaN if a date did
-    not see it."""
+    """For each vertex of the later surface, signed distance in front of the earlier skin, mm. NaN if a date does not
+    show it."""
 
 
 def compare(
@@ -237,17 +235,17 @@ def compare(
     common_scale: bool = True,
     progress: Progress = no_progress,
 ) -> Change:
-    """Compare two dates.
+    """Changes of volumes, lengths and skin between two dates.
 
     Args:
         before: the earlier date.
         after: the later date.
-        settings: when trunks agree.
-        common_scale: whether both dates' scale comes from one target as it was measured once.
+        settings: limits of the trunks' agreement.
+        common_scale: whether both dates' scale depends on one measurement of the same target.
         progress: called with the fraction done.
 
     Raises:
-        MeasureError: no breast has a volume at both dates, walls of different kinds, or trunks that are not one body's.
+        MeasureError: no breast has a volume at both dates, the walls differ in kind, or the trunks are of two bodies.
     """
     pairs = _paired(before, after)
     fit = _fit(before, after)
@@ -278,17 +276,17 @@ def compare(
 
 
 def judged(fit: TrunkFit, settings: CompareSettings = CompareSettings()) -> tuple[Pairing, bool]:
-    """Judge by the trunks whether both dates show one pose, and whether one body.
+    """Whether both dates show the same pose, and whether the match is doubtful.
 
     Raises:
-        MeasureError: they are those of two bodies.
+        MeasureError: the trunks are of two bodies.
     """
     if fit.within_mm > settings.refuse_mm:
         raise MeasureError(
             "the trunks of both dates",
-            found=f"that a fifth of them differs by more than {fit.within_mm:.1f} mm",
+            found=f"a fifth of their skin more than {fit.within_mm:.1f} mm apart",
             expected=f"one body, within {settings.refuse_mm:g} mm beside the breasts",
-            remedy="Check that both show the same patient in about the same pose, arms and breath alike; "
+            remedy="Check that both show the same patient in about the same pose, with arms and breathing alike; "
             "compare.refuse_mm sets the limit",
         )
     same = fit.within_mm <= SAME_POSE_MM and fit.turned_deg <= SAME_POSE_DEG
@@ -297,12 +295,12 @@ def judged(fit: TrunkFit, settings: CompareSettings = CompareSettings()) -> tupl
 
 
 def length_changes(before: Sequence[LinearMeasure], after: Sequence[LinearMeasure]) -> list[LengthChange]:
-    """Lengths that both dates have, straight and along the skin."""
+    """Changes of the lengths that both dates have, straight and along the skin."""
     earlier = {measurement.name: measurement for measurement in before}
     found = []
     for later in after:
         earlier_one = earlier.get(later.name)
-        if earlier_one is None or earlier_one.title != later.title:  # a picked midline is not a computed one
+        if earlier_one is None or earlier_one.title != later.title:  # one midline was picked, the other computed
             continue
         found.append(
             LengthChange(
@@ -330,11 +328,7 @@ def length_changes(before: Sequence[LinearMeasure], after: Sequence[LinearMeasur
 
 
 def _paired(before: Visit, after: Visit) -> list[tuple[VolumeMeasurement, VolumeMeasurement]]:
-    """Each breast that has a volume at both dates.
-
-    Raises:
-        MeasureError: there is none, or one date has a wall of another kind.
-    """
+    """Both dates' measurements of each breast. MeasureError if there are none, or their walls differ in kind."""
     earlier, later = (
         {measurement.name: measurement for measurement in visit.measurements} for visit in (before, after)
     )
@@ -351,7 +345,7 @@ def _paired(before: Visit, after: Visit) -> list[tuple[VolumeMeasurement, Volume
             raise MeasureError(
                 f"the chest wall of the {name} breast",
                 found=f"{earlier_measurement.wall_kind} before, {later[name].wall_kind} after",
-                expected="one kind at both dates",
+                expected="the same kind at both dates",
                 remedy="Measure both with the same --set measure.wall",
             )
     return [(earlier[name], later[name]) for name in earlier]
@@ -362,7 +356,7 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def _fit(before: Visit, after: Visit) -> TrunkFit:
-    """Lay the later trunk onto the earlier one, without what is a breast at either date."""
+    """Registration of the trunks without the breasts of either date."""
     curves = [
         {measurement.name: measurement.boundary_world for measurement in visit.measurements}
         for visit in (before, after)
@@ -383,6 +377,6 @@ def _fit(before: Visit, after: Visit) -> TrunkFit:
 
 
 def _rms_mm(measured: VolumeMeasurement, surface: RepairedSurface, out_mm: Float64[Array, " m"]) -> float:
-    """Root mean square of a map over one breast's surface. The breast was cut out of the mapped surface."""
+    """RMS of a map of a surface over the part of it that is one breast."""
     skin = measured.skin
     return rms_mm(skin, out_mm[np.asarray(point_tree(surface.mesh.vertices).query(skin.vertices)[1])])

@@ -1,7 +1,4 @@
-"""The front of a scanned body's trunk, so that nothing hangs on how much else was scanned.
-
-The back, legs and head tell nothing of a breast. They are cut off before the trunk's axis is looked for.
-"""
+"""The front of a scanned body's trunk. Back, legs and head are cut off, so that results do not depend on them."""
 
 from __future__ import annotations
 
@@ -17,28 +14,25 @@ from mammometry.measure.solid.cut import above
 from mammometry.measure.trunk.thorax import Skin, find_trunk
 
 WHOLE_BODY_MM = 1200.0
-"""A body taller than this has legs and a head, or legs alone; a torso is shorter. Chosen by eye."""
+"""Height above which a body is whole (with legs), instead of a torso, mm. Not critical."""
 _TRUNK = (0.56, 0.87)
-"""Share of the height of a standing body between which its trunk's upper part lies, navel to chin: adults' crotch is at
-.47, the nipples at .70 to .74."""
-_BEHIND_MM = 25.0  # behind the middle between front and back at which the front ends: the trunk's sides are before it
-_FACING_BACK = -0.3  # cosine from straight ahead of the normals of skin that is a back's
-_SAID = 0.1  # share of the area that is worth a note
-_WORTH_MM = 5.0  # a back less deep is not cut off
-_MIDLINE_MM = 150.0  # skin this near to the middle shows how tall a body is: raised hands do not; chosen by eye
-_FEET, _ANKLES = 0.03, (0.05, 0.09)  # share of the height of feet, and of ankles
-_TOES_MM = 20.0  # by which feet stand out before the ankles at least; adults' have 50 to 90
+"""Lower and upper end of the upper trunk (navel and chin), relative to the height of a standing body. Adults' crotch is
+at 0.47, the nipples at 0.70 to 0.74."""
+_BEHIND_MM = 25.0  # the front ends this far behind the middle between front and back, so that it includes the sides
+_FACING_BACK = -0.3  # largest cosine between straight ahead and the normals of a back
+_NOTED = 0.1  # share of the area from which a cut is noted
+_WORTH_MM = 5.0  # a back of less depth is not cut off
+_MIDLINE_MM = 150.0  # half width of the strip that shows the body's height, without raised hands; not critical
+_FEET, _ANKLES = 0.03, (0.05, 0.09)  # height of the feet, and heights of the ankles, relative to the body
+_TOES_MM = 20.0  # least distance of the feet in front of the ankles; adults have 50 to 90
 
 
 def front_of_body(scan: RepairedScan, frame: Float64[Array, "3 3"]) -> RepairedScan:
-    """Cut off the back, and of a whole body all but the upper trunk.
+    """A scan without its back, and of a whole body only the upper trunk; the same scan if there is nothing to cut off.
 
     Args:
         scan: a torso or a whole body, mm.
         frame: patient's left, head, straight ahead (rows).
-
-    Returns:
-        The same scan where there is nothing to cut off.
     """
     cut = scan
     if np.ptp(scan.mesh.vertices @ frame[1]) > WHOLE_BODY_MM:
@@ -48,13 +42,13 @@ def front_of_body(scan: RepairedScan, frame: Float64[Array, "3 3"]) -> RepairedS
     depth = _front_depth(cut.mesh, frame)
     if depth is not None and depth - float((cut.mesh.vertices @ frame[2]).min()) > _WORTH_MM:
         cut = _above(cut, frame[2], depth)
-    if cut.mesh.area_mm2() > (1 - _SAID) * scan.mesh.area_mm2():
+    if cut.mesh.area_mm2() > (1 - _NOTED) * scan.mesh.area_mm2():
         return cut
     return replace(cut, notes=(*scan.notes, "Of the body, the front of the trunk alone is measured and shown."))
 
 
 def ahead_by_feet(mesh: TriangleMesh, up: Float64[Array, 3]) -> Float64[Array, 3] | None:
-    """Straight ahead of a whole body, as its feet point. None where there are none.
+    """Straight ahead of a whole body, from the direction of its feet. None without feet.
 
     Args:
         mesh: of a standing body, mm.
@@ -75,13 +69,13 @@ def ahead_by_feet(mesh: TriangleMesh, up: Float64[Array, 3]) -> Float64[Array, 3
 
 
 def _middle(mesh: TriangleMesh, chosen: Bool[Array, " n"]) -> Float64[Array, 3]:
-    """Middle of the box around some vertices."""
+    """Centre of the bounding box of the chosen vertices."""
     points = mesh.vertices[chosen]
     return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2)
 
 
 def _trunk_heights(mesh: TriangleMesh, up: Float64[Array, 3]) -> tuple[float, float]:
-    """Heights between which a standing body's upper trunk lies."""
+    """Heights of the lower and upper end of a standing body's upper trunk, mm."""
     heights = mesh.vertices @ up
     beside = mesh.vertices - np.median(mesh.vertices, axis=0)
     beside -= np.outer(beside @ up, up)
@@ -91,7 +85,7 @@ def _trunk_heights(mesh: TriangleMesh, up: Float64[Array, 3]) -> tuple[float, fl
 
 
 def _front_depth(mesh: TriangleMesh, frame: Float64[Array, "3 3"]) -> float | None:
-    """Depth along straight ahead at which the front ends. None where the trunk's sides are not seen."""
+    """Depth along straight ahead at which the front ends, mm. None if the trunk's sides are not visible."""
     vectors = mesh.face_vectors()
     area = np.maximum(np.linalg.norm(vectors, axis=1), 1e-12)
     normals = vectors / area[:, None]
@@ -105,7 +99,7 @@ def _front_depth(mesh: TriangleMesh, frame: Float64[Array, "3 3"]) -> float | No
 
 
 def _above(scan: RepairedScan, direction: Float64[Array, 3], height: float) -> RepairedScan:
-    """The largest part of a scan beyond a plane."""
+    """Largest part of a scan on the positive side of a plane."""
     part = above(scan.mesh, lambda points: points @ direction - height).mesh
     if not len(part.faces):
         return scan

@@ -1,4 +1,4 @@
-"""Planar regions of a scan: lids and flat closures of other programs, which are no skin."""
+"""Planar regions of a scan: lids and flat closures made by other programs, which are not skin."""
 
 from __future__ import annotations
 
@@ -9,21 +9,17 @@ from scipy.sparse.csgraph import connected_components
 from mammometry.geometry import Array, Bool, TriangleMesh, mesh_kernels
 
 _EVEN = np.cos(np.deg2rad(0.2))
-"""Cosine between the normals of neighbouring faces of one plane. Skin 100 mm in radius turns by 1° from one 2 mm face
-to the next; coordinates rounded to 0.1 µm turn it by 0.003°."""
+"""Least cosine between the normals of neighbouring faces of a plane. On skin of 100 mm radius neighbouring 2 mm faces
+differ by 1°; coordinates rounded to 0.1 µm change a normal by 0.003°."""
 _FLAT_MM, _WIDE_MM = 0.3, 8.0
-"""Standard deviations of a plane's faces across it, and along its narrower side. Skin of a patch as large bends by 1 mm
-and more; a strip of coarse triangles along a round body is flat and narrow."""
+"""Greatest standard deviation of a plane's faces across it, and least one along its narrower side. A patch of skin of
+that size is curved by 1 mm or more; a strip of coarse triangles along a round body is flat but narrow."""
 _LEAST_CM2 = 10.0
-"""Area from which a plane is a lid, cm². Nineteen scans of shared bodies have no plane of 3 cm²."""
+"""Least area of a lid, cm². Nineteen scans of shared bodies have no plane of 3 cm²."""
 
 
 def planar_faces(mesh: TriangleMesh) -> Bool[Array, " m"]:
-    """Mask of the faces in flat regions larger than any of skin.
-
-    Args:
-        mesh: mm.
-    """
+    """Mask of the faces of a mesh, mm, in flat regions that are larger than any of skin."""
     vectors = mesh.face_vectors()
     area_mm2 = np.linalg.norm(vectors, axis=1)
     normals = vectors / np.maximum(area_mm2, 1e-12)[:, None]

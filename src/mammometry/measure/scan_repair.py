@@ -1,7 +1,7 @@
-"""Repair a scan's mesh where nothing is in doubt, and say what was done.
+"""Repair of a scan's mesh where the result is unambiguous, with notes on what was changed.
 
-Seams that touch are joined, crumbs left out, an inside-out surface turned, small holes closed. Skin in a closed hole is
-marked as invented, so that a volume's interval holds its uncertainty. What is in doubt is left to `scanned.check_mesh`.
+Touching seams are joined, crumbs removed, faces turned outwards, small holes closed. Skin in a closed hole is marked as
+invented, so that it widens a volume's interval. All other faults are refused by `scanned.check_mesh`.
 """
 
 from __future__ import annotations
@@ -23,25 +23,24 @@ from mammometry.measure.solid.cut import opening_loops
 from mammometry.measure.solid.patch import fill, harmonic
 
 TOUCHING_MM = 0.05
-"""Open edges this near to one another are one seam: half of the coarsest step that coordinates may have."""
+"""Largest distance between open edges of one seam, mm: half of the coarsest step of coordinates."""
 WIDEST_HOLE_MM = 90.0
-"""A hole up to this wide is closed: the diameter of a circle of its area. What a hanging breast hides from a telephone
-has 40 to 80; necks and arms that were cut off have 90 and more."""
-_OWN_EDGE_MM = 70.0  # the longest opening is a hole up to this width, else the surface's own edge: a small cast's
-_LONGEST_HOLE_MM = 150.0  # a slit that is longer is no hole in a breast; chosen by eye
+"""Largest width of a hole that is closed (diameter of a circle of its area), mm. Holes under a hanging breast in a
+telephone's scan have 40 to 80; cut necks and arms have 90 or more."""
+_OWN_EDGE_MM = 70.0  # the longest opening, if wider than this, is the surface's own edge (a small cast's)
+_LONGEST_HOLE_MM = 150.0  # longest slit that is closed; not critical
 _CRUMB = 0.01  # share of the area below which a piece is a crumb
-_BESIDE = 0.2  # share of the area that all pieces beside the body may have together; chosen by eye
+_BESIDE = 0.2  # largest share of the area of all pieces that are not the body; not critical
 _FLAT_MM, _WIDE_MM = 12.0, 80.0  # standard deviations across and along a wall; a trunk's front has 40 across
-_FEW_FINS = 0.01  # share of the faces that may be left out because three or more meet at an edge; chosen by eye
-_RING_MM = 12.0  # skin around a hole that shows how it curves; by eye: 15 moved a scan by .1 %
-_RING_POINTS = 300  # of that skin; chosen for speed
-_SMOOTHING = 30.0  # of the thin plate, mm²; follows a tip, and not a millimetre of noise; by eye: 38 moved no volume
-_FEWEST_FACES = 50  # of a scan: a dome of 40 faces has four fifths of its volume
-
-_FEWEST = 10  # points that show how skin curves
-_SAID_MM2 = 5.0  # invented skin below this is not worth a note
-_NO_AREA_MM2 = 1e-6  # a hole of less is a seam
-_GRID_MM = 2.0  # distance of vertices in a closed hole: finer than `scanned.finer_along` makes edges
+_FEW_FINS = 0.01  # largest share of faces that are removed at edges where three or more meet; not critical
+_RING_MM = 12.0  # width of the ring of skin that determines a hole's curvature; not critical
+_RING_POINTS = 300  # most points of that ring; chosen for speed
+_SMOOTHING = 30.0  # of the thin plate, mm²: it follows a tip but not 1 mm of noise; not critical
+_FEWEST_FACES = 50  # fewest faces of a scan: a dome of 40 faces has four fifths of its volume
+_FEWEST = 10  # fewest points for a plate
+_NOTED_MM2 = 5.0  # area of invented skin from which it is noted
+_NO_AREA_MM2 = 1e-6  # area below which a hole is a seam
+_GRID_MM = 2.0  # spacing of vertices in a closed hole: finer than the edges of `scanned.finer_along`
 
 
 @value(eq=False)
@@ -55,22 +54,22 @@ class RepairedScan:
     notes: tuple[str, ...]
     """What was changed, one sentence each."""
     inside_out: bool = False
-    """Whether most of its faces looked inwards, as those of a mirror image do."""
+    """Whether most of its faces pointed inwards, as in a mirror image."""
 
 
 def repair_scan(
     mesh: TriangleMesh, *, largest: bool = False, skin_alone: bool = False, holes: bool = True
 ) -> RepairedScan:
-    """Join seams, leave out crumbs, turn what is inside out, close small holes.
+    """A scan with joined seams, without crumbs, with faces outwards and small holes closed.
 
     Args:
-        mesh: as its file has it, mm. Vertices in one place are one.
-        largest: whether to take the largest piece alone, however large the others are.
-        skin_alone: whether to leave out planes, which are lids of another program and no skin.
-        holes: whether small holes are closed.
+        mesh: from the file, mm, coincident vertices merged.
+        largest: whether to keep only the largest piece, whatever the size of the others.
+        skin_alone: whether to remove planes, which are lids made by another program.
+        holes: whether to close small holes.
 
     Raises:
-        MeasureError: it has hardly any triangles, or two pieces of which either may be the body.
+        MeasureError: it has too few triangles, or several pieces that may be the body.
     """
     if len(mesh.faces) < _FEWEST_FACES:
         raise MeasureError(
@@ -84,7 +83,7 @@ def repair_scan(
     mesh = _without_fins(_joined(mesh, notes))
     mesh = _body(mesh, notes, largest=largest)
     turned = _facing_out(mesh, notes)
-    if turned is None:  # `scanned.check_mesh` names what is wrong
+    if turned is None:  # `scanned.check_mesh` reports the fault
         return RepairedScan(mesh=mesh, invented=np.zeros(len(mesh.vertices), dtype=bool), notes=tuple(notes))
     out, inside_out = turned
     if skin_alone:
@@ -95,7 +94,7 @@ def repair_scan(
 
 
 def largest_part(mesh: TriangleMesh) -> TriangleMesh:
-    """The connected part with the largest area."""
+    """Connected part with the largest area."""
     areas, part = _areas_mm2(mesh)
     return mesh.submesh(part == np.argmax(areas))
 
@@ -108,13 +107,13 @@ def _areas_mm2(mesh: TriangleMesh) -> tuple[Float64[Array, " p"], Int32[Array, "
 
 
 def _without_doubles(mesh: TriangleMesh) -> TriangleMesh:
-    """Leave out faces whose three corners an earlier face has, to either side: some programs write both sides."""
+    """Remove faces with the same corners as an earlier one: some programs write both sides."""
     _, first = np.unique(np.sort(mesh.faces, axis=1), axis=0, return_index=True)
     return mesh if len(first) == len(mesh.faces) else mesh.submesh(np.sort(first))
 
 
 def _joined(mesh: TriangleMesh, notes: list[str]) -> TriangleMesh:
-    """Join open edges that lie on one another."""
+    """Join coincident open edges."""
     before = mesh.components()[0]
     joined = _merged(_split_at_neighbours(mesh))
     after = joined.components()[0]
@@ -124,17 +123,17 @@ def _joined(mesh: TriangleMesh, notes: list[str]) -> TriangleMesh:
 
 
 def _without_fins(mesh: TriangleMesh) -> TriangleMesh:
-    """Leave out faces at edges where three or more meet, where these are few. Their holes are closed later."""
+    """Remove faces at edges where three or more meet, if they are few. The holes are closed later."""
     rings = mesh_kernels.edge_rings(len(mesh.vertices), mesh.faces)
     crowded = rings[rings] != np.arange(len(rings))
     if not crowded.any():
         return mesh
-    left = mesh.submesh(~crowded.reshape(-1, 3).any(axis=1))  # of each crowded edge all faces: no edge is crowded now
+    left = mesh.submesh(~crowded.reshape(-1, 3).any(axis=1))
     return left if len(left.faces) >= (1 - _FEW_FINS) * len(mesh.faces) else mesh
 
 
 def _without_lids(mesh: TriangleMesh, notes: list[str]) -> TriangleMesh:
-    """Leave out flat lids, where the rest is most of the mesh."""
+    """Remove flat lids if the rest is most of the mesh."""
     planar = planar_faces(mesh)
     if not planar.any() or planar.all():
         return mesh
@@ -142,25 +141,25 @@ def _without_lids(mesh: TriangleMesh, notes: list[str]) -> TriangleMesh:
     lids_mm2, whole_mm2 = mesh.submesh(planar).area_mm2(), mesh.area_mm2()
     if skin.area_mm2() < (1 - _BESIDE) * (whole_mm2 - lids_mm2):
         return mesh
-    notes.append(f"{lids_mm2 / 100:.0f} cm² of flat lids were left out: a plane is no skin.")
+    notes.append(f"{lids_mm2 / 100:.0f} cm² of flat lids were removed: a plane is not skin.")
     return skin
 
 
 def _without_loose_triangles(mesh: TriangleMesh) -> TriangleMesh:
-    """Leave out triangles that hang on by a corner: closed as a hole, one would be a face with two sides."""
+    """Remove triangles that are attached by a corner only: closing them as holes would double them."""
     rings = mesh_kernels.edge_rings(len(mesh.vertices), mesh.faces)
     loose = (rings == np.arange(len(rings))).reshape(-1, 3).all(axis=1)
     return mesh.submesh(~loose) if loose.any() and not loose.all() else mesh
 
 
 def _open_sides(mesh: TriangleMesh) -> Int64[Array, " s"]:
-    """Sides of faces that are alone on their edge. Side 3 f + k runs from corner k of face f to the next."""
+    """Open sides of faces. Side 3 f + k runs from corner k of face f to the next."""
     rings = mesh_kernels.edge_rings(len(mesh.vertices), mesh.faces)
     return np.flatnonzero(rings == np.arange(len(rings)))
 
 
 def _split_at_neighbours(mesh: TriangleMesh) -> TriangleMesh:
-    """Give open sides a corner where a vertex of another open side lies on them."""
+    """Split open sides at vertices of other open sides that are on them."""
     sides = _open_sides(mesh)
     if not len(sides):
         return mesh
@@ -198,7 +197,7 @@ def _split_at_neighbours(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def _merged(mesh: TriangleMesh) -> TriangleMesh:
-    """Make vertices of open sides that touch one vertex."""
+    """Merge touching vertices of open sides."""
     sides = _open_sides(mesh)
     rim = np.unique(np.concatenate([mesh.faces.ravel()[sides], mesh.faces[:, [1, 2, 0]].ravel()[sides]]))
     pairs = point_tree(mesh.vertices[rim]).query_pairs(TOUCHING_MM, output_type="ndarray") if len(rim) else rim
@@ -217,11 +216,7 @@ def _merged(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def _body(mesh: TriangleMesh, notes: list[str], *, largest: bool) -> TriangleMesh:
-    """Leave out what lies beside the body.
-
-    Raises:
-        MeasureError: another piece is too large to be something beside it.
-    """
+    """Remove all pieces but the body; raise a MeasureError if others are too large."""
     areas, part = _areas_mm2(mesh)
     if len(areas) == 1:
         return mesh
@@ -236,31 +231,29 @@ def _body(mesh: TriangleMesh, notes: list[str], *, largest: bool) -> TriangleMes
             found=f"{len(areas)} separate pieces, the largest with {', '.join(f'{other:.0%}' for other in others)} "
             "of the area",
             expected="one connected surface, with at most a few small fragments",
-            remedy="Delete the others in the program that made it, or measure the largest alone with --largest",
+            remedy="Delete the others in the program that made it, or measure only the largest with --largest",
         )
     count = len(areas) - 1
-    kind = ", flat as a wall or a floor is" if any(flat) else ""
+    kind = ", flat like a wall or a floor" if any(flat) else ""
     share = 1 - areas.max() / total
     notes.append(
-        f"{count} piece{'s' if count > 1 else ''} beside the body{kind}, {100 * share:.2g} % of the area, "
-        f"{'were' if count > 1 else 'was'} left out."
+        f"{count} other piece{'s' if count > 1 else ''}{kind}, {100 * share:.2g} % of the area, "
+        f"{'were' if count > 1 else 'was'} removed."
     )
     return mesh.submesh(part == np.argmax(areas))
 
 
 def _is_flat(mesh: TriangleMesh) -> bool:
-    """Whether a piece is a wall's, a floor's or a table's: wide, and nowhere far from a plane."""
+    """Whether a piece is part of a wall, a floor or a table: wide and planar."""
     area = np.linalg.norm(mesh.face_vectors(), axis=1)
     variance = np.linalg.eigvalsh(np.cov(mesh.corners().mean(axis=1).T, aweights=area))
     return bool(variance[0] < _FLAT_MM**2 and variance[1] > _WIDE_MM**2)
 
 
 def _facing_out(mesh: TriangleMesh, notes: list[str]) -> tuple[TriangleMesh, bool] | None:
-    """Turn faces that look inwards.
+    """The mesh with all faces outwards, and whether most of its area pointed inwards.
 
-    Returns:
-        The mesh, and whether most of its area looked inwards. None where more than two faces meet at an edge, or there
-        is no outside.
+    None if more than two faces meet at an edge, or the surface is not orientable.
     """
     rings = mesh_kernels.edge_rings(len(mesh.vertices), mesh.faces)
     side = np.arange(len(rings))
@@ -268,7 +261,7 @@ def _facing_out(mesh: TriangleMesh, notes: list[str]) -> tuple[TriangleMesh, boo
         return None
     paired = side[rings > side]
     starts = mesh.faces.ravel()
-    unlike = starts[paired] == starts[rings[paired]]  # both faces run along the edge in one direction
+    unlike = starts[paired] == starts[rings[paired]]  # both faces have the same direction along the edge
     faces, turned_mm2, whole_mm2 = mesh.faces, 0.0, mesh.area_mm2()
     if unlike.any():
         turned = _turned_apart(len(faces), paired // 3, rings[paired].astype(np.int64) // 3, unlike)
@@ -283,16 +276,16 @@ def _facing_out(mesh: TriangleMesh, notes: list[str]) -> tuple[TriangleMesh, boo
     if inside_out:
         notes.append("The mesh was inside out: its faces were turned outwards.")
     elif unlike.any():
-        notes.append("Neighbouring faces looked to opposite sides: all were turned outwards.")
+        notes.append("Neighbouring faces pointed to opposite sides: all were turned outwards.")
     return mesh, inside_out
 
 
 def _turned_apart(
     count: int, one: Int64[Array, " e"], other: Int64[Array, " e"], unlike: Bool[Array, " e"]
 ) -> Bool[Array, " m"] | None:
-    """Faces to turn so that neighbours agree, None where no choice makes them.
+    """Faces to turn so that neighbours agree; None if that is impossible.
 
-    Every face stands for two nodes, as it is and turned. Neighbours that disagree are joined crosswise.
+    Each face is two nodes of a graph, as it is and turned. Neighbours that disagree are connected crosswise.
     """
     cross = np.where(unlike, count, 0)
     starts = np.concatenate([one, one + count])
@@ -304,13 +297,12 @@ def _turned_apart(
 
 
 def _stands_out_mm3(mesh: TriangleMesh) -> float:
-    """Volume of a closed mesh, or of an open one with its openings closed by cones. Below 0: inside out."""
+    """Volume of a mesh, with openings closed by cones, mm³. Negative: inside out."""
     loops = opening_loops(mesh.faces.astype(np.int64), len(mesh.vertices))
     volume = mesh.volume_mm3()
     middle = mesh.vertices.mean(axis=0)
     for loop in loops:
         points = mesh.vertices[loop] - middle
-        # The lid's faces run against the opening's own direction.
         volume -= float(np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0) @ points.mean(axis=0)) / 6
     return volume
 
@@ -341,17 +333,17 @@ def _filled(mesh: TriangleMesh, notes: list[str]) -> tuple[TriangleMesh, Bool[Ar
     filled = TriangleMesh(vertices=np.concatenate(vertices), faces=np.concatenate(faces))
     invented = np.arange(count) >= len(mesh.vertices)
     invented_mm2 = filled.area_mm2() - mesh.area_mm2()
-    if invented_mm2 > _SAID_MM2:
+    if invented_mm2 > _NOTED_MM2:
         holes_words = "1 hole was" if len(patches) == 1 else f"{len(patches)} holes were"
         notes.append(
             f"{holes_words} closed, up to {widest_mm:.0f} mm wide: {invented_mm2 / 100:.1f} cm² of skin are invented. "
-            "The interval holds their uncertainty."
+            "The interval includes their uncertainty."
         )
     return filled, invented
 
 
 def _fan(count: int) -> Int64[Array, "m 3"]:
-    """Triangles about the middle of a hole with so many corners."""
+    """Triangles around the centre of a hole, by its number of corners."""
     number = np.arange(count)
     return np.stack([np.roll(number, -1), number, np.full(count, count)], axis=1)
 
@@ -363,14 +355,14 @@ def _without_chords(
     triangles: Int64[Array, "m 3"],
     taken: set[int],
 ) -> tuple[Float64[Array, "j 3"], Int64[Array, "i 3"]]:
-    """Split edges of a hole's triangles, from corner to corner of the hole, that the skin beside it has already.
+    """Points and triangles of a hole's patch, with edges split that the mesh already has.
 
     Args:
         mesh: the skin with the hole.
         loop: the hole's edge.
-        points: of the hole's triangles, beside its edge, mm.
-        triangles: by the edge's corners, then the points.
-        taken: edges, as numbers: smaller vertex times the number of vertices plus larger. The others are added.
+        points: of the patch, except its edge, mm.
+        triangles: indices into the edge's corners, then the points.
+        taken: edges of the mesh (smaller vertex times number of vertices, plus larger); those of the patch are added.
     """
     faces, corners = triangles.astype(np.int32), np.concatenate([mesh.vertices[loop], points])
     edges, of_face = edge_table(faces)
@@ -386,7 +378,7 @@ def _without_chords(
 
 
 def _width_mm(rim: Float64[Array, "n 3"]) -> float:
-    """Width of a hole by its edge, mm. Infinite where it is too long to be one."""
+    """Width of a hole, mm; infinite if it is too long."""
     if np.ptp(rim, axis=0).max() > _LONGEST_HOLE_MM:
         return float("inf")
     after = np.roll(rim, -1, axis=0)
@@ -397,7 +389,7 @@ def _width_mm(rim: Float64[Array, "n 3"]) -> float:
 def _patch(
     mesh: TriangleMesh, loop: Int64[Array, " n"], holes: Sequence[Int64[Array, " _"]]
 ) -> tuple[Float64[Array, "k 3"], Int64[Array, "m 3"]]:
-    """New points and triangles that close a hole as the skin around it curves: a thin plate over that skin."""
+    """Points and triangles that close a hole with a thin plate fitted to the skin around it."""
     rim = mesh.vertices[loop]
     middle = rim.mean(axis=0)
     fan = _fan(len(loop))

@@ -1,7 +1,7 @@
-"""A scanner's mesh, checked and turned into a session's surface.
+"""A scanner's mesh, checked and converted to a session's surface.
 
-`scan_repair` has mended what is not in doubt. If the mesh is still torn, turned over or in pieces, the error says so,
-and the program that made it should correct it. Otherwise it would be unclear what was measured.
+`scan_repair` repairs what is unambiguous. A mesh that is still torn, inconsistently oriented or in pieces is refused:
+it must be corrected in the program that made it.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from mammometry.measure.solid.cut import check_whole, inside_curve
 from mammometry.measure.trunk.thorax import frame_from_sides, level_axis, orthonormal, seen_skin
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
-_EDGE_MM = 3.0  # longest edge near a boundary, so that it can be cut along it: 2 mm change a volume by .1 % at most
-_MARGIN_MM = BANDS_MM[-2]  # around the boundaries in which edges are made short: all but the last, widest band
-_FACES_AT_MOST = 4_000_000  # of a refined mesh; chosen for memory
-_VIEWER_MM, _EYES_MM = 1500.0, 200.0  # distance and eye distance of the viewer; only directions matter
-_VIEWER_PX = 1000  # size and focal length of the viewer's pictures; they are never rendered
+_EDGE_MM = 3.0  # longest edge near a boundary, for cutting; 2 mm changes a volume by 0.1 % at most
+_MARGIN_MM = BANDS_MM[-2]  # distance from a boundary up to which edges are refined: all bands but the widest
+_FACES_AT_MOST = 4_000_000  # most faces of a refined mesh; chosen for memory
+_VIEWER_MM, _EYES_MM = 1500.0, 200.0  # distance and baseline of the viewer's cameras; only directions matter
+_VIEWER_PX = 1000  # size and focal length of the viewer's images, which are never rendered
 _ONE_SIDED = 0.2
-"""Mean of the level part of the normals from which a mesh shows one side: fronts of bodies have .47 and more, a half
-tube .64, tubes that are open on one side at most as much as the opening's share of the skin, .13 (a torso's arm)."""
-_ROUNDER = 2.0  # times that a torso's front is as round as its other sides at least, to be told from them
-_STANDS = np.cos(np.deg2rad(45.0))  # of the trunk's axis with the file's axis along which it stands
-_AXIS_SAMPLES = 20_000  # faces whose normals show along which axis the trunk stands; chosen for speed
-_ALONG_AXIS = np.cos(np.deg2rad(20.0))  # a front that looks this near to an axis stands along it; chosen by eye
-_SQUARE = 1e-6  # cosine of the angle between head and straight ahead
-_ON_MESH_MM = 15.0  # median distance from the vertices at which a curve lies on a mesh, however coarse; chosen by eye
+"""Length of the horizontal mean normal from which a mesh shows one side only. Fronts of bodies have 0.47 or more, a
+half tube 0.64; tubes that are open on one side at most the opening's share of the skin, 0.13 (a torso's arm)."""
+_ROUNDER = 2.0  # least roundness of a torso's front relative to its other sides
+_UPRIGHT = np.cos(np.deg2rad(45.0))  # least cosine between the trunk's axis and an axis of the file for upright
+_AXIS_SAMPLES = 20_000  # faces from whose normals the trunk's axis is found; chosen for speed
+_ALONG_AXIS = np.cos(np.deg2rad(20.0))  # a front within this angle of an axis is along that axis; not critical
+_SQUARE = 1e-6  # largest cosine of the angle between head and straight ahead
+_ON_MESH_MM = 15.0  # largest median distance of a curve on a mesh from its vertices; not critical
 
 Places = Mapping[str, Float64[Array, "_ 3"]]
 """Landmark → its points, mm, world frame."""
@@ -54,14 +54,14 @@ class DirectionError(MeasureError):
 
 
 def as_scanned(mesh: TriangleMesh, invented: Bool[Array, " n"] | None = None) -> RepairedSurface:
-    """Take a mesh as measured all over, but for closed holes.
+    """A mesh as a surface whose skin is measured everywhere except in closed holes.
 
     Args:
         mesh: mm.
         invented: vertices of closed holes. None: there are none.
 
     Raises:
-        MeasureError: it is empty, or not a surface everywhere.
+        MeasureError: it is empty, or not an oriented surface.
     """
     check_mesh(mesh)
     n = len(mesh.vertices)
@@ -79,11 +79,7 @@ def as_scanned(mesh: TriangleMesh, invented: Bool[Array, " n"] | None = None) ->
 
 
 def check_mesh(mesh: TriangleMesh) -> None:
-    """Refuse a mesh that is not an oriented surface, closed or open.
-
-    Raises:
-        MeasureError: says what it is instead.
-    """
+    """Raise a MeasureError unless a mesh is an oriented surface, closed or open."""
     if not len(mesh.faces):
         raise _refused("no triangles", "a triangulated surface", "Export it with its faces")
     directed = mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
@@ -92,36 +88,33 @@ def check_mesh(mesh: TriangleMesh) -> None:
     if (count > 2).any():
         raise _refused(
             f"{int((count > 2).sum())} edges at which three or more faces meet",
-            "a surface: one or two faces at every edge",
+            "a surface with one or two faces at every edge",
             "Repair its non-manifold edges in the program that made it",
         )
     _, same = np.unique(directed[:, 0] * n + directed[:, 1], return_counts=True)
     if (same > 1).any():
         raise _refused(
-            f"{int((same > 1).sum())} edges at which neighbouring faces look to opposite sides",
-            "faces that all look outwards",
+            f"{int((same > 1).sum())} edges at which neighbouring faces point to opposite sides",
+            "faces that all point outwards",
             "Make its normals consistent in the program that made it",
         )
 
 
 def finer_scan(scan: RepairedScan, curves: Sequence[Float64[Array, "_ 3"]]) -> RepairedScan:
-    """Shorten a scan's edges near the curves, as `finer_along`.
-
-    What lies on an edge of invented skin is invented.
-    """
+    """A scan refined near the curves by `finer_along`. New vertices on edges of invented skin are invented."""
     mesh, invented = _finer(scan.mesh, scan.invented, curves)
     return replace(scan, mesh=mesh, invented=invented)
 
 
 def finer_along(mesh: TriangleMesh, curves: Sequence[Float64[Array, "_ 3"]]) -> TriangleMesh:
-    """Shorten edges near the curves, so that the mesh can be cut. New vertices come last."""
+    """A mesh with edges short enough for cutting near the curves. New vertices come last."""
     return _finer(mesh, np.zeros(len(mesh.vertices), dtype=bool), curves)[0]
 
 
 def _finer(
     mesh: TriangleMesh, marked: Bool[Array, " n"], curves: Sequence[Float64[Array, "_ 3"]]
 ) -> tuple[TriangleMesh, Bool[Array, " m"]]:
-    """A mesh with shorter edges near the curves. New vertices are marked where an end of their edge is."""
+    """The refined mesh and its marked vertices; a new vertex is marked if an end of its edge is."""
     if not curves:
         return mesh, marked
     vertices, faces = mesh.vertices, mesh.faces
@@ -141,10 +134,10 @@ def _finer(
 
 
 def check_cut(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> None:
-    """Refuse a boundary that does not cut out a whole breast. The mesh may be open or closed.
+    """Raise an error if a boundary does not cut out a complete breast of an open or closed mesh.
 
     Raises:
-        MeasureError: the mesh has a hole within the curve, or is inside out there.
+        MeasureError: the mesh has a hole inside the curve, or is inside out there.
     """
     part = inside_curve(mesh, edge_loop(name, points_world, mesh))
     check_whole(name, part)
@@ -154,12 +147,12 @@ def check_cut(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh
 def viewing_frame(
     surface: RepairedSurface, boundaries: Sequence[Boundary] | Mapping[str, Float64[Array, "_ 3"]], landmarks: Places
 ) -> Float64[Array, "3 3"]:
-    """Patient's left, head and straight ahead, from landmarks or boundaries.
+    """Patient's left, head and straight ahead (rows), from landmarks or boundaries.
 
-    These are rows. For a cast, ahead is where it stands out, and up is as near to the file's y axis as possible.
+    For a cast, straight ahead is the direction of its projection, and up is as near to the file's y axis as possible.
 
     Raises:
-        MeasureError: neither tells, or they contradict one another.
+        MeasureError: neither is sufficient, or they contradict each other.
     """
     curves = (
         dict(boundaries)
@@ -189,23 +182,23 @@ def viewing_frame(
                 "landmark 'sternal_notch'",
                 found=f"a point {-above:.0f} mm below the breasts, by their boundaries and names",
                 expected="one above them",
-                remedy="Exchange left and right, in the boundaries or the landmarks, or pick the notch again",
+                remedy="Swap left and right in the boundaries or the landmarks, or pick the notch again",
             )
     return frame
 
 
 def frame_from_axes(mesh: TriangleMesh, head: str | None = None, ahead: str | None = None) -> Float64[Array, "3 3"]:
-    """Patient's left, head, straight ahead (rows), from axes of the mesh file.
+    """Patient's left, head and straight ahead (rows), from axes of the mesh file.
 
     Args:
         mesh: the torso, mm.
-        head: the file's axis towards the head: ``x``, ``-x``, ``y`` … None: ``y``, or ``z`` where that is ahead or the
-            trunk stands along it.
-        ahead: the axis straight ahead. None: where an open mesh's skin looks on average, an axis or between two. Where
-            a mesh looks to all sides, the side on which a trunk with breasts is seen.
+        head: the file's axis towards the head: ``x``, ``-x``, ``y`` … None: ``y``, or ``z`` if ``y`` is straight ahead
+            or the trunk's axis is along ``z``.
+        ahead: the axis straight ahead. None: the mean normal of an open mesh, rounded to an axis if near; for a mesh
+            with skin on all sides, the side with breasts.
 
     Raises:
-        MeasureError: no such axis, or both along one line.
+        MeasureError: there is no such axis, or both are along one line.
         DirectionError: the mesh does not show its front; it has the frames of the sides that may be it.
     """
     if ahead is not None:
@@ -232,11 +225,11 @@ def frame_from_axes(mesh: TriangleMesh, head: str | None = None, ahead: str | No
         sides = [f"{sign}{letter}" for letter in "zyx" if letter != "xyz"[stands] for sign in ("", "-")]
         refusal = DirectionError(
             "mesh",
-            found="a mesh that faces all sides equally, without clear breasts on one side, where the head is taken "
-            f"to be at {'' if up[stands] > 0 else '-'}{'xyz'[stands]}",
+            found="a mesh with skin on all sides and no clear breasts on one side, if the head is towards "
+            f"{'' if up[stands] > 0 else '-'}{'xyz'[stands]}",
             expected="the side that is the patient's front",
-            remedy=f"Say which of the file's axes points straight ahead: --ahead {', '.join(sides[:-1])} or "
-            f"{sides[-1]}; and which to the head, if another does: --head",
+            remedy=f"Give the file's axis that points straight ahead: --ahead {', '.join(sides[:-1])} or {sides[-1]}; "
+            "and, if it is another one, the axis towards the head: --head",
         )
         refusal.fronts = {f"--ahead {side}": orthonormal(up, _axis(side, "--ahead")) for side in sides}
         raise refusal
@@ -244,25 +237,25 @@ def frame_from_axes(mesh: TriangleMesh, head: str | None = None, ahead: str | No
 
 
 def _upright(mesh: TriangleMesh, looks: Float64[Array, 3]) -> str:
-    """The file's axis towards the head where nobody says it: y, else z.
+    """The file's axis towards the head, by default: y, else z.
 
-    It is z where the skin looks along y, unless the trunk stands along it: an open tube looks along itself.
+    It is z if the skin faces along y, unless the trunk's axis is y: an open tube faces along its axis.
     """
     vectors = mesh.face_vectors()
     area = np.linalg.norm(vectors, axis=1)
     normals = (vectors / np.maximum(area, 1e-12)[:, None])[:: max(1, len(vectors) // _AXIS_SAMPLES)]
     axis, _ = max((level_axis(normals, start) for start in np.eye(3)), key=lambda found: found[1])
-    if abs(axis[1]) > _STANDS:
+    if abs(axis[1]) > _UPRIGHT:
         return "y"
     along_y = np.argmax(np.abs(looks)) == 1 and abs(looks[1]) > _ONE_SIDED
-    along_z = abs(axis[2]) > _STANDS and abs(looks[2]) < _ONE_SIDED  # a front that leans far looks along z, too
+    along_z = abs(axis[2]) > _UPRIGHT and abs(looks[2]) < _ONE_SIDED  # a front that leans far faces along z, too
     return "z" if along_y or along_z else "y"
 
 
 def _ahead_by_breasts(mesh: TriangleMesh, up: Float64[Array, 3]) -> Float64[Array, 3] | None:
-    """Find straight ahead of a torso with its back by its breasts. None if no side clearly has them.
+    """Straight ahead of a torso with its back, from its breasts. None if no side clearly has them.
 
-    The directions across its width are tried first, then those along it.
+    Directions across the torso's width are tried before those along it.
 
     Args:
         mesh: mm.
@@ -285,7 +278,7 @@ def _ahead_by_breasts(mesh: TriangleMesh, up: Float64[Array, 3]) -> Float64[Arra
 
 
 def _along_axis(direction: Float64[Array, 3]) -> Float64[Array, 3]:
-    """The axis of the file that is near to a direction, else the direction."""
+    """The file's axis near a direction, else the direction itself."""
     axis = np.sign(direction) * (np.abs(direction) == np.abs(direction).max())
     return axis if direction @ axis > _ALONG_AXIS else direction
 
@@ -300,17 +293,14 @@ def _axis(name: str, option: str) -> Float64[Array, 3]:
 
 
 def in_mesh_unit(points_mm: Float64[Array, "n 3"], mesh: TriangleMesh, mm_per_unit: float) -> Float64[Array, "n 3"]:
-    """A drawn curve in mm.
-
-    It is taken in mm, or in the mesh file's unit if it then lies on the mesh, and nearer.
-    """
+    """A drawn curve in mm. Its unit is mm, or the mesh file's if that puts the curve on the mesh, and nearer to it."""
     vertices = point_tree(mesh.vertices)
     as_mm, as_unit = (float(np.median(vertices.query(points_mm * factor)[0])) for factor in (1.0, mm_per_unit))
     return points_mm * mm_per_unit if as_unit < min(_ON_MESH_MM, as_mm) else points_mm
 
 
 def _frame_from_landmarks(places: Places) -> Float64[Array, "3 3"] | None:
-    """Frame from fold, medial and lateral end of each complete side. None if no side has all three."""
+    """Frame from fold, medial and lateral end of the complete sides. None if no side is complete."""
     across, up = np.zeros(3), np.zeros(3)
     for side, sign in (("left", 1.0), ("right", -1.0)):
         needed = [f"{name}_{side}" for name in ("medial", "lateral", "inframammary_fold")]
@@ -326,11 +316,11 @@ def _frame_from_landmarks(places: Places) -> Float64[Array, "3 3"] | None:
 
 
 def viewer(frame: Float64[Array, "3 3"], mesh: TriangleMesh) -> Rig:
-    """Two eyes in front of the mesh, level and upright. They took no photograph.
+    """Rig of two virtual cameras in front of a mesh, level and upright.
 
     Args:
         frame: patient's left, head, straight ahead (rows).
-        mesh: the mesh that they look at, mm.
+        mesh: the mesh in view, mm.
     """
     left, up, ahead = frame
     rotation = np.stack([left, -up, -ahead])

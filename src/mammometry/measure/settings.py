@@ -1,4 +1,4 @@
-"""Settings of the measurement: boundary, wall and uncertainty. Postures of the patient."""
+"""Settings of the measurement (boundary, wall, uncertainty), and the patient's postures."""
 
 from __future__ import annotations
 
@@ -6,29 +6,29 @@ from dataclasses import dataclass, field
 from typing import Literal, TypeAlias, get_args
 
 Posture: TypeAlias = Literal["leaning", "standing", "lying"]
-"""As a clinic's visit names them."""
+"""Posture of the patient, as recorded in a clinic's visit."""
 POSTURES: tuple[Posture, ...] = get_args(Posture)
 NOT_TO_BE_COMPARED = "Volumes of different postures are not to be compared"
 
 
 SINCE = "since"
-"""In a setting's metadata: the version that brought it. Keys of stored results hold it where it is changed."""
+"""Metadata of a setting: the version that added it. It is in keys of stored results only if it is not the default."""
 ProtocolJoin = Literal["arc", "geodesic"]
-"""How a boundary runs between landmarks. See `protocol`."""
-_THICKEST_LAYER_MM = 100.0  # real women have 24 ± 8 mm where it is thickest; more is a slip of the unit or the point
+"""How a boundary runs between landmarks (`boundary.protocol`)."""
+_THICKEST_LAYER_MM = 100.0  # real women have 24 ± 8 mm where it is thickest; more is a wrong unit or decimal point
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BaseRimSettings:
-    """How the base of a cast is found from its visible rim (docs/method, volume)."""
+    """Base of a cast, from its visible rim (docs/method, volume)."""
 
     rim_radius_mm: float = 0.24
-    """Assumed radius of the rounded rim if session.toml gives none, mm. A camera sees where the rounding turns away,
-    not where the cast ends, so the base is placed half of the radius behind the visible rim. Photographs do not show
-    the radius (docs/decisions/0017)."""
+    """Assumed radius of the rounded rim if session.toml gives none, mm. A camera sees where the rounding turns away and
+    not where the cast ends, so the base is placed half the radius behind the visible rim. Photographs do not show the
+    radius (docs/decisions/0017)."""
     minimum_sectors: int = 36
-    """Directions around the cast, out of 72, that must have rim points. Half of them: with a third, points fitted two
-    planes equally well, of which one was wrong (docs/decisions/0009)."""
+    """Least number of directions around the cast, out of 72, with rim points. With a third of them, points fitted two
+    planes equally well, one of them wrong (docs/decisions/0009)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,20 +82,20 @@ class LayerSettings:
 class ObserverSettings:
     """Standard uncertainty of a drawn curve by region, mm.
 
-    Two ratings of one point of a breast's boundary are 3.5 mm apart on average at the surest of three places and 6.7 mm
-    at the least sure, by one person or by two alike (16 women, doi 10.1007/s00238-018-1431-2). If each rating scatters
-    by σ across and along the curve, their mean distance is √π σ. So σ is 2.0 to 3.8 mm. The same authors call the fold
-    and the medial border easy to see, and the upper and lateral border without landmarks.
+    Two ratings of a point of a breast's boundary are 3.5 mm apart on average at the most certain of three places and
+    6.7 mm at the least certain, by one person as by two (16 women, doi 10.1007/s00238-018-1431-2). If each rating
+    scatters by σ across and along the curve, their mean distance is √π σ, so σ is 2.0 to 3.8 mm. The authors call the
+    fold and the medial border easy to see, and the upper and lateral border without landmarks.
     """
 
     medial_mm: float = 2.0
-    """Towards the breastbone, mm: value of the surest place."""
+    """Towards the breastbone, mm: value of the most certain place."""
     lower_mm: float = 2.0
-    """At the fold below the breast, mm: value of the surest place."""
+    """At the fold below the breast, mm: value of the most certain place."""
     upper_mm: float = 3.0
-    """Towards the collarbone, mm: between the two (their root mean square)."""
+    """Towards the collarbone, mm: root mean square of the two extremes."""
     lateral_mm: float = 3.8
-    """Towards the armpit, mm: value of the least sure place."""
+    """Towards the armpit, mm: value of the least certain place."""
 
     def __post_init__(self) -> None:
         if min(self.medial_mm, self.lower_mm, self.upper_mm, self.lateral_mm) < 0:

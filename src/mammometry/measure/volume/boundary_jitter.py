@@ -88,8 +88,9 @@ _SKIN_MARGIN_MM = 10.0  # skin around a redrawn curve onto which it is projected
 def boundary_std_cc(breast: OpenBreast, wall: ChestWall) -> float | None:
     """Standard deviation of the volume by jitter of a torso's boundary, cc.
 
-    None if no displaced curve can be followed, so that a derivative is unknown. The standard deviation of the jitter is that between observers (``settings.observers``), plus ``UNSEEN_SLOPE`` of
-    the distance from measured skin, because unmeasured skin may be wrong and shows no crease.
+    The standard deviation of the jitter is that between observers (``settings.observers``), plus ``UNSEEN_SLOPE`` of
+    the distance from measured skin, because unmeasured skin may be wrong and shows no crease. None if the displaced
+    curve can be followed on neither side.
 
     The jitter is a displacement across the curve, along the skin, by independent Fourier terms up to the third order,
     each with that profile. Each order has the same share of the variance. For each of the seven terms the curve is
