@@ -1,1 +1,1 @@
-"""The trunk under the breasts."""
+"""The trunk without breasts: body frame, axis, radius, flattened skin."""

@@ -1,8 +1,7 @@
-"""The body's frame: axis, mid-sagittal plane, direction of the head.
+"""The body frame: axis, mid-sagittal plane, direction of the head.
 
-It is found once, from the trunk. Left, up and ahead mean this frame everywhere: in the search for breasts, walls,
-quadrants, ptosis, comparison, views. The cameras only show roughly where the head is, and the body itself is tested
-for agreement.
+It is found once, from the trunk, and used everywhere: for the search for breasts, walls, quadrants, ptosis, comparisons
+and views. The cameras give the head's direction only approximately; it is tested against the body itself.
 """
 
 from __future__ import annotations
@@ -31,37 +30,36 @@ from mammometry.measure.trunk.thorax import (
 from mammometry.surface.repair.repair import RepairedSurface
 
 Mounting: TypeAlias = Literal["upright", "upside-down", "left", "right"]
-"""Where a camera's top points, as seen from behind it."""
-
-_BESIDE_MM = 10.0  # skin this near to a boundary counts as breast; chosen by eye
-_WINDOW_MM = 250.0  # skin this near to the breasts' middle shows the plane; chosen by eye
-_MOST_TURN_RAD = np.deg2rad(40.0)  # between the plane's normal and the cameras' left; beyond it no plane was found
-_LOOSE_MM = 0.6  # a plane whose place is known no better than this is none; found ones have .1 to .3
-_UNLIKE_MM = 4.0  # a trunk that is its own mirror image no better than this shows no plane; found ones have .5 to 1.8
-_TURNS_DEG = 30.0  # to either side of the cameras' ahead in which straight ahead is looked for; chosen by eye
-_CELL_DEG, _CELL_MM = 3.0, 12.0  # in which the trunk's radius is averaged for that
-_MISFIT_MM = 10.0  # at which a misfit of both sides is limited; chosen by eye
-_TURN_MM_PER_DEG = 0.01  # cost of a turn, so that a round trunk is left as the cameras have it
-_FEWEST_CELLS = 60  # pairs of cells that must be seen on both sides; chosen by eye
-_STARTS_DEG = (0.0, -10.0, 10.0, -20.0, 20.0)  # turns about the axis that are tried
-_FACING_ROUNDS = 3  # of finding the axis and straight ahead, each from the other; chosen by eye
+"""Direction of a camera's top, as seen from behind it."""
+_BESIDE_MM = 10.0  # skin within this distance outside a boundary counts as breast; not critical
+_WINDOW_MM = 250.0  # skin within this distance of the breasts' middle determines the plane; not critical
+_MOST_TURN_RAD = np.deg2rad(40.0)  # largest angle between the plane's normal and the cameras' left
+_LOOSE_MM = 0.6  # largest standard uncertainty of a plane's position; found planes have 0.1 to 0.3
+_UNLIKE_MM = 4.0  # largest scatter of a trunk about its mirror image; found planes have 0.5 to 1.8
+_TURNS_DEG = 30.0  # straight ahead is searched this far to either side of the cameras' direction; not critical
+_CELL_DEG, _CELL_MM = 3.0, 12.0  # size of the cells over which the trunk's radius is averaged for that search
+_MISFIT_MM = 10.0  # cap on the misfit of a pair of cells; not critical
+_TURN_MM_PER_DEG = 0.01  # cost of a turn, so that a round trunk keeps the cameras' direction
+_FEWEST_CELLS = 60  # fewest pairs of cells that are visible on both sides; not critical
+_STARTS_DEG = (0.0, -10.0, 10.0, -20.0, 20.0)  # initial turns about the axis
+_FACING_ROUNDS = 3  # iterations of axis and straight ahead; not critical
 
 
 @value(eq=False)
 class Body:
-    """The patient's own directions, and where the middle is."""
+    """The patient's own directions, and the mid-sagittal plane."""
 
     frame: Float64[Array, "3 3"]
     """Rows: the patient's left, the head, straight ahead. World frame, orthonormal."""
     point_world: Float64[Array, 3]
     """A point of the mid-sagittal plane, mm."""
     plane_sigma_mm: float | None
-    """Standard uncertainty of the plane's place along its normal, mm. None if the trunk shows no plane. The frame is
-    then the cameras'."""
+    """Standard uncertainty of the plane's position along its normal, mm. None without a plane; the frame is then that
+    of the cameras."""
     scatter_mm: float | None
-    """Robust standard deviation of the trunk from its mirror image, without the breasts, mm. None without a plane."""
+    """Robust standard deviation of the trunk, without the breasts, from its mirror image, mm. None without a plane."""
     how: str
-    """What the frame rests on, one sentence."""
+    """How the frame was found, one sentence."""
 
     @property
     def left(self) -> Float64[Array, 3]:
@@ -75,7 +73,7 @@ class Body:
 
     @property
     def plane(self) -> MirrorPlane | None:
-        """The mid-sagittal plane. None if the trunk shows none."""
+        """The mid-sagittal plane, or None."""
         if self.plane_sigma_mm is None or self.scatter_mm is None:
             return None
         return MirrorPlane(
@@ -87,17 +85,17 @@ class Body:
 
 
 def camera_up(camera: Camera, mounting: Mounting = "upright") -> Float64[Array, 3]:
-    """Unit vector that is up for a mounted camera, world frame."""
+    """Unit vector upwards for a mounted camera, world frame."""
     right, down, _ = camera.camera_from_world.rotation
     return np.asarray({"upright": -down, "upside-down": down, "left": right, "right": -right}[mounting])
 
 
 def rig_frame(rig: Rig, mounting: Mapping[str, Mounting] | None = None) -> Float64[Array, "3 3"]:
-    """Patient's left, head and straight ahead, as rows, from cameras that are upright on average.
+    """Patient's left, head and straight ahead (rows), from cameras that are upright on average.
 
     Args:
         rig: the calibrated cameras.
-        mounting: camera → how it is mounted; those that are not named are upright.
+        mounting: camera → how it is mounted; all others are upright.
     """
     known = mounting or {}
     up = np.mean([camera_up(camera, known.get(name, "upright")) for name, camera in rig.cameras.items()], axis=0)
@@ -113,21 +111,18 @@ def find_body(
     skin: Skin | None = None,
     stated: bool = False,
 ) -> Body:
-    """Find the trunk's axis and its mid-sagittal plane.
+    """Body frame from the trunk's axis and mid-sagittal plane, else from two breasts, else from the cameras.
 
     Args:
         surface: the repaired mesh, world frame, mm.
-        rough: patient's left, head, straight ahead (rows), as the cameras have it (`rig_frame`).
-        boundaries: curves around the breasts, whose skin is left out; without them the breasts are outliers of the
-            symmetry. Two of them show which way the trunk lies.
-        skin: the visible skin, where it is known already.
-        stated: whether the user said where the head is: then no sign contradicts it.
-
-    Returns:
-        The frame. Where the trunk shows no axis or no plane, that of two breasts or of the cameras, and `how` says so.
+        rough: patient's left, head, straight ahead (rows), from the cameras (`rig_frame`).
+        boundaries: curves around the breasts, whose skin is excluded; without them the breasts are outliers of the
+            symmetry. Two of them determine the trunk's direction.
+        skin: the visible skin, if already known.
+        stated: whether the user stated the head's direction, which is then not tested.
 
     Raises:
-        MeasureError: the trunk lies across the rough frame's up.
+        MeasureError: the trunk is perpendicular to the rough frame's up.
     """
     skin = seen_skin(surface) if skin is None else skin
     if not stated and (_one_above_the_other(boundaries, rough) if len(boundaries) == 2 else lies_across(skin, rough)):
@@ -135,11 +130,11 @@ def find_body(
             "torso",
             found="a trunk across the assumed upward direction",
             expected="a trunk along this direction",
-            remedy='Say in session.toml how the cameras are mounted: rig.mounting = "left" or "right"',
-            mesh_remedy="Say which of the file's axes points to the head: --head x, for example",
+            remedy='State in session.toml how the cameras are mounted: rig.mounting = "left" or "right"',
+            mesh_remedy="Give the file's axis towards the head, for example --head x",
         )
     middle = np.mean([curve.mean(axis=0) for curve in boundaries], axis=0) if boundaries else None
-    if boundaries:  # a large breast's upper slope is as straight as a trunk, and leans up to 30° from it
+    if boundaries:  # a large breast's upper slope is as straight as a trunk, and up to 30° from it
         breast = np.any([within_boundary(skin.points_world, curve) for curve in boundaries], axis=0)
         skin = skin if breast.all() else skin.chosen(~breast)
     frame, point = rough, skin.points_world.mean(axis=0) if middle is None else middle
@@ -169,10 +164,9 @@ def find_body(
 
 
 def _facing_ahead(skin: Skin, first: Trunk, middle: Float64[Array, 3] | None) -> Trunk:
-    """The trunk turned to face ahead.
+    """The trunk turned about its axis to the direction of greatest symmetry.
 
-    Of several turns about the axis it takes the one with the most alike sides, then refines it. Which skin shows the
-    trunk's sides, and so where its axis lies, depends on the turn. So several are tried.
+    Several initial turns are tried, because the turn determines which skin counts as the trunk's sides.
     """
 
     def turned(trunk: Trunk, angle_rad: float) -> tuple[float, float, Trunk]:
@@ -184,7 +178,7 @@ def _facing_ahead(skin: Skin, first: Trunk, middle: Float64[Array, 3] | None) ->
         try:
             tried.append(turned(first, np.deg2rad(angle_deg)))
         except MeasureError:
-            continue  # no skin of the sides is seen in that direction
+            continue  # no skin of the sides is visible in that direction
     best = min(tried, key=lambda scored: scored[0]) if tried else turned(first, 0.0)
     for _ in range(_FACING_ROUNDS):
         again = turned(best[2], best[1])
@@ -195,10 +189,7 @@ def _facing_ahead(skin: Skin, first: Trunk, middle: Float64[Array, 3] | None) ->
 
 
 def _least_asymmetry(skin: Skin, trunk: Trunk) -> tuple[float, float]:
-    """Return the least asymmetry, mm, and the angle about the axis, rad, at which it is found.
-
-    There the trunk's radius is most alike to both sides. The asymmetry is the mean of limited misfits.
-    """
+    """Least asymmetry of the trunk's radius (mean of capped misfits), mm, and its angle about the axis, rad."""
     cylindrical = trunk.cylindrical(skin.about(TRUNK_SAMPLES).points_world)
     theta = np.rad2deg(cylindrical[:, 0] / trunk.half_width_mm)
     keep = (np.abs(cylindrical[:, 1]) < HEIGHT_WINDOW_MM) & (np.abs(theta) < WIDEST_DEG)
@@ -211,7 +202,7 @@ def _least_asymmetry(skin: Skin, trunk: Trunk) -> tuple[float, float]:
     sums = np.bincount(cell, cylindrical[keep, 2], minlength=rows * columns)
     radius = np.where(count > 0, sums / np.maximum(count, 1), np.nan).reshape(rows, columns)
     middle, most = (columns - 1) / 2, _TURNS_DEG / _CELL_DEG
-    shifts = np.arange(int(np.ceil(2 * (middle - most))), int(2 * (middle + most)) + 1)  # twice the place of the middle
+    shifts = np.arange(int(np.ceil(2 * (middle - most))), int(2 * (middle + most)) + 1)  # twice the middle's index
     unlike = np.full(len(shifts), np.inf)
     place = np.arange(columns)
     for number, twice in enumerate(shifts):
@@ -219,7 +210,7 @@ def _least_asymmetry(skin: Skin, trunk: Trunk) -> tuple[float, float]:
         inside = (partner > place) & (partner < columns)
         apart = np.abs(radius[:, place[inside]] - radius[:, partner[inside]])
         apart = apart[np.isfinite(apart)]
-        if len(apart) >= _FEWEST_CELLS:  # a breast that the other side lacks counts no more than a limited misfit
+        if len(apart) >= _FEWEST_CELLS:  # misfits are capped: a missing breast counts little
             turned_deg = abs(twice / 2 - middle) * _CELL_DEG
             unlike[number] = float(np.minimum(apart, _MISFIT_MM).mean()) + _TURN_MM_PER_DEG * turned_deg
     if not np.isfinite(unlike).any():
@@ -229,9 +220,9 @@ def _least_asymmetry(skin: Skin, trunk: Trunk) -> tuple[float, float]:
 
 
 def lies_across(skin: Skin, frame: Float64[Array, "3 3"]) -> bool:
-    """Whether the trunk's axis runs along the frame's left instead of up.
+    """Whether the trunk's axis is along the frame's left instead of up, because the cameras are rolled by 90°.
 
-    Then the cameras are rolled by 90°. The axis is the direction that most of the skin is level with, of those found
+    The axis is the direction to which most of the skin is parallel, of those found
     from either start. Upright torsos have .46 to .49 of it along the trunk and .27 to .36 across.
     """
     normals = skin.about(TRUNK_SAMPLES).normals_world
@@ -241,13 +232,13 @@ def lies_across(skin: Skin, frame: Float64[Array, "3 3"]) -> bool:
 
 
 def _one_above_the_other(curves: Sequence[Float64[Array, "_ 3"]], frame: Float64[Array, "3 3"]) -> bool:
-    """Whether both breasts lie along the frame's up, as they do where the trunk lies across it."""
+    """Whether both breasts are one above the other in the frame, because the trunk is across it."""
     aside, up, _ = frame @ (curves[0].mean(axis=0) - curves[1].mean(axis=0))
     return bool(abs(up) > abs(aside))
 
 
 def _level_with(curves: Sequence[Float64[Array, "_ 3"]], frame: Float64[Array, "3 3"]) -> Float64[Array, "3 3"]:
-    """The frame turned about its up so that two curves lie level with its left."""
+    """The frame turned about its up so that its left is parallel to the line between two curves."""
     across = curves[0].mean(axis=0) - curves[1].mean(axis=0)
     return orthonormal(frame[1], np.cross(across if across @ frame[0] > 0 else -across, frame[1]))
 
@@ -255,11 +246,7 @@ def _level_with(curves: Sequence[Float64[Array, "_ 3"]], frame: Float64[Array, "
 def _plane(
     skin: Skin, trunk: Trunk, boundaries: Sequence[Float64[Array, "_ 3"]], middle: Float64[Array, 3] | None
 ) -> MirrorPlane:
-    """The trunk's mid-sagittal plane.
-
-    Raises:
-        MeasureError: the trunk is not its own mirror image about any plane near the middle.
-    """
+    """The trunk's mid-sagittal plane. Raises a MeasureError if the trunk is not symmetric about one near the middle."""
     some = skin.about(TRUNK_SAMPLES)
     points, normals = some.points_world, some.normals_world
     centre = trunk.origin if middle is None else middle
@@ -280,7 +267,7 @@ def _plane(
 
 
 def _frame(left: Float64[Array, 3], up: Float64[Array, 3], ahead: Float64[Array, 3]) -> Float64[Array, "3 3"]:
-    """Rows left, up, ahead, with up made square to left."""
+    """Rows left, up, ahead, with up orthogonal to left."""
     up = up - left * (left @ up)
     up /= np.linalg.norm(up)
     forward = np.cross(left, up)
@@ -288,10 +275,10 @@ def _frame(left: Float64[Array, 3], up: Float64[Array, 3], ahead: Float64[Array,
 
 
 def within_boundary(points: Float64[Array, "n 3"], boundary: Float64[Array, "b 3"]) -> Bool[Array, " n"]:
-    """Mask of the points inside a boundary, or within a centimetre of it.
+    """Mask of the points inside a boundary or within 10 mm of it.
 
-    A point lies inside if it is nearer to the boundary's middle than the boundary is in that direction, seen along the
-    boundary's normal. Skin that hangs over the boundary is inside too.
+    A point is inside if, seen along the boundary's normal, it is nearer to the boundary's centre than the boundary is
+    in that direction. Skin that hangs over the boundary is inside too.
     """
     centre = boundary.mean(axis=0)
     _, _, axes = np.linalg.svd(boundary - centre, full_matrices=False)
@@ -302,5 +289,5 @@ def within_boundary(points: Float64[Array, "n 3"], boundary: Float64[Array, "b 3
         np.arctan2(flat[:, 1], flat[:, 0]), around[order], np.linalg.norm(outline, axis=1)[order], period=2 * np.pi
     )
     size = float(np.linalg.norm(outline, axis=1).max())
-    before = np.abs((points - centre) @ axes[2]) < 2 * size  # not the back, far behind the breast
+    before = np.abs((points - centre) @ axes[2]) < 2 * size  # excludes the back, far behind the breast
     return (np.linalg.norm(flat, axis=1) < reach + _BESIDE_MM) & before

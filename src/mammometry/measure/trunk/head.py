@@ -1,7 +1,7 @@
-"""Find which end of the trunk is the head's, by the body itself.
+"""Direction of the head along the trunk, from the body itself.
 
-Four signs, each between −1 and 1 at most, and each with the other sign once the body is turned over. None of them holds
-for every body: arms that hang are seen at all heights, and mounds are as full above as below. So they are added.
+Four signs, each between −1 and 1, are added. Each is reversed if the body is upside down. None of them is reliable for
+every body: hanging arms are visible at all heights, and mounds are as full above as below.
 """
 
 from __future__ import annotations
@@ -15,51 +15,50 @@ from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.measure.trunk.thorax import ARM, Skin, Trunk
 
-_SHOULDERS = (ARM, 1.7)  # half widths from the axis at which arms leave the trunk; chosen by eye
-_FEWEST = 200  # samples of skin for a sign to say anything
+_SHOULDERS = (ARM, 1.7)  # distances from the axis at which arms leave the trunk, in half widths; not critical
+_FEWEST = 200  # fewest samples of skin for a sign
 _LEAST_ARMS = 0.05
-"""Share of all skin seen, below which it is no arm: a shelf beside a body without arms gave .015, arms .10 to .17."""
+"""Least share of arms in the visible skin: a shelf beside a body without arms gave 0.015, arms 0.10 to 0.17."""
 _CLEAR_SHOULDERS = 0.6
-"""Balance of that skin below which it says nothing: arms that hang are seen at all heights (−.7 to .6 on upright
-bodies); raised ones, or on a frame, gave .7 to 1."""
+"""Least balance of that skin for a sign: hanging arms, visible at all heights, gave −0.7 to 0.6 on upright bodies;
+raised ones, or arms on a frame, 0.7 to 1."""
 _FLANK_DEG, _FLANK = (65.0, 115.0), (0.75, ARM)
-"""Skin that faces aside (degrees from straight ahead) this many half widths from the axis is the trunk's flank."""
-_FLANK_MM = 200.0  # flanks are looked at this far up and down at most; chosen by eye
+"""Flank: directions of the skin's normals, degrees from straight ahead, and distances from the axis, half widths."""
+_FLANK_MM = 200.0  # largest height above and below the breasts of flanks; not critical
 _AHEAD, _LAST = 0.5, 0.005
-"""Skin within this share of the half width shows how far up and down pictures reach, but for this share of it."""
-_MIDLINE_MM, _BIN_MM = 20.0, 10.0  # half width of the strip along the midline, and height of its parts; chosen by eye
-_FRONT_MM = (40.0, 230.0)  # heights above and below the breasts at which the strip is compared; chosen by eye
-_FEWEST_IN_BIN, _FEWEST_BINS = 5, 5  # samples of a part, and parts seen both above and below
-_SLOPE = 0.2  # sine of the mean slope at which the strip says all it can; upright bodies have −.04 to 1
+"""Skin within this share of the half width shows the upper and lower end of the images; extreme quantiles left out."""
+_MIDLINE_MM, _BIN_MM = 20.0, 10.0  # half width of the strip along the midline, and height of its bins; not critical
+_FRONT_MM = (40.0, 230.0)  # heights above and below the breasts at which the strip is compared; not critical
+_FEWEST_IN_BIN, _FEWEST_BINS = 5, 5  # fewest samples of a bin, and fewest bins visible both above and below
+_SLOPE = 0.2  # sine of the mean slope at which the strip's sign is greatest; upright bodies have −0.04 to 1
 _FRONT_SHARE = 0.5
-"""What the strip says at most: half of the others. A chest that stands out over a flat belly slopes as much below as
-above (an independent renderer's body: −.1)."""
+"""Greatest sign of the strip, half of the others': a chest that projects over a flat belly slopes as much below as
+above (a body of an independent renderer: −0.1)."""
 _SHOWN = 0.5
-"""Sum of the signs above which the body shows the head up, and below whose opposite it contradicts the cameras
+"""Sum of the signs from which the head is up. Below its negative, the body contradicts the cameras
 (docs/decisions/0026)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeadSigns:
-    """Signs of the head on the body, each from −1 (at the other end) to 1. 0 says nothing."""
+    """Signs of the head's direction, each from −1 (at the other end) to 1; 0: unknown."""
 
     arms: float
     """Arms leave the trunk at the head's end."""
     breasts: float
-    """A breast is fuller and its crease sharper at the feet's end."""
+    """A breast is fuller and its crease sharper towards the feet."""
     flanks: float
-    """The trunk's own sides are seen from the armpits to the feet's end. Arms cover them at the head's."""
+    """The trunk's sides are visible below the armpits; above them arms cover them."""
     front: float
-    """The breastbone and what lies above slope back towards the neck. The belly slopes less, or forwards. Between −.5
-    and .5."""
+    """The breastbone slopes back towards the neck, the belly less or forwards. Between −0.5 and 0.5."""
 
     @property
     def together(self) -> float:
-        """Sum of all."""
+        """Sum of the signs."""
         return self.arms + self.breasts + self.flanks + self.front
 
     def words(self) -> str:
-        """The signs that say something, a clause."""
+        """The signs that are not 0, as a clause."""
         reasons = []
         if self.arms:
             share = 50 * (1 + abs(self.arms))
@@ -78,19 +77,19 @@ class HeadPlace:
     """Result of `check_head`."""
 
     words: str
-    """What the body shows, a clause."""
+    """Result of the test, as a clause."""
     is_shown: bool = True
-    """Whether the body shows its head, or the user stated it. False: left and right depend on the cameras' mounting."""
+    """Whether the body shows the head's direction, or the user stated it. False: left and right depend on the cameras'
+    mounting."""
 
 
 def head_signs(skin: Skin, trunk: Trunk, fuller_below: Sequence[float]) -> HeadSigns:
-    """Ask the body where its head is.
+    """Signs of the head's direction on the body.
 
     Args:
-        skin: what was seen of the torso.
+        skin: the torso's visible skin.
         trunk: its axis, at the height of the breasts.
-        fuller_below: for each breast that was found, how much fuller and sharper its lower end is, −1 to 1. The one
-            that says most counts: a mound beside it says nothing.
+        fuller_below: inferior–superior asymmetry of each breast, −1 to 1, of which the largest is used.
     """
     local = (skin.points_world - trunk.origin) @ trunk.frame.T
     normals = skin.normals_world @ trunk.frame.T
@@ -103,16 +102,16 @@ def head_signs(skin: Skin, trunk: Trunk, fuller_below: Sequence[float]) -> HeadS
 
 
 def check_head(signs: HeadSigns, *, stated: bool = False) -> HeadPlace:
-    """Compare where the head is said to be with what the body shows.
+    """Result of the comparison of the assumed head's direction with the body's signs.
 
-    A contradiction is refused, never swapped. The user's own word counts more than the signs.
+    A contradiction is refused and never corrected automatically. The user's statement takes precedence.
 
     Args:
         signs: of the body.
-        stated: whether the user said where the head is.
+        stated: whether the user stated the head's direction.
 
     Raises:
-        MeasureError: the body shows the head at the other end.
+        MeasureError: the head is at the other end.
     """
     words = signs.words()
     if stated and signs.together < _SHOWN:
@@ -123,10 +122,10 @@ def check_head(signs: HeadSigns, *, stated: bool = False) -> HeadPlace:
             "torso",
             found=f"the head at the lower end: {words}",
             expected="an upright patient, head up",
-            remedy='Say in session.toml how the cameras are mounted, for example rig.mounting = "upside-down"; '
-            "otherwise left and right are exchanged",
-            mesh_remedy="Say which of the file's axes points to the head: --head -y, for example; otherwise left and "
-            "right are exchanged",
+            remedy='State in session.toml how the cameras are mounted, for example rig.mounting = "upside-down"; '
+            "otherwise left and right are swapped",
+            mesh_remedy="Give the file's axis towards the head, for example --head -y; otherwise left and right are "
+            "swapped",
         )
     if signs.together < _SHOWN:
         unsure = f" ({words})" if words else ""
@@ -139,9 +138,9 @@ def _end(above: float) -> str:
 
 
 def _arms(local: Float64[Array, "n 3"], trunk: Trunk) -> float:
-    """Share of the skin where arms leave the trunk above the middle, less that below.
+    """Balance of the skin where arms leave the trunk: share above the middle minus share below.
 
-    0 if no such skin was seen, or nearly as much at either end, as with arms that hang.
+    0 if there is no such skin, or nearly as much at both ends, as with hanging arms.
     """
     near, far = _SHOULDERS
     aside = np.abs(local[:, 0]) / trunk.half_width_mm
@@ -151,9 +150,9 @@ def _arms(local: Float64[Array, "n 3"], trunk: Trunk) -> float:
 
 
 def _flanks(local: Float64[Array, "n 3"], normals: Float64[Array, "n 3"], trunk: Trunk) -> float:
-    """Share of the flanks' skin below the middle, less that above. The mean of those sides that were seen.
+    """Balance of the flanks' skin: share below the middle minus share above, mean of the visible sides.
 
-    Only as far up and down as the trunk's front was seen at both ends: where pictures end shows no head.
+    Only heights at which the front is visible above and below count, so that the images' ends have no effect.
     """
     front = local[(np.abs(local[:, 0]) < _AHEAD * trunk.half_width_mm) & (local[:, 2] > 0), 1]
     if len(front) < _FEWEST:
@@ -170,9 +169,9 @@ def _flanks(local: Float64[Array, "n 3"], normals: Float64[Array, "n 3"], trunk:
 
 
 def _front(local: Float64[Array, "n 3"], normals: Float64[Array, "n 3"]) -> float:
-    """Excess of the midline's skin that faces the head above the middle over what faces the feet below.
+    """Slope of the midline's skin towards the head above the middle, minus its slope towards the feet below.
 
-    Parts of the strip are compared with those as far below, so that it does not matter how much was pictured.
+    Each bin of the strip is compared with the one at the same distance below.
     """
     midline = (np.abs(local[:, 0]) < _MIDLINE_MM) & (local[:, 2] > 0) & (normals[:, 2] > 0)
     part = np.round(local[midline, 1] / _BIN_MM).astype(int)

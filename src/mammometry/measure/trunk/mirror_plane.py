@@ -1,4 +1,4 @@
-"""Robust registration of surfaces, and the plane about which skin is most nearly its own mirror image."""
+"""Robust registration of surfaces, and the plane of greatest symmetry of skin."""
 
 from __future__ import annotations
 
@@ -13,33 +13,30 @@ from mammometry.base.value import value
 from mammometry.geometry import Array, Float64, Transform
 from mammometry.geometry.nearest import point_tree
 
-_SAMPLES = 6000  # points that are moved; chosen for speed
-_ROUNDS = 60  # at most
-_FEWEST = 200  # partners needed; chosen by eye
-_FACING = 0.7  # cosine of the angle between partners' normals at least; chosen by eye
-_TUKEY = 4.0  # scatters at which a partner counts no more; chosen by eye
-_FINEST_MM = 0.15  # least scatter assumed: the skin's own noise
-_RIDGE = 1e-6  # share of the trace by which motions that the surfaces do not determine are held
-_SHARED = 25.0  # points that share one error, since neighbours share a matching window
+_SAMPLES = 6000  # moving points; chosen for speed
+_ROUNDS = 60  # most iterations
+_FEWEST = 200  # fewest partners; not critical
+_FACING = 0.7  # least cosine between partners' normals; not critical
+_TUKEY = 4.0  # Tukey's constant, in scatters; not critical
+_FINEST_MM = 0.15  # least scatter: the skin's own noise
+_RIDGE = 1e-6  # regularisation of motions that the surfaces do not determine, as a share of the trace
+_SHARED = 25.0  # points with a common error, because neighbours share a matching window
 _FIRST_REACH_MM, _NARROWING, _REACH, _LEAST_REACH_MM = 30.0, 0.8, 6.0, 3.0
-"""Search distance for partners: the first, mm. It shrinks by this factor each round, but not below so many scatters and
-so many mm. Chosen by eye."""
-_AT_REST = 0.01
-"""A step below this share of the motion's uncertainty ends the search. Smaller steps never end where partners change to
-and fro."""
+"""Search distance for partners: first value, mm; factor per round; lower limits, in scatters and mm. Not critical."""
+_AT_REST = 0.01  # largest last step, relative to the motion's uncertainty; with a smaller one partners may oscillate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Registration:
-    """A rigid motion and how well it fits."""
+    """A rigid motion with its quality."""
 
     fixed_from_moving: Transform
     scatter_mm: float
     """Robust standard deviation of the distances along the normal, mm."""
     weakest_mm: float
-    """Standard uncertainty of the least certain of the six motions, as displacement at the surface's radius, mm: how
-    far two surfaces can be shifted against each other unnoticed (a round trunk along itself). One in 25 points counts
-    as independent, since neighbours share the errors of their matching windows."""
+    """Standard uncertainty of the least certain of the six motions, as displacement at the surface's radius, mm; large
+    for a round trunk, which can slide along itself. One in 25 points counts as independent, because neighbours share
+    the errors of their matching windows."""
 
 
 def register(
@@ -49,15 +46,15 @@ def register(
     start: Transform | None = None,
     subject: str = "surfaces",
 ) -> Registration:
-    """Register points with normals by iterated closest points.
+    """Rigid registration of points with normals by iterated closest points, point to plane, with Tukey's weights.
 
-    Point to plane, with Tukey's weights. Partners are looked for within a reach that shrinks with the scatter, where
-    the normals agree. Motions that the surfaces do not determine are left unchanged (a ridge in the normal equations).
+    Partners must be within a distance that shrinks with the scatter, and have similar normals. Motions that the
+    surfaces do not determine remain unchanged (regularised normal equations).
 
     Args:
         moving: points and unit normals that are moved, mm.
-        fixed: points and unit normals that they are laid onto, mm, about as dense or denser.
-        start: first guess; None if none is needed.
+        fixed: points and unit normals, mm, at least about as dense.
+        start: initial motion; None: the identity.
         subject: what is registered, for messages.
 
     Raises:
@@ -101,20 +98,20 @@ def register(
     return Registration(fixed_from_moving=motion, scatter_mm=scale, weakest_mm=float(weakest))
 
 
-_PLANE_ROUNDS = 6  # of mirroring and registering; it ends when the plane is at rest
-_AT_REST_RAD = 1e-4  # a plane that turns by less is at rest
+_PLANE_ROUNDS = 6  # most iterations of mirroring and registering
+_AT_REST_RAD = 1e-4  # largest last turn of the plane
 
 
 @value(eq=False)
 class MirrorPlane:
-    """A plane of symmetry and how well it holds."""
+    """A plane of symmetry with its quality."""
 
     point_world: Float64[Array, 3]
     """A point of the plane, mm."""
     normal_world: Float64[Array, 3]
     """Its unit normal, towards the patient's left."""
     sigma_mm: float
-    """Standard uncertainty of the plane's place along its normal, mm."""
+    """Standard uncertainty of the plane's position along its normal, mm."""
     scatter_mm: float
     """Robust standard deviation of the skin from its own mirror image, mm."""
 
@@ -126,7 +123,7 @@ class MirrorPlane:
 def mirror(
     points: Float64[Array, "n 3"], plane_point: Float64[Array, 3], plane_normal: Float64[Array, 3]
 ) -> Float64[Array, "n 3"]:
-    """Mirror points at a plane."""
+    """Points mirrored at a plane."""
     return points - 2 * ((points - plane_point) @ plane_normal)[:, None] * plane_normal
 
 
@@ -136,10 +133,10 @@ def mirror_plane(
     point_world: Float64[Array, 3],
     left_world: Float64[Array, 3],
 ) -> MirrorPlane:
-    """Find the plane that makes skin most nearly its mirror image.
+    """Plane about which skin is most symmetric.
 
-    The skin is mirrored at a first plane and registered with itself. The motion found and the mirror make one improper
-    motion, whose plane is the next guess.
+    The skin is mirrored at a first plane and registered with itself. Mirror and motion together are an improper motion,
+    whose plane is the next estimate.
 
     Args:
         points_world: skin, mm, world frame.
@@ -148,7 +145,7 @@ def mirror_plane(
         left_world: its unit normal, towards the patient's left.
 
     Raises:
-        MeasureError: too little of the skin was seen on both sides.
+        MeasureError: too little skin is visible on both sides.
     """
     point, normal = point_world, left_world
     scatter = sigma = np.inf
@@ -165,7 +162,7 @@ def mirror_plane(
         normal = normal if normal @ left_world > 0 else -normal
         halfway = (points_world + image).mean(axis=0) / 2
         point = point + normal * float((halfway - point) @ normal)
-        # Not the motion's own turn: skin that is not quite symmetric keeps one about the plane's normal.
+        # Not the motion's own rotation: slightly asymmetric skin keeps one about the plane's normal.
         if np.linalg.norm(normal - before) < _AT_REST_RAD:
             break
     return MirrorPlane(point_world=point, normal_world=normal, sigma_mm=float(sigma), scatter_mm=float(scatter))

@@ -1,8 +1,7 @@
-"""The skin laid flat around the trunk, as relief over the thorax.
+"""The skin flattened around the trunk, as a relief over the thorax without breasts.
 
-It shows how far the skin stands out from the thorax without breasts. Where a breast hangs over its fold there are
-several layers at one place. The innermost counts. The breast's skin then jumps back to the chest along the fold. So
-the fold is a crease of the picture, whether the breast hangs over it or not.
+Where a breast hangs over its fold there are several layers, of which the innermost is used. The relief then jumps back
+to the chest along the fold, so that the fold is a crease of the map whether the breast hangs over it or not.
 """
 
 from __future__ import annotations
@@ -43,10 +42,10 @@ def innermost(
         origin: a point of the trunk's axis.
         radius: coefficients of the trunk's radius, mm: row d belongs to the d-th power of height over the window's,
             the columns to 1, cos θ, sin θ, cos 2θ, sin 2θ, …
-        limits: half width of the trunk, half width and half height of the picture, distance aside at which an arm
+        limits: half width of the trunk, half width and half height of the map, distance to the side at which an arm
             begins; all in mm.
         pixel_mm: side of a pixel.
-        size: rows and columns of the picture.
+        size: rows and columns of the map.
     """
     half_width, width, height, arm = limits
     found = np.full((size[0], size[1]), np.inf)
@@ -77,7 +76,7 @@ def innermost(
 
 @kernel
 def longest_sides(vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], every: int) -> Float64[Array, " k"]:
-    """Longest side of every so many-th face, mm."""
+    """Longest side of every ``every``-th face, mm."""
     longest = np.zeros((len(faces) + every - 1) // every)
     for face in range(len(longest)):
         for corner in range(3):
@@ -95,13 +94,13 @@ def longest_sides(vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], e
 def middles_of_parts(
     vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], every: int, parts: Int64[Array, " k"]
 ) -> Float64[Array, "s 3"]:
-    """Middles of the n² equal parts of every so many-th face.
+    """Centroids of the n² equal parts of every ``every``-th face, mm.
 
     Args:
         vertices: mm.
         faces: corners.
         every: step through the faces.
-        parts: n, for each of the faces taken.
+        parts: n, for each of these faces.
     """
     count = 0
     for face in range(len(parts)):
@@ -124,32 +123,31 @@ def middles_of_parts(
     return middles
 
 
-PIXEL_MM = 2.0  # side of a pixel; creases are looked at over twice as much
-_SPECK = 3  # pixels; smaller specks of an outer layer are taken out
-_FINEST_MM = 0.75 * PIXEL_MM  # distance of samples on the skin, so that no pixel is missed
-_MOST_SAMPLES = 1_000_000  # of the skin; chosen for memory
-KNOWN_MM = 5.0  # a pixel is known if skin was seen this near; chosen by eye
-_EDGE_MM = 13.0  # from the end of the seen skin: three scales of 4 mm at which creases are looked at, and a pixel
+PIXEL_MM = 2.0  # side of a pixel, half of the scale of creases
+_SPECK = 3  # pixels; smaller specks of an outer layer are removed
+_FINEST_MM = 0.75 * PIXEL_MM  # spacing of samples on the skin, so that no pixel is missed
+_MOST_SAMPLES = 1_000_000  # most samples of the skin; chosen for memory
+KNOWN_MM = 5.0  # a pixel is known if there is visible skin within this distance; not critical
+_EDGE_MM = 13.0  # margin at the end of the visible skin: three times the 4 mm scale of creases, and a pixel
 _JUMP_MM, _JUMP_REACH = 10.0, 20
 """Rise of the bulge from one pixel to the next at the edge of an arm, mm, and the pixels of the trunk after which it
 has no effect: an arm's edge is near the trunk's side. A breast's flank that is as steep is near the midline."""
-_RISE_MM = 6.0  # by which skin that continues aside may rise again, as a border's (`boundary.crease`)
-_STEEP_MM = 60.0  # bulges above this count as this; chosen by eye
+_RISE_MM = 6.0  # largest rise of skin that continues to the side, as at a border (`boundary.crease`)
+_STEEP_MM = 60.0  # cap on the bulge; not critical
 
 
 @value(eq=False)
 class Relief:
-    """Bulge of the innermost skin over a grid, mm. The grid is (half width × θ, y), both in mm."""
+    """Bulge of the innermost skin over a grid (half width × θ, y) in mm."""
 
     low: Float64[Array, 2]
     """Position of the first pixel's centre, mm."""
     bulge_mm: Float64[Array, "h w"]
-    """Distance by which the skin stands out. Rows go to the head, columns to the patient's left. Gaps are filled with
-    the nearest."""
+    """Height over the thorax. Rows go to the head, columns to the patient's left. Gaps have the nearest value."""
     known: Bool[Array, "h w"]
-    """Whether skin was seen there, or next to it."""
+    """Whether there is visible skin within `KNOWN_MM`."""
     arm: Bool[Array, "h w"]
-    """Whether an arm was seen there, from the shoulder on, and no skin of the trunk."""
+    """Whether there is an arm, connected to the shoulder, and no skin of the trunk."""
 
     def smooth_mm(self, sigma_mm: float) -> Float64[Array, "h w"]:
         """The bulge, Gaussian-smoothed, mm."""
@@ -157,44 +155,43 @@ class Relief:
         return smoothed
 
     def concavity_per_mm(self, sigma_mm: float) -> Float64[Array, "h w"]:
-        """Laplacian of the smoothed bulge, 1/mm, above 0 in a valley.
+        """Laplacian of the smoothed bulge, 1/mm, positive in a valley: twice the mean curvature of gently sloping skin.
 
-        It is twice the mean curvature of gently sloping skin. Zero where no skin was seen, and towards the end of the
-        seen skin: there it is the filling's. Holes within the skin are no end.
+        Zero where no skin is visible and near the outer end of the visible skin, where it depends on the filling.
         """
-        shallow = np.minimum(self.bulge_mm, _STEEP_MM)  # how high a breast stands over its fold makes no fold deeper
+        shallow = np.minimum(self.bulge_mm, _STEEP_MM)  # a breast's height over its fold does not deepen the fold
         laplacian = gaussian_laplace(shallow, sigma_mm / PIXEL_MM) / PIXEL_MM**2
         return np.where(self.known, laplacian * self.within_its_end(_EDGE_MM), 0.0)
 
     def within_its_end(self, reach_mm: float) -> Float64[Array, "h w"]:
-        """0 at the outer end of the skin that was seen, 1 from `reach_mm` inwards."""
+        """Ramp from 0 at the outer end of the visible skin to 1 at `reach_mm` inwards."""
         around = np.pad(~self.known, 1, constant_values=True)
         parts, _ = label(around)
         away_mm = distance_transform_edt(parts != parts[0, 0])[1:-1, 1:-1] * PIXEL_MM
         return np.clip((away_mm - KNOWN_MM) / (reach_mm - KNOWN_MM), 0.0, 1.0)
 
     def at(self, flat: Float64[Array, "*n 2"], values: Float64[Array, "h w"]) -> Float64[Array, "*n"]:
-        """Sample a picture at (half width × θ, y), mm, bilinearly. Beyond its edge take the nearest value."""
+        """A map sampled bilinearly at (half width × θ, y), mm; beyond its edge the nearest value."""
         column, row = np.moveaxis((flat - self.low) / PIXEL_MM, -1, 0)
         sampled: Float64[Array, "*n"] = map_coordinates(values, [row, column], order=1, mode="nearest")
         return sampled
 
     def within(self, flat: Float64[Array, "*n 2"]) -> Bool[Array, "*n"]:
-        """Mask of the positions that lie on the picture."""
+        """Mask of the positions inside the map."""
         column, row = np.moveaxis((flat - self.low) / PIXEL_MM, -1, 0)
         height, width = self.bulge_mm.shape
         return np.asarray((column >= 0) & (row >= 0) & (column <= width - 1) & (row <= height - 1))
 
 
 def lay_flat(thorax: Thorax, points_world: Float64[Array, "n 3"]) -> Relief:
-    """Lay skin flat around the trunk, arms left out.
+    """Relief of the skin around the trunk, without arms.
 
     Args:
-        thorax: the trunk without breasts, from which the bulge is counted.
+        thorax: the trunk without breasts.
         points_world: samples of the skin (`dense_samples`), mm, world frame.
 
     Raises:
-        MeasureError: no skin lies there.
+        MeasureError: there is no skin.
     """
     trunk = thorax.trunk
     width, height = np.deg2rad(WIDEST_DEG) * trunk.half_width_mm, HEIGHT_WINDOW_MM
@@ -226,7 +223,7 @@ def lay_flat(thorax: Thorax, points_world: Float64[Array, "n 3"]) -> Relief:
         )
     away, nearest = distance_transform_edt(~known, return_indices=True)
     seen = np.asarray(away * PIXEL_MM < KNOWN_MM)
-    # A few pixels under an overhang may have been sampled on its outer layer only.
+    # A few pixels under an overhang may have samples of its outer layer only.
     bulge_mm = grey_opening(inner[tuple(nearest)], size=(_SPECK, _SPECK))
     return Relief(low=low, bulge_mm=bulge_mm, known=seen, arm=_arms(trunk, points_world, low, ~seen))
 
@@ -269,15 +266,16 @@ def _continues(inner: Float64[Array, "h w"], beyond: Float64[Array, "h w"]) -> B
 def _arms(
     trunk: Trunk, points_world: Float64[Array, "n 3"], low: Float64[Array, 2], unseen: Bool[Array, "h w"]
 ) -> Bool[Array, "h w"]:
-    """Mask of the pixels in which an arm was seen, or next to it, where the trunk is not.
+    """Mask of the pixels in or next to an arm, where no skin of the trunk is visible.
 
-    An arm comes from the shoulder, above the picture. Other skin so far aside is a breast's that has fallen there.
+    An arm comes from the shoulder, above the map. Other skin as far to the side belongs to a breast that has fallen
+    sideways.
 
     Args:
-        trunk: around which the skin is laid flat.
+        trunk: coordinates of the map.
         points_world: samples of the skin, mm.
         low: (half width × θ, y) of the first pixel's centre, mm.
-        unseen: where no skin of the trunk was seen.
+        unseen: pixels without visible skin of the trunk.
     """
     aside = np.abs((points_world - trunk.origin) @ trunk.frame[0]) >= ARM * trunk.half_width_mm
     column, row = np.rint((trunk.cylindrical(points_world[aside])[:, :2] - low) / PIXEL_MM).astype(np.int64).T
@@ -292,12 +290,11 @@ def _arms(
 
 
 def dense_samples(mesh: TriangleMesh) -> Float64[Array, "n 3"]:
-    """Points on all faces, no farther apart than about 1.5 mm.
+    """Points on all faces, at most about 1.5 mm apart, also on coarse meshes.
 
-    This holds for coarse meshes too. A face of longest edge l is divided into ⌈l/spacing⌉² equal parts, each of which
-    gives its middle.
+    A face with longest edge l is divided into ⌈l/spacing⌉² equal parts, each of which gives its centroid.
     """
-    every = max(1, len(mesh.faces) // _MOST_SAMPLES)  # so many are finer than the spacing
+    every = max(1, len(mesh.faces) // _MOST_SAMPLES)
     longest = longest_sides(mesh.vertices, mesh.faces, every)
     spacing = max(_FINEST_MM, float(np.sqrt((longest**2).sum() / _MOST_SAMPLES)))
     parts = np.maximum(np.ceil(longest / spacing).astype(np.int64), 1)

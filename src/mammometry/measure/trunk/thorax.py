@@ -1,4 +1,4 @@
-"""The trunk under the breasts: frame, axis and radius r(θ, y), smooth over the skin beside them."""
+"""The trunk under the breasts: frame, axis and smooth radius r(θ, y), fitted to the skin beside them."""
 
 from __future__ import annotations
 
@@ -14,53 +14,53 @@ from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 CHEST_SCALE_MM = 4.0
-"""Scatter of a chest about the smooth surface that is fitted to it, mm. Once the breasts are left out, skin that stands
-out up to three times as far still describes the trunk (muscle, collar bone)."""
+"""Scatter of a chest about the smooth surface fitted to it, mm. Without the breasts, skin up to three times as far out
+still belongs to the trunk (muscle, collarbone)."""
 HEIGHT_WINDOW_MM = 140.0
-"""Skin within this height of the breasts describes the trunk, mm."""
+"""Largest height above and below the breasts of skin that describes the trunk, mm."""
 WIDEST_DEG = 115.0
-"""Skin up to this far around from straight ahead describes the trunk, degrees."""
-TRUNK_SAMPLES = 60_000  # of the skin that show the trunk's axis and its plane of symmetry; chosen for speed
+"""Largest angle from straight ahead of skin that describes the trunk, degrees."""
+TRUNK_SAMPLES = 60_000  # samples of skin for the axis and the plane of symmetry; chosen for speed
 _STEEPEST_LEAN_DEG = 50.0
-"""Greatest angle between the trunk's axis and the photographs' upright, degrees. Beyond it the upright serves as the
-axis. Patients lean forward by up to 42° in front of the rig, and the cameras are not quite upright on average."""
-_HARMONICS = 4  # Fourier order of the radius around the trunk; 4 follows a thorax and not a breast
+"""Largest angle between the trunk's axis and the photographs' vertical, degrees; beyond it the vertical is used.
+Patients lean forward by up to 42° in front of the rig, and the cameras are not exactly upright on average."""
+_HARMONICS = 4  # Fourier order of the radius around the trunk: follows a thorax but not a breast
 AROUND = 2 * _HARMONICS + 1  # Fourier terms
-_HEIGHT_DEGREE = 2  # of the polynomial of each Fourier coefficient along the trunk: its bend is one (`bend_per_mm`)
+_HEIGHT_DEGREE = 2  # degree of each Fourier coefficient along the trunk: constant curvature (`bend_per_mm`)
 _SIDE_AZIMUTH_DEG = (75.0, 100.0)
-"""Skin whose normal points this far to the side of straight ahead shows where the trunk's axis lies, degrees.
-docs/decisions/0009 says what 70 to 90 gave instead."""
-_SIDE_BAND_MM = 80.0  # side skin is taken within this height of the breasts; by eye: 100 moved a scan by 1 %
-_BREADTH_ROUNDS = 3  # of finding the body's scale and its breadth, each from the other: the third changes .5 % at most
-_FEWEST_SIDE = 50  # samples of side skin needed on either side; chosen by eye
-_ARM_MM = 40.0  # an arm's outer skin lies so much further out than the trunk's side: arms are thicker, sides even
+"""Directions of the normals of the trunk's sides, degrees from straight ahead (results with 70 to 90:
+docs/decisions/0009)."""
+_SIDE_BAND_MM = 80.0  # largest height above and below the breasts of side skin; not critical
+_BREADTH_ROUNDS = 3  # iterations of the body's scale and its breadth: the third changes them by 0.5 % at most
+_FEWEST_SIDE = 50  # fewest samples of skin on either side; not critical
+_ARM_MM = 40.0  # least gap between the trunk's side and an arm's outer skin: arms are thicker, sides even
 _BEHIND_FRONT_MM = 30.0
-"""Least distance of a trunk's side behind the breastbone's skin, mm. A breast's flank faces aside as steeply, but lies
-further ahead. Chosen by eye: a boundary 121 mm wide that tilts back by 7.7° (real women's means) ends 16 mm behind its
-medial end."""
-_MIDDLE_MM = 15.0  # skin this near to the middle between both sides shows the breastbone; by eye: 19 moved .1 %
+"""Least distance of a trunk's side behind the breastbone's skin, mm. A breast's flank has the same direction but is
+further ahead: a boundary 121 mm wide, tilted back by 7.7° (means of real women), ends 16 mm behind its medial end. Not
+critical."""
+_MIDDLE_MM = 15.0  # half width of the strip of skin that shows the breastbone; not critical
 _HALF_WIDTHS_MM, _DEPTHS_MM = (95.0, 260.0), (50.0, 220.0)
-"""Half widths of a trunk, and depths of its axis behind the breastbone, outside which the sides are wrong. Chosen by
-eye, far wider than adults."""
-_ASKEW = 0.35  # share of the half width by which the axis may lie beside the middle; chosen by eye
+"""Plausible half widths of a trunk, and depths of its axis behind the breastbone; far beyond adults. Not critical."""
+_ASKEW = 0.35  # largest distance of the axis from the middle, relative to the half width; not critical
 ASSUMED_DEPTH_MM, ASSUMED_HALF_WIDTH_MM = 110.0, 150.0
-"""Assumed depth of the axis behind the breastbone, and half width, if no sides were seen: chosen by eye. It matters
-little: from 80 to 170 mm a breast's volume changes by 5 % (145 breasts of real women: +3.5, +5.4, +7.1, +8.6 % at 80,
-110, 140, 170 mm)."""
-_AXIS_ROUNDS = 20  # of reweighting the normals at most; it ends when the axis is at rest
-_FIT_SAMPLES = 20_000  # of the skin to which the radius is fitted; chosen for speed
-_FIT_ROUNDS = 25  # of reweighting the skin; chosen by eye
-_BONE_MM = 25.0  # skin this near to the middle between both breasts is the breastbone's; chosen by eye
-_LEAN = 0.2  # sine of the angle between normal and level at which a normal counts half; chosen by eye
-ARM = 1.15  # skin this many half widths to the side is an arm's; 1.44 moves 1 % of an interval, .86 16 to 26 %
-_RIDGE = 1e-4  # slight pull of the higher harmonics to zero, since the back is not seen; chosen by eye
+"""Depth of the axis behind the breastbone, and half width, if the sides are not visible. From 80 to 170 mm a breast's
+volume changes by 5 % (145 breasts of real women: +3.5, +5.4, +7.1, +8.6 % at 80, 110, 140, 170 mm)."""
+_AXIS_ROUNDS = 20  # most iterations of reweighting the normals
+_FIT_SAMPLES = 20_000  # samples of skin for the radius; chosen for speed
+_FIT_ROUNDS = 25  # iterations of reweighting the skin; not critical
+_BONE_MM = 25.0  # half width of the breastbone's skin; not critical
+_LEAN = 0.2  # sine of the angle between a normal and the horizontal at which its weight is half; not critical
+ARM = 1.15
+"""Distance from the axis at which an arm begins, half widths. 1.44 changes volumes by 1 % of an interval, 0.86 by 16 to
+26 %: then a standing woman's arm counts as trunk (docs/measured.md)."""
+_RIDGE = 1e-4  # regularisation of the higher harmonics, because the back is not visible; not critical
 _FACING_OUT = 0.5
-"""Least share of a unit normal that points away from the axis, for skin to show the trunk's radius. The trunk's end,
-seen from below, and a breast's underside face along the axis. Chosen by eye (docs/decisions/0019)."""
-_CURVE_BITS = 16  # of each coordinate along the curve: 0.03 mm in 2 m
-_SEEN_SAMPLES, _COPIES = 400_000, 2  # of the seen skin at most, and for each of its faces; chosen for memory
-_FINEST_MM = 1.0  # least scatter assumed while the breasts are still in the skin; chosen by eye
-CUT_OFF = 3.0  # scatters at which skin that stands out counts no more
+"""Least component away from the axis of a normal that shows the trunk's radius. The trunk's end, seen from below, and a
+breast's underside face along the axis (docs/decisions/0019). Not critical."""
+_CURVE_BITS = 16  # bits per coordinate along the curve: 0.03 mm in 2 m
+_SEEN_SAMPLES, _COPIES = 400_000, 2  # most samples of the visible skin, and per face; chosen for memory
+_FINEST_MM = 1.0  # least scatter while the skin still includes the breasts; not critical
+CUT_OFF = 3.0  # Tukey's constant for skin that protrudes, in scatters
 
 
 @value(eq=False)
@@ -72,12 +72,12 @@ class Trunk:
     origin: Float64[Array, 3]
     """A point on the trunk's axis at the breasts' height, mm, world frame."""
     half_width_mm: float
-    """Half the distance between the trunk's sides, mm. Scale of θ when laid flat."""
+    """Half the distance between the trunk's sides, mm; the scale of θ on the flattened trunk."""
     assumed: bool = False
-    """Whether the sides were not seen, so that the axis has its usual depth behind the breastbone."""
+    """Whether the sides are not visible, so that the axis has an assumed depth behind the breastbone."""
 
     def cylindrical(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-        """(half width × θ, y, r) of world points, laid flat, mm. As seen from in front of the patient."""
+        """(half width × θ, y, r) of world points, mm."""
         x, y, z = ((points_world - self.origin) @ self.frame.T).T
         return np.stack([self.half_width_mm * np.arctan2(x, z), y, np.hypot(x, z)], axis=1)
 
@@ -88,7 +88,7 @@ class Trunk:
         return self.origin + np.stack([r * np.sin(theta), y, r * np.cos(theta)], axis=1) @ self.frame
 
     def facing(self, theta_rad: float) -> Float64[Array, "3 3"]:
-        """The trunk turned about its axis, so that its angle θ is straight ahead."""
+        """Frame of the trunk turned about its axis, so that its angle θ is straight ahead."""
         left, up, ahead = self.frame
         sine, cosine = np.sin(theta_rad), np.cos(theta_rad)
         return np.stack([cosine * left - sine * ahead, up, sine * left + cosine * ahead])
@@ -105,14 +105,11 @@ class Thorax:
     """Scatter of the skin that was fitted, mm."""
 
     def radius_mm(self, arc_y: Float64[Array, "n 2"]) -> Float64[Array, " n"]:
-        """Radius of the trunk without breasts at (half width × θ, y). All in mm."""
+        """Radius of the trunk without breasts at (half width × θ, y), all in mm."""
         return _design(arc_y, self.trunk.half_width_mm) @ self.coefficients
 
     def bend_per_mm(self, arc_y: Float64[Array, "n 2"]) -> Float64[Array, " n"]:
-        """Curvature along the trunk at (half width × θ, y), mm.
-
-        In 1/mm, positive where the trunk is rounded.
-        """
+        """Curvature along the trunk at (half width × θ, y) in mm, 1/mm, positive where the trunk is convex."""
         around = _design(arc_y, self.trunk.half_width_mm)[:, :AROUND]
         return -2 * around @ self.coefficients[2 * AROUND :] / HEIGHT_WINDOW_MM**2
 
@@ -127,7 +124,7 @@ class Skin:
     """Samples of the visible skin."""
 
     points_world: Float64[Array, "n 3"]
-    """Middles of faces, mm, world frame."""
+    """Centroids of faces, mm, world frame."""
     normals_world: Float64[Array, "n 3"]
     """Their unit outward normals."""
 
@@ -136,22 +133,22 @@ class Skin:
         return Skin(points_world=self.points_world[which], normals_world=self.normals_world[which])
 
     def about(self, count: int) -> Skin:
-        """Every so many-th of the samples, so that at least `count` are left, or all."""
+        """Evenly chosen samples, at least `count` of them, or all."""
         return self.chosen(slice(None, None, max(1, len(self.points_world) // count)))
 
 
 def seen_faces(surface: RepairedSurface) -> Int64[Array, " k"]:
-    """Faces that are not invented. All faces if nothing is known to be measured."""
+    """Faces that are not invented; all faces if none is measured."""
     seen = surface.mesh.faces_within(surface.provenance != Provenance.INVENTED)
     return np.flatnonzero(seen) if seen.any() else np.arange(len(surface.mesh.faces))
 
 
-@lru_cache(maxsize=1)  # the steps of a measurement ask in turn for that of the same surface
+@lru_cache(maxsize=1)  # the steps of a measurement need it for the same surface
 def seen_skin(surface: RepairedSurface) -> Skin:
-    """Sample the visible faces evenly by area and over the surface.
+    """Samples of the visible faces, evenly by area.
 
-    Neither the fineness of each part's mesh nor the order of its faces matters: the samples follow a curve through
-    space, so that one in so many of them is even as well.
+    Their order follows a space-filling curve, so that every n-th of them is an even sample as well, whatever the
+    fineness of the mesh and the order of its faces.
     """
     chosen = seen_faces(surface)
     chosen = chosen[np.argsort(_place_on_curve(surface.mesh.vertices[surface.mesh.faces[chosen]].mean(axis=1)))]
@@ -165,7 +162,7 @@ def seen_skin(surface: RepairedSurface) -> Skin:
 
 
 def _place_on_curve(points: Float64[Array, "n 3"]) -> Int64[Array, " n"]:
-    """Place of each point on Morton's curve through the box that holds them all."""
+    """Position of each point on Morton's curve through their bounding box."""
     low, high = points.min(axis=0), points.max(axis=0)
     cells = (1 << _CURVE_BITS) - 1
     cell = np.round((points - low) / max(float((high - low).max()), 1e-9) * cells).astype(np.int64)
@@ -177,7 +174,7 @@ def _place_on_curve(points: Float64[Array, "n 3"]) -> Int64[Array, " n"]:
 
 
 def frame_from_sides(left: Float64[Array, "n 3"], right: Float64[Array, "m 3"], skin: Skin) -> Float64[Array, "3 3"]:
-    """Patient's left, head and straight ahead, as rows, from both boundary curves, mm."""
+    """Patient's left, head and straight ahead (rows), from both boundary curves, mm."""
     across = left.mean(axis=0) - right.mean(axis=0)
     near = np.linalg.norm(skin.points_world - (left.mean(axis=0) + right.mean(axis=0)) / 2, axis=1)
     ahead = skin.normals_world[near < np.linalg.norm(across)].sum(axis=0)
@@ -191,26 +188,25 @@ def find_trunk(
     height_of: Float64[Array, 3] | None = None,
     middle_of: Float64[Array, 3] | None = None,
 ) -> Trunk:
-    """Find the trunk's axis from the skin.
+    """The trunk with its axis, from the skin.
 
-    The skin's normals avoid its direction, and it lies between the sides. The sides are skin that faces aside and lies
-    well behind the breastbone, since a breast's flank faces aside too. If one is not seen, the axis is assumed upright
-    in the frame, `ASSUMED_DEPTH_MM` behind the breastbone, and the trunk says so.
+    The axis is the direction that the skin's normals avoid, and is midway between the sides: skin that faces to the
+    side, well behind the breastbone (a breast's flank is further ahead). If a side is not visible, the axis is the
+    frame's up, `ASSUMED_DEPTH_MM` behind the breastbone, and `Trunk.assumed` is true.
 
     Args:
-        skin: what was seen of the torso.
-        frame: patient's left, head, straight ahead (rows), roughly.
-        height_of: a world point at the breasts' height; without it the middle of the seen skin.
-        middle_of: a world point of the mid-sagittal plane, where it is known; without it the middle of the skin that
-            faces ahead.
+        skin: the torso's visible skin.
+        frame: patient's left, head, straight ahead (rows), approximately.
+        height_of: a world point at the breasts' height; None: the middle of the visible skin.
+        middle_of: a world point of the mid-sagittal plane; None: the middle of the skin that faces ahead.
 
     Raises:
-        MeasureError: no skin was seen at the breasts' height.
+        MeasureError: no skin is visible at the breasts' height.
     """
     sampled = skin.about(TRUNK_SAMPLES)
     axis = _axis(sampled.normals_world, frame)
     if middle_of is not None:
-        axis = axis - frame[0] * (axis @ frame[0])  # the axis lies in the body's plane
+        axis = axis - frame[0] * (axis @ frame[0])  # the axis is in the mid-sagittal plane
     turned_up = orthonormal(axis, frame[2])
     front = _front(sampled, turned_up, height_of, middle_of)
     found = _between_sides(front, turned_up, symmetric=middle_of is not None)
@@ -218,15 +214,15 @@ def find_trunk(
 
 
 def _axis(normals: Float64[Array, "n 3"], frame: Float64[Array, "3 3"]) -> Float64[Array, 3]:
-    """Trunk axis: least-variance direction of the normals. The head's where none near to it is."""
+    """Trunk axis: least-variance direction of the normals near the frame's up, else the frame's up."""
     axis, _ = level_axis(normals, frame[1])
     if axis @ frame[1] < np.cos(np.deg2rad(_STEEPEST_LEAN_DEG)):
-        return np.asarray(frame[1])  # the visible skin shows no axis near the head's direction
+        return np.asarray(frame[1])
     return axis
 
 
 def level_axis(normals: Float64[Array, "n 3"], start: Float64[Array, 3]) -> tuple[Float64[Array, 3], float]:
-    """The direction, found from a first one, that most of the skin is level with, and how much of it is."""
+    """Direction to which most of the skin is parallel, iterated from a first one, and the share of that skin."""
     axis = start
     for _ in range(_AXIS_ROUNDS):
         weights = 1 / (1 + ((normals @ axis) / _LEAN) ** 2)
@@ -240,13 +236,13 @@ def level_axis(normals: Float64[Array, "n 3"], start: Float64[Array, 3]) -> tupl
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Front:
-    """Seen skin at the breasts' height, in a frame."""
+    """Visible skin at the breasts' height, in a frame."""
 
     local: Float64[Array, "n 3"]
     azimuth_deg: Float64[Array, " n"]
-    """Of its normals, from straight ahead towards the patient's left."""
+    """Direction of its normals, from straight ahead towards the patient's left."""
     bone: Float64[Array, 3]
-    """The breastbone's place."""
+    """Position of the breastbone."""
 
 
 def _front(
@@ -256,11 +252,7 @@ def _front(
     middle_of: Float64[Array, 3] | None,
     scale: float = 1.0,
 ) -> _Front:
-    """Seen skin at breast height, and the breastbone. The band of heights grows with the body's scale.
-
-    Raises:
-        MeasureError: none was seen there.
-    """
+    """Visible skin at the breasts' height, in a band that scales with the body. MeasureError if there is none."""
     local, turned = skin.points_world @ frame.T, skin.normals_world @ frame.T
     height = float(np.median(local[:, 1]) if height_of is None else height_of @ frame[1])
     band = np.abs(local[:, 1] - height) < scale * _SIDE_BAND_MM
@@ -280,9 +272,10 @@ def _front(
 
 
 def _middle(across: Float64[Array, " n"], ahead: Float64[Array, " n"]) -> float:
-    """Middle with half of the skin, as it is seen from straight ahead, on either side.
+    """Median of the skin's projected area from right to left.
 
-    An arm that was seen on one side alone hardly moves it. A breast does not: it covers as much as a flat chest.
+    An arm that is visible on one side only hardly moves it. A breast does not move it: it covers as much as a flat
+    chest.
     """
     order = np.argsort(across)
     covered = np.cumsum(np.clip(ahead, 0.0, None)[order])
@@ -290,9 +283,9 @@ def _middle(across: Float64[Array, " n"], ahead: Float64[Array, " n"]) -> float:
 
 
 def _between_sides(front: _Front, frame: Float64[Array, "3 3"], *, symmetric: bool) -> Trunk | None:
-    """The axis between the trunk's sides, or behind the breastbone where that lies in a plane of symmetry.
+    """The trunk with its axis midway between the sides, or behind the breastbone in a plane of symmetry.
 
-    None where they were not seen, or are none that a trunk has.
+    None if the sides are not visible or not plausible.
     """
     bone, sides = front.bone, _side_skin(front)
     if sides is None:
@@ -312,11 +305,11 @@ def _between_sides(front: _Front, frame: Float64[Array, "3 3"], *, symmetric: bo
 
 
 def _side_skin(front: _Front, scale: float = 1.0) -> tuple[Float64[Array, "n 3"], Float64[Array, "m 3"]] | None:
-    """Skin of the trunk's left and right side, in the frame. None where too little of one was seen.
+    """Skin of the trunk's left and right side, in the frame. None if too little of one is visible.
 
     Args:
         front: skin at the breasts' height.
-        scale: of the body against an adult's.
+        scale: of the body relative to an adult.
     """
     local, azimuth, bone = front.local, front.azimuth_deg, front.bone
     low, high = _SIDE_AZIMUTH_DEG
@@ -331,17 +324,17 @@ def _side_skin(front: _Front, scale: float = 1.0) -> tuple[Float64[Array, "n 3"]
 def trunk_breadth_mm(
     skin: Skin, frame: Float64[Array, "3 3"], *, height_of: Float64[Array, 3] | None = None
 ) -> float | None:
-    """Distance between the trunk's sides at the breasts' height, mm. None where they were not seen.
+    """Distance between the trunk's sides at the breasts' height, mm. None if they are not visible.
 
-    It scales with the body: no length of an adult decides which skin is the sides'.
+    All limits scale with the body, so that the result does not depend on an adult's size.
 
     Args:
-        skin: what was seen of the torso.
+        skin: the torso's visible skin.
         frame: patient's left, head, straight ahead (rows).
-        height_of: a world point at the breasts' height; without it the middle of the seen skin.
+        height_of: a world point at the breasts' height; None: the middle of the visible skin.
 
     Raises:
-        MeasureError: no skin was seen at the breasts' height.
+        MeasureError: no skin is visible at the breasts' height.
     """
     sampled = skin.about(TRUNK_SAMPLES)
     turned_up = orthonormal(_axis(sampled.normals_world, frame), frame[2])
@@ -367,7 +360,7 @@ def _breadth_mm(front: _Front, scale: float) -> float | None:
 
 
 def _nearer_than_arm(out_mm: Float64[Array, " n"], scale: float) -> Bool[Array, " n"]:
-    """Mask of side skin that is the trunk's own: none beyond the first gap as wide as an arm."""
+    """Mask of side skin that belongs to the trunk: none beyond the first gap as wide as an arm."""
     ordered = np.sort(out_mm)
     gaps = _FEWEST_SIDE - 1 + np.flatnonzero(np.diff(ordered[_FEWEST_SIDE - 1 :]) > scale * _ARM_MM)
     return out_mm <= ordered[gaps[0] if len(gaps) else -1]
@@ -381,20 +374,18 @@ def _behind_breastbone(front: _Front, frame: Float64[Array, "3 3"]) -> Trunk:
 def fit_thorax(
     trunk: Trunk, skin: Skin, *, breasts_left_out: bool = True, breastbone_mm: float | None = None
 ) -> Thorax:
-    """Fit r(θ, y) to the skin without what stands out.
+    """Smooth radius r(θ, y) of the trunk, fitted robustly to the skin.
 
-    Breasts and arms stand out. Skin that faces along the axis (the trunk's end, a breast's underside) is left out. The
-    model is a Fourier series in θ whose coefficients are polynomials in y. The weights are asymmetric: Tukey's for skin
-    that stands out, Huber's for skin that lies deeper. A slight ridge holds the higher harmonics, as the back is not
-    seen.
+    The model is a Fourier series in θ whose coefficients are polynomials in y. The weights are asymmetric: Tukey's for
+    skin outside the model (breasts and arms), Huber's for skin inside. Skin that faces along the axis (the trunk's end,
+    a breast's underside) is excluded. The higher harmonics are slightly regularised, because the back is not visible.
 
     Args:
         trunk: its axis.
-        skin: samples of it, world frame.
-        breasts_left_out: whether the skin is already without the breasts. Then skin that stands out a little is chest,
-            and only arms are left out.
-        breastbone_mm: place of the breastbone around the trunk, half width × θ, if known. Its skin is the chest's
-            however far it stands out from the rest.
+        skin: samples, world frame.
+        breasts_left_out: whether the skin is already without the breasts. Then skin that protrudes a little is chest,
+            and only arms are excluded.
+        breastbone_mm: position of the breastbone around the trunk, half width × θ, if known; its skin always counts.
 
     Raises:
         MeasureError: too little skin.
@@ -439,17 +430,14 @@ def fit_thorax(
 
 
 def _facing_out(skin: Skin, trunk: Trunk) -> Float64[Array, " n"]:
-    """Share of each unit normal that points away from the trunk's axis."""
+    """Component of each unit normal away from the trunk's axis."""
     aside, _, ahead = ((skin.points_world - trunk.origin) @ trunk.frame.T).T
     to_left, _, to_front = (skin.normals_world @ trunk.frame.T).T
     return np.asarray((aside * to_left + ahead * to_front) / np.maximum(np.hypot(aside, ahead), 1e-9))
 
 
 def on_trunk(cylindrical: Float64[Array, "n 3"], trunk: Trunk) -> Bool[Array, " n"]:
-    """Places on the trunk that do not belong to an arm, as a mask.
-
-    Places are (half width × θ, y, r), mm. By their distance to the side.
-    """
+    """Mask of the places (half width × θ, y, r), mm, that are not an arm, by their distance to the side."""
     return cylindrical[:, 2] * np.abs(np.sin(cylindrical[:, 0] / trunk.half_width_mm)) < ARM * trunk.half_width_mm
 
 
@@ -463,7 +451,7 @@ def _design(arc_y: Float64[Array, "n 2"], half_width: float) -> Float64[Array, "
 
 
 def orthonormal(up: Float64[Array, 3], ahead: Float64[Array, 3]) -> Float64[Array, "3 3"]:
-    """Frame with the head along `up`, looking nearly ahead. Rows: patient's left, head, straight ahead."""
+    """Frame (rows: patient's left, head, straight ahead) with the head along `up`, the front nearly along `ahead`."""
     up = up / np.linalg.norm(up)
     ahead = ahead - up * (ahead @ up)
     ahead /= np.linalg.norm(ahead)
