@@ -147,7 +147,7 @@ def test_what_is_low_needs_more_of_a_crease() -> None:
     assert replace(low, creased=0.64).verdict() == "unclear"
     flat = replace(low, volume_cc=50.0)  # on average 5.3 mm high: the chest's own form
     assert flat.verdict() == "unclear"
-    assert flat.verdict(astray_mm=200.0) == "none"
+    assert flat.verdict(offset_mm=200.0) == "none"
 
 
 def test_a_boundary_lies_within_a_breasts_reach(monkeypatch: pytest.MonkeyPatch) -> None:

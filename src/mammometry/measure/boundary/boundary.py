@@ -44,30 +44,28 @@ from mammometry.measure.trunk.head import HeadPlace
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 RIM_RADIUS_SIGMA_MM = 0.14
-"""Standard uncertainty of that radius, mm. Hand-made rims may have anything from 0 to .5."""
+"""Standard uncertainty of a rim's assumed radius, mm. Hand-made rims have 0 to 0.5."""
 DRAWN_RIM_SIGMA_MM = 0.5
-"""Standard uncertainty of a cast's base along its normal if its rim was drawn by hand, mm. A rim is rounded by about
-as much, and a hand that follows it errs to both sides.
-"""
+"""Standard uncertainty of a cast's base along its normal if its rim was drawn by hand, mm: about a rim's radius."""
 
 BreastName = Literal["model", "left", "right"]
-"""A cast is "model". A torso has the patient's own left and right breast."""
-_HELD = 0.25  # weight from which a silhouette point counts as rim; chosen by eye
+"""``model`` for a cast; the patient's own left and right for a torso."""
+_HELD = 0.25  # weight from which a silhouette point counts as rim; not critical
 _ALL_AROUND = 0.995  # share of a breast that is written as 100 %
-_FLAT_MM = 0.1  # a base that sags less than this towards its rim is called flat; chosen by eye
-_FOLDED = 0.5  # share of the lower quarter that must be creased for a fold to be seen there; chosen by eye
-_SURE_TO_VAGUE = (0.1, 0.9)  # quantiles of a curve's uncertainty that are said
-_COARSE_PX = 1.0  # outliers are left out little by little, else the nearest of several minima is found; chosen by eye
-_BENDS = (0.15, 0.3, 0.45)  # curvatures tried, as the rim's radius over the cylinder's; chosen by eye
-_FINISHED = 3  # of the ways of bending that settled, as many bend freely; chosen by eye
-_UNSEEN_SHARE = 0.5  # of a rounded rim's radius by which the base that is seen lies before the true one (decision 17)
-_CUT_OFF = 5  # standard deviations above which a distance from the common rim counts no more
-_FEW = 250  # rim points that tell one way of bending from another; chosen for speed
-_AGREED_PX = 0.07  # RMS to which the cameras agree on a base for no other to be looked for (docs/decisions/0017)
+_FLAT_MM = 0.1  # largest sag of a base that is called flat; not critical
+_FOLDED = 0.5  # least creased share of the lower quarter for a visible fold; not critical
+_SIGMA_QUANTILES = (0.1, 0.9)  # quantiles of a curve's uncertainty that are reported
+_COARSE_PX = 1.0  # initial scatter, so that outliers are removed gradually and no near minimum is taken; not critical
+_BENDS = (0.15, 0.3, 0.45)  # curvatures that are tried: radius of the rim over that of the cylinder; not critical
+_FINISHED = 3  # converged directions of bending that are refined without constraint; not critical
+_UNSEEN_SHARE = 0.5  # distance of the visible base in front of the true one, over the rim's radius (decision 17)
+_CUT_OFF = 5  # standard deviations to which distances from the common rim are limited
+_FEW = 250  # rim points used to compare directions of bending; chosen for speed
+_AGREED_PX = 0.07  # RMS disagreement of the cameras below which no other base is searched (docs/decisions/0017)
 _RIVAL_GAIN = 2.0
-"""Plane and cylinder are both possible if their mean squared disagreements (px²) differ by a smaller factor. Then half
-of what lies between them is uncertain. Chosen by eye."""
-_CUT_SHARE = 0.01  # a base that cuts off this much more of the measured surface than another is none (decision 17)
+"""Plane and cylinder are both possible if their mean squared disagreements (px²) differ by a smaller factor. Half of
+the difference between them is then uncertain. Not critical."""
+_CUT_SHARE = 0.01  # a base may cut off this much more of the measured surface than another one (decision 17)
 
 
 @value(eq=False)
@@ -79,22 +77,22 @@ class Boundary:
     """
 
     name: BreastName
-    """"model", or the patient's "left" or "right"."""
+    """``model``, or the patient's ``left`` or ``right``."""
     points_world: Float64[Array, "n 3"]
-    """Ordered corners of the curve, mm, world frame. The last joins the first, which is not repeated."""
+    """Corners of the closed curve in order, the first not repeated, mm, world frame."""
     method: str
-    """How it was found and what that assumes, one sentence."""
+    """How it was found, and under what assumptions."""
     evidence_world: Float64[Array, "k 3"] = field(default_factory=lambda: np.empty((0, 3)))
-    """Points seen in the photographs that the curve follows (a cast's rim), mm, world frame. For figures."""
+    """Points in the photographs that a cast's curve follows, mm, world frame; for figures."""
     sigma_mm: float | None = None
-    """Standard uncertainty of the whole curve along the wall's normal, mm. None if not known."""
+    """Standard uncertainty of the whole curve along the wall's normal, mm. None if unknown."""
     across_mm: Float64[Array, " n"] | None = None
-    """Standard uncertainty of each point across a torso's curve beyond what any drawn curve has, mm: how little the
-    skin shows of the border there. None: nothing beyond."""
+    """Standard uncertainty of each point across a torso's curve, in addition to that of any drawn curve, mm: large
+    where the skin does not show the border. None: zero."""
     hidden_fold_cm2: float = 0.0
-    """Area of skin that closes a scan's hole where the fold is, cm². 0: the fold is seen."""
+    """Area of skin that closes a scan's hole at the fold, cm². 0: the fold is visible."""
     remarks: tuple[BoundaryRemark, ...] = ()
-    """Facts by which programs decide."""
+    """Facts about it, as codes."""
 
     def __post_init__(self) -> None:
         if len(self.points_world) < 3 or not np.isfinite(self.points_world).all():
@@ -111,19 +109,19 @@ def find_boundaries(
     rim_radius_mm: float | None = None,
     progress: Progress = no_progress,
 ) -> tuple[Boundary, ...]:
-    """Find the boundary of a cast, or of a torso's two breasts. An open surface has none.
+    """Boundary of a cast, or boundaries of a torso's breasts; none for an open surface.
 
     Args:
         surface: the closed, repaired mesh; world frame, mm.
         foregrounds: silhouettes by camera, in the original photographs.
         rig: the calibrated cameras.
-        subject_kind: what stands before the cameras.
+        subject_kind: kind of the subject.
         settings: tolerances.
-        rim_radius_mm: radius by which a cast's rim is rounded, mm; None if it was not measured.
+        rim_radius_mm: radius of a cast's rounded rim, mm; None if it was not measured.
         progress: called with the fraction done.
 
     Raises:
-        MeasureError: no rim, or too little of it; a breast whose border cannot be found.
+        MeasureError: too little of a rim is visible; the border of a breast cannot be found.
     """
     if subject_kind == "surface":
         return ()
@@ -143,7 +141,7 @@ def _cast_boundary(
     rim_radius_mm: float | None,
     settings: MeasureSettings,
 ) -> Boundary:
-    """The curve in which a cast's base cuts the mesh."""
+    """Intersection of a cast's base with the mesh."""
     candidates = rim_candidates(surface, foregrounds, rig)
     measured = surface.provenance == Provenance.MEASURED
     seen = surface.mesh.vertices[measured] if measured.any() else surface.mesh.vertices
@@ -156,7 +154,7 @@ def _cast_boundary(
         raise MeasureError(
             "base of the model",
             found="a base that does not cut the surface",
-            expected="a surface that reaches down to the base on every side",
+            expected="a surface that reaches the base on every side",
             remedy="Check the silhouettes in the previews: the cast must be whole and separate from its surroundings",
         )
     shape = "plane" if base.is_plane else f"convex cylinder of radius {1 / base.curvature_per_mm:.0f} mm"
@@ -184,22 +182,19 @@ def find_base(
     viewer_direction: Float64[Array, 3],
     settings: BaseRimSettings = BaseRimSettings(),
 ) -> tuple[AdjustedBase, tuple[Base, ...]]:
-    """Find a cast's base from its rim: plane or convex cylinder.
+    """A cast's base from its rim (plane or convex cylinder), and alternatives that the cameras do not exclude.
 
-    It is searched robustly, then adjusted to all silhouettes. The cylinder is taken if the cameras agree on its rim
-    clearly better than on the plane's. Neither is taken if it cuts off measured skin that the other leaves.
+    It is searched robustly, then adjusted to all silhouettes. The cylinder is used if the cameras agree on its rim
+    clearly better than on the plane's. A base that cuts off measured skin that the other one keeps is excluded.
 
     Args:
         candidates: silhouette points that may show the rim.
         surface_points: measured points of the cast, mm, world frame.
-        viewer_direction: from the cast towards the cameras, roughly.
+        viewer_direction: from the cast towards the cameras, approximately.
         settings: tolerances.
 
-    Returns:
-        The base, and others that the cameras do not rule out.
-
     Raises:
-        MeasureError: too few candidates, or too few directions around the cast that hold rim points.
+        MeasureError: too few candidates, or rim points in too few directions around the cast.
     """
     rough = fit_base(candidates.points_world, surface_points, viewer_direction, settings)
     plane = adjust_base(rough.plane, candidates, bend=False)
@@ -232,11 +227,10 @@ def find_base(
 def _ways_to_fit(
     plane: AdjustedBase, cylinder: Base, candidates: RimCandidates, surface_points: Float64[Array, "m 3"]
 ) -> list[AdjustedBase]:
-    """Cylinders on which the cameras nearly agree, the best first.
+    """Cylinders on which the cameras nearly agree, the best first, from some of the candidates.
 
-    Only some of the candidates are used. A rim that is seen in part has several. So the plane is bent in every
-    direction, little by little, and settles each time. The best of these, and the cylinder found before, then bend
-    freely.
+    A rim that is visible in part has several. So the plane is bent in each direction in small steps, and adjusted each
+    time. The best of these, and the given cylinder, are then adjusted with free curvature.
     """
     few = candidates.chosen(slice(None, None, max(1, len(candidates.points_world) // _FEW)))
 
@@ -258,36 +252,33 @@ def _ways_to_fit(
 
 
 def leaving_whole(tried: list[AdjustedBase], surface_points: Float64[Array, "m 3"]) -> list[AdjustedBase]:
-    """Bases that cut off no more measured surface than the best one. The surface is in mm, world frame."""
+    """Bases that cut off no more of the measured surface (mm, world frame) than the best one."""
     below = [float((attempt.base.height(surface_points) < -INLIER_MM).mean()) for attempt in tried]
     return [attempt for attempt, cut in zip(tried, below, strict=True) if cut <= min(below) + _CUT_SHARE]
 
 
 def _disagreement(base: AdjustedBase, scale_px: float) -> float:
-    """Mean squared distance from the common rim, px².
-
-    Each distance is limited to five standard deviations.
-    """
+    """Mean squared distance from the common rim, each limited to five standard deviations, px²."""
     return float(np.minimum(base.residuals_px**2, (_CUT_OFF * scale_px) ** 2).mean())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TorsoSides:
-    """Boundaries found on either side of a torso, or reasons why there is none."""
+    """Boundaries on the sides of a torso, and reasons for sides without one."""
 
     boundaries: tuple[Boundary, ...]
     """Of each breast, the patient's left first."""
     absent: tuple[NoBreast, ...]
-    """Sides without a breast, and what that rests on."""
+    """Sides without a breast, with the reasons."""
 
 
 def outline_torso(surface: RepairedSurface, frame: Float64[Array, "3 3"], *, head_stated: bool = False) -> TorsoSides:
-    """Outline the breast of each side, or say that there is none.
+    """Boundaries of a torso's breasts, found automatically, and sides without a breast.
 
     Args:
         surface: the closed, repaired mesh; world frame, mm.
-        frame: patient's left, head, straight ahead (rows), roughly.
-        head_stated: whether the user said where the head is.
+        frame: patient's left, head, straight ahead (rows), approximately.
+        head_stated: whether the user stated the head's direction.
 
     Raises:
         MeasureError: see `find_breasts`.
@@ -312,7 +303,7 @@ def _creased(name: BreastName, outline: Outline, head: HeadPlace) -> Boundary:
         else "No fold is seen below the breast: its edge is where its curve runs out. "
     )
     elsewhere = "" if outline.creased > _ALL_AROUND else "; elsewhere the shape of real women's breasts decided"
-    surest, vaguest = np.quantile(outline.sigma_mm, _SURE_TO_VAGUE)
+    surest, vaguest = np.quantile(outline.sigma_mm, _SIGMA_QUANTILES)
     method = (
         "automatic: along the outer side of the crease between breast and trunk. The crease was found around "
         f"{100 * outline.creased:.0f} % of the breast{elsewhere}. The curve is known to "
@@ -336,18 +327,16 @@ def landmark_boundaries(
     frame: Float64[Array, "3 3"],
     settings: MeasureSettings = MeasureSettings(),
 ) -> tuple[Boundary, ...]:
-    """Boundaries by the named protocol for every side with picked landmarks.
-
-    `protocol` defines it.
+    """Boundaries from picked landmarks, by the protocol of `protocol`, for each side that has them.
 
     Args:
         picked: landmark → its points, mm, world frame.
         surface: the repaired mesh.
-        frame: patient's left, head, straight ahead (rows), roughly.
-        settings: how they are joined.
+        frame: patient's left, head, straight ahead (rows), approximately.
+        settings: how landmarks are joined.
 
     Raises:
-        MeasureError: landmarks are missing, lie off the surface, on the wrong side or not around a breast.
+        MeasureError: landmarks are missing, off the surface, on the wrong side or not around a breast.
     """
     marks = picked_landmarks(picked, surface.mesh, frame, sigma_mm=PICKED_SIGMA_MM)
     outlines = outline_by_protocol(marks, surface, frame, settings.protocol_join)
@@ -367,17 +356,17 @@ def given_boundary(
     rim_sigma_mm: float | None = None,
     how: str | None = None,
 ) -> Boundary:
-    """Use a drawn curve as the boundary. Landmarks in order around the breast serve as well.
+    """Boundary from a drawn curve.
 
     Args:
         name: name of the breast.
         points_world: its corners, mm, world frame.
         surface: the repaired mesh.
         rim_sigma_mm: standard uncertainty of a cast's drawn rim along its wall's normal, mm.
-        how: how it was drawn, in words, where that is known.
+        how: how it was drawn, if known.
 
     Raises:
-        MeasureError: the curve is open or lies off the surface.
+        MeasureError: the curve is open or off the surface.
     """
     if len(points_world) < 3:
         raise MeasureError(

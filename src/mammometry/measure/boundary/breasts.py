@@ -1,4 +1,4 @@
-"""Outline the breast of each side of a torso, or say that there is none."""
+"""Outlines of the breasts of a torso, or the reason why a side has none."""
 
 from __future__ import annotations
 
@@ -45,26 +45,26 @@ from mammometry.measure.trunk.thorax import (
 from mammometry.surface.repair.repair import RepairedSurface
 
 _OTHER: dict[SideName, SideName] = {"left": "right", "right": "left"}
-_ROUNDS = 3  # times that trunk and middles are found, each from the other; chosen by eye
-_FAINT = 0.25  # a dome this much flatter than the other side's is left in the trunk; chosen by eye
-_HIGHEST_SIGMA_MM = 8.0  # the relief is smoothed over this to look for the highest place; chosen by eye
-_BESIDE_MM = 25.0  # the highest place of a side lies this far from the midline; chosen by eye
-_OUTSIDE_MM = 2 * PIXEL_MM  # outside a curve at a fold the innermost skin is the trunk's, and not the breast's
-_NEAR_MM = 20.0  # surface around an outline onto which it is laid; chosen by eye
-_LACKS = 1 / 3
-"""Share of the other breast's volume that stands out at its mirrored place, below which a side clearly has none: nearer
-to an empty side, 0, than to an equal one, 1, since a chest's own form stands out, too."""
-_SHEET_TURN = 0.15  # of a turn, over which an outline's running median is taken: 60 to 80 mm; chosen by eye
-_LEAP_MM = 10.0  # off the running median: another layer of skin. On whole captures no outline has any; chosen by eye
-_FRONT_RAD, _FRONT_MM = np.deg2rad(60.0), 90.0  # of the trunk's front, where the highest place of a side is named
-_FOLD_PER_MM = 0.08  # concavity from which a crease is a fold, not the foot of a mound (.02 to .06); a fold has .1 to 1
+_ROUNDS = 3  # iterations of trunk and middles of the breasts; not critical
+_FAINT = 0.25  # largest roundness, relative to the other side's, of a dome that is left in the trunk; not critical
+_HIGHEST_SIGMA_MM = 8.0  # Gaussian σ of the relief in which the highest point is searched; not critical
+_BESIDE_MM = 25.0  # least distance of a side's highest point from the midline; not critical
+_OUTSIDE_MM = 2 * PIXEL_MM  # outside a curve at a fold the innermost skin is that of the trunk
+_NEAR_MM = 20.0  # surface around an outline onto which it is projected; not critical
+_ABSENT_SHARE = 1 / 3
+"""Volume above the trunk at the mirrored place, relative to the other breast's, below which a breast is clearly absent:
+nearer to an empty side (0) than to an equal one (1). Not 0, because the chest's own form protrudes, too."""
+_SHEET_TURN = 0.15  # window of an outline's running median, in turns (60 to 80 mm); not critical
+_LEAP_MM = 10.0  # largest distance from the running median on the same layer of skin; not critical
+_FRONT_RAD, _FRONT_MM = np.deg2rad(60.0), 90.0  # half width and half height of the trunk's front
+_FOLD_PER_MM = 0.08  # least concavity of a fold, which has 0.1 to 1; the foot of a mound has 0.02 to 0.06
 _WIDEST_HALF_WIDTHS, _TALLEST_MM = 1.95, 260.0
-"""Largest width of a breast's base around the trunk, half widths, and largest height, mm. Chosen by eye."""
+"""Largest width of a base around the trunk, half widths, and largest height, mm. Not critical."""
 _LARGEST_CM2 = 350.0
-"""Largest area of a base, laid flat. Real women's have 170 ± 28 cm² seen from ahead; virtual ones of up to 1,600 cc,
-drawn from their statistics, up to 270 (docs/decisions/0029)."""
-_LEAST_ROUND = 0.5  # area of a base over that of a circle of its length, laid flat; breasts have .7 to 1
-_LOWER_QUARTER = (0.625, 0.875)  # of a turn from the patient's left by the head: where the fold is
+"""Largest area of a base on the flattened trunk. Real women have 170 ± 28 cm² seen from ahead; virtual ones of up to
+1,600 cc, drawn from their statistics, up to 270 (docs/decisions/0029)."""
+_LEAST_ROUND = 0.5  # least area of a base, relative to a circle of the same circumference; breasts have 0.7 to 1
+_LOWER_QUARTER = (0.625, 0.875)  # part of the curve with the fold, in turns from the patient's left over the head
 
 
 @value(eq=False)
@@ -74,38 +74,38 @@ class Outline:
     points_world: Float64[Array, "n 3"]
     """Closed curve on the surface, mm, world frame."""
     creased: float
-    """Share of the curve that follows a crease. Elsewhere the shape of other breasts decided."""
+    """Share of the curve that follows a crease. Elsewhere it follows the mean shape of breasts."""
     folded: float
-    """Share of the curve's lower quarter that follows a crease as sharp as a fold: it shows whether there is a fold."""
+    """Share of the curve's lower quarter that follows a crease as sharp as a fold."""
     seen: float
-    """Share of the curve that lies on visible skin."""
+    """Share of the curve on visible skin."""
     sigma_mm: Float64[Array, " n"]
-    """Standard uncertainty of each point across the curve, mm: small along a fold, large where nothing shows it."""
+    """Standard uncertainty of each point across the curve, mm: small along a fold, large without a crease."""
     hidden_fold_cm2: float = 0.0
-    """Area of skin that closes a hole where the fold is, cm². 0: the fold is seen."""
+    """Area of skin that closes a hole at the fold, cm². 0: the fold is visible."""
 
 
 @value(eq=False)
 class NoBreast:
-    """A side without an outlined breast, with the evidence for that."""
+    """A side without a measured breast, with the reason."""
 
     name: SideName
-    """The patient's "left" or "right"."""
+    """The patient's ``left`` or ``right``."""
     place_world: Float64[Array, 3]
-    """The highest place on that side, on the skin, mm, world frame."""
+    """Highest point of the skin on that side, mm, world frame."""
     prominence: Prominence | None
-    """What stands out there. None if nothing does."""
+    """Prominence there. None if there is none."""
     why: str
-    """What the result rests on, one sentence."""
+    """The reason, one sentence."""
     unclear: bool = False
-    """Whether something stands out that may be a breast but has no clear end or base: then it is not measured."""
+    """Whether there may be a breast, but without a clear border or base; it is not measured."""
     refused: bool = False
-    """Whether a breast was outlined there, and its volume refused."""
+    """Whether a breast was outlined but its volume refused."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Breasts:
-    """Findings on both sides, and the trunk they were found on."""
+    """Results for both sides, and the trunk."""
 
     left: Outline | NoBreast
     """The patient's left side."""
@@ -114,24 +114,22 @@ class Breasts:
     thorax: Thorax
     """The trunk without the breasts."""
     body: Body
-    """The frame in which they were looked for."""
+    """The body frame used for the search."""
     head: HeadPlace
-    """Where the head is."""
+    """Direction of the head."""
 
 
 def find_breasts(surface: RepairedSurface, frame: Float64[Array, "3 3"], *, head_stated: bool = False) -> Breasts:
-    """Find the breast of each side, or none, and the thorax.
-
-    The thorax lies between and beside the breasts. Both are found in turn.
+    """Outline of each side's breast, or the reason for none, and the thorax. They are found iteratively.
 
     Args:
         surface: the repaired mesh, world frame, mm.
-        frame: patient's left, head, straight ahead (rows), roughly.
-        head_stated: whether the user said where the head is: then no sign of the body contradicts it.
+        frame: patient's left, head, straight ahead (rows), approximately.
+        head_stated: whether the user stated the head's direction, which is then not tested.
 
     Raises:
-        MeasureError: something stands out as a breast does, but its end or its base is not one's; the trunk is not
-            seen, or its head is where the cameras have the feet.
+        MeasureError: a prominent breast has no plausible border or base; the trunk is not visible; the head is at the
+            cameras' lower end.
     """
     skin = seen_skin(surface)
     upright = head_stated or not lies_across(skin, frame) or _lie_level(surface, skin, frame)
@@ -157,12 +155,12 @@ def find_breasts(surface: RepairedSurface, frame: Float64[Array, "3 3"], *, head
 
 
 def breasts_per_mm(surface: RepairedSurface, frame: Float64[Array, "3 3"]) -> float:
-    """Roundness of both sides' domes together, 1/mm: how much a trunk with breasts is seen in a frame.
+    """Sum of the roundness of both sides' domes, 1/mm: a score for a trunk with breasts seen in a frame.
 
-    0 where nothing is a dome, or no trunk is seen between two sides, as from aside.
+    0 without domes, or if the frame shows the trunk from the side.
 
     Raises:
-        MeasureError: no skin of a trunk is seen.
+        MeasureError: no skin of a trunk is visible.
     """
     skin = seen_skin(surface)
     thorax, _, middles = _trunk_beside(surface, skin, find_body(surface, frame, skin=skin, stated=True))
@@ -171,9 +169,9 @@ def breasts_per_mm(surface: RepairedSurface, frame: Float64[Array, "3 3"]) -> fl
 
 
 def _lie_level(surface: RepairedSurface, skin: Skin, frame: Float64[Array, "3 3"]) -> bool:
-    """Whether two breasts lie beside each other in the frame, and not one above the other.
+    """Whether two breasts are side by side in the frame, not one above the other.
 
-    Where a gown covers the trunk's sides its skin does not show which way it lies, but two breasts do.
+    If a gown covers the trunk's sides, only the breasts show the trunk's direction.
     """
     thorax = fit_thorax(find_trunk(skin, frame), skin)
     return level_pair(lay_flat(thorax, dense_samples(surface.mesh.submesh(seen_faces(surface))))) is not None
@@ -181,7 +179,7 @@ def _lie_level(surface: RepairedSurface, skin: Skin, frame: Float64[Array, "3 3"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Side:
-    """Findings of the search on one side."""
+    """Result of the search on one side."""
 
     middle: Float64[Array, 2]
     crease: Crease
@@ -192,7 +190,7 @@ class _Side:
 def _trunk_beside(
     surface: RepairedSurface, skin: Skin, body: Body
 ) -> tuple[Thorax, Relief, dict[SideName, Middle | None]]:
-    """Find the trunk and what stands out from it like a breast, each from the other."""
+    """The trunk and the breasts' middles, found iteratively, each from the other."""
     samples = dense_samples(surface.mesh.submesh(seen_faces(surface)))
     middle_of = None if body.plane is None else body.point_world
     outside = np.ones(len(skin.points_world), dtype=bool)
@@ -208,7 +206,7 @@ def _trunk_beside(
     for _ in range(_ROUNDS):
         trunk, thorax, relief = about_trunk()
         pair = level_pair(relief) if body.plane is None else None
-        if pair is not None:  # then both breasts show the body's left, and its middle
+        if pair is not None:  # both breasts determine the body's left and its middle
             frame, middle_of = _between(pair, relief, thorax)
             trunk, thorax, relief = about_trunk()
         middles = breast_middles(relief, trunk)
@@ -221,10 +219,10 @@ def _trunk_beside(
         outside = np.ones(len(flat), dtype=bool)
         for dome in domes:
             if dome.roundness_per_mm > _FAINT * domes[0].roundness_per_mm:
-                # Its mirror image is left out too: so the trunk is the same whatever the other side has.
+                # Its mirror image is excluded too, so that the trunk does not depend on the other side.
                 for across in (dome.flat[0], 2 * between_mm - dome.flat[0]):
                     outside &= np.hypot(flat[:, 0] - across, flat[:, 1] - dome.flat[1]) > DOME_MM
-        # At the height of the rounder breast, which does not depend on what the other side has.
+        # At the height of the rounder breast, so that it does not depend on the other side.
         height_of = trunk.world(np.array([[0.0, domes[0].flat[1], 0.0]]))[0]
     return thorax, relief, middles
 
@@ -232,7 +230,7 @@ def _trunk_beside(
 def _between(
     pair: tuple[Float64[Array, 2], Float64[Array, 2]], relief: Relief, thorax: Thorax
 ) -> tuple[Float64[Array, "3 3"], Float64[Array, 3]]:
-    """Frame with two domes level, rows left, head, ahead, and the point between them."""
+    """Frame (rows left, head, ahead) with two domes at the same height, and the point midway between them."""
     flat = np.stack(pair)
     radius = thorax.radius_mm(flat) + relief.at(flat, relief.bulge_mm)
     left, right = thorax.trunk.world(np.concatenate([flat, radius[:, None]], axis=1))
@@ -241,7 +239,7 @@ def _between(
 
 
 def _between_mm(middles: dict[SideName, Middle | None]) -> float:
-    """Place around the trunk between both breasts, half width × θ."""
+    """Position midway between the breasts around the trunk, half width × θ, mm."""
     left, right = middles["left"], middles["right"]
     return 0.0 if left is None or right is None else float(left.flat[0] + right.flat[0]) / 2
 
@@ -270,25 +268,25 @@ def _sides(relief: Relief, trunk: Trunk, middles: dict[SideName, Middle | None])
     for name, side in sides.items():
         other = sides[_OTHER[name]]
         if side.verdict == "unclear" and side.prominence is not None and other.verdict == "breast":
-            astray_mm = float(np.linalg.norm(side.middle - other.middle * [-1.0, 1.0]))
-            sides[name] = replace(side, verdict=side.prominence.verdict(astray_mm))
+            offset_mm = float(np.linalg.norm(side.middle - other.middle * [-1.0, 1.0]))
+            sides[name] = replace(side, verdict=side.prominence.verdict(offset_mm))
     return {
         name: replace(side, verdict="unclear")
-        if side.verdict == "none" and not _is_lacking(sides[_OTHER[name]], relief)
+        if side.verdict == "none" and not _is_absent(sides[_OTHER[name]], relief)
         else side
         for name, side in sides.items()
     }
 
 
-def _is_lacking(other: _Side, relief: Relief) -> bool:
-    """Whether the other side clearly has a breast, and little stands out where it is mirrored.
+def _is_absent(other: _Side, relief: Relief) -> bool:
+    """Whether this side's breast is clearly absent: the other side has one, and there is little at its mirrored place.
 
-    That a breast is missing is a statement about surgery, which a flat chest with a low dome on one side does not show.
+    A flat chest with a low dome on one side is not enough, because an absent breast means surgery.
     """
     if other.verdict != "breast" or other.prominence is None or other.prominence.top_mm < SURE_PROMINENCE_MM:
         return False
     mirrored = prominence_within(relief, _pixels_within(relief, other.crease.flat * [-1.0, 1.0]), creased=0.0)
-    return mirrored.volume_cc < _LACKS * other.prominence.volume_cc
+    return mirrored.volume_cc < _ABSENT_SHARE * other.prominence.volume_cc
 
 
 def _pixels_within(relief: Relief, outline: Float64[Array, "k 2"]) -> Bool[Array, "h w"]:
@@ -298,7 +296,7 @@ def _pixels_within(relief: Relief, outline: Float64[Array, "k 2"]) -> Bool[Array
 
 
 def _highest(relief: Relief, sign: float, trunk: Trunk) -> Float64[Array, 2]:
-    """Place on one side's front that stands out most, laid flat, mm."""
+    """Highest point of one side's front, flattened, mm."""
     smooth = relief.smooth_mm(_HIGHEST_SIGMA_MM)
     rows, columns = np.indices(smooth.shape)
     flat = relief.low + np.stack([columns, rows], axis=-1) * PIXEL_MM
@@ -326,10 +324,10 @@ def within_outline(flat: Float64[Array, "n 2"], outline: Float64[Array, "k 2"]) 
 def _result(
     name: SideName, side: _Side, relief: Relief, thorax: Thorax, surface: RepairedSurface
 ) -> Outline | NoBreast:
-    """A side's outline on the skin, or that it has none.
+    """A side's outline on the skin, or the reason for none.
 
     Raises:
-        MeasureError: something stands out, but no crease runs around most of it, or its base is not a breast's.
+        MeasureError: a prominent breast has too little of a crease around it, or an implausible base.
     """
     if side.verdict == "none":
         place = _on_skin(side.middle[None], relief, thorax, surface.mesh)[0]
@@ -344,7 +342,7 @@ def _result(
         raise _no_crease(creased, name, LOW_CREASED)
     _check_base(crease.flat, name, thorax.trunk)
     flat = crease.flat
-    below = np.arange(len(flat)) / len(flat)  # of a turn, from the patient's left by the head
+    below = np.arange(len(flat)) / len(flat)  # turns, from the patient's left over the head
     lower = (below > _LOWER_QUARTER[0]) & (below < _LOWER_QUARTER[1])
     points = _on_skin(flat, relief, thorax, surface.mesh)
     return Outline(
@@ -367,7 +365,7 @@ def _why_none(prominence: Prominence | None) -> str:
 
 
 def _on_skin(flat: Float64[Array, "n 2"], relief: Relief, thorax: Thorax, mesh: TriangleMesh) -> Float64[Array, "n 3"]:
-    """Put places that were laid flat back on the skin, mm, world frame. Several are a closed curve."""
+    """Points of a flattened closed curve (or one point) on the skin, mm, world frame."""
     bulge_mm = relief.at(flat, relief.bulge_mm)
     if len(flat) > 1:
         away = flat - flat.mean(axis=0)
@@ -379,11 +377,10 @@ def _on_skin(flat: Float64[Array, "n 2"], relief: Relief, thorax: Thorax, mesh: 
 
 
 def on_one_sheet(bulge_mm: Float64[Array, " n"]) -> Float64[Array, " n"]:
-    """Replace leaps of an outline to another layer of skin.
+    """Bulge of an outline without jumps to another layer of skin, mm.
 
-    An outline lies on the trunk. Where a rail or a fold hides the trunk, the innermost skin that was seen is the
-    underside of the breast, 20 to 40 mm before it, and the outline would run to and fro between both. What lies off
-    the running median is interpolated between its neighbours instead.
+    Where a rail or a fold hides the trunk, the innermost visible skin is the underside of the breast, 20 to 40 mm in
+    front, and the outline would alternate between both. Points off the running median are interpolated instead.
 
     Args:
         bulge_mm: at equal parts of a turn.
@@ -400,11 +397,7 @@ def on_one_sheet(bulge_mm: Float64[Array, " n"]) -> Float64[Array, " n"]:
 
 
 def _check_base(flat: Float64[Array, "n 2"], name: str, trunk: Trunk) -> None:
-    """Refuse a base that no breast has.
-
-    Raises:
-        MeasureError: it is too wide, too tall, too large or too ragged.
-    """
+    """Raise a MeasureError if a base is too wide, too tall, too large or too ragged for a breast."""
     width, height = np.ptp(flat, axis=0)
     area = abs(signed_area_mm2(flat))
     length = float(np.linalg.norm(np.roll(flat, -1, axis=0) - flat, axis=1).sum())
@@ -414,19 +407,18 @@ def _check_base(flat: Float64[Array, "n 2"], name: str, trunk: Trunk) -> None:
     if width > widest or height > _TALLEST_MM or area_cm2 > _LARGEST_CM2 or roundness < _LEAST_ROUND:
         raise MeasureError(
             f"the patient's {name} breast",
-            found=f"an outline {width:.0f} × {height:.0f} mm, {area_cm2:.0f} cm², "
-            f"{100 * roundness:.0f} % as round as a circle",
+            found=f"an outline {width:.0f} × {height:.0f} mm, {area_cm2:.0f} cm², roundness {100 * roundness:.0f} %",
             expected=f"at most {widest:.0f} × {_TALLEST_MM:.0f} mm, {_LARGEST_CM2:.0f} cm², "
-            f"and {100 * _LEAST_ROUND:.0f} % or more",
+            f"roundness at least {100 * _LEAST_ROUND:.0f} %",
             remedy="Draw its boundary with `mammometry edit`, or pick the landmarks of the protocol",
         )
 
 
 def fuller_below(crease: Crease, relief: Relief) -> float:
-    """Fullness and crease below against above, −1 to 1.
+    """Inferior–superior asymmetry of fullness and crease, −1 to 1.
 
-    Gravity and the inframammary fold make a breast's crease sharper below, and put its mass below the middle. So this
-    shows where the feet are. Turned upside down it has the other sign.
+    By gravity and the inframammary fold a breast's crease is sharper below and its mass is below the middle, so the
+    sign shows the direction of the feet.
     """
     turn = np.arange(len(crease.flat)) / len(crease.flat)
     low, high = _LOWER_QUARTER
@@ -437,15 +429,15 @@ def fuller_below(crease: Crease, relief: Relief) -> float:
     rows = np.nonzero(inside)[0]
     mass = np.clip(relief.bulge_mm[inside] - np.median(relief.at(crease.flat, relief.bulge_mm)), 0.0, None)
     half = max(float(np.ptp(rows)) / 2, 1.0)
-    sunk = ((rows.max() + rows.min()) / 2 - float((rows * mass).sum() / max(mass.sum(), 1e-9))) / half
-    return float(np.clip((below - above) / max(below + above, 1e-9) / 2 + 2 * sunk, -1.0, 1.0))
+    inferior_shift = ((rows.max() + rows.min()) / 2 - float((rows * mass).sum() / max(mass.sum(), 1e-9))) / half
+    return float(np.clip((below - above) / max(below + above, 1e-9) / 2 + 2 * inferior_shift, -1.0, 1.0))
 
 
 def creased_share(crease: Crease, name: str) -> float:
     """Share of a curve along which there is a crease.
 
     Raises:
-        MeasureError: it is too little to say where the breast ends.
+        MeasureError: the share is too small to locate the border.
     """
     creased = float((crease.concavity_per_mm > CREASE_PER_MM).mean())
     if creased < LEAST_CREASED:
@@ -457,13 +449,13 @@ def _no_crease(creased: float, name: str, least: float) -> MeasureError:
     return MeasureError(
         f"the patient's {name} breast",
         found=f"a crease around {100 * creased:.0f} % of it",
-        expected=f"one around at least {100 * least:.0f} %, to find where it ends",
+        expected=f"one around at least {100 * least:.0f} %, to find its border",
         remedy="Draw its boundary with `mammometry edit`, or pick the landmarks of the protocol",
     )
 
 
 def _near(mesh: TriangleMesh, points_world: Float64[Array, "n 3"]) -> TriangleMesh:
-    """The part of a mesh around some points on it. All of it where they are not."""
+    """Part of a mesh around points on it; the whole mesh if they are not on it."""
     inside = np.zeros(len(mesh.vertices), dtype=bool)
     inside[mesh.vertices_between(points_world.min(axis=0) - _NEAR_MM, points_world.max(axis=0) + _NEAR_MM)] = True
     part = mesh.submesh(mesh.faces_within(inside))

@@ -1,8 +1,7 @@
-"""The base of a cast: a plane or a convex circular cylinder.
+"""The base of a cast: a plane or a convex circular cylinder, fitted robustly to candidates for its rim.
 
-It is fitted robustly to candidates for its rim. Both are one family: a circle of curvature κ moved along straight
-lines, with κ = 0 for the plane. Candidates that belong to an occluding limb instead of the rim always lie above the
-base, never below. So the cost is one-sided.
+Both are one family: a circle of curvature κ moved along straight lines, with κ = 0 for the plane. Candidates on an
+occluding limb instead of the rim are always above the base, so the cost is one-sided.
 """
 
 from __future__ import annotations
@@ -20,62 +19,59 @@ from mammometry.measure.settings import BaseRimSettings
 
 BaseKind: TypeAlias = Literal["plane", "convex-cylinder"]
 
-SECTORS = 72  # directions around the cast that carry equal weight, so that a well seen side does not tilt the base
-INLIER_MM = 1.0  # distance from the base within which a candidate may belong to the rim, mm; chosen by eye
+SECTORS = 72  # directions around the cast with equal weight, so that a well visible side does not tilt the base
+INLIER_MM = 1.0  # largest distance of a rim point from the base; not critical
 BEND_GAIN = 1.2
-"""Factor of disagreement between cameras for a base to count as curved, or another one as possible. Chosen by eye."""
-_TRIALS = 2000  # random minimal samples drawn; ten times as many found no better base (docs/decisions/0017)
-_GENERATORS = 12  # directions in which a cylinder's lines are tried; 15° apart, chosen by eye
-_POLISH_ROUNDS = 40  # Gauss–Newton rounds at most; it ends when no step exceeds 1e-4 mm
-_SEEDS = 6  # planes that are polished; all of them found no other base (docs/decisions/0017)
-_COARSENESS = (4.0, 2.0, 1.0)  # Tukey's constant shrinks by these factors; chosen by eye
+"""Least ratio of disagreement between cameras for a curved base, or for excluding an alternative. Not critical."""
+_TRIALS = 2000  # random minimal samples; ten times as many found no better base (docs/decisions/0017)
+_GENERATORS = 12  # directions of a cylinder's lines that are tried, 15° apart; not critical
+_POLISH_ROUNDS = 40  # most Gauss–Newton iterations
+_SEEDS = 6  # planes that are refined; refining all found no other base (docs/decisions/0017)
+_COARSENESS = (4.0, 2.0, 1.0)  # factors of Tukey's constant, from coarse to fine; not critical
 _WAYS = 6  # directions in which a plane is bent, 30° apart (docs/decisions/0017)
-_EVERY = 1e3  # inlier distance over the rim's radius with which every point counts alike: plain least squares
-_SURFACE_POINTS = 3000  # measured points that a base is tried against, about; chosen for speed
-_CUT_COST = 100.0  # each hundredth of the surface that a base cuts off costs as much as one direction without rim
-_STEP_MM = 1e-3  # step of the numerical derivatives, mm
-_CONVERGED_MM = 1e-4  # a base that moves by less is at rest, mm
+_EVERY = 1e3  # inlier distance over the rim's radius for plain least squares
+_SURFACE_POINTS = 3000  # approximate number of measured points for the cost; chosen for speed
+_CUT_COST = 100.0  # cost of cutting off the whole surface, in directions without rim: 1 % costs one direction
+_STEP_MM = 1e-3  # step of numerical derivatives
+_CONVERGED_MM = 1e-4  # largest last step
 
 
 @value(eq=False)
 class Base:
-    """A plane (curvature 0) or a circular cylinder.
-
-    The cylinder bends away from the viewer. World frame, mm.
-    """
+    """A plane (curvature 0) or a circular cylinder that bends away from the viewer; mm, world frame."""
 
     origin: Float64[Array, 3]
-    """A point on the base, near the middle of the rim."""
+    """A point on the base, near the centre of the rim."""
     frame: Float64[Array, "3 3"]
-    """Rows: the direction of bending, the straight lines' direction, the normal at `origin` towards the viewer."""
+    """Rows: the direction of bending, that of the straight lines, and the normal at `origin` towards the viewer."""
     curvature_per_mm: float
-    """1 / radius. 0 for a plane, positive if the base bends away from the viewer on both sides."""
+    """1 / radius; 0 for a plane."""
 
     @property
     def is_plane(self) -> bool:
-        """Whether the base has no curvature at all."""
+        """Whether the curvature is 0."""
         return self.curvature_per_mm == 0.0
 
     @property
     def kind(self) -> BaseKind:
-        """Kind of the base, as results name it."""
+        """Kind of the base, as in results."""
         return "plane" if self.is_plane else "convex-cylinder"
 
     def height(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
-        """Signed distance above the base, mm. Positive on the viewer's side. Exact for plane and cylinder."""
+        """Signed distance above the base, mm, positive on the viewer's side."""
         s, _, w = ((points_world - self.origin) @ self.frame.T).T
         k = self.curvature_per_mm
         excess = 2 * w + k * (w * w + s * s)
         return excess / (1 + np.sqrt(np.maximum(1 + k * excess, 0.0)))
 
     def flatten(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 2"]:
-        """Unroll the base, mm. Arc length along the bend, and distance along the straight lines."""
+        """Unrolled coordinates, mm: arc length along the bend, and distance along the straight lines."""
         s, t, w = ((points_world - self.origin) @ self.frame.T).T
         k = self.curvature_per_mm
         return np.stack([s if k == 0 else np.arctan2(k * s, k * w + 1) / k, t], axis=1)
 
     def lift(self, flat: Float64[Array, "n 2"]) -> Float64[Array, "n 3"]:
-        """World points of unrolled coordinates, mm. The inverse of `flatten` on the base."""
+        """World points of unrolled coordinates, mm (the inverse of `flatten` on the base)."""
         arc, t = flat.T
         half_turn = self.curvature_per_mm * arc / 2
         s = arc * np.sinc(2 * half_turn / np.pi)
@@ -85,14 +81,14 @@ class Base:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BaseFit:
-    """Best plane and best convex cylinder through the candidates. One is chosen after adjustment."""
+    """Best plane and best convex cylinder through the candidates."""
 
     plane: Base
     cylinder: Base
     plane_cost: float
-    """Directions without support for the plane, and what it cuts off (`_Data.cost`)."""
+    """Cost of the plane (`_Data.cost`)."""
     cylinder_cost: float
-    """Directions that do not support the cylinder, and what it cuts off."""
+    """Cost of the cylinder."""
 
 
 def fit_base(
@@ -101,15 +97,15 @@ def fit_base(
     viewer_direction: Float64[Array, 3],
     settings: BaseRimSettings = BaseRimSettings(),
 ) -> BaseFit:
-    """Find the plane or convex cylinder that carries a cast's rim.
+    """Best plane and best convex cylinder through a cast's rim.
 
-    Random minimal samples, scored by directions (not by count: a well seen side must not outvote the others) and by
-    how much of the measured surface they would cut off, then Tukey's weights with a shrinking scale.
+    Random minimal samples are scored by the directions that support them (not by the number of points, which a well
+    visible side would dominate) and by the measured surface that they would cut off, and refined with Tukey's weights.
 
     Args:
-        candidates: possible rim points, mm, world frame; up to half may belong to occluding limbs.
-        surface_points: measured points of the cast; a base has nearly all of them on the viewer's side.
-        viewer_direction: from the cast towards the cameras; need not be exact.
+        candidates: possible rim points, mm, world frame; up to half may be on occluding limbs.
+        surface_points: measured points of the cast, nearly all on the viewer's side of the base.
+        viewer_direction: from the cast towards the cameras, approximately.
         settings: tolerances.
 
     Raises:
@@ -135,7 +131,7 @@ def fit_base(
 
 
 def sectors_held(points: Float64[Array, "n 3"], middle: Float64[Array, 3], base: Base) -> int:
-    """Number of directions around the cast's middle with points, of `SECTORS`."""
+    """Number of directions around the cast's centre with points, out of `SECTORS`."""
     return len(np.unique(_sectors(points, middle, base.frame[2])))
 
 
@@ -146,22 +142,19 @@ class _Data:
     surface: Float64[Array, "m 3"]
     settings: BaseRimSettings
     extent: float
-    """Radius about the middle that holds nine tenths of the points, mm."""
+    """Radius about the centre that contains nine tenths of the points, mm."""
     inlier_mm: float = INLIER_MM
 
     def scale(self, coarseness: float) -> float:
-        """Tukey's constant, mm: where a candidate stops counting."""
+        """Tukey's constant, mm."""
         return 2.0 * self.inlier_mm * coarseness
 
     def balance(self) -> Float64[Array, " n"]:
-        """Weight of each candidate such that every direction has weight 1."""
+        """Weight of each candidate such that each direction has weight 1."""
         return 1.0 / np.bincount(self.sectors, minlength=SECTORS)[self.sectors]
 
     def cost(self, base: Base) -> float:
-        """Directions that do not support a base, plus its cut-off share.
-
-        Each hundredth of the surface cut off counts as one direction.
-        """
+        """Number of directions that do not support a base, plus 1 per 1 % of the surface that it cuts off."""
         constant = self.scale(1.0)
         loss = _tukey_loss(base.height(self.points), constant)
         per_sector = np.bincount(self.sectors, loss * self.balance(), minlength=SECTORS)
@@ -171,25 +164,25 @@ class _Data:
 
 
 def no_rim(found: str, settings: BaseRimSettings) -> MeasureError:
-    """The error for too little of a cast's rim."""
+    """Error for too little of a cast's rim."""
     return MeasureError(
         "base of the model",
         found=found,
         expected=f"its rim in at least {settings.minimum_sectors} of {SECTORS} directions around it",
-        remedy="Photograph the cast whole and from more sides, its base clear of the surroundings and darker or paler "
-        "than they are; or draw the boundary",
+        remedy="Photograph the whole cast from more sides, its base free of other objects and darker or paler than "
+        "they are; or draw the boundary",
     )
 
 
 def _sectors(points: Float64[Array, "n 3"], centre: Float64[Array, 3], viewer: Float64[Array, 3]) -> Int64[Array, " n"]:
-    """Direction of each point from the centre, as the viewer sees it. By number."""
+    """Index of each point's direction from the centre, as the viewer sees it."""
     frame = frame_towards(viewer)
     x, y = ((points - centre) @ frame[:2].T).T
     return (np.floor((np.arctan2(y, x) / (2 * np.pi) + 0.5) * SECTORS).astype(np.int64)) % SECTORS
 
 
 def frame_towards(direction: Float64[Array, 3]) -> Float64[Array, "3 3"]:
-    """A right-handed orthonormal frame (rows) whose third axis is the direction."""
+    """Right-handed orthonormal frame (rows) whose third axis is the direction."""
     normal = direction / np.linalg.norm(direction)
     first = np.cross(np.eye(3)[np.argmin(np.abs(normal))], normal)
     first /= np.linalg.norm(first)
@@ -197,7 +190,7 @@ def frame_towards(direction: Float64[Array, 3]) -> Float64[Array, "3 3"]:
 
 
 def _tukey(residuals: Float64[Array, "*n"], constant: float) -> Float64[Array, "*n"]:
-    """Weights: Tukey's above the base. Below it the weight is never less than a quarter (see the module)."""
+    """Tukey's weights above the base; below it at least a quarter (see the module)."""
     weights = np.clip(1 - (residuals / constant) ** 2, 0.0, None) ** 2
     return np.where((residuals < 0) & (residuals > -3 * constant), np.maximum(weights, 0.25), weights)
 
@@ -207,7 +200,7 @@ def _tukey_loss(residuals: Float64[Array, "*n"], constant: float) -> Float64[Arr
 
 
 def _plane_seeds(data: _Data, viewer: Float64[Array, 3], rng: np.random.Generator) -> list[Base]:
-    """The best planes through three candidates in different directions."""
+    """Best planes through three candidates in different directions."""
     points = data.points
     pick = rng.choice(len(points), size=(_TRIALS, 3), p=data.balance() / data.balance().sum())
     a, b, c = np.moveaxis(points[pick], 1, 0)
@@ -238,7 +231,7 @@ def _plane_seeds(data: _Data, viewer: Float64[Array, 3], rng: np.random.Generato
 
 
 def _cylinder_seeds(plane: Base, data: _Data, rng: np.random.Generator) -> list[Base]:
-    """Best parabolic bases over a plane. One minimal sample of four candidates at a time."""
+    """Best parabolic bases over a plane, each through four candidates."""
     local = (data.points - plane.origin) @ plane.frame.T
     surface = (data.surface[::3] - plane.origin) @ plane.frame.T
     probability = data.balance() / data.balance().sum()
@@ -289,10 +282,7 @@ def _from_parabola(plane: Base, solution: Float64[Array, 4], angle: float, s_cen
 
 
 def moved(base: Base, step: Float64[Array, " k"], extent: float) -> Base:
-    """Move a base by a small step.
-
-    Tilts (mm at `extent`), height (mm), then bend (mm of sag) and its direction.
-    """
+    """A base moved by a small step: tilts (mm at `extent`), height (mm), then bend (mm of sag) and its direction."""
     turn = np.array([step[0], step[1], step[4] if len(step) > 3 else 0.0]) / extent
     rotation = Rotation.from_rotvec(turn @ base.frame).as_matrix()
     bend = 2 * step[3] / extent**2 if len(step) > 3 else 0.0
@@ -304,7 +294,7 @@ def moved(base: Base, step: Float64[Array, " k"], extent: float) -> Base:
 
 
 def ways_to_bend(plane: Base) -> list[Float64[Array, "3 3"]]:
-    """Frames of a plane turned about its normal, one per bend direction."""
+    """Frames of a plane turned about its normal, one per direction of bending."""
     first, second, normal = plane.frame
     angles = np.arange(_WAYS) * np.pi / _WAYS
     return [
@@ -316,7 +306,7 @@ def ways_to_bend(plane: Base) -> list[Float64[Array, "3 3"]]:
 
 
 def _polish(base: Base, data: _Data, *, bend: bool) -> Base:
-    """Iteratively reweighted Gauss–Newton with Tukey's constant shrinking to its final value."""
+    """A base refined by iteratively reweighted Gauss–Newton steps, with a decreasing Tukey's constant."""
     parameters = 5 if bend else 3
     balance = data.balance()
     for coarseness in _COARSENESS:
@@ -344,12 +334,12 @@ def _polish(base: Base, data: _Data, *, bend: bool) -> Base:
 def base_through(
     points: Float64[Array, "n 3"], viewer_direction: Float64[Array, 3], *, kind: BaseKind | None = None
 ) -> Base:
-    """The plane or convex cylinder of least squares through rim points. Without `kind` the better one.
+    """Least-squares plane or convex cylinder through rim points.
 
     Args:
         points: a closed curve on or near the base, mm, world frame.
         viewer_direction: towards the viewer's side of it.
-        kind: which of the two; without it the data choose.
+        kind: plane or cylinder; None: the better one.
     """
     centre = points.mean(axis=0)
     offset = points - centre

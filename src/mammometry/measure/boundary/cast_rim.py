@@ -1,16 +1,15 @@
-"""The rim of a cast's base, from silhouettes, and the base on which all cameras see one rim.
+"""The rim of a cast's base in silhouettes, and the base adjusted to it.
 
 Candidates come from the silhouettes and the measured surface. At a point of a silhouette the surface either turns away
-smoothly (an occluding limb: the viewing ray touches it) or ends at the rim (the ray pierces its continuation). The
-surface measured beside the silhouette, by whichever cameras saw it best, is continued as a quadratic patch in its own
-tangent plane, so that it can turn steep towards the rim, and met with the ray. The distance between silhouette and
-measured skin limits the test: a limb so sharply rounded that it begins beyond it looks like a rim. Only points too
-sharp for any breast count.
+smoothly (an occluding limb: the viewing ray touches it) or ends at the rim (the ray intersects its continuation). The
+surface measured next to the silhouette is continued as a quadratic patch in its own tangent plane, so that it can
+become steep towards the rim, and intersected with the ray. A limb that is so sharp that it begins beyond the measured
+skin looks like a rim, so only points too sharp for any breast count.
 
-Every silhouette point on the rim defines a viewing ray. The ray meets the base in a point of the rim. With the right
-base the points of different cameras lie on one closed curve. With a wrong one they do not, because the cameras look
-from different sides. Base and curve are adjusted together, by least squares in pixels: a bundle adjustment of one
-curve on one surface. Only silhouettes enter, so errors of the matched surface near its edge do not matter.
+The viewing ray of each silhouette point on the rim intersects the base in a point of the rim. With the right base the
+points of different cameras are on one closed curve, with a wrong base they are not. Base and curve are adjusted
+together, by least squares in pixels: a bundle adjustment of one curve on one surface. Only silhouettes are used, so
+errors of the matched surface near its edge do not matter.
 """
 
 from __future__ import annotations
@@ -31,49 +30,45 @@ from mammometry.measure.boundary.cast_base import SECTORS, Base, moved
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 SHARPEST_LIMB_MM = 8.0
-"""Radius of the sharpest limb of a breast, mm. Measured skin that turns to a cosine c of incidence at a distance g
-from the silhouette is no limb with a radius above 2 g/c². A point where that is less than this shows the rim. Of a
-ptotic cast photographed by one pair, at a tenth of full size, 92 % of the rim's points have less, and 92 % of the
-limb's have more.
-"""
+"""Radius of the sharpest limb of a breast, mm. Measured skin with the cosine c of incidence at a distance g from the
+silhouette can be a limb with a radius of at most 2 g/c². Where that is less than this value, the point shows the rim.
+For a ptotic cast photographed by one pair, at a tenth of full size, 92 % of the rim's points have less, and 92 % of the
+limb's have more."""
 _EDGE_BAND_PX = 8.0
-"""Widest gap, pixels of the photograph, between a silhouette and the end of the measured surface beside it for the
-silhouette to count as the cast's rim. Windows of the matcher end that far inside the edge."""
-_PATCH_RADIUS_MM = 7.0  # radius of the surface patch that is continued to the silhouette; chosen by eye
-_CONTINUE_MM = 4.0  # longest way by which it is continued; chosen by eye
-_LEAST_FACING = 0.1  # cosine of the steepest incidence on the continued surface; a limb has 0, a rim .3 to .9
+"""Largest gap between a rim's silhouette and the measured surface, pixels of the photograph: the matcher's windows end
+that far inside the edge."""
+_PATCH_RADIUS_MM = 7.0  # radius of the surface patch that is continued to the silhouette; not critical
+_CONTINUE_MM = 4.0  # longest continuation; not critical
+_LEAST_FACING = 0.1  # least cosine of incidence on the continued surface; a limb has 0, a rim 0.3 to 0.9
 _PER_MM2 = 1.6  # vertices per mm² that are used; chosen for speed
-_NEIGHBOURS = 160  # vertices of a patch at most; 1.6 per mm² make 246 within 7 mm
-_FEWEST = 40  # vertices of a patch at least; its quadratic has 6 coefficients
+_NEIGHBOURS = 160  # most vertices of a patch; 1.6 per mm² are 246 within 7 mm
+_FEWEST = 40  # fewest vertices of a patch, whose quadratic has 6 coefficients
 
 
 @value(eq=False)
 class RimCandidates:
-    """Silhouette points that may lie on the rim, and their rays. World frame."""
+    """Silhouette points that may be on the rim, and their rays, world frame."""
 
     points_world: Float64[Array, "n 3"]
-    """Where each ray meets the continued surface, mm."""
+    """Intersection of each ray with the continued surface, mm."""
     centres_world: Float64[Array, "n 3"]
     """Perspective centre of the camera that saw each point, mm."""
     rays: Float64[Array, "n 3"]
     """Unit viewing rays."""
     outward: Float64[Array, "n 3"]
-    """Unit normals of the planes that touch the silhouette along the rays, away from the cast."""
+    """Unit normals, away from the cast, of the planes through each ray that are tangent to the silhouette."""
     mm_per_px: Float64[Array, " n"]
-    """What a pixel of the photograph spans at each point, mm."""
+    """Size of a pixel of the photograph at each point, mm."""
     camera: Int64[Array, " n"]
-    """Number, in the rig's order, of the camera that saw each point."""
+    """Index, in the rig's order, of the camera that saw each point."""
 
     def chosen(self, which: slice | Bool[Array, " n"]) -> RimCandidates:
-        """Some of them."""
+        """Part of the candidates."""
         return RimCandidates(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
 
 def rim_candidates(surface: RepairedSurface, foregrounds: Mapping[str, Foreground], rig: Rig) -> RimCandidates:
-    """Silhouette points where the continued surface is pierced.
-
-    Merely touched ones do not count. On every camera's silhouette.
-    """
+    """Points of all silhouettes at which the ray intersects the continued surface instead of touching it."""
     seen = np.flatnonzero(surface.provenance == Provenance.MEASURED)
     if len(seen) < _FEWEST:
         seen = np.arange(len(surface.mesh.vertices))
@@ -134,7 +129,7 @@ def _pierced(
     range_mm, facing_by = _meet(camera.centre_world, rays, anchor, vertices[near], normals[near], weights)
     points = camera.centre_world + rays * np.where(np.isfinite(range_mm), range_mm, 0.0)[:, None]
     keep = np.isfinite(range_mm) & (facing_by > _LEAST_FACING)
-    # A limb of radius r turns to the cosine c at the distance r c²/2 from its edge.
+    # A limb of radius r has the cosine c at the distance r c²/2 from its edge.
     aside = np.linalg.norm(np.cross(anchor - camera.centre_world, rays), axis=1)
     keep &= 2 * aside < SHARPEST_LIMB_MM * facing_by**2
     keep &= np.asarray(tree.query(points)[0]) < _CONTINUE_MM
@@ -156,10 +151,9 @@ def _meet(
     normals: Float64[Array, "n k 3"],
     weights: Float64[Array, "n k"],
 ) -> tuple[Float64[Array, " n"], Float64[Array, " n"]]:
-    """Range at which each ray enters the quadratic patch, and its cosine.
+    """Range at which each ray enters the quadratic patch through its points, and the cosine of incidence.
 
-    The patch goes through the ray's points. The cosine is that of incidence. NaN if the ray passes by: there the
-    silhouette is a limb.
+    NaN if the ray misses the patch: there the silhouette is a limb.
     """
     normal = (normals * weights[..., None]).sum(axis=1)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
@@ -189,50 +183,48 @@ def _meet(
 
 
 SILHOUETTE_SIGMA_PX = 0.05
-"""Standard uncertainty of the edge in each camera, common to its whole outline, pixels. In eight cameras and three
-casts that are lit to the edge it was .00 to .04 (docs/decisions/0009). No smaller scatter is assumed.
-"""
+"""Standard uncertainty of the edge in each camera, common to its whole outline, px, and least scatter. It was 0.00 to
+0.04 in eight cameras and three casts that are lit to the edge (docs/decisions/0009)."""
 _LOCAL_SIGMA_PX = 0.1
-"""Standard uncertainty of the edge in one eighth of a camera's outline alone, pixels. Light differs around a rim:
-.02 to .12 was measured.
-"""
-_RIM_KNOTS = 40  # of the closed spline that stands for the rim: one every 9°, chosen by eye
-_ROUNDS = 30  # Gauss–Newton rounds at most; it ends when no step exceeds _CONVERGED_MM
-_REWEIGHT = 4  # times that the weights are renewed in each round; chosen by eye
-_TUKEY = 4.685  # standard deviations; Tukey's biweight is then 95 % efficient for normal errors
-_NARROWING = 0.8  # factor by which the coarse scatter shrinks from round to round; chosen by eye
-_CORRELATED = 4.0  # neighbouring silhouette points share pixels: so many count as one
-_PRIOR_MM = 0.5  # standard uncertainty of the candidates' own heights, mm: extrapolated range data erred by .3
-_STEP = 1e-2  # step of the numerical derivatives, mm
-_CONVERGED_MM = 2e-3  # a base that moves by less is at rest, mm; .02 cc of a cast
-_STRETCHES = 8  # parts of an outline that may be off by themselves (`_LOCAL_SIGMA_PX`)
+"""Standard uncertainty of the edge in one eighth of a camera's outline, px: 0.02 to 0.12 was measured, because light
+differs around a rim."""
+_RIM_KNOTS = 40  # knots of the rim's closed spline, one every 9°; not critical
+_ROUNDS = 30  # most Gauss–Newton iterations
+_REWEIGHT = 4  # updates of the weights per iteration; not critical
+_TUKEY = 4.685  # Tukey's constant, standard deviations: 95 % efficiency for normal errors
+_NARROWING = 0.8  # factor per iteration of the coarse scatter; not critical
+_CORRELATED = 4.0  # neighbouring silhouette points that count as one, because they share pixels
+_PRIOR_MM = 0.5  # standard uncertainty of the candidates' own heights; extrapolated ranges had errors of 0.3
+_STEP = 1e-2  # step of numerical derivatives, mm
+_CONVERGED_MM = 2e-3  # largest last step: 0.02 cc of a cast
+_STRETCHES = 8  # parts of an outline with errors of their own (`_LOCAL_SIGMA_PX`)
 
 
 @value(eq=False)
 class AdjustedBase:
-    """A base on which the cameras agree about the rim."""
+    """A base adjusted to the rim in all cameras."""
 
     base: Base
     weights: Float64[Array, " n"]
-    """Of every candidate, 0 (no rim) to 1."""
+    """Of each candidate, 0 (no rim) to 1."""
     residuals_px: Float64[Array, " n"]
-    """Distance of every silhouette point from the common rim, pixels."""
+    """Distance of each silhouette point from the common rim, px."""
     scale_px: float
-    """Robust standard deviation of the residuals, pixels."""
+    """Robust standard deviation of the residuals, px."""
     extent_mm: float
-    """Distance at which tilts are counted in mm (see `moved`)."""
+    """Distance at which tilts are given in mm (see `moved`)."""
     covariance: Float64[Array, "k k"]
-    """Of the base's tilts, height and bend, from the scatter, mm²."""
+    """Covariance of the base's tilts, height and bend, from the scatter, mm²."""
     per_camera: Float64[Array, "k c"]
-    """Their values with one camera's outline one pixel further out, mm."""
+    """Their change if one camera's outline is one pixel further out, mm."""
     per_stretch: Float64[Array, "k m"]
     """The same for one eighth of one camera's outline."""
 
     def sigma_mm(self, rim: Float64[Array, "n 3"]) -> float:
         """Standard uncertainty of the base's mean height within the rim, mm.
 
-        It combines the scatter with outlines that are off as a whole or in stretches of an eighth. If only part of the
-        rim was seen, the base can tilt, which changes the mean.
+        It combines the scatter with errors of whole outlines and of eighths of outlines. If only part of the rim is
+        visible, the base can tilt, which changes the mean.
 
         Args:
             rim: closed curve on the base, mm, world frame.
@@ -254,21 +246,20 @@ class AdjustedBase:
 
 
 def mean_height(base: Base, rim: Float64[Array, "n 3"]) -> float:
-    """Mean height above a base over the rim's area, mm. Exact for parabolas over ellipses."""
+    """Mean height above a base over the rim's area, mm; exact for parabolas over ellipses."""
     return float((base.height(rim).mean() + base.height(rim.mean(axis=0)[None])[0]) / 2)
 
 
 def adjust_base(start: Base, candidates: RimCandidates, *, bend: bool, coarse_px: float = 0.0) -> AdjustedBase:
-    """Move a base until all silhouettes agree on its rim.
+    """A base adjusted until all silhouettes agree on its rim.
 
-    The height of the candidates themselves (where the surface was continued to) enters weakly, for rigs whose
-    cameras all look from one side.
+    The candidates' own heights have a small weight, for rigs whose cameras are all on one side.
 
     Args:
         start: within a few millimetres of the solution.
-        candidates: silhouette points that show the rim, limbs left out but for a few.
+        candidates: silhouette points on the rim, with few outliers on limbs.
         bend: whether the base may be a cylinder.
-        coarse_px: scatter that is assumed beside the found one at first, and less from round to round, pixels.
+        coarse_px: initial additional scatter, px, which decreases from iteration to iteration.
     """
     parameters = 5 if bend else 3
     extent = float(np.percentile(np.linalg.norm(candidates.points_world - start.origin, axis=1), 90))
@@ -331,13 +322,13 @@ def adjust_base(start: Base, candidates: RimCandidates, *, bend: bool, coarse_px
 def _on_base(
     base: Base, candidates: RimCandidates, middle: Float64[Array, 2]
 ) -> tuple[Float64[Array, " n"], Float64[Array, " n"], Float64[Array, " n"]]:
-    """Polar coordinates, on the unrolled base, of where the rays meet it.
+    """Polar coordinates about `middle`, on the unrolled base, of the rays' intersections with it.
 
-    And pixels per mm of radius. Angle, rad; radius, mm, about `middle`.
+    Angle, rad; radius, mm; pixels per mm of radius.
     """
     centres, rays = candidates.centres_world, candidates.rays
     reach = -((centres - base.origin) @ base.frame[2]) / (rays @ base.frame[2])
-    for _ in range(6):  # Newton; the first guess is exact for a plane
+    for _ in range(6):  # Newton; the initial value is exact for a plane
         height = base.height(centres + rays * reach[:, None])
         slope = (base.height(centres + rays * (reach + 1e-3)[:, None]) - height) / 1e-3
         reach = reach - height / np.where(np.abs(slope) > 1e-3, slope, -1.0)
@@ -351,7 +342,7 @@ def _on_base(
 
 
 def _periodic_spline(angle: Float64[Array, " n"]) -> csr_array:
-    """Values of the uniform periodic cubic B-splines at the angles, rad."""
+    """Values of uniform periodic cubic B-splines at angles, rad."""
     place = np.mod(angle, 2 * np.pi) / (2 * np.pi) * _RIM_KNOTS
     first = np.floor(place).astype(np.int64)
     f = place - first

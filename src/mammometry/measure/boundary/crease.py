@@ -1,12 +1,12 @@
-"""The border of a breast: its crease, and where there is none, what breasts are like.
+"""The border of a breast: its crease, and without a crease the mean shape of breasts.
 
-The crease is where the breast's skin turns most sharply into the trunk's. Every curve s(φ) around the breast's middle
-is a path through a table of directions and distances (`weigh_paths`). Where no crease is (the upper pole of many
-breasts), the neighbours, the skin's height and the shape of real women's boundaries decide, and not what is deepest.
+The crease is where the breast's skin turns most sharply into the trunk's. A curve s(φ) around the breast's middle is a
+path through a table of directions and distances (`weigh_paths`). Without a crease (at the upper pole of many breasts),
+the border follows from its neighbours, the skin's height and the shape of real women's boundaries.
 
-A path has one distance from the middle for each direction, so it cannot cross itself. What a distance is worth in a
-direction and what moving in or out costs add up, so sums over all paths need only neighbouring directions. The mean of
-all paths, unlike the best of them, changes little where the evidence changes little.
+A path has one distance per direction, so it cannot cross itself. The score is a sum over directions and over steps
+between neighbouring directions, so sums over all paths can be computed by a recursion. The mean of all paths changes
+little if the evidence changes little; the best path may jump.
 """
 
 from __future__ import annotations
@@ -22,28 +22,28 @@ from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.measure.trunk.skin_map import KNOWN_MM, PIXEL_MM, Relief
 from mammometry.measure.trunk.thorax import CHEST_SCALE_MM, CUT_OFF
 
-_TURNS = 2  # around the middle: in the first the start is forgotten
-_FURTHEST_STEPS = 3  # that a path may move in or out from one direction to the next; 50° from the tangent at 60 mm
-_LEAST_SHARE = 1e-100  # arrives anywhere, so that what comes from both sides never has the product 0
+_TURNS = 2  # turns of the recursion around the middle; after the first it no longer depends on the start
+_FURTHEST_STEPS = 3  # largest step of a path between neighbouring directions: 50° from the tangent at 60 mm
+_LEAST_SHARE = 1e-100  # least weight, so that the product of both directions of the recursion is never 0
 _SHIFTS = np.arange(-_FURTHEST_STEPS, _FURTHEST_STEPS + 1)
 
 
 @value(eq=False)
 class WeighedPaths:
-    """All closed paths through each of several tables."""
+    """Statistics of all closed paths through each of several tables."""
 
     mean_steps: Float64[Array, "k d"]
-    """Mean step of each direction."""
+    """Mean step in each direction."""
     spread_steps: Float64[Array, "k d"]
-    """Standard deviation of each direction's step."""
+    """Standard deviation of the step in each direction."""
     evidence: Float64[Array, " k"]
     """Logarithm of the sum of all paths' weights."""
 
 
 def weigh_paths(log_weights: Float64[Array, "k d s"], stiffness: float) -> WeighedPaths:
-    """Weigh the closed paths through each table.
+    """Mean, spread and total weight of the closed paths through each table.
 
-    A path's weight is the exponential of its log weights' sum − stiffness × (change of step)².
+    The weight of a path is exp(Σ log weight − stiffness × Σ (change of step)²).
     """
     highest = log_weights.max(axis=2)
     weights = np.moveaxis(np.exp(log_weights - highest[:, :, None]), 1, 0)
@@ -61,7 +61,7 @@ def weigh_paths(log_weights: Float64[Array, "k d s"], stiffness: float) -> Weigh
 def _arriving(
     weights: Float64[Array, "d k s"], moves: Float64[Array, " m"]
 ) -> tuple[Float64[Array, "d k s"], Float64[Array, " k"]]:
-    """Share of the weight that arrives at each step from the directions before, and its log growth in one turn."""
+    """Share of the weight of partial paths at each step of each direction, and its log growth in one turn."""
     arriving = np.empty_like(weights)
     before = np.full(weights.shape[1:], 1 / weights.shape[2])
     for _ in range(_TURNS):
@@ -76,73 +76,71 @@ def _arriving(
 
 
 FARTHEST_BORDER_MM = 140.0
-"""Farthest a boundary lies from the breast's middle, mm."""
+"""Largest distance of a boundary from the breast's middle, mm."""
 CREASE_PER_MM = 0.01
-"""Concavity from which the skin has a crease, 1/mm, twice a mean curvature. A chest has below .005, a fold .1 to 1."""
-DIRECTIONS = 144  # from the breast's middle in which its end is looked for, 2.5° apart
+"""Concavity from which the skin has a crease, 1/mm (twice a mean curvature). A chest has less than 0.005, a fold 0.1 to
+1."""
+DIRECTIONS = 144  # directions from the breast's middle, 2.5° apart
 _SIGMA_MM = 2 * PIXEL_MM
-"""Scale at which the skin's curvature is looked at, mm: wider than the matcher's and the skin's unevenness, narrower
-than a fold."""
-_FINE_MM = PIXEL_MM  # scale at which the same crease is looked at again, to tell how abrupt it is, mm
+"""Scale of the skin's curvature, mm: wider than noise and the skin's unevenness, narrower than a fold."""
+_FINE_MM = PIXEL_MM  # finer scale, which shows how abrupt a crease is
 _HALVED_SIGMAS = (0.0, 1.18, 1.92)
-"""Distance outside a bend of skin at which its concavity, smoothed by a Gaussian, has fallen to half, in σ: where
-curvature steps, where slope steps (a crease), where height steps (a fold under an overhang). Closed forms."""
-_NEAR_STEPS = 6  # steps on either side of the path in which the crease is looked for at the finer scale
-_EVEN_DIRECTIONS = 3.0  # over which abruptness is averaged; chosen by eye
+"""Distance outside a bend of skin at which its Gaussian-smoothed concavity is half the maximum, in σ: for a step of
+curvature, of slope (a crease), and of height (a fold under an overhang). Closed forms."""
+_NEAR_STEPS = 6  # steps on either side of the path in which the crease is searched at the finer scale
+_EVEN_DIRECTIONS = 3.0  # directions over which abruptness is averaged; not critical
 _VANISH_MM = 2.0  # height over the thorax fit at which a breast ends; the fit's own scatter is 1–2 mm
-_CREASE = 0.6  # worth of a crease of .017 per mm; a fold's, .1 per mm, is 1.4
+_CREASE = 0.6  # score of a crease of 0.017 per mm; that of a fold of 0.1 per mm is 1.4
 _HEIGHT_COST, _MOST_HEIGHT_COST, _MOST_FLANK_COST = 0.05, 0.3, 0.5
-"""Cost of a border on skin that stands as high again above that level, and its limit. Weak: it only keeps the border
-out of the nipple's and other creases on the breast. A trunk that is fitted beside breasts is off by more above them.
-The same again, with its own limit, for skin that stands out by more than such a trunk is off: a breast's flank."""
-_TRUNK_OFF_MM = 20.0  # by which a trunk may lie too deep above the breasts, 10 to 20 mm: a muscle stands out by that
-_STIFFNESS = 0.1
-"""Cost of a border that moves in or out by 1 mm from one direction to the next. Grows with the square of the movement.
-Chosen by eye."""
+"""Cost of a border on skin one `_VANISH_MM` above that height, and its limit. It is small, and only keeps the border
+off creases on the breast, because a trunk fitted beside breasts has larger errors above them. The cost is applied
+again, with the second limit, to skin that is higher than these errors: a breast's flank."""
+_TRUNK_OFF_MM = 20.0  # error of the fitted trunk above the breasts, 10 to 20 mm: the height of a muscle
+_STIFFNESS = 0.1  # cost of a step of 1 mm between neighbouring directions, quadratic in the step; not critical
 _USUAL_SHAPE = np.array([0.43, 0.54, 0.67, 0.55, 0.47, 0.58, 0.62, 0.59])
 """Distance of real women's boundaries from their middle over the root of their area, every 45° from lateral upwards:
-the mean of 145 breasts (docs/decisions/0029). One woman's differ from it by .04, 7 %."""
+mean of 145 breasts (docs/decisions/0029). The standard deviation between women is 0.04 (7 %)."""
 _SHAPE_SCATTER, _UNLIKE_COST = 0.12, 0.03
-"""Relative scatter about that shape that is expected of bodies in other poses, and what one scatter costs. A fold holds
-the border against four."""
+"""Expected relative scatter about that shape, for bodies in any pose, and the cost of one scatter. A fold outweighs
+four."""
 _SIZES_MM = np.geomspace(80.0, 180.0, 11)
 """Roots of a base's area that are tried, mm: 64 to 324 cm²."""
 _SIZE_SCATTER, _SIZE_COST = 0.12, 5.0
-"""Relative scatter of that root about what the breast's dome tells, and what one scatter costs in all."""
-_CENTRINGS = 3  # times that the border is looked for about its own middle; chosen by eye
+"""Relative scatter of that root about its estimate from the breast's dome, and the cost of one scatter."""
+_CENTRINGS = 3  # iterations of the border about its own centroid; not critical
 _NATS, _SIZE_NATS = 2.0, 0.2
-"""Log of how much more probable a curve is that gathers 1 more, and a size whose curves gather 1 more: neighbouring
-directions err alike, so that a size has less evidence than their sum. Calibrated on virtual women (decision 43)."""
+"""Log likelihood per unit of score, for a curve and for a size. Errors of neighbouring directions are correlated, so
+the score of a size counts less. Calibrated on virtual women (decision 43)."""
 _ERR_ALIKE = 2.4
-"""Error of a border over its paths' spread, for the same reason: 1 on virtual scans, 2.6 on the hanging families."""
-_GOES_ON = 1 / 3  # of its height: where skin outside its border stands out more, the breast goes on; chosen by eye
+"""Error of a border over its paths' spread, for the same reason: 1 on virtual scans, 2.6 on hanging breasts."""
+_GOES_ON = 1 / 3  # height of skin outside the border, relative to the top, that still is breast; not critical
 _ENDED_MM, _UNSEEN_SCATTER = 18.0, 0.3
-"""A border this near to the end of the seen skin may be anywhere beyond: its scatter there, as a share of its distance
-from the middle. Chosen by eye: large breasts of held-out captures go on by 30 to 50 mm above what is laid flat."""
-_FALLEN = 0.9  # share of the height to which a breast has fallen before it may end; .68 moves 4 % of an interval
-_RISE_MM = 6.0  # skin that rises again by this much belongs to something else (arm, belly, other breast)
-_SUNK_MM = CUT_OFF * CHEST_SCALE_MM
-"""Skin this far behind the thorax fit is no trunk: it has ended there, as skin so far before it is something else to
-the fit itself, whose own errors are 2 to 6 mm."""
-_STEP_MM = 1.0  # of the table of distances
-_LEVEL_MM = 1.0  # over 8 mm: skin that rises or falls less is level; chosen by eye
-_SHIFT_MM = 15.0  # farthest that the outer flank is looked for outside the crease; chosen by eye
-_FORBIDDEN = -50.0  # worth of a place where a breast cannot end
+"""A border within this distance of the end of the visible skin may be anywhere beyond; its scatter there, relative to
+its distance from the middle. Large breasts of held-out captures extend 30 to 50 mm above the map. Not critical."""
+_FALLEN = 0.9
+"""Height, relative to the top, below which a breast may end. 0.68 changes volumes by 4 % of an interval; 1 would allow
+an end at the top."""
+_RISE_MM = 6.0  # skin that rises again by this much is something else (arm, belly, other breast)
+_BEHIND_MM = CUT_OFF * CHEST_SCALE_MM
+"""Distance behind the thorax fit, whose errors are 2 to 6 mm, beyond which skin is not trunk."""
+_STEP_MM = 1.0  # step of the table of distances
+_LEVEL_MM = 1.0  # skin that rises or falls by less over 8 mm is level; not critical
+_SHIFT_MM = 15.0  # largest distance of the outer flank outside the crease; not critical
+_FORBIDDEN = -50.0  # score where a breast cannot end
 
 
 @value(eq=False)
 class Crease:
-    """A closed curve around a breast, laid flat."""
+    """A closed curve around a breast, on the flattened trunk."""
 
     flat: Float64[Array, "n 2"]
-    """(half width × θ, y), mm, anticlockwise from the patient's left."""
+    """(half width × θ, y), mm, counter-clockwise from the patient's left."""
     concavity_per_mm: Float64[Array, " n"]
     """Concavity of the crease in each direction, 1/mm."""
     seen: Bool[Array, " n"]
     """Whether the skin is visible there."""
     sigma_mm: Float64[Array, " n"]
-    """Standard uncertainty of each distance from the middle, mm: small along a fold, large where nothing shows the
-    border."""
+    """Standard uncertainty of each distance from the middle, mm: small along a fold, large without a crease."""
 
 
 def follow_crease(
@@ -153,21 +151,20 @@ def follow_crease(
     base_mm: float = 130.0,
     between_mm: tuple[float, float] = (-np.inf, np.inf),
 ) -> Crease:
-    """Follow the border of a breast: its crease, and where there is none, what breasts are like.
+    """Border of a breast: along its crease, and without a crease along the mean shape of breasts.
 
-    Each distance from the middle is worth log(1 + κ/κ₀) for the concavity κ of the relief, smoothed over σ, where that
-    is positive, and less where skin rises outside it more than it falls to it from the breast: that is the foot of
-    something else. Skin that stands higher than the level at which a breast ends costs. So does a curve that is unlike
-    real women's boundaries, or larger or smaller than the breast's dome tells. The curve is then drawn on the crease's
-    outer flank, where κ has fallen to half, less what smoothing has put outside: nothing where curved skin joins
-    straight skin, up to 2 σ at a fold.
+    The score of a distance from the middle is log(1 + κ/κ₀) for the concavity κ of the smoothed relief, if positive,
+    and less where the skin rises outside by more than it falls inside: there something else begins. Costs are skin
+    above the height at which a breast ends, and a curve that differs in shape from real women's boundaries or in size
+    from the estimate by the breast's dome. The curve is then moved to the crease's outer flank, where κ is half its
+    maximum, minus the effect of smoothing: nothing at a step of curvature, up to 2 σ at a fold.
 
     Args:
-        relief: the skin laid flat.
+        relief: the flattened skin.
         middle: the breast's middle on it, mm.
         side: of the patient.
-        base_mm: root of the area of its base, roughly, mm.
-        between_mm: the border lies between these places around the trunk, half width × θ.
+        base_mm: estimated root of the area of its base, mm.
+        between_mm: limits of the border around the trunk, half width × θ.
     """
     angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
     rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -179,7 +176,7 @@ def follow_crease(
         places = middle + rays[:, None] * steps[:, None]
         bulge, concavity = relief.at(places, bulge_mm), relief.at(places, concavity_per_mm)
         known, arm = (relief.at(places, mask.astype(np.float64)) > 0.5 for mask in (relief.known, relief.arm))
-        # An arm and all behind it, unless skin of the trunk is seen there again.
+        # An arm and everything beyond it, unless skin of the trunk is visible there again.
         arm = np.maximum.accumulate(arm, axis=1) & ~np.maximum.accumulate(known[:, ::-1], axis=1)[:, ::-1]
         allowed = _beyond_the_top(bulge, arm) & relief.within(places)
         allowed &= (places[..., 0] > between_mm[0]) & (places[..., 0] < between_mm[1])
@@ -198,13 +195,12 @@ def follow_crease(
     reach = _STEP_MM * (1 + way)
     flank_mm = _outer_flank_mm(concavity, allowed, way)
     fine = relief.at(places, relief.concavity_per_mm(_FINE_MM))
-    # Each pixel has its innermost skin, which is that of its outer edge: half a pixel too far in.
+    # A pixel's innermost skin is at its outer edge: half a pixel too far in.
     reach = reach + flank_mm - _smeared_mm(concavity, fine, way) + PIXEL_MM / 2
-    # Smooth as the directions' own distances are, in mm along the curve.
     apart = float(np.mean(reach)) * 2 * np.pi / DIRECTIONS
     reach = np.asarray(gaussian_filter1d(reach, _SIGMA_MM / apart, mode="wrap"))
     flat = middle + rays * reach[:, None]
-    trunk = known & relief.within(places) & (bulge > -_SUNK_MM)
+    trunk = known & relief.within(places) & (bulge > -_BEHIND_MM)
     hidden_mm = _hidden_mm(trunk | arm, _uncreased(concavity, way), reach)
     return Crease(
         flat=flat,
@@ -215,9 +211,9 @@ def follow_crease(
 
 
 def _goes_on_mm(bulge: Float64[Array, "d s"], way: Float64[Array, " d"]) -> Float64[Array, " d"]:
-    """Distance from a path to where skin no longer stands out as the breast does, or rises again, mm.
+    """Distance from a path to the end of the breast's height, or to skin that rises again, mm.
 
-    0 where that lies within two σ, by which a fold is smoothed. Elsewhere the path runs over the breast.
+    0 if that is within two σ, the width of a smoothed fold. Else the path runs over the breast.
     """
     ahead_mm = _STEP_MM * (np.arange(bulge.shape[1]) - way[:, None])
     high_mm = max(_GOES_ON * float(bulge[ahead_mm < 0].max(initial=0.0)), _TRUNK_OFF_MM)
@@ -239,10 +235,10 @@ def _uncreased(concavity: Float64[Array, "d s"], way: Float64[Array, " d"]) -> F
 def _hidden_mm(
     trunk: Bool[Array, "d s"], uncreased: Float64[Array, " d"], reach: Float64[Array, " d"]
 ) -> Float64[Array, " d"]:
-    """Scatter of a border beyond which the trunk is not seen, mm.
+    """Additional scatter of a border beyond which the trunk is not visible, mm.
 
-    A border with a crease is in doubt where the trunk ends beside it: half of the crease may be hidden. One without may
-    lie anywhere within its scatter, and beyond the end. Where the trunk is seen again, it lies before that.
+    If the trunk ends next to a crease, half of the crease may be hidden. A border without a crease may be anywhere
+    beyond the end of the visible skin, but not beyond trunk that is visible again.
     """
     ahead_mm = _STEP_MM * (1 + np.arange(trunk.shape[1])) - reach[:, None]
     hidden = (ahead_mm >= 0) & ~trunk
@@ -257,7 +253,7 @@ def _hidden_mm(
 
 
 def _unlike(steps: Float64[Array, " s"], angles: Float64[Array, " d"]) -> Float64[Array, "k d s"]:
-    """Cost of a distance that real women's boundaries do not have in that direction, for each size.
+    """Cost of a distance that differs from real women's boundaries, for each size and direction.
 
     Args:
         steps: distances from the middle, mm.
@@ -282,26 +278,26 @@ def _centroid(flat: Float64[Array, "n 2"]) -> Float64[Array, 2]:
 def _beyond_the_top(bulge: Float64[Array, "d s"], arm: Bool[Array, "d s"]) -> Bool[Array, "d s"]:
     """Mask of the places at which a breast may end.
 
-    From where it has fallen to nine tenths of its height until the skin rises again for good, the trunk ends, or an
-    arm begins.
+    They begin where its height has fallen to `_FALLEN` of the top, and end where the skin rises again, the trunk ends
+    or an arm begins.
     """
     top = np.maximum.accumulate(bulge, axis=1)
     low = bulge < np.maximum(_FALLEN * top, _VANISH_MM)
     begun = np.maximum.accumulate(low, axis=1)
     lowest = np.minimum.accumulate(np.where(begun, bulge, np.inf), axis=1)
     risen = begun & (bulge > np.maximum(lowest, 0.0) + _RISE_MM)
-    ended = risen | (begun & (bulge < -_SUNK_MM))
+    ended = risen | (begun & (bulge < -_BEHIND_MM))
     allowed = begun & ~np.maximum.accumulate(ended, axis=1) & ~arm
-    unknown = ~allowed.any(axis=1)  # nothing is known here; the neighbours decide
+    unknown = ~allowed.any(axis=1)  # unknown: determined by the neighbours
     allowed[unknown] = ~arm[unknown]
     return allowed
 
 
 def _own(bulge: Float64[Array, "d s"]) -> Float64[Array, "d s"]:
-    """Degree to which a crease is the breast's own, 0 to 1.
+    """Degree to which a crease belongs to the breast, 0 to 1.
 
-    Skin falls to its own crease from inside at least as much as it rises outside.
-    At the foot of something else (arm, belly, the other breast hanging lower than the trunk goes) it only rises.
+    At the breast's own crease the skin falls inside at least as much as it rises outside. At the foot of something else
+    (arm, belly, a lower breast) it only rises.
     """
     reach = round(2 * _SIGMA_MM / _STEP_MM)
     padded = np.pad(bulge, ((0, 0), (reach, reach)), mode="edge")
@@ -310,7 +306,7 @@ def _own(bulge: Float64[Array, "d s"]) -> Float64[Array, "d s"]:
 
 
 def _at_steps(table: Float64[Array, "d s"], steps: Float64[Array, "d k"]) -> Float64[Array, "d k"]:
-    """Values of each direction between its steps, so that they move as little as the path does."""
+    """Values of a table at fractional steps, linear between them."""
     steps = np.clip(steps, 0, table.shape[1] - 1)
     before = np.minimum(steps.astype(np.int64), table.shape[1] - 2)
     lower, upper = (np.take_along_axis(table, before + step, axis=1) for step in (0, 1))
@@ -318,10 +314,7 @@ def _at_steps(table: Float64[Array, "d s"], steps: Float64[Array, "d k"]) -> Flo
 
 
 def _outer_flank_mm(concavity: Float64[Array, "d s"], allowed: Bool[Array, "d s"], way: Array) -> Float64[Array, " d"]:
-    """Distance outside the path at which the concavity has halved, or a breast can no longer end, mm.
-
-    0 where there is no crease.
-    """
+    """Distance outside the path to half of the concavity, or to where no breast can end, mm; 0 without crease."""
     count = len(concavity)
     ahead = way[:, None] + np.arange(int(_SHIFT_MM / _STEP_MM) + 1)
     along = _at_steps(np.where(allowed, concavity, 0.0), ahead)
@@ -337,14 +330,14 @@ def _outer_flank_mm(concavity: Float64[Array, "d s"], allowed: Bool[Array, "d s"
 
 
 def _smeared_mm(concavity: Float64[Array, "d s"], fine: Float64[Array, "d s"], way: Array) -> Float64[Array, " d"]:
-    """Distance outside the crease to which smoothing moved the place of half concavity, mm.
+    """Distance by which smoothing moved the point of half concavity outwards, mm.
 
-    With the scale σ the concavity of a step in curvature stays, that of a step in slope falls as 1/σ, that of a step in
-    height as 1/σ². So two scales tell which it is.
+    With the scale σ the concavity of a step of curvature is constant, that of a step of slope falls as 1/σ, that of a
+    step of height as 1/σ². So two scales show which it is.
     """
     near = way[:, None] + np.arange(-_NEAR_STEPS, _NEAR_STEPS + 1)
     coarse_peak, fine_peak = (np.clip(_at_steps(table, near).max(axis=1), 1e-9, None) for table in (concavity, fine))
     order = np.clip(np.log(fine_peak / coarse_peak) / np.log(_SIGMA_MM / _FINE_MM), 0.0, 2.0)
-    order *= np.clip(coarse_peak / CREASE_PER_MM - 0.5, 0.0, 1.0)  # no leap where there is just no crease
+    order *= np.clip(coarse_peak / CREASE_PER_MM - 0.5, 0.0, 1.0)  # continuous at the threshold of a crease
     smeared_mm = _SIGMA_MM * np.interp(order, np.arange(3), _HALVED_SIGMAS)
     return np.asarray(gaussian_filter1d(smeared_mm, _EVEN_DIRECTIONS, mode="wrap"))

@@ -1,8 +1,7 @@
-"""Find an object on a breast: a hand, an arm or a strap.
+"""Detection of an object on a breast (a hand, an arm or a strap) by its grooves.
 
-A breast bulges everywhere but at its border. Where a hand is laid on it, or an arm runs across it, a scan makes one
-skin of both, with a sharp groove where one ends on the other. So grooves well inside the border show it, in whatever
-colour the skin is. See docs/decisions/0048.
+A scan merges the object and the breast into one surface, with a sharp groove between them. A bare breast is convex
+inside its border (docs/decisions/0048).
 """
 
 from __future__ import annotations
@@ -16,19 +15,17 @@ from mammometry.measure.boundary.breasts import within_outline
 from mammometry.measure.boundary.overlap import Overlap
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
-_SAMPLE_MM = 3.0  # one vertex in every cube of this side: finer than the groove at a finger's side, 10 mm
-_DISC_MM, _RING_MM = 5.0, (10.0, 16.0)  # radii of a groove's middle and of the skin around it: half a finger to one
+_SAMPLE_MM = 3.0  # one vertex per cube of this side: finer than the groove beside a finger, 10 mm
+_DISC_MM, _RING_MM = 5.0, (10.0, 16.0)  # radius of a groove's disc, and radii of the ring around it: half to one finger
 _GROOVE_MM = 1.5
-"""Depth of the disc's mean below the ring's, mm. Noise of a telephone's scans reaches 0.5; a hand 25 mm thick has 3 to
-8."""
-_INSIDE_MM = (
-    20.0  # from the border: the fold itself is a groove, and a border is found to 7 mm, the ring's radius aside
-)
-_FEWEST_PAIRS = 4  # samples that a ring must hold
+"""Least depth of the disc's mean below the ring's, mm. Noise of a telephone's scans reaches 0.5; a hand 25 mm thick has
+3 to 8."""
+_INSIDE_MM = 20.0  # least distance from the border: its uncertainty, 7 mm, and the ring's radius; the fold is a groove
+_FEWEST_PAIRS = 4  # fewest samples of a ring
 
 
 def find_overlap(boundary: Boundary, surface: RepairedSurface) -> Overlap:
-    """Look for grooves inside a breast's border, on skin that was measured.
+    """Area of grooves inside a breast's border, on measured skin.
 
     Args:
         boundary: closed curve around the breast, mm, world frame.
@@ -50,7 +47,7 @@ def find_overlap(boundary: Boundary, surface: RepairedSurface) -> Overlap:
 
 
 def _samples(surface: RepairedSurface, middle: Float64[Array, 3], reach_mm: float) -> Int64[Array, " n"]:
-    """One measured vertex in every cube around a breast."""
+    """One measured vertex per cube around a breast."""
     vertices = surface.mesh.vertices
     measured: Bool[Array, " n"] = surface.provenance == Provenance.MEASURED
     near = np.flatnonzero(measured & (np.linalg.norm(vertices - middle, axis=1) < reach_mm))
@@ -61,7 +58,7 @@ def _samples(surface: RepairedSurface, middle: Float64[Array, 3], reach_mm: floa
 def _grooves(
     points: Float64[Array, "n 3"], normals: Float64[Array, "n 3"]
 ) -> tuple[Float64[Array, " n"], Float64[Array, " n"]]:
-    """Depth of each sample's disc below the ring around it, mm, and the skin that a sample stands for, mm²."""
+    """Depth of each sample's disc below the ring around it, mm, and the area of skin per sample, mm²."""
     tree = point_tree(points)
     pairs = tree.sparse_distance_matrix(tree, _RING_MM[1], output_type="ndarray")
     row, column, away = pairs["i"], pairs["j"], pairs["v"]

@@ -1,7 +1,6 @@
-"""Find a fold that a scanner did not see: a breast hangs over it, and a hole there was closed.
+"""Detection of a fold that is hidden from a scanner by a hanging breast.
 
-A scan's program or ours bridges the skin below a hanging breast. The border then runs along the bridge, and the breast
-goes on behind it. See docs/decisions/0051.
+The hole below the breast is closed by a bridge of invented skin, along which the border runs (docs/decisions/0051).
 """
 
 from __future__ import annotations
@@ -12,20 +11,20 @@ from mammometry.geometry import Array, Float64
 from mammometry.geometry.nearest import point_tree
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
-_BESIDE_MM = 12.0  # from invented skin within which a border is its edge: the widest bands along which meshes are cut
-_LEAST_SHARE = 0.25  # of the lower border that lies there; six breasts with hidden folds have .26 to .77
-_AROUND_MM = 80.0  # of the lower border's middle, where invented skin is the fold's; half a base's width
+_BESIDE_MM = 12.0  # largest distance of the border from invented skin: half width of the band along which it is cut
+_LEAST_SHARE = 0.25  # least share of the lower border near invented skin; six hidden folds have 0.26 to 0.77
+_AROUND_MM = 80.0  # largest distance of the invented skin from the lower border's middle: half a base's width
 _LEAST_CM2 = 18.0
-"""Invented skin there from which a fold is hidden, cm². Telephone scans of hanging breasts have 20 to 47, of standing
-women with folds that are seen in part up to 15."""
+"""Least area of invented skin there, cm². Telephone scans of hanging breasts have 20 to 47, of standing women with
+partly visible folds up to 15."""
 
 
 def hidden_fold_cm2(lower_world: Float64[Array, "n 3"], surface: RepairedSurface) -> float:
-    """Area of the invented skin along the lower part of a border, cm². 0 where the fold is seen.
+    """Area of the invented skin along the lower part of a border, cm². 0 if the fold is visible.
 
     Args:
         lower_world: the lower quarter of a breast's border, mm, world frame.
-        surface: a scan. Of photographed surfaces silhouettes bound what is hidden: 0.
+        surface: a scan. The result is 0 for photographed surfaces, whose hidden skin is bounded by silhouettes.
     """
     invented = surface.provenance == Provenance.INVENTED
     if surface.pair_names or not invented.any():

@@ -1,7 +1,7 @@
-"""Places where a breast stands out of the trunk, and what stands out within an outline.
+"""Middles of the breasts on the trunk, and the prominence within an outline.
 
-A breast is a dome: its skin is round in every direction, over more than a palm's breadth. Folds, ribs, muscles, arms
-and the collar bone are round in one direction alone, and belly and shoulders end with the picture.
+A breast is a dome: its skin is convex in every direction over about 100 mm. Folds, ribs, muscles, arms and the
+collarbone are convex in one direction only, and belly and shoulders reach the end of the map.
 """
 
 from __future__ import annotations
@@ -21,51 +21,51 @@ from mammometry.measure.trunk.thorax import Trunk
 
 SideName: TypeAlias = Literal["left", "right"]
 SIDES: tuple[SideName, SideName] = ("left", "right")
-_ROUND_MM = 16.0  # scale at which skin must be round in every direction: beyond nipples and folds; chosen by eye
-_GATHERED_MM = 20.0  # roundness is gathered over this, so that a breast with two domes is one; chosen by eye
-_LEAST_PER_MM = 0.0015  # gathered roundness of the flattest dome that is looked at; mounds of 80 cc have .004
-_PEAK_RADIUS_MM = 25.0  # a peak is the highest place within this distance, in both coordinates; chosen by eye
-_AROUND_MM = 50.0  # of a peak, over which the middle is taken; chosen by eye
-_SMOOTHED_MM = 6.0  # a breast's top is looked for in relief smoothed over this; chosen by eye
+_ROUND_MM = 16.0  # scale of the curvature: larger than nipples and folds; not critical
+_GATHERED_MM = 20.0  # Gaussian σ of the roundness, so that a breast with two domes has one middle; not critical
+_LEAST_PER_MM = 0.0015  # least smoothed roundness of a dome; mounds of 80 cc have 0.004
+_PEAK_RADIUS_MM = 25.0  # half size of the window in which a peak is the maximum; not critical
+_AROUND_MM = 50.0  # radius around a peak over which the middle is averaged; not critical
+_SMOOTHED_MM = 6.0  # Gaussian σ of the relief in which a breast's top is searched; not critical
 DOME_MM = 75.0
-"""All of a breast's dome lies this near to its middle, laid flat, mm, and skin this near is not the trunk's: half the
-height of real women's bases is 84 mm, half the width 60."""
+"""Radius around a breast's middle, on the flattened trunk, that contains its dome and excludes the trunk's skin, mm.
+Half the height of real women's bases is 84 mm, half the width 60."""
 _BASE_OVER_DOME, _TELLING = 2.3, 0.7
-"""Root of a base's area over that of its dome's, which is as large as if it were equally round all over: 2.3 ± .2 on 22
-breasts of virtual women and torsos; and how much it counts beside the usual one: both are known to some 20 and 12 %."""
+"""Root of a base's area over that of its dome (the area that it would have with uniform roundness): 2.3 ± 0.2 on 22
+breasts of virtual women and torsos; and the weight of this estimate against the usual base (scatters 20 and 12 %)."""
 _BASE_OVER_HALF, _HALF_TELLING = 1.89, 0.84
-"""The same of what is at least half as high as the top: 1.89 ± .13 on 87 breasts of eight families. A large breast's
-dome, which gravity gathers, may tell a quarter too little (docs/decisions/0043)."""
+"""The same for the area above half the height: 1.89 ± 0.13 on 87 breasts of eight families. The dome underestimates the
+base of a ptotic breast by up to 25 % (docs/decisions/0043)."""
 _HALF_FROM_MM = (50.0, 80.0)
-"""Height of the top over the trunk up to which the dome alone tells the base, and from which half the height alone, mm:
-a trunk that lies 15 mm too deep above the breasts adds a muscle to the half of a low one. Chosen by eye."""
-_USUAL_BASE_MM = 130.0  # root of the usual base's area: real women have 170 ± 28 cm²
-_WIDEST_RAD = np.deg2rad(80.0)  # a breast's middle lies no further around the trunk than this; chosen by eye
-_TALLEST_MM = 110.0  # nor further above or below the breasts' height; chosen by eye
-_LIKE_MM = 60.0  # a pair whose places differ by this from mirrored ones counts 1/e; chosen by eye
+"""Height of the top over the trunk up to which only the dome is used, and from which only half the height, mm. A trunk
+15 mm too deep above the breasts adds a muscle to the upper half of a low breast. Not critical."""
+_USUAL_BASE_MM = 130.0  # root of the mean base area: real women have 170 ± 28 cm²
+_WIDEST_RAD = np.deg2rad(80.0)  # largest angle of a breast's middle around the trunk; not critical
+_TALLEST_MM = 110.0  # largest height of a breast's middle above or below the breasts' height; not critical
+_LIKE_MM = 60.0  # difference from mirrored places at which a pair's weight is 1/e; not critical
 _CLEAR_PER_MM, _CLEAR_SHARE = 0.006, 0.4
-"""Least roundness of both of two breasts that show where the body's left is, and of the flatter over the rounder.
-Bodies with two have .012 to .03, and .8 to 1; what else is round on a chest has up to .005 (docs/decisions/0026)."""
-_BESIDE_MM = 60.0  # least distance between such domes across the body; chosen by eye
-MIDLINE_MM = 4.0  # a breast's peak and its boundary lie this far from the midline at least; chosen by eye
+"""Least roundness of each of two breasts that determine the body's left, and of the flatter relative to the rounder.
+Pairs of breasts have 0.012 to 0.03, and 0.8 to 1; other convex parts of a chest up to 0.005 (docs/decisions/0026)."""
+_BESIDE_MM = 60.0  # least distance between such domes across the body; not critical
+MIDLINE_MM = 4.0  # least distance of a breast's peak and of its boundary from the midline; not critical
 
 
 @value(eq=False)
 class Middle:
-    """The middle of what may be a breast, laid flat."""
+    """Middle of a possible breast on the flattened trunk."""
 
     flat: Float64[Array, 2]
     """(half width × θ, y), mm."""
     roundness_per_mm: float
-    """Least curvature of the dome, gathered over its middle, 1/mm."""
+    """Least curvature of the dome, averaged over its middle, 1/mm."""
     base_mm: float
-    """Root of the area of the base that breasts of such a form have, mm."""
+    """Estimated root of the area of its base, mm."""
 
 
 def breast_middles(relief: Relief, trunk: Trunk) -> dict[SideName, Middle | None]:
-    """The dome of each side that may be a breast, or None.
+    """Middle of the possible breast on each side, or None.
 
-    Where both sides have domes, the pair is taken that is roundest and lies most alike on both sides.
+    If both sides have domes, the pair with the greatest roundness and symmetry is used.
     """
     dome = roundness_per_mm(relief)
     peaks, worth = _peaks(relief, dome)
@@ -86,9 +86,9 @@ def breast_middles(relief: Relief, trunk: Trunk) -> dict[SideName, Middle | None
 
 
 def level_pair(relief: Relief) -> tuple[Float64[Array, 2], Float64[Array, 2]] | None:
-    """Left and right of the two roundest domes, laid flat, mm, wherever the midline is.
+    """Left and right middle of the two roundest domes, flattened, mm, whatever the midline.
 
-    None unless both are clearly breasts, and lie beside each other rather than one above the other.
+    None unless both are clearly breasts and side by side.
     """
     peaks, worth = _peaks(relief, roundness_per_mm(relief))
     first, second = (int(place) for place in np.argsort(worth)[:-3:-1]) if len(worth) > 1 else (0, 0)
@@ -102,7 +102,7 @@ def level_pair(relief: Relief) -> tuple[Float64[Array, 2], Float64[Array, 2]] | 
 
 
 def _peaks(relief: Relief, dome: Float64[Array, "h w"]) -> tuple[Float64[Array, "k 2"], Float64[Array, " k"]]:
-    """Places where a dome is roundest, laid flat, mm, and their gathered roundness, 1/mm."""
+    """Peaks of the roundness, flattened, mm, and their smoothed roundness, 1/mm."""
     gathered = gaussian_filter(dome, _GATHERED_MM / PIXEL_MM)
     size = 2 * int(_PEAK_RADIUS_MM / PIXEL_MM) + 1
     row, column = np.nonzero((gathered == maximum_filter(gathered, size=size)) & (gathered > _LEAST_PER_MM))
@@ -112,7 +112,7 @@ def _peaks(relief: Relief, dome: Float64[Array, "h w"]) -> tuple[Float64[Array, 
 
 
 def roundness_per_mm(relief: Relief) -> Float64[Array, "h w"]:
-    """Least curvature of the skin over all directions where it is round in each, 1/mm, else 0."""
+    """Least curvature of the skin over all directions if it is convex in each, 1/mm, else 0."""
     smooth = relief.smooth_mm(_ROUND_MM)
     down, across = np.gradient(smooth, PIXEL_MM)
     (down_down, _), (across_down, across_across) = np.gradient(down, PIXEL_MM), np.gradient(across, PIXEL_MM)
@@ -144,42 +144,36 @@ def _middle(relief: Relief, dome: Float64[Array, "h w"], peak: Float64[Array, 2]
 
 
 MIN_PROMINENCE_MM = 8.0
-"""A breast stands out at least this far from the skin along its outline, mm. If nothing does, there is no breast on
-that side.
-"""
+"""Least height of a breast over the skin along its outline, mm."""
 SURE_PROMINENCE_MM = 24.0
-"""Height over the skin along its outline above which something is a breast even without a crease around all of it,
-mm.
-"""
+"""Height over the skin along its outline from which it is a breast even without a crease all around, mm."""
 LOW_CREASED = 0.9
-"""Share of the outline that must run in a crease for something as low as `MIN_PROMINENCE_MM` to be a breast, and not
-the chest's own form. In between the share is interpolated.
-"""
+"""Least share of the outline in a crease at the height `MIN_PROMINENCE_MM`. Up to `SURE_PROMINENCE_MM` the share is
+interpolated."""
 CHEST_MM = 6.0
-"""Mean height up to which something without a crease around nearly all of it is the chest's own form, mm. Chests
-without a breast have 3 to 5.4 beside the armpit, mounds from 80 cc on 8 or more (docs/decisions/0026).
-"""
+"""Mean height up to which a prominence without a crease around nearly all of it is the chest's own form, mm. Chests
+without a breast have 3 to 5.4 beside the armpit, mounds of 80 cc or more at least 8 (docs/decisions/0026)."""
 LEAST_CREASED = 0.4
-"""Share of the boundary that must run in a crease. With less, no boundary is proposed."""
+"""Least share of a proposed boundary in a crease."""
 
 Verdict: TypeAlias = Literal["breast", "none", "unclear"]
 
-_ELSEWHERE_MM = 25.0  # from the mirrored middle of the other breast: chests' own forms gave 39 to 79 (decision 26)
+_ELSEWHERE_MM = 25.0  # distance from the other breast's mirrored middle; chests' own forms: 39 to 79 (decision 26)
 _MIRRORED_CREASED = 0.7
-"""Share of the outline that must run in a crease for something low to be a mound where the other breast is mirrored.
-Photographed mounds of 80 cc had .74 to .78 there, others from .87 on. Chests without a breast had .1 to .8, but never
-nearer than 39 mm to that place (docs/decisions/0026)."""
-_TOP = 0.98  # quantile of the heights that counts as the top, so that a speck is none
+"""Least share of the outline in a crease of a low mound at the mirrored place of the other breast. Photographed mounds
+of 80 cc had 0.74 to 0.78 there, others at least 0.87. Chests without a breast had 0.1 to 0.8, but at least 39 mm from
+that place (docs/decisions/0026)."""
+_TOP = 0.98  # quantile of the heights that is the top, so that specks do not count
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Prominence:
-    """Relief in front of a membrane stretched over an outline."""
+    """Relief in front of a membrane over an outline."""
 
     top_mm: float
     """Height of its top, mm."""
     volume_cc: float
-    """Volume, cc, roughly: laid flat."""
+    """Approximate volume on the flattened trunk, cc."""
     area_cm2: float
     """Area of the base, cm²."""
     creased: float
@@ -190,22 +184,22 @@ class Prominence:
         """Mean height over the base, mm."""
         return 10 * self.volume_cc / max(self.area_cm2, 1e-9)
 
-    def verdict(self, astray_mm: float | None = None) -> Verdict:
+    def verdict(self, offset_mm: float | None = None) -> Verdict:
         """Breast, none, or unclear.
 
-        What stands out little on average, without a crease around nearly all of it, is the chest's own form if it lies
-        elsewhere than the other side's breast, mirrored. What is low must have more of a crease to be a breast, and
-        most where no other breast tells its place. What is neither is unclear.
+        A low mean height without a crease around nearly all of the outline is the chest's own form, unless it is at the
+        mirrored place of the other breast. The lower the prominence, the more of a crease it needs to be a breast, and
+        most without another breast. All else is unclear.
 
         Args:
-            astray_mm: how far it lies from the mirrored middle of the other side's breast, mm; None if there is none.
+            offset_mm: distance from the mirrored middle of the other breast, mm; None without one.
         """
         if self.top_mm < MIN_PROMINENCE_MM:
             return "none"
-        mirrored = astray_mm is not None and astray_mm <= _ELSEWHERE_MM
+        mirrored = offset_mm is not None and offset_mm <= _ELSEWHERE_MM
         low_creased = _MIRRORED_CREASED if mirrored else LOW_CREASED
         if self.mean_mm < CHEST_MM and self.creased < low_creased:
-            return "none" if astray_mm is not None and not mirrored else "unclear"
+            return "none" if offset_mm is not None and not mirrored else "unclear"
         share = np.clip((SURE_PROMINENCE_MM - self.top_mm) / (SURE_PROMINENCE_MM - MIN_PROMINENCE_MM), 0.0, 1.0)
         if self.creased >= LEAST_CREASED + share * (low_creased - LEAST_CREASED):
             return "breast"
@@ -213,12 +207,12 @@ class Prominence:
 
 
 def prominence_within(relief: Relief, inside: Bool[Array, "h w"], creased: float) -> Prominence:
-    """Measure what stands out within an outline laid flat.
+    """Prominence within an outline on the flattened trunk.
 
-    The membrane is harmonic over (half width × θ, y) and equal to the bulge along the outline, as the default wall is.
+    The membrane is harmonic over (half width × θ, y) and equal to the bulge along the outline, like the default wall.
 
     Args:
-        relief: the skin laid flat.
+        relief: the flattened skin.
         inside: pixels within the outline.
         creased: share of the outline that follows a crease.
     """

@@ -1,9 +1,8 @@
-"""A breast's boundary from landmarks, by a named protocol.
+"""A breast's boundary from landmarks, by a named protocol, so that observers define the breast in the same way.
 
-So two people mean the same breast. The four borders are Wesselius's (2018): inframammary fold, sternum, pectoral
-transition, axillary line. A landmark lies on each: the fold's lowest point, the medial end beside the sternum, the
-lateral end on the axillary line, and the upper end of the anterior axillary line, at whose height the pectoral muscle
-passes into the breast.
+The four borders are those of Wesselius (2018): inframammary fold, sternum, pectoral transition, axillary line. There is
+a landmark on each: the fold's lowest point, the medial end beside the sternum, the lateral end on the axillary line,
+and the upper end of the anterior axillary line, at whose height the pectoral muscle passes into the breast.
 """
 
 from __future__ import annotations
@@ -24,9 +23,9 @@ from mammometry.measure.trunk.thorax import Thorax, find_trunk, fit_thorax, seen
 from mammometry.surface.repair.repair import RepairedSurface
 
 PROTOCOL = "wesselius2018-like"
-"""Name of the protocol, as it stands in results."""
+"""Name of the protocol in results."""
 NEEDED = ("inframammary_fold", "medial", "lateral", "anterior_axillary_line")
-"""Landmarks of one side that it takes."""
+"""Required landmarks of one side."""
 _JOINS: Mapping[ProtocolJoin, str] = {
     "arc": "quarter ellipses of the skin laid flat around the trunk, one a quadrant",
     "geodesic": "shortest paths over the skin",
@@ -35,12 +34,12 @@ _JOINS: Mapping[ProtocolJoin, str] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ProtocolOutline:
-    """A boundary by landmarks."""
+    """A boundary from landmarks."""
 
     points_world: Float64[Array, "n 3"]
     """Closed curve on the surface, mm, world frame."""
     definition: str
-    """The protocol's name and how it defines the breast, one sentence."""
+    """The protocol's name, and its definition of the breast."""
 
 
 def sides_of(landmarks: Mapping[str, object]) -> tuple[str, ...]:
@@ -51,19 +50,16 @@ def sides_of(landmarks: Mapping[str, object]) -> tuple[str, ...]:
 def outline_by_protocol(
     landmarks: Sequence[Landmark], surface: RepairedSurface, frame: Float64[Array, "3 3"], join: ProtocolJoin
 ) -> dict[str, ProtocolOutline]:
-    """Draw the boundary of every side whose landmarks are there.
+    """Side (``left``, ``right``) → boundary, for each side with all landmarks.
 
     Args:
         landmarks: on the surface, checked (`landmarks.picked_landmarks`).
         surface: the repaired mesh, mm, world frame.
-        frame: patient's left, head, straight ahead (rows), roughly.
+        frame: patient's left, head, straight ahead (rows), approximately.
         join: how the landmarks are joined.
 
-    Returns:
-        ``left``, ``right`` → its outline.
-
     Raises:
-        MeasureError: no side has all landmarks, or they do not lie around a breast.
+        MeasureError: no side has all landmarks, or they are not around a breast.
     """
     places = {landmark.name: landmark.points_world for landmark in landmarks}
     sides = sides_of(places)
@@ -114,7 +110,7 @@ def _outline(
 def _check_order(
     side: str, fold: Float64[Array, 2], medial: Float64[Array, 2], lateral: Float64[Array, 2], top: Float64[Array, 2]
 ) -> None:
-    """Refuse landmarks that do not lie around a breast."""
+    """Raise a MeasureError if landmarks are not around a breast."""
     outwards = 1.0 if side == "left" else -1.0
     between = sorted([medial[0] * outwards, lateral[0] * outwards])
     wrong = None
@@ -138,10 +134,10 @@ def _check_order(
 def _arcs(
     fold: Float64[Array, 2], medial: Float64[Array, 2], lateral: Float64[Array, 2], top: float
 ) -> Float64[Array, "n 2"]:
-    """Quarter ellipses through the protocol's four landmarks, laid flat.
+    """Quarter ellipses through the protocol's four landmarks, on the flattened trunk, mm.
 
-    From the fold by the lateral end, the top over the fold and the medial end back. They are upright at medial and
-    lateral end, level at fold and top.
+    They run from the fold by the lateral end, the top above the fold and the medial end, vertical at the medial and
+    lateral end and horizontal at fold and top.
     """
     upper = np.array([fold[0], top])
     quarter = np.arange(0.0, 90.0, 2.0) * np.pi / 180
@@ -157,6 +153,6 @@ def _arcs(
 
 
 def _raised(flat: Float64[Array, "n 2"], relief: Relief, thorax: Thorax) -> Float64[Array, "n 3"]:
-    """World points on the innermost skin of places laid flat, mm."""
+    """World points on the innermost skin at flattened places, mm."""
     radius = thorax.radius_mm(flat) + relief.at(flat, relief.bulge_mm)
     return thorax.trunk.world(np.concatenate([flat, radius[:, None]], axis=1))

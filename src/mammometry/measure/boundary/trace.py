@@ -1,7 +1,4 @@
-"""Lay a curve in space onto a mesh.
-
-The result is a closed path of edges, along which the mesh can be cut.
-"""
+"""Projection of a curve onto a mesh: a closed path of edges, along which the mesh can be cut."""
 
 from __future__ import annotations
 
@@ -16,25 +13,21 @@ from mammometry.geometry.mesh import TriangleMesh, unique_edges
 from mammometry.geometry.nearest import closest_on_mesh, point_tree
 from mammometry.measure.solid.cut import OpenPart
 
-_STEP_MM = 3.0  # distance of the stops along a curve, about an edge's length
-_STOPS = (1, 4, 12)  # one stop in so many is passed, in turn, until the path is simple; chosen by eye
-BANDS_MM = (6.0, 12.0, 25.0, 40.0)  # widths of the band around the curve that are tried in turn; chosen by eye
-_BESIDE_HOLE_MM = BANDS_MM[1]  # an opening farther off its curve, along the edge of a hole, is another one's
-_OFF_MESH_MM = 5.0  # a curve further off the mesh was drawn on another one; chosen by eye
+_STEP_MM = 3.0  # spacing of the stops along a curve, about an edge's length
+_STOPS = (1, 4, 12)  # the path passes every n-th stop; the values are tried one after the other until it is simple
+BANDS_MM = (6.0, 12.0, 25.0, 40.0)  # half widths of the band around the curve, tried one after the other; not critical
+_BESIDE_HOLE_MM = BANDS_MM[1]  # largest distance of an opening, along the edge of a hole, from its curve
+_OFF_MESH_MM = 5.0  # largest distance of a curve from its mesh; not critical
 REACH_MM = BANDS_MM[-1] + _OFF_MESH_MM
-"""A path depends on the mesh up to so far from its curve."""
-_OPEN_MM = 20.0  # a gap above this and five times the median step leaves a curve open; chosen by eye
+"""Largest distance from a curve at which the mesh affects its path, mm."""
+_OPEN_MM = 20.0  # gap from which a curve is open, if it is also `_GAP_STEPS` median steps; not critical
 _GAP_STEPS = 5  # median steps: see `_OPEN_MM`
-_LEG_COST = 30.0  # most ways between neighbouring stops cost less: `_STEP_MM` long, a few mm off the curve
-_WIDER = 8.0  # factor by which that limit grows if no way is found
+_LEG_COST = 30.0  # cost limit of a leg between stops; most cost less: `_STEP_MM` long, a few mm off the curve
+_WIDER = 8.0  # factor on that limit if no path is found
 
 
 def check_curve(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> None:
-    """Refuse a curve that is open, crosses itself or leaves the mesh.
-
-    Raises:
-        MeasureError: says which, and by how much.
-    """
+    """Raise a MeasureError if a curve is open, crosses itself or is off the mesh."""
     gaps = np.linalg.norm(points_world - np.roll(points_world, 1, axis=0), axis=1)
     if gaps[0] > max(_GAP_STEPS * np.median(gaps[1:]), _OPEN_MM):
         raise MeasureError(
@@ -67,14 +60,14 @@ def check_curve(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMe
 
 
 def crossing_points(points: Float64[Array, "n 3"]) -> Float64[Array, "k 3"]:
-    """Places where a closed curve crosses itself. In its best plane, and less than 5 mm apart in depth."""
+    """Points at which a closed curve crosses itself in its best plane, less than 5 mm apart in depth, mm."""
     centred = points - points.mean(axis=0)
     flat = centred @ np.linalg.svd(centred, full_matrices=False)[2].T
     start, step = flat, np.roll(flat, -1, axis=0) - flat
     i, j = np.triu_indices(len(points), 2)
     apart = start[j] - start[i]
     turn = step[i, 0] * step[j, 1] - step[i, 1] * step[j, 0]
-    turn = np.where(turn == 0, np.inf, turn)  # parallel pieces do not cross
+    turn = np.where(turn == 0, np.inf, turn)  # parallel edges do not cross
     s = (apart[:, 0] * step[j, 1] - apart[:, 1] * step[j, 0]) / turn
     t = (apart[:, 0] * step[i, 1] - apart[:, 1] * step[i, 0]) / turn
     depth = np.abs(start[i, 2] + s * step[i, 2] - start[j, 2] - t * step[j, 2])
@@ -85,15 +78,13 @@ def crossing_points(points: Float64[Array, "n 3"]) -> Float64[Array, "k 3"]:
 
 
 def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> Int64[Array, " k"]:
-    """Vertices of a simple closed path of mesh edges near a curve.
+    """Vertices of a simple closed path of mesh edges, as close to a curve as possible.
 
-    As close to the closed curve as possible.
-
-    Where skin that no pair measured lies in folds, the vertices nearest to the curve lie now on one fold, now on
-    another, and the path meets itself. It then passes fewer of them, and goes between those along the surface.
+    On unmeasured skin in folds, the vertices nearest to the curve alternate between folds, and the path meets itself.
+    It then passes fewer of them, with the shortest paths over the surface between.
 
     Raises:
-        MeasureError: the path cannot be closed, or the curve runs along itself.
+        MeasureError: the path cannot be closed, or the curve runs back along itself.
     """
     curve = _resampled(points_world)
     low, high = curve.min(axis=0) - BANDS_MM[-1], curve.max(axis=0) + BANDS_MM[-1]
@@ -108,7 +99,7 @@ def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh
         steps = vertices[edges[:, 1]] - vertices[edges[:, 0]]
         length = np.sqrt(np.einsum("ij,ij->i", steps, steps))
         apart = away[edges[:, 0]] + away[edges[:, 1]]
-        # In the widest band the path may leave the curve: around a pocket in skin that nobody measured.
+        # In the widest band the path may leave the curve, around a pocket in unmeasured skin.
         strictness = apart**2 if reach < BANDS_MM[-1] else apart / BANDS_MM[0]
         cost = length * (1 + strictness) + 1e-9
         for every in _STOPS:
@@ -125,16 +116,16 @@ def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh
 
 
 def check_beside_holes(name: str, points_world: Float64[Array, "n 3"], part: OpenPart, mesh: TriangleMesh) -> None:
-    """Refuse a part whose opening goes around a hole of the mesh, far from its curve.
+    """Raise an error if a part's opening goes around a hole of the mesh, far from its curve.
 
     Args:
         name: of the boundary.
         points_world: its curve, mm.
-        part: what was cut out along it.
-        mesh: out of which.
+        part: cut out along it.
+        mesh: from which it was cut.
 
     Raises:
-        MeasureError: says how far.
+        MeasureError: it states the distance.
     """
     rim = mesh.vertices[mesh_kernels.open_vertices(len(mesh.vertices), mesh.faces)]
     opening = part.mesh.vertices[np.concatenate(part.loops)]
@@ -145,12 +136,12 @@ def check_beside_holes(name: str, points_world: Float64[Array, "n 3"], part: Ope
             f"boundary {name!r}",
             found=f"a hole in the mesh under it, whose edge is {away_mm:.0f} mm from the boundary",
             expected="skin along the whole boundary",
-            remedy="Scan the breast again so that its fold is seen: lying, leaning, or with the breast lifted",
+            remedy="Scan the breast again so that its fold is visible: lying, leaning, or with the breast lifted",
         )
 
 
 def _edges_between(vertices: Int64[Array, " b"], mesh: TriangleMesh) -> Int64[Array, "e 2"]:
-    """Each edge with both ends among some vertices once, by their places in that list, smaller first."""
+    """Edges with both ends in a list of vertices, each once, as indices into the list, smaller first."""
     number = np.full(len(mesh.vertices), -1, dtype=np.int64)
     number[vertices] = np.arange(len(vertices))
     starts, stops = number[mesh.faces].ravel(), number[mesh.faces[:, [1, 2, 0]]].ravel()
@@ -164,14 +155,11 @@ def _path(
     edges: Int64[Array, "e 2"],
     cost: Float64[Array, " e"],
 ) -> list[int] | None:
-    """Cheapest closed path within a band, near the curve.
-
-    Past the vertices nearest to the curve. None if the band is torn.
-    """
+    """Cheapest closed path within a band, by the vertices nearest to the curve. None if the band is not connected."""
     if not len(edges):
         return None
     a, b = edges.T
-    both = np.concatenate([a, b]), np.concatenate([b, a])  # else each search would turn the graph around
+    both = np.concatenate([a, b]), np.concatenate([b, a])  # both directions: else each search would transpose the graph
     graph = coo_matrix((np.tile(cost, 2), both), shape=(len(vertices), len(vertices))).tocsr()
     _, part = connected_components(graph, directed=False)
     main = np.flatnonzero(part == np.argmax(np.bincount(part)))
@@ -191,9 +179,9 @@ def _path(
 
 
 def _before(graph: csr_matrix, start: int, stop: int) -> Array:
-    """Predecessors on the cheapest paths from a vertex. Known at least along the path to a vertex nearby."""
+    """Predecessors on the cheapest paths from a vertex, complete at least along the path to `stop`."""
     reach = _LEG_COST
-    while True:  # a way found within a limit is the cheapest: all others cost more than the limit
+    while True:  # a path within a limit is the cheapest: all others cost more than the limit
         distance, before = dijkstra(  # type: ignore[call-overload]  # the stubs know only arrays of one kind
             graph, indices=start, return_predecessors=True, limit=reach
         )
@@ -212,10 +200,7 @@ def _broken(name: str, found: str) -> CrossingError:
 
 
 def _without_spurs(path: list[int]) -> Int64[Array, " k"] | None:
-    """Cut a closed path where it meets itself, until it is simple.
-
-    The longer part is kept each time. None if less than half of the path is left.
-    """
+    """A simple closed path: where the path meets itself, the longer part is kept. None if less than half is left."""
     whole = len(path)
     while True:
         place: dict[int, int] = {}
@@ -233,5 +218,5 @@ def _without_spurs(path: list[int]) -> Int64[Array, " k"] | None:
 
 
 def _resampled(points: Float64[Array, "n 3"]) -> Float64[Array, "m 3"]:
-    """Corners of a closed curve about `_STEP_MM` apart."""
+    """Closed curve resampled at about `_STEP_MM`."""
     return evenly_spaced(points, max(int(np.ceil(closed_length_mm(points) / _STEP_MM)), 8))

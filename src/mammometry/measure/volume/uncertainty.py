@@ -323,11 +323,11 @@ def _of_skin(
     patch_mm2 = np.pi * MATCHING_REACH_MM**2
     scatter = np.sqrt(np.sum(sigma_mm**2 * own_mm2[seen] * np.maximum(own_mm2[seen], patch_mm2)))
     common = own_mm2[seen] @ np.hypot(settings.surface_sigma_mm, COMMON_SHARE * sigma_mm)
-    astray_mm = UNSEEN_SLOPE * _may_be_off_mm(skin, ~seen, surface, views)
+    possible_mm = UNSEEN_SLOPE * _may_be_off_mm(skin, ~seen, surface, views)
     unseen_mm2 = own_mm2[~seen]
 
     def unseen(which: Bool[Array, " n"], beside_mm: float) -> float:
-        return float(unseen_mm2[which[~seen]] @ np.hypot(beside_mm, astray_mm[which[~seen]]))
+        return float(unseen_mm2[which[~seen]] @ np.hypot(beside_mm, possible_mm[which[~seen]]))
 
     measured = "matching" if surface.pair_names else "scanner"
     terms = _at_95(
