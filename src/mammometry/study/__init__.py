@@ -1,1 +1,1 @@
-"""Agreement and accuracy of the instrument."""
+"""Agreement with other methods and accuracy against truth."""

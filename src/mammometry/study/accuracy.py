@@ -1,8 +1,7 @@
-"""A measured surface, volume or rig against a capture's truth.
+"""Comparison of a measured surface, volume or rig with the truth of a simulated or rendered capture.
 
-The capture is simulated or rendered. For studies and tests only: nothing that measures may import it. Cameras have no
-absolute frame, so they are first aligned rigidly with the true ones over the working volume. The remaining difference
-is the calibration's error.
+For studies and tests only: no measuring code may import it. Cameras have no absolute frame, so they are first aligned
+rigidly with the true ones over the working volume. The remaining difference is the calibration's error.
 """
 
 from __future__ import annotations
@@ -21,16 +20,16 @@ from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.study.rays import inside
 
 COMPLETE_MM = 0.5
-"""A true point with measured surface nearer than this counts as measured."""
-_ALIGN_POINTS = 20_000  # vertices by which two surfaces are aligned
-_ALIGN_ROUNDS = 4  # at most, and no more once a step is shorter than the next
-_ALIGNED_MM = 1e-4  # a shorter step ends the alignment
-_TANGENT_MM = 1.0  # farther away, the height over the nearest face is no distance
+"""Largest distance from the measured surface at which a true point counts as measured, mm."""
+_ALIGN_POINTS = 20_000  # vertices used to align two surfaces
+_ALIGN_ROUNDS = 4  # most iterations
+_ALIGNED_MM = 1e-4  # largest last step
+_TANGENT_MM = 1.0  # largest distance at which the height over the nearest face is used
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurfaceAccuracy:
-    """Distances of true points from a measured surface, mm. Weighted by the true points' area."""
+    """Distances of true points from a measured surface, mm, weighted by the points' areas."""
 
     mean_mm: float
     """Mean unsigned distance of the true points from the measured surface."""
@@ -41,27 +40,27 @@ class SurfaceAccuracy:
     p95_mm: float
     """95th percentile of the same."""
     bias_mm: float
-    """Mean signed distance: positive where the measured surface lies outside the true one."""
+    """Mean signed distance, positive if the measured surface is outside the true one."""
     complete_percent: float
     """Share of the true area with measured surface within `COMPLETE_MM`."""
     volume_bias_cc: float
-    """Volume between the two surfaces, the signed distance integrated over the judged area, cc."""
+    """Volume between the surfaces: the signed distance integrated over the evaluated area, cc."""
     points: int
     """Number of true points compared."""
     claimed_percent: float = 100.0
-    """Share of the true area that the measurement claims. The other figures are of this part."""
+    """Share of the true area that the measurement claims as skin. The other figures are of this part."""
 
 
 @value(eq=False)
 class ErrorMap:
-    """A measured surface's own distance from the truth, vertex by vertex."""
+    """Distance of a measured surface from the truth at each vertex."""
 
     signed_mm: Float64[Array, " n"]
-    """Distance of each measured vertex from the true surface, mm. Positive outside, NaN where not judged."""
+    """Distance of each measured vertex from the true surface, mm, positive outside; NaN if not evaluated."""
     judged: Bool[Array, " n"]
-    """Vertices whose closest true vertex should have been measured."""
+    """Evaluated vertices: their closest true vertex should have been measured."""
     stray_percent: float
-    """Share of the judged vertices that lie farther than `COMPLETE_MM` from the truth."""
+    """Share of the evaluated vertices farther than `COMPLETE_MM` from the truth."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,7 +84,7 @@ class VolumeAccuracy:
 
 
 def vertex_areas_mm2(mesh: TriangleMesh) -> Float64[Array, " n"]:
-    """Area of each vertex: a third of each of its faces, mm²."""
+    """Area of each vertex, a third of each of its faces, mm²."""
     areas = np.linalg.norm(mesh.face_vectors(), axis=1)
     shares: Float64[Array, " n"] = np.bincount(mesh.faces.ravel(), np.repeat(areas / 3, 3), len(mesh.vertices))
     return shares
@@ -99,14 +98,14 @@ def compare_surfaces(
     truth_from_measured: Transform | None = None,
     claimed: Bool[Array, " n"] | None = None,
 ) -> SurfaceAccuracy:
-    """Compare a measured surface with points of the true one.
+    """Distances of points of the true surface from a measured one.
 
     Args:
         measured: the surface under test, mm.
         truth: the true surface, its faces counter-clockwise seen from outside.
-        at: vertices of `truth` that should be measured (for example those that two cameras see); None for all.
+        at: vertices of `truth` that should be measured (for example those that two cameras see); None: all.
         truth_from_measured: pose of the measured surface; None if both are in one frame.
-        claimed: vertices of the measured surface that count as skin. True points nearest to others are left out.
+        claimed: vertices of the measured surface that count as skin. True points nearest to others are excluded.
 
     Raises:
         ValueError: nothing is left to compare.
@@ -144,15 +143,12 @@ def compare_surfaces(
 
 
 def align_surfaces(measured: TriangleMesh, truth: TriangleMesh, at: Int64[Array, " k"]) -> Transform:
-    """Move a measured surface rigidly onto the truth: closest points, point to plane, Huber's weights.
+    """Rigid motion (truth_from_measured) of a measured surface onto the truth: ICP, point to plane, Huber's weights.
 
     Args:
         measured: the surface under test, mm, within a few mm of its place.
         truth: the true surface.
-        at: vertices of `truth` that ought to be there.
-
-    Returns:
-        truth_from_measured.
+        at: vertices of `truth` that should be measured.
     """
     chosen = at[:: max(1, len(at) // _ALIGN_POINTS)]
     points, normals = truth.vertices[chosen], truth.vertex_normals()[chosen]
@@ -165,7 +161,7 @@ def align_surfaces(measured: TriangleMesh, truth: TriangleMesh, at: Int64[Array,
         weight = np.minimum(1.0, 2.0 * scale / np.maximum(np.abs(gap), 1e-12))
         origin = measured_from_truth.apply(middle)
         design = np.concatenate([np.cross(here - origin, facing), facing], axis=1)
-        # The pseudo-inverse keeps undetermined motions at zero: a sphere's rotation, a plane's drift.
+        # The pseudo-inverse keeps undetermined motions at zero: a sphere's rotation, a plane's translation.
         step = np.linalg.pinv(design.T @ (weight[:, None] * design), rcond=1e-9) @ (design.T @ (weight * gap))
         turn = Transform.from_rotation_vector(step[:3], np.zeros(3))
         about = Transform(rotation=turn.rotation.copy(), translation_mm=origin - turn.rotate(origin) + step[3:])
@@ -178,16 +174,16 @@ def align_surfaces(measured: TriangleMesh, truth: TriangleMesh, at: Int64[Array,
 def map_errors(
     measured: TriangleMesh, truth: TriangleMesh, seen: Bool[Array, " m"], *, truth_from_measured: Transform
 ) -> ErrorMap:
-    """Signed distance of each measured vertex from the true surface, mm.
+    """Signed distance of each measured vertex from the true surface, mm, to some hundredths of a mm; for figures.
 
-    For a picture: good to some hundredths of a mm. Near the truth it is the distance from the tangent plane at the
-    closest true vertex, farther away the distance from that vertex itself.
+    Near the truth it is the distance from the tangent plane at the closest true vertex, farther away the distance from
+    that vertex itself.
 
     Args:
         measured: the surface under test.
         truth: the true surface, with vertices every half millimetre or so.
-        seen: its vertices that ought to have been measured.
-        truth_from_measured: where the measured surface belongs.
+        seen: its vertices that should have been measured.
+        truth_from_measured: motion of the measured surface onto the truth.
     """
     points = truth_from_measured.apply(measured.vertices)
     distance, nearest = (np.asarray(found) for found in cKDTree(truth.vertices).query(points))
@@ -213,10 +209,10 @@ _TRIANGULATION_STEPS = 6  # of Gauss and Newton's method
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraAccuracy:
-    """One camera's error after the rig's rigid alignment."""
+    """Error of one camera after the rig's rigid alignment."""
 
     projection_rms_px: float
-    """Root mean square distance between calibrated and true projections over the working volume, px."""
+    """RMS distance between calibrated and true projections over the working volume, px."""
     centre_mm: float
     """Distance between calibrated and true perspective centre, mm."""
     focal_percent: float
@@ -225,35 +221,35 @@ class CameraAccuracy:
 
 @value(eq=False)
 class RigAccuracy:
-    """The whole rig's error after rigid alignment."""
+    """Error of the whole rig after rigid alignment."""
 
     cameras: Mapping[str, CameraAccuracy]
-    """By name. Read-only."""
+    """By name."""
     triangulation_rms_mm: Mapping[str, float]
-    """Pair → root mean square distance between true points and those triangulated from their true projections, mm."""
+    """Pair → RMS distance between true points and those triangulated from their true projections, mm."""
     projection_rms_px: float
-    """Root mean square over all cameras."""
+    """RMS over all cameras, px."""
     rig_from_world: Transform
     """The alignment."""
 
     @property
     def centre_rms_mm(self) -> float:
-        """Root mean square error of the perspective centres, mm."""
+        """RMS error of the perspective centres, mm."""
         return float(np.sqrt(np.mean([camera.centre_mm**2 for camera in self.cameras.values()])))
 
     @property
     def focal_worst_percent(self) -> float:
-        """The largest error of a focal length, with its sign, %."""
+        """Largest error of a focal length, with its sign, %."""
         return max((camera.focal_percent for camera in self.cameras.values()), key=abs)
 
     @property
     def worst_pair(self) -> tuple[str, float]:
-        """The pair that triangulates worst, and its error, mm."""
+        """Pair with the largest triangulation error, and that error, mm."""
         return max(self.triangulation_rms_mm.items(), key=lambda pair: pair[1])
 
 
 def working_volume(mesh: TriangleMesh) -> Float64[Array, "n 3"]:
-    """A grid of 7³ points over the subject's bounding box grown by a fifth, mesh frame, mm."""
+    """Grid of 7³ points over the subject's bounding box enlarged by a fifth, mesh frame, mm."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     middle, half = (low + high) / 2, _MARGIN * (high - low) / 2
     axes = [np.linspace(centre - reach, centre + reach, _GRID) for centre, reach in zip(middle, half, strict=True)]
@@ -261,15 +257,15 @@ def working_volume(mesh: TriangleMesh) -> Float64[Array, "n 3"]:
 
 
 def compare_rigs(calibrated: Rig, true: Rig, points_rig: Float64[Array, "n 3"]) -> RigAccuracy:
-    """Compare calibrated cameras with the true ones over the working volume.
+    """Errors of calibrated cameras over the working volume.
 
     Args:
         calibrated: in any frame, mm.
-        true: the true cameras of the same names, rig frame, mm.
-        points_rig: the working volume; each camera is judged at those of them in its true frame.
+        true: the true cameras with the same names, rig frame, mm.
+        points_rig: the working volume; each camera is evaluated at the points in its true image.
 
     Raises:
-        ValueError: a camera has no point in its frame, or a pair has none in common.
+        ValueError: a camera has no point in its image, or a pair has none in common.
     """
     names = [name for name in calibrated.cameras if name in true.cameras]
     pixels = {name: true.cameras[name].project(points_rig) for name in names}
@@ -311,10 +307,10 @@ def compare_rigs(calibrated: Rig, true: Rig, points_rig: Float64[Array, "n 3"]) 
 def triangulate(
     pair: StereoPair, left_uv: Float64[Array, "n 2"], right_uv: Float64[Array, "n 2"]
 ) -> Float64[Array, "n 3"]:
-    """Points with projections nearest to given pixels of both pictures. World frame, mm (Gauss–Newton)."""
+    """Points whose projections are nearest to given pixels of both images, world frame, mm (Gauss–Newton)."""
     origins = np.stack([pair.left.centre_world, pair.right.centre_world])
     rays = np.stack([pair.left.rays_world(left_uv), pair.right.rays_world(right_uv)], axis=1)
-    across = np.eye(3) - rays[..., :, None] * rays[..., None, :]  # the midpoint of both rays is the start
+    across = np.eye(3) - rays[..., :, None] * rays[..., None, :]  # start: midpoint of both rays
     points = np.linalg.solve(across.sum(axis=1), np.einsum("nkij,kj->ni", across, origins)[..., None])[..., 0]
     for _ in range(_TRIANGULATION_STEPS):
         gaps = np.concatenate([pair.left.project(points) - left_uv, pair.right.project(points) - right_uv], axis=1)
@@ -325,7 +321,7 @@ def triangulate(
 
 
 def _slopes(camera: Camera, points: Float64[Array, "n 3"], step_mm: float = 1e-3) -> Float64[Array, "n 2 3"]:
-    """Derivatives of the projection by the point, px/mm, by central differences."""
+    """Derivatives of the projection with respect to the point, px/mm, by central differences."""
     offsets = step_mm * np.eye(3)
     return np.stack(
         [(camera.project(points + offset) - camera.project(points - offset)) / (2 * step_mm) for offset in offsets],
@@ -341,7 +337,7 @@ def _aligned(
     pixels: Mapping[str, Array],
     seen: Mapping[str, Array],
 ) -> Transform:
-    """rig_from_world that brings the projections together. From centres and axes, then least squares."""
+    """rig_from_world that aligns the projections: initially from centres and axes, then by least squares."""
     reach = float(np.linalg.norm(np.ptp(points_rig, axis=0)))
     here, there = (
         np.concatenate(
@@ -371,7 +367,7 @@ def _aligned(
 
 
 def rigid(a: Float64[Array, "n 3"], b: Float64[Array, "n 3"]) -> Transform:
-    """b_from_a: rigid motion of points a onto points b (Kabsch 1976)."""
+    """b_from_a: least-squares rigid motion of points a onto points b (Kabsch 1976)."""
     mean_a, mean_b = a.mean(axis=0), b.mean(axis=0)
     u, _, vt = np.linalg.svd((b - mean_b).T @ (a - mean_a))
     rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt

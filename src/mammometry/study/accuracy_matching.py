@@ -34,86 +34,86 @@ _JUDGED_WIDTH_PX = 1400  # wider pictures are judged at every n-th pixel
 
 @value(eq=False)
 class TrueDisparity:
-    """Truth of the pixels of one rectified left picture."""
+    """Truth of the pixels of one rectified left image."""
 
     step: int
-    """Rows and columns of the map from one judged pixel to the next."""
+    """Spacing of the evaluated pixels, in rows and columns of the map."""
     focal_px: float
-    """Focal length of the map, in its pixels: it tells how far a range image was thinned."""
+    """Focal length of the map, in its pixels, from which the subsampling of a range image follows."""
     d_h_px: Float64[Array, "h w"]
-    """True horizontal disparity, pixels of the map. NaN where no surface is met."""
+    """True horizontal disparity, pixels of the map; NaN without surface."""
     range_mm: Float64[Array, "h w"]
-    """True distance to the left perspective centre, mm. NaN likewise."""
+    """True distance from the left perspective centre, mm; NaN without surface."""
     judged: Bool[Array, "h w"]
-    """Pixels that count: seen by both cameras inside both frames, off the edges, at moderate incidence."""
+    """Evaluated pixels: visible in both images, away from edges, at moderate incidence."""
     visible: Bool[Array, "h w"]
-    """Pixels whose point both cameras see inside both frames, at any incidence and any distance from an edge."""
+    """Pixels whose point is visible in both images, at any incidence and distance from an edge."""
     edge_px: Float64[Array, "h w"]
     """Distance to the nearest occluding edge in either picture, pixels of the photographs."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MatchingAccuracy:
-    """Disparity and range errors of one pair, over the judged pixels. In pixels of the rectified pair."""
+    """Errors of one pair's disparities over the evaluated pixels, in pixels of the rectified pair."""
 
     median_px: float
-    """Median size of the disparity's error, px."""
+    """Median absolute error of the disparity, px."""
     p95_px: float
     """95th percentile of the same."""
     beyond_1_px_percent: float
-    """Share of the matched pixels that are off by more than 1 px."""
+    """Share of the matched pixels with an error above 1 px."""
     complete_percent: float
-    """Share of the judged pixels that were matched."""
+    """Share of the evaluated pixels that were matched."""
     depth_bias_mm: float
-    """Median depth error caused by the disparity's error, mm. Positive is too far."""
+    """Median depth error caused by the disparity's error, mm; positive: too far."""
     near_edge_median_px: float
-    """Median error within 20 px of an occluding edge, px. NaN where nothing is."""
+    """Median absolute error within 20 px of an occluding edge, px; NaN without such pixels."""
     rim_bias_mm: float
-    """Median depth error within 8 px of an occluding edge, of all that both cameras see, mm. NaN where nothing is."""
+    """Median depth error within 8 px of an occluding edge, over all visible pixels, mm; NaN without such pixels."""
     all_accepted_beyond_1_px_percent: float
-    """Share of *all* matched pixels that meet the surface, judged or not, that are off by more than 1 px."""
+    """Share of *all* matched pixels on the surface, evaluated or not, with an error above 1 px."""
     error_over_sigma: float
-    """Robust standard deviation of error / σ: ideally 1."""
+    """Robust standard deviation of error / σ; ideally 1."""
     beyond_3_sigma_percent: float
     """Share of errors beyond 3 σ."""
     d_v_median_px: float
-    """Median vertical disparity, px: 0 with right cameras."""
+    """Median vertical disparity, px; 0 with correct cameras."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RangeAccuracy:
-    """Errors of one pair's range image over the judged pixels, mm. Matching and cameras together."""
+    """Errors of one pair's range image over the evaluated pixels, mm, from matching and cameras together."""
 
     bias_mm: float
-    """Median of measured less true range. Positive is too far."""
+    """Median of measured minus true range."""
     median_mm: float
-    """Median size of the error."""
+    """Median absolute error."""
     p95_mm: float
     """95th percentile of the same."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SilhouetteAccuracy:
-    """Distance of a found silhouette from the true one. The picture's frame does not count."""
+    """Distance of a found silhouette from the true one, without the image's border."""
 
     mean_px: float
-    """Mean signed distance, px. Positive outside."""
+    """Mean signed distance, px, positive outside."""
     p95_px: float
-    """95th percentile of its size."""
+    """95th percentile of the absolute distance, px."""
 
 
 def true_disparity(
     scene: RayScene, true: StereoPair, calibrated: StereoPair, left: Camera, right: Camera, *, pair_px: float = 1.0
 ) -> TrueDisparity:
-    """Find the true disparity of a rectified pair's left pixels.
+    """True disparity of a rectified pair's left pixels.
 
     Args:
         scene: the true surface.
         true: the cameras that took the photographs, in the scene's frame.
-        calibrated: the cameras by which the photographs were rectified, in any frame.
+        calibrated: the cameras with which the photographs were rectified, in any frame.
         left: the rectified left camera, in the frame of `calibrated`.
         right: the rectified right camera.
-        pair_px: pixels of the rectified pair in one of `left`.
+        pair_px: pixels of the rectified pair per pixel of `left`.
     """
     step = max(1, round(left.size_wh[0] / _JUDGED_WIDTH_PX))
     uv = pixel_grid(left, step)
@@ -147,11 +147,11 @@ def true_disparity(
 
 
 def judge_disparity(truth: TrueDisparity, found: DisparityMap) -> MatchingAccuracy | None:
-    """The figures of one pair. None where no judged pixel was matched.
+    """Errors of one pair's disparities. None if no evaluated pixel was matched.
 
     Args:
         truth: of the same rectified left camera.
-        found: by the matcher.
+        found: result of the matcher.
     """
     some = slice(None, None, truth.step)
     d_h, sigma, valid = (field[some, some] for field in (found.d_h_px, found.sigma_px, found.valid))
@@ -185,12 +185,11 @@ def judge_disparity(truth: TrueDisparity, found: DisparityMap) -> MatchingAccura
 
 
 def judge_range(truth: TrueDisparity, found: RangeImage) -> RangeAccuracy | None:
-    """Errors of one pair's range image, or None without data.
+    """Errors of one pair's range image, at pixels that truth and range image share. None if none of them has a range.
 
-    None if no judged pixel has a datum. Judged are the picture's pixels that truth and range image both keep.
-    Distances to the perspective centre need no common frame: errors are the instrument's, not the world's.
+    Distances from the perspective centre need no common frame, so alignment does not affect them.
     """
-    thinned = round(truth.focal_px / float(found.camera.matrix[0, 0]))  # the range image's own step
+    thinned = round(truth.focal_px / float(found.camera.matrix[0, 0]))  # subsampling of the range image
     common = math.lcm(truth.step, thinned)
     in_truth, in_found = slice(None, None, common // truth.step), slice(None, None, common // thinned)
     judged = truth.judged[in_truth, in_truth] & found.valid[in_found, in_found]
@@ -205,10 +204,9 @@ def judge_range(truth: TrueDisparity, found: RangeImage) -> RangeAccuracy | None
 
 
 def judge_silhouette(scene: RayScene, true: Camera, foreground: Foreground) -> SilhouetteAccuracy | None:
-    """Compare a found silhouette with the true one, in pixels.
+    """Distance of a found silhouette from the true one, in pixels of the photograph. None without a contour.
 
-    Pixels are the photograph's. None if there is no contour. The true contour is that of half coverage, from 8 × 8
-    rays in each pixel near the edge.
+    The true contour is that of half coverage, from 8 × 8 rays in each pixel near the edge.
 
     Args:
         scene: the true surface.
@@ -237,7 +235,7 @@ def judge_silhouette(scene: RayScene, true: Camera, foreground: Foreground) -> S
 
 
 def silhouette_overlap(scene: RayScene, true: Camera, foreground: Foreground) -> tuple[float, float]:
-    """Common area and joint area of both silhouettes, px². The found and the true one."""
+    """Areas of the intersection and of the union of the found and the true silhouette, px²."""
     step = max(1, true.size_wh[0] // 300)
     seen = scene.cast(true.centre_world, true.rays_world(pixel_grid(true, step))).hit
     found = foreground.coverage[::step, ::step] >= foreground.contour_level
@@ -247,7 +245,7 @@ def silhouette_overlap(scene: RayScene, true: Camera, foreground: Foreground) ->
 def _true_rays(
     uv: Float64[Array, "h w 2"], rectified: Camera, calibrated: Camera, true: Camera
 ) -> tuple[Float64[Array, "h w 3"], Float64[Array, "h w 2"]]:
-    """True rays of rectified pixels, and the photograph's pixels that these are."""
+    """True rays of rectified pixels, and their pixels in the photograph."""
     photograph_uv = calibrated.project(calibrated.centre_world + 1e3 * rectified.rays_world(uv))
     return true.rays_world(photograph_uv), photograph_uv
 
@@ -258,7 +256,7 @@ def _contours(image: Array, level: float) -> list[Float64[Array, "n 2"]]:
 
 
 def _from_edge(range_mm: Float64[Array, "h w"]) -> Float64[Array, "h w"]:
-    """Distance of each pixel to the nearest jump in range. In pixels of this grid."""
+    """Distance of each pixel from the nearest jump in range, in pixels of this grid."""
     filled = np.where(np.isfinite(range_mm), range_mm, 1e4)
     jump = ndimage.maximum_filter(filled, 3) - ndimage.minimum_filter(filled, 3) > _JUMP_MM
     distance: Float64[Array, "h w"] = ndimage.distance_transform_edt(~jump)

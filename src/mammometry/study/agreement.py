@@ -1,9 +1,8 @@
-"""Agreement of a method of measurement with a reference (paper 2.7).
+"""Agreement of a method of measurement with a reference method on the same subjects (paper 2.7).
 
-Both are applied once to the same subjects: Bland and Altman, Lancet 327 (1986) 307 and Statistical Methods in Medical
-Research 8 (1999) 135; exact intervals of the limits after Carkeet, Optometry and Vision Science 92 (2015) e71. If a
-subject has several pairs, such as both breasts of a woman, the form for multiple observations per individual is used
-(`study.repeated`).
+After Bland and Altman, Lancet 327 (1986) 307 and Statistical Methods in Medical Research 8 (1999) 135, with exact
+intervals of the limits after Carkeet, Optometry and Vision Science 92 (2015) e71. If a subject has several pairs, such
+as both breasts of a woman, the form for multiple observations per individual is used (`study.repeated`).
 """
 
 from __future__ import annotations
@@ -22,9 +21,9 @@ from mammometry.study.icc import IntraclassCorrelation, intraclass_correlations
 from mammometry.study.repeated import repeated_differences
 
 LEAST_SUBJECTS = 3
-"""With fewer there is no useful regression or interval."""
+"""Least number of subjects for regression and intervals."""
 _Z95 = float(scipy.special.ndtri(0.975))
-_ROUNDING = 1e-12  # of the largest measurement; a spread below it is rounding of equal differences
+_ROUNDING = 1e-12  # spread, relative to the largest measurement, below which differences are equal
 
 
 @value(eq=False)
@@ -36,19 +35,19 @@ class PairedMeasurements:
     """
 
     names: tuple[str, ...]
-    """Of the pairs."""
+    """Names of the pairs."""
     reference: Float64[Array, " n"]
-    """By the reference method."""
+    """Results of the reference method."""
     measured: Float64[Array, " n"]
-    """By the method under test."""
+    """Results of the method under test."""
     reference_name: str
     measured_name: str
     unit: str
-    """Unit of both. It may be empty."""
+    """Unit of both; may be empty."""
     subjects: tuple[str, ...] = ()
     """Subject of each pair. Pairs of one subject are not independent. Empty: all are of different subjects."""
     notices: tuple[Notice, ...] = ()
-    """Warnings about the table that they are from."""
+    """Warnings about the table of the measurements."""
 
     def __post_init__(self) -> None:
         lengths = {len(self.names), len(self.reference), len(self.measured), len(self.subjects or self.names)}
@@ -66,13 +65,13 @@ class PairedMeasurements:
 
     @property
     def clusters(self) -> Int64[Array, " n"]:
-        """Number of each pair's subject, from 0."""
+        """Index of each pair's subject."""
         numbers = {name: place for place, name in enumerate(dict.fromkeys(self.subjects))}
         return np.array([numbers[name] for name in self.subjects] or range(len(self.names)), dtype=np.int64)
 
     @property
     def means(self) -> Float64[Array, " n"]:
-        """Mean of both methods. It is the best guess of the true value if neither is exact."""
+        """Mean of both methods, the best estimate of the true value if neither is exact."""
         return (self.measured + self.reference) / 2
 
 
@@ -86,28 +85,28 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trend:
-    """A straight line through the differences. NaN if the abscissae are all equal."""
+    """Straight line through the differences. NaN if the abscissae are all equal."""
 
     slope: Estimate
     intercept: float
     p: float
-    """Of the null hypothesis that there is no slope."""
+    """p of the null hypothesis that the slope is 0."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Agreement:
-    """Agreement of two methods. Differences are measured less reference, in the table's unit."""
+    """Agreement of two methods. Differences are measured minus reference, in the table's unit."""
 
     subjects: int
     pairs: int
-    """As many as subjects, or more."""
+    """At least the number of subjects."""
     mean_difference: Estimate
     """The bias, with Student's interval."""
     sd: Estimate
-    """Standard deviation of the differences (n − 1), with its χ² interval. With several pairs of a subject: of one pair
-    of any subject, between and within subjects together."""
+    """Standard deviation of the differences (n − 1), with its χ² interval. With several pairs per subject: of one pair,
+    between and within subjects together."""
     sem: float
-    """Standard error of the mean difference, SD / √n: how well the bias is known, not a subject."""
+    """Standard error of the mean difference, SD / √n."""
     t: float
     """Paired Student's t. NaN if all differences are 0, infinite if they are all equal."""
     df: int
@@ -122,23 +121,23 @@ class Agreement:
     upper_limit: Estimate
     """Upper limit of agreement."""
     trend: Trend
-    """Regression of the differences on the means of both methods: proportional bias."""
+    """Regression of the differences on the means of both methods (proportional bias)."""
     trend_on_reference: Trend
-    """Regression on the reference: the right one if the reference is exact."""
+    """Regression on the reference; correct if the reference is exact."""
     sem_of_measurement: Estimate
-    """Standard error of measurement, SD / √2: the error of one measurement if both methods were equally exact."""
+    """Standard error of measurement, SD / √2: error of one measurement if both methods are equally exact."""
     mdc: Estimate
-    """Minimal (smallest) detectable change at 95 %: 1.96 √2 times the standard error of measurement, so 1.96 SD."""
+    """Minimal (smallest) detectable change at 95 %: 1.96 √2 times the standard error of measurement, i.e. 1.96 SD."""
     mdc_of_mean: float
     """1.96 √2 times the standard error of the *mean*: not a detectable change, but the paper's figure."""
     icc: tuple[IntraclassCorrelation, ...]
-    """All forms. With several pairs of a subject without intervals and tests, which take independent rows."""
+    """All forms. With several pairs per subject they have no intervals and tests, which need independent rows."""
     normality_p: float
-    """Shapiro and Wilk's p of the differences (their means by subject), on whose normality the limits rest. NaN if all
-    are equal."""
+    """Shapiro and Wilk's p of the differences (their means by subject): the limits assume normality. NaN if all are
+    equal."""
 
     def figures(self) -> dict[str, float]:
-        """Every figure by name, for comparison with published ones."""
+        """Figures by name, for comparison with published ones."""
         named = {
             "subjects": float(self.subjects),
             "pairs": float(self.pairs),
@@ -162,16 +161,16 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PublishedFigure:
-    """One figure as a publication states it."""
+    """One figure of a publication."""
 
     what: str
-    """In the publication's words."""
+    """Its name in the publication."""
     figure: str
     """Its name in `Agreement.figures`."""
     published: str
-    """As printed. The digits show how exactly."""
+    """As printed, with its number of digits."""
     note: str = ""
-    """A remark for the reader."""
+    """Remark for the reader."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -181,11 +180,11 @@ class CheckedFigure:
     published: PublishedFigure
     recomputed: float
     follows: bool
-    """Whether the recomputed one rounds to the published one."""
+    """Whether the recomputed figure rounds to the published one."""
 
 
 def agreement(data: PairedMeasurements) -> Agreement:
-    """Compute all statistics of the agreement of two methods."""
+    """Statistics of the agreement of two methods."""
     clusters = data.clusters
     pairs, subjects = len(clusters), int(clusters.max()) + 1
     if pairs > subjects:
@@ -217,10 +216,7 @@ def _once(data: PairedMeasurements) -> Agreement:
 
 
 def _repeated(data: PairedMeasurements, clusters: Int64[Array, " n"]) -> Agreement:
-    """Several pairs of some subject.
-
-    Trends and Shapiro and Wilk's test take the subjects' means, which are independent.
-    """
+    """Agreement with several pairs per subject. Trends and Shapiro and Wilk's test use the subjects' means."""
     found = repeated_differences(data.differences, clusters)
     counts = np.bincount(clusters)
     by_subject = tuple(
@@ -261,11 +257,11 @@ def _assembled(
 
     Args:
         data: all pairs.
-        independent: means of both methods, reference and differences, one of each a subject.
+        independent: means of both methods, reference and differences, one of each per subject.
         mean: the bias.
         sem: its standard error.
         spread: standard deviation of one difference.
-        limits: intervals of the lower and of the upper limit of agreement, rising.
+        limits: intervals of the lower and of the upper limit of agreement.
         icc: all forms.
     """
     means, reference, difference = independent
@@ -298,7 +294,7 @@ def _assembled(
 
 
 def check_published(found: Agreement, published: Sequence[PublishedFigure]) -> tuple[CheckedFigure, ...]:
-    """Compare published figures with the recomputed ones.
+    """Published figures with the recomputed ones.
 
     Raises:
         ValueError: a name that is not in `Agreement.figures`, or a published value that is not a number.
@@ -316,7 +312,7 @@ def check_published(found: Agreement, published: Sequence[PublishedFigure]) -> t
 
 
 def _trend(abscissae: Float64[Array, " n"], differences: Float64[Array, " n"]) -> Trend:
-    """Ordinary least squares with Student's interval of the slope."""
+    """Least-squares line, with Student's interval of the slope."""
     centred = abscissae - abscissae.mean()
     total = float(centred @ centred)
     if total <= (1e-9 * float(np.abs(abscissae).max())) ** 2:

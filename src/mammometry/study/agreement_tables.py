@@ -11,7 +11,7 @@ from mammometry.study.agreement import Agreement, CheckedFigure, Estimate, Paire
 from mammometry.study.icc import IntraclassCorrelation
 from mammometry.study.tables import Table, number, p_words, plain, probability
 
-_P = "p"  # the form of a probability
+_P = "p"  # format of a probability
 
 
 def summary(data: PairedMeasurements, found: Agreement) -> list[str]:

@@ -1,4 +1,4 @@
-"""All results of a session against its truth, stage by stage."""
+"""Comparison of all results of a session with its truth, stage by stage."""
 
 from __future__ import annotations
 
@@ -47,48 +47,47 @@ from mammometry.surface.ranges.range_image import RangeImage
 
 @value(eq=False)
 class Truth:
-    """Everything in the rig's frame, mm."""
+    """True values of a capture, mm, rig frame."""
 
     rig: Rig
     """The cameras that took the photographs, and their pairs."""
     rig_from_target: Mapping[str, Transform]
     """Pose → placement of the calibration target. Empty if unknown."""
     mesh: TriangleMesh
-    """The subject in its pose."""
+    """Surface of the subject in its pose."""
     volumes_cc: Mapping[str, float]
-    """``model``, or the patient's ``left`` and ``right`` → true volume, cc. Empty if it has none."""
+    """``model``, or the patient's ``left`` and ``right`` → true volume, cc. May be empty."""
     boundaries: Mapping[str, Float64[Array, "n 3"]]
-    """The same names → true closed boundary curve. Empty if there is none."""
+    """The same names → true closed boundary curve. May be empty."""
 
 
-_STEP_MM = 0.1  # between points of a compared curve: far below its errors
+_STEP_MM = 0.1  # spacing of a compared curve's points: far below its errors
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoundaryAccuracy:
-    """Distances between two closed curves, along the curves, mm."""
+    """Distances between two closed curves, mm."""
 
     mean_mm: float
     """Mean distance of the measured curve from the true one."""
     p95_mm: float
     """95th percentile of the same."""
     worst_mm: float
-    """Largest distance of either curve from the other (Hausdorff's)."""
+    """Hausdorff distance of the curves."""
     height_bias_mm: float
-    """Mean distance of the measured curve in front of the true one, along the normal of the true curve's best plane,
-    mm: for a cast 0.1 mm is about 1 cc.
-    """
+    """Mean height of the measured curve over the true one, along the normal of the true curve's best plane, mm. For a
+    cast 0.1 mm is about 1 cc."""
 
 
 def compare_boundaries(
     measured: Float64[Array, "n 3"], truth: Float64[Array, "m 3"], towards_front: Float64[Array, 3]
 ) -> BoundaryAccuracy:
-    """Compare two closed curves in one frame, mm. The last point of each joins the first.
+    """Distances between two closed curves in one frame, mm.
 
     Args:
-        measured: the curve under test.
+        measured: the curve under test, the first point not repeated.
         truth: the true curve.
-        towards_front: roughly where the subject's front is: decides the sign of the height.
+        towards_front: approximate direction of the subject's front, which gives the sign of the height.
     """
     dense, true_dense = resampled(measured), resampled(truth)
     distance, back = curve_distances(dense, true_dense)
@@ -124,12 +123,12 @@ _REMEDY = "Name the truth of this session with --truth, or measure the session a
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SessionResults:
-    """Results of a session, as far as they exist. World frame, mm. Large values are loaded when called."""
+    """Results of a session, as far as they exist; mm, world frame. Large values are loaded when called."""
 
     rig: Rig
     """The calibrated cameras."""
     world_from_target: Mapping[str, Transform]
-    """Pose → placement of the calibration target. Empty where the cameras came ready-made."""
+    """Pose → placement of the calibration target. Empty for imported cameras."""
     foregrounds: Mapping[str, Callable[[], Foreground]]
     """Camera → its silhouette."""
     disparities: Mapping[str, Callable[[], DisparityMap]]
@@ -139,54 +138,54 @@ class SessionResults:
     surfaces: Mapping[str, TriangleMesh]
     """``first`` and ``repaired``, in this order."""
     claimed: Bool[Array, " n"] | None
-    """Vertices of the last surface that it claims to be skin. None where none is repaired."""
+    """Vertices that the repaired surface claims as skin. None without one."""
     boundaries: Sequence[Boundary]
     measurements: Sequence[VolumeMeasurement]
     absent: Sequence[str] = ()
-    """Sides of which the measurement says that there is no breast."""
+    """Sides on which the measurement found no breast."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurfaceJudgement:
-    """One surface as measured, and aligned with the truth."""
+    """Errors of one surface, as measured and after alignment with the truth."""
 
     unaligned: SurfaceAccuracy
     claimed: SurfaceAccuracy | None
-    """As measured, where the surface claims to be skin. None of the first surface, which does not say."""
+    """As measured, only skin that the surface claims. None for the first surface."""
     aligned: SurfaceAccuracy
-    """After iterated closest points: shape alone, without where it lies."""
+    """After ICP: shape alone."""
     aligned_by_mm: float
-    """How far the middle of the subject was moved, mm."""
+    """Shift of the subject's centre by the alignment, mm."""
     aligned_by_deg: float
-    """And turned, degrees."""
+    """Rotation by the alignment, degrees."""
     stray_percent: float
-    """Share of the measured vertices where a pair sees the skin that are more than 0.5 mm from the truth."""
+    """Share of the vertices on skin that a pair sees which are more than 0.5 mm from the truth."""
 
 
 @value(eq=False)
 class Evaluation:
-    """Errors of the instrument, stage by stage. A stage without current results is empty."""
+    """Errors of the instrument by stage. A stage without current results is empty."""
 
     frame: str
-    """How the truth was brought into the world frame, in words."""
+    """How the truth was transformed into the world frame."""
     cameras: RigAccuracy
     silhouettes: Mapping[str, SilhouetteAccuracy | None]
-    """Camera → its outline's error. None where no silhouette was found."""
+    """Camera → error of its silhouette. None without one."""
     matching: Mapping[str, MatchingAccuracy | None]
-    """Pair → its disparities' error. None where nothing that counts was matched."""
+    """Pair → error of its disparities. None if no evaluated pixel was matched."""
     ranges: Mapping[str, RangeAccuracy | None]
     surfaces: Mapping[str, SurfaceJudgement]
     boundaries: Mapping[str, BoundaryAccuracy]
     volumes: Mapping[str, VolumeAccuracy]
     intervals_cc: Mapping[str, tuple[float, float] | None]
-    """Breast → the 95 % interval that was claimed."""
+    """Breast → the 95 % interval of the result."""
     absent_cc: Mapping[str, float]
-    """Side for which the result is "no breast" → its true volume, cc. 0 if that is right."""
+    """Side on which no breast was found → its true volume, cc; 0 if that is right."""
     error_map: ErrorMap | None
-    """Of the last surface there is, vertex by vertex."""
+    """Errors of the latest surface at each vertex."""
 
     def as_table(self) -> dict[str, Any]:
-        """All figures as plain JSON-ready data. What is not known is null."""
+        """All figures as JSON-ready data; unknown ones are null."""
         pair, worst_mm = self.cameras.worst_pair
         table: dict[str, Any] = plain(
             {
@@ -221,15 +220,15 @@ class Evaluation:
 
 
 def evaluate(results: SessionResults, truth: Truth, *, progress: Progress = no_progress) -> Evaluation:
-    """Compare everything that a session came to with its truth.
+    """Errors of all results of a session.
 
     Args:
-        results: as far as they are there.
+        results: as far as they exist.
         truth: of the same capture.
         progress: called with the fraction done.
 
     Raises:
-        SessionError: the results are not of this rig or this subject.
+        SessionError: the results are of another rig or another subject.
     """
     cameras = _compare_cameras(results.rig, truth)
     scene = RayScene(truth.mesh)
@@ -317,7 +316,7 @@ def _compare_pairs(
 
 
 def _truths_place(results: SessionResults, truth: Truth, cameras: RigAccuracy) -> tuple[Transform, str]:
-    """world_from_rig, and how it is known. By the world's own target if there is one, else by the cameras."""
+    """world_from_rig, from the target that defines the world if there is one, else from the cameras, and its source."""
     for pose, world_from_target in results.world_from_target.items():
         if pose in truth.rig_from_target and np.allclose(world_from_target.matrix, np.eye(4), atol=1e-9):
             return truth.rig_from_target[pose].inverse(), f"the true place of the target in pose {pose}"
@@ -357,10 +356,9 @@ def _require_same_subject(
     foregrounds: Mapping[str, Foreground],
     surfaces: Mapping[str, SurfaceJudgement],
 ) -> None:
-    """Refuse the truth of another subject.
+    """Raise an error if the truth is of another subject: both surface and silhouettes differ.
 
-    A bad measurement of the right subject is evaluated: it lies far from the truth, but its photographs show the
-    truth's silhouettes. Only what fails in both is another subject.
+    A bad measurement of the right subject is evaluated: its silhouettes are those of the truth.
     """
     names = [found.name for found in results.measurements]
     if any(name not in truth.volumes_cc for name in names):

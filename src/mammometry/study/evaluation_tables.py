@@ -1,4 +1,4 @@
-"""An evaluation laid out in tables, one a stage."""
+"""An evaluation as tables, one per stage."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _Column = tuple[str, Callable[[Any], str]]
 
 
 def evaluation_tables(found: Evaluation) -> list[Table]:
-    """One table a stage that has results."""
+    """One table per stage with results."""
     pair, worst_mm = found.cameras.worst_pair
     rig = found.cameras
     tables = [
@@ -62,7 +62,7 @@ def evaluation_tables(found: Evaluation) -> list[Table]:
             ("d_V px", lambda matching: number(matching.d_v_median_px, "+.3f")),
         ),
         _table(
-            "Range images: measured less true distance, cameras' errors included",
+            "Range images: measured minus true distance, with the cameras' errors",
             "pair",
             found.ranges,
             ("bias mm", lambda ranges: number(ranges.bias_mm, "+.3f")),

@@ -48,9 +48,9 @@ class IntraclassCorrelation:
     meaning: str
     """Model, error and measurement, in words."""
     value: float
-    """NaN where nothing varies at all. −∞ for a mean of measurements that does not vary."""
+    """NaN if nothing varies. −∞ for a mean of measurements that does not vary."""
     interval: tuple[float, float]
-    """At the confidence asked for. NaN where rows are not independent."""
+    """Confidence interval. NaN if rows are not independent."""
     f: float
     """F statistic of the null hypothesis that the coefficient is 0."""
     df: tuple[float, float]
@@ -58,7 +58,7 @@ class IntraclassCorrelation:
 
 
 def mean_squares(ratings: Float64[Array, "n k"]) -> MeanSquares:
-    """Analyse the variance of ratings. One row a subject, one column a method.
+    """Analysis of variance of ratings, one row per subject, one column per method.
 
     Raises:
         ValueError: fewer than two rows or columns, or a value that is not finite.
@@ -82,10 +82,10 @@ def mean_squares(ratings: Float64[Array, "n k"]) -> MeanSquares:
 def intraclass_correlations(
     ratings: Float64[Array, "n k"], *, confidence: float = 0.95
 ) -> tuple[IntraclassCorrelation, ...]:
-    """All six forms of the intraclass correlation after Shrout and Fleiss: (1,1) … (3,k).
+    """The six forms of the intraclass correlation after Shrout and Fleiss, (1,1) … (3,k).
 
     Args:
-        ratings: one row a subject, one column a method; complete.
+        ratings: one row per subject, one column per method; complete.
         confidence: of the intervals.
 
     Raises:
@@ -123,7 +123,7 @@ def _consistency(ms: MeanSquares, confidence: float) -> IntraclassCorrelation:
 def _by_ratio(
     signal: float, noise: float, df: tuple[float, float], k: int, confidence: float, names: tuple[str, str, str]
 ) -> IntraclassCorrelation:
-    """A form that follows from the ratio of two mean squares alone."""
+    """A form that depends only on the ratio of two mean squares."""
     f = _divided(signal, noise)
     upper = (1 + confidence) / 2
     low, high = f / scipy.stats.f.ppf(upper, *df), f * scipy.stats.f.ppf(upper, df[1], df[0])
@@ -140,27 +140,24 @@ def _by_ratio(
 
 
 def _agreement(ms: MeanSquares, confidence: float) -> IntraclassCorrelation:
-    """ICC(A,1), the form of absolute agreement.
-
-    Satterthwaite's degrees of freedom for the sum of two mean squares in the interval.
-    """
+    """ICC(A,1), absolute agreement; its interval uses Satterthwaite's degrees of freedom."""
     n, k = ms.subjects, ms.methods
     signal, methods, noise = ms.between_subjects, ms.between_methods, ms.residual
     value = _divided(signal - noise, signal + (k - 1) * noise + k * (methods - noise) / n)
     if value < 1:
-        share = max(value, 0.0) / (1 - max(value, 0.0))  # the weights are those of variances, which are not negative
+        share = max(value, 0.0) / (1 - max(value, 0.0))  # weights of variances, which are not negative
         a, b = k * share / n * methods, (1 + k * share * (n - 1) / n) * noise
         parts = a**2 / (k - 1) + b**2 / ((n - 1) * (k - 1))
         df = (a + b) ** 2 / parts if parts else float((n - 1) * (k - 1))
         upper = (1 + confidence) / 2
         f_low, f_high = scipy.stats.f.ppf(upper, n - 1, df), scipy.stats.f.ppf(upper, df, n - 1)
         rest = k * methods + (k * n - k - n) * noise
-        interval = (  # divided by the quantiles, which may be infinite where few degrees of freedom are left
+        interval = (  # divided by the quantiles, which may be infinite with few degrees of freedom
             float(n * (signal / f_low - noise) / (rest + n * signal / f_low)),
             float(n * (signal - noise / f_high) / (rest / f_high + n * signal)),
         )
     else:
-        interval = (value, value)  # nothing but the subjects varies, or nothing at all
+        interval = (value, value)  # only the subjects vary, or nothing
     least = -1 / (k - 1)
     value, interval = max(value, least), (max(interval[0], least), max(interval[1], least))
     f, f_df = _divided(signal, noise), (n - 1, (n - 1) * (k - 1))
@@ -177,10 +174,7 @@ def _agreement(ms: MeanSquares, confidence: float) -> IntraclassCorrelation:
 
 
 def _of_the_mean(single: IntraclassCorrelation, k: int) -> IntraclassCorrelation:
-    """The same for the mean of k measurements (Spearman–Brown).
-
-    The formula rises from −∞ at −1/(k − 1) to 1 at 1, so it keeps the order of bounds and estimate.
-    """
+    """The form for the mean of k measurements (Spearman–Brown), which is monotonic in that of one measurement."""
 
     def stepped(value: float) -> float:
         variance = 1 + (k - 1) * value  # of the mean, times k

@@ -1,8 +1,8 @@
-"""Scatter of several persons' drawings: volumes, and curves by region.
+"""Scatter between observers' drawings: volumes, and curves by region.
 
-The components follow from a one-way analysis of variance within each breast, pooled over breasts: MS_W of one person's
-repeats, MS_B of the persons' means, with n₀ drawings a person (Searle, Casella and McCulloch, Variance Components,
-1992, chapter 3, for unequal numbers).
+The variance components are those of a one-way analysis of variance within each breast, pooled over breasts: MS_W of one
+observer's repeats, MS_B of the observers' means, with n₀ drawings per observer (Searle, Casella and McCulloch, Variance
+Components, 1992, chapter 3, for unequal numbers).
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from mammometry.study.tables import Table, number, plain
 
 REGIONS = ("lateral", "upper", "medial", "lower")
 WHOLE = "whole curve"
-_STEP_MM = 1.0  # between the points of a curve whose distance from another is taken
-_DETECTABLE_95 = 1.96 * math.sqrt(2)  # times the standard error: a change beyond it is one, 95 %
-_LONGEST_NUMBER = 16  # digits of a repeat; longer text is no count
-_ICC = "ICC(2,1)"  # absolute agreement of single measurements: whoever drew is taken from all who might
+_STEP_MM = 1.0  # spacing of a curve's points for distances
+_DETECTABLE_95 = 1.96 * math.sqrt(2)  # minimal detectable change over the standard error of measurement
+_LONGEST_NUMBER = 16  # most digits of a repeat that is sorted as a number
+_ICC = "ICC(2,1)"  # absolute agreement of single measurements, random observers
 
 
 @value(eq=False)
@@ -37,31 +37,31 @@ class Drawing:
     """One curve around one breast, and the volume that it gives."""
 
     breast: str
-    """Whose breast: "anna, left"."""
+    """Subject and side: "anna, left"."""
     observer: str
-    """Who drew it."""
+    """Observer who drew it."""
     repeat: str
-    """Which of that person's drawings of this breast."""
+    """Number or name of that observer's drawing of this breast."""
     volume_cc: float
-    """Before the same wall for all drawings, cc."""
+    """Volume in front of a wall of the same kind for all drawings, cc."""
     base_cm2: float
     """Area of that wall within the curve, cm²."""
     lateral_up_mm: Float64[Array, "n 3"]
-    """The closed curve, mm: towards the armpit, towards the head, straight ahead; one origin for all of a breast."""
+    """The closed curve, mm: towards the armpit, towards the head, straight ahead; one origin per breast."""
 
 
 @value(eq=False)
 class DrawnSurface:
-    """A surface and all that was drawn on it."""
+    """A surface and all curves drawn on it."""
 
     name: str
-    """Of its file, without the suffix."""
+    """Name of its file, without the suffix."""
     mesh: TriangleMesh
     """mm, the file's frame."""
     frame: Float64[Array, "3 3"]
-    """The body's, rows: the patient's left, the head, straight ahead."""
+    """Body frame, rows: the patient's left, the head, straight ahead."""
     curves: tuple[tuple[str, Float64[Array, "n 3"]], ...]
-    """Who drew it, and a closed curve, mm."""
+    """Observer and closed curve, mm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,15 +69,15 @@ class Scatter:
     """Scatter of single measurements of one breast."""
 
     sem: Estimate
-    """Standard error of measurement: standard deviation of one measurement, cc."""
+    """Standard error of measurement (standard deviation of one measurement), cc."""
     df: float
-    """Degrees of freedom on which it rests."""
+    """Its degrees of freedom."""
     percent: float
-    """Of the mean volume, %."""
+    """The same in % of the mean volume."""
 
     @property
     def mdc(self) -> Estimate:
-        """Minimal detectable change at 95 %, cc. 1.96 √2 times the standard error."""
+        """Minimal detectable change at 95 %, cc: 1.96 √2 times the standard error of measurement."""
         low, high = self.sem.interval
         return Estimate(value=_DETECTABLE_95 * self.sem.value, interval=(_DETECTABLE_95 * low, _DETECTABLE_95 * high))
 
@@ -90,15 +90,14 @@ class Apart:
     mean_mm: float
     """Mean distance, mm."""
     q95_mm: float
-    """95 % of the distances are less, mm."""
+    """95th percentile, mm."""
     across_mm: float
-    """Standard uncertainty of one curve across itself, mm: root mean square distance / √2. To be compared with
-    `measure.observers`."""
+    """Standard uncertainty of one curve across itself, mm: RMS distance / √2. Compare with `measure.observers`."""
 
 
 @value
 class ObserverStudy:
-    """Everything about the agreement of persons who draw."""
+    """Agreement of observers who draw."""
 
     breasts: tuple[str, ...]
     observers: tuple[str, ...]
@@ -106,27 +105,24 @@ class ObserverStudy:
     mean_cc: float
     """Mean of all volumes, cc."""
     within: Scatter | None
-    """One person who draws again; None where nobody drew a breast twice."""
+    """Same observer; None without repeats."""
     between: Scatter | None
-    """Whoever draws, one person or another; None where no breast has two persons' curves."""
+    """Any observer; None if no breast was drawn by two observers."""
     icc_between: IntraclassCorrelation | None
-    """ICC(2,1) of first drawings, breasts by persons; None without two breasts that the same two persons drew."""
+    """ICC(2,1) of first drawings, breasts by observers; None without two breasts drawn by the same two observers."""
     icc_within: Mapping[str, IntraclassCorrelation]
-    """Person → ICC(2,1) of repeats, breasts by repeats, of those who drew two breasts twice."""
+    """Observer → ICC(2,1) of repeats, breasts by repeats, of those who drew two breasts twice."""
     apart_within: Mapping[str, Apart]
-    """Region → distance between curves of one person; empty without repeats."""
+    """Region → distance between curves of one observer; empty without repeats."""
     apart_between: Mapping[str, Apart]
-    """Region → distance between curves of two persons; empty with one person."""
+    """Region → distance between curves of two observers; empty with one observer."""
 
 
 def observer_study(drawings: Sequence[Drawing]) -> ObserverStudy:
-    """Work out what persons' drawings differ by.
-
-    A person's drawings count in the order of `repeat`, not in the order given: 2 is before 10, and numbers are before
-    words.
+    """Agreement of observers from their drawings, in the order of `repeat` (numbers first, 2 before 10).
 
     Raises:
-        ValueError: no breast was drawn twice, or one person's drawing is there twice.
+        ValueError: no breast was drawn twice, or a drawing occurs twice.
     """
     table: dict[str, dict[str, dict[str, Drawing]]] = {}
     for drawing in sorted(drawings, key=lambda drawing: _order(drawing.repeat)):
@@ -197,7 +193,7 @@ def scatter_of(groups: Sequence[Sequence[Float64[Array, " _"]]]) -> tuple[Scatte
 
 
 def _scatter(variance: float, df: float, mean_cc: float) -> Scatter:
-    """A standard deviation with its χ² interval. The degrees of freedom of a sum are Satterthwaite's."""
+    """A standard deviation with its χ² interval."""
     sd = math.sqrt(variance)
     low, high = (float(np.sqrt(df / scipy.stats.chi2.ppf(q, df))) for q in (0.975, 0.025))
     return Scatter(sem=Estimate(value=sd, interval=(sd * low, sd * high)), df=float(df), percent=100 * sd / mean_cc)
@@ -208,7 +204,7 @@ def _volumes(own: Mapping[str, Drawing]) -> list[float]:
 
 
 def _icc(rows: Sequence[Mapping[str, float]]) -> IntraclassCorrelation | None:
-    """ICC(2,1) of those raters who rated all breasts."""
+    """ICC(2,1) of the raters who rated all breasts."""
     common = [name for name in rows[0] if all(name in row for row in rows)]
     if len(rows) < 2 or len(common) < 2:
         return None
@@ -252,9 +248,9 @@ def _apart(pairs: Sequence[tuple[Drawing, Drawing]]) -> dict[str, Apart]:
 
 
 def distances_by_region_mm(first: Drawing, second: Drawing) -> dict[str, Float64[Array, " n"]]:
-    """Distances of each of two curves from the other, by region, mm.
+    """Distances of each of two curves from the other, mm, by region.
 
-    A point's region is the direction in which it lies from the middle of both curves, seen from the front.
+    A point's region is its direction from the centre of both curves, seen from the front.
     """
     curves = [evenly(drawing.lateral_up_mm) for drawing in (first, second)]
     middle = (curves[0].mean(axis=0) + curves[1].mean(axis=0)) / 2
@@ -268,7 +264,7 @@ def distances_by_region_mm(first: Drawing, second: Drawing) -> dict[str, Float64
 
 
 def regions_of(from_middle_mm: Float64[Array, "n 3"]) -> Int64[Array, " n"]:
-    """Index into `REGIONS` of directions from a breast's middle, by quarters."""
+    """Index into `REGIONS` of directions from a breast's centre, by quarters."""
     turn = np.arctan2(from_middle_mm[:, 1], from_middle_mm[:, 0])
     return np.asarray(np.round(turn / (np.pi / 2)).astype(np.int64) % 4)
 
@@ -286,12 +282,12 @@ def observers_summary(found: ObserverStudy) -> list[str]:
     breasts, persons = (_counted(len(count), word) for count, word in
                         ((found.breasts, "breast"), (found.observers, "person")))  # fmt: skip
     lines = [f"{found.drawings} curves around {breasts} by {persons}; mean volume {number(found.mean_cc, '.0f')} cc."]
-    for scatter, who in ((found.within, "One person who draws again"), (found.between, "Whoever draws")):
+    for scatter, who in ((found.within, "Same person"), (found.between, "Any person")):
         if scatter is not None:
             lines.append(
-                f"{who}: one volume scatters by {number(scatter.sem.value, '.1f')} cc "
+                f"{who}: standard error of measurement {number(scatter.sem.value, '.1f')} cc "
                 f"({number(scatter.percent, '.1f')} %). "
-                f"A change of less than {number(scatter.mdc.value, '.0f')} cc may be drawing alone."
+                f"A change of less than {number(scatter.mdc.value, '.0f')} cc may be due to the drawing."
             )
     worst = max(
         (
@@ -306,11 +302,10 @@ def observers_summary(found: ObserverStudy) -> list[str]:
     )
     if found.icc_between is None and found.between is not None:
         lines.append(
-            "There is no intraclass correlation between persons: it compares breasts, and takes two that the same two "
-            "persons drew."
+            "There is no intraclass correlation between persons: it needs two breasts that the same two persons drew."
         )
     if found.between is not None and found.between.df < 5:
-        lines.append("So few drawings tell little: see the intervals.")
+        lines.append("With so few drawings the results are uncertain: see the intervals.")
     return lines
 
 
@@ -361,7 +356,7 @@ def observers_tables(found: ObserverStudy, drawings: Sequence[Drawing]) -> list[
 
 
 def observers_json(found: ObserverStudy, drawings: Sequence[Drawing]) -> dict[str, Any]:
-    """Everything as plain JSON-ready data. What is not known is null."""
+    """All results as JSON-ready data; unknown ones are null."""
 
     def scatter(spread: Scatter | None) -> dict[str, Any] | None:
         return None if spread is None else {**asdict(spread), "mdc": asdict(spread.mdc)}
@@ -409,7 +404,7 @@ def _icc_row(words: str, correlation: IntraclassCorrelation) -> tuple[str, ...]:
 def _apart_table(title: str, apart: Mapping[str, Apart]) -> Table:
     return Table(
         title=f"{title}: distance, mm",
-        columns=("region", "mean", "95 % are less", "standard uncertainty of one curve", "pairs of curves"),
+        columns=("region", "mean", "95th percentile", "standard uncertainty of one curve", "pairs of curves"),
         rows=tuple(
             (region, number(distances.mean_mm, ".2f"), number(distances.q95_mm, ".1f"),
              number(distances.across_mm, ".2f"), str(distances.pairs))

@@ -18,24 +18,21 @@ SEEN_INCIDENCE_DEG = 75.0
 
 @value(eq=False)
 class Hits:
-    """First points that rays met."""
+    """First hits of rays."""
 
     range_mm: Float64[Array, "*n"]
-    """Distance from the ray's origin, mm. NaN where nothing is met."""
+    """Distance from the ray's origin, mm; NaN without a hit."""
     cosine: Float64[Array, "*n"]
-    """Cosine of incidence: 1 where the surface faces the origin, negative from inside. NaN where nothing is met."""
+    """Cosine of incidence: 1 if the surface faces the origin, negative from inside; NaN without a hit."""
 
     @property
     def hit(self) -> Bool[Array, "*n"]:
-        """Mask of the rays that met something."""
+        """Mask of the rays with a hit."""
         return np.isfinite(self.range_mm)
 
 
 class RayScene:
-    """A mesh prepared for ray casting.
-
-    embree finds the triangle, its plane gives the distance in double precision.
-    """
+    """A mesh prepared for ray casting: embree finds the triangle, its plane gives the distance in double precision."""
 
     def __init__(self, mesh: TriangleMesh) -> None:
         from embreex import rtcore_scene
@@ -51,11 +48,11 @@ class RayScene:
         self._heights = np.einsum("ij,ij->i", mesh.vertices[mesh.faces[:, 0]], self._normals)
 
     def cast(self, origin: Float64[Array, 3], directions: Float64[Array, "*n 3"]) -> Hits:
-        """Send rays from one point, mesh frame, mm.
+        """First hits of rays from one point, mesh frame, mm.
 
         Args:
-            origin: where all of them start.
-            directions: of unit length; rays of NaN meet nothing.
+            origin: of all rays.
+            directions: of unit length; rays of NaN have no hit.
         """
         shape = directions.shape[:-1]
         flat = directions.reshape(-1, 3)
@@ -75,13 +72,13 @@ class RayScene:
         return Hits(range_mm=ranges.reshape(shape), cosine=cosines.reshape(shape))
 
     def hides(self, origin: Float64[Array, 3], points: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
-        """Mask of its own points that the mesh hides. A ray may slip between two triangles there."""
+        """Mask of the mesh's own points that it hides, even if a ray slips between two triangles there."""
         offsets = points - origin
         distance = np.linalg.norm(offsets, axis=-1)
         return self.cast(origin, offsets / distance[:, None]).range_mm < distance - _SEEN_MM
 
     def seen_from(self, origin: Float64[Array, 3], points: Float64[Array, "*n 3"]) -> Hits:
-        """Look at given points. A point that is hidden or NaN is not met."""
+        """Hits of rays towards given points; none for hidden points and NaN."""
         offsets = points - origin
         distance = np.linalg.norm(offsets, axis=-1)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -98,21 +95,18 @@ def pixel_grid(camera: Camera, step: int = 1) -> Float64[Array, "h w 2"]:
 
 
 def inside(camera: Camera, uv: Float64[Array, "*n 2"]) -> Bool[Array, "*n"]:
-    """Mask of the image positions that lie in the picture. NaN does not."""
+    """Mask of the positions inside the image; false for NaN."""
     with np.errstate(invalid="ignore"):
         return np.all((uv >= 0) & (uv <= np.array(camera.size_wh) - 1), axis=-1)
 
 
 def seen_by_pairs(scene: RayScene, rig: Rig, *, every: int = 1) -> tuple[Int64[Array, " k"], Mapping[str, Array]]:
-    """Find which true vertices both cameras of each pair see at less than 75° of incidence.
+    """Indices of the tested vertices, and pair → whether both its cameras see each of them at less than 75°.
 
     Args:
         scene: the true surface.
         rig: the true cameras, in the scene's frame.
-        every: look at every n-th vertex only.
-
-    Returns:
-        Indices of the vertices looked at, and pair → whether it sees each of them.
+        every: test only every n-th vertex.
     """
     chosen = np.arange(0, len(scene.mesh.vertices), every, dtype=np.int64)
     points = scene.mesh.vertices[chosen]

@@ -1,10 +1,10 @@
-"""Differences of two methods where a subject has several pairs of measurements.
+"""Differences of two methods if a subject has several pairs of measurements.
 
-The true value may vary between the pairs of one subject, as between both breasts of a woman: Bland and Altman, Journal
-of Biopharmaceutical Statistics 17 (2007) 571, section 3. The variance of one difference is the sum of a variance
-between subjects and one within them, from a one-way analysis of variance with m₀ pairs a subject. The intervals combine
-those of both mean squares by MOVER: Zou, Statistical Methods in Medical Research 22 (2013) 630. With one pair a subject
-the mean and the standard deviation are the usual ones.
+The true value may vary between the pairs of a subject, such as both breasts of a woman: Bland and Altman, Journal of
+Biopharmaceutical Statistics 17 (2007) 571, section 3. The variance of one difference is the sum of the variances between
+and within subjects, from a one-way analysis of variance with m₀ pairs per subject. The intervals of both mean squares
+are combined by MOVER: Zou, Statistical Methods in Medical Research 22 (2013) 630. With one pair per subject, mean and
+standard deviation are the usual ones.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ class RepeatedDifferences:
     """Mean and spread of differences, in the measurements' unit."""
 
     mean: float
-    """Of all pairs."""
+    """Mean of all pairs."""
     sem: float
-    """Standard error of the mean. It knows that pairs of one subject are alike."""
+    """Standard error of the mean, with pairs of one subject correlated."""
     df_quantile: float
-    """Two-sided 95 % quantile of Student's t with as many degrees of freedom as there are subjects less one."""
+    """Two-sided 95 % quantile of Student's t with one degree of freedom less than subjects."""
     sd: float
-    """Standard deviation of one difference of any subject."""
+    """Standard deviation of one difference."""
     sd_interval: tuple[float, float]
     """Its 95 % interval."""
 
 
 def repeated_differences(differences: Float64[Array, " n"], subjects: Int64[Array, " n"]) -> RepeatedDifferences:
-    """Analyse differences by subject.
+    """Mean and spread of differences of pairs that are grouped by subject.
 
     Args:
-        differences: one a pair.
-        subjects: number of each pair's subject, from 0, without gaps.
+        differences: one per pair.
+        subjects: index of each pair's subject, from 0, without gaps.
 
     Raises:
         ValueError: fewer than two subjects, or no subject with two pairs.
@@ -52,7 +52,7 @@ def repeated_differences(differences: Float64[Array, " n"], subjects: Int64[Arra
     own = np.bincount(subjects, differences) / counts
     between = float(counts @ (own - mean) ** 2) / (n - 1)
     within = float(((differences - own[subjects]) ** 2).sum()) / (total - n)
-    alike = float(counts @ counts) / total  # size of the subject that a pair chosen at random belongs to
+    alike = float(counts @ counts) / total  # expected number of pairs of a random pair's subject
     pairs_each = (total - alike) / (n - 1)  # m₀
     of_subjects = max((between - within) / pairs_each, 0.0)
     variances = np.array([between / pairs_each, (1 - 1 / pairs_each) * within])

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-_LEAST_P = 0.001  # smaller ones are "< 0.001": the American Medical Association's style, and most journals'
+_LEAST_P = 0.001  # smaller ones are written "< 0.001": style of the American Medical Association and most journals
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,7 +19,7 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
 
     def as_markdown(self) -> str:
-        """The table under its title, GitHub's Markdown."""
+        """The table with its title, as GitHub Markdown."""
         lines = [self.columns, ("---",) * len(self.columns), *self.rows]
         return "\n".join([f"**{self.title}**", "", *("| " + " | ".join(line) + " |" for line in lines), ""])
 
@@ -42,18 +42,18 @@ def p_words(p: float) -> str:
 
 
 def signed(value: float, digits: int = 1) -> str:
-    """A number with its sign and a true minus. No sign before zero."""
+    """A number with its sign and a true minus; zero without a sign."""
     words = number(value, f"+.{digits}f")
     return words.lstrip("+−") if value == value and not float(f"{value:.{digits}f}") else words
 
 
 def thousands(count: int) -> str:
-    """A count with thin spaces between its thousands."""
+    """A count with thin spaces between thousands."""
     return f"{count:,}".replace(",", " ")
 
 
 def plain(value: Any) -> Any:
-    """Return what JSON can hold. null for an unknown or infinite number, lists for tuples."""
+    """JSON-ready data: null for an unknown or infinite number, lists for tuples."""
     if isinstance(value, Mapping):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, Iterable) and not isinstance(value, str):
