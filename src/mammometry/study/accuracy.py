@@ -197,14 +197,14 @@ def map_errors(
 def compare_volumes(
     measured_cc: float, true_cc: float, interval_cc: tuple[float, float] | None = None
 ) -> VolumeAccuracy:
-    """Compare a measured volume and its 95 % interval, if any, with the true one, all in cc."""
+    """Comparison of a measured volume and its 95 % interval, if any, with the true volume, all in cc."""
     covered = None if interval_cc is None else bool(interval_cc[0] <= true_cc <= interval_cc[1])
     return VolumeAccuracy(measured_cc=measured_cc, true_cc=true_cc, covered=covered)
 
 
 _GRID = 7  # points along each side of the working volume
-_MARGIN = 1.2  # of the working volume around the subject's bounding box
-_TRIANGULATION_STEPS = 6  # of Gauss and Newton's method
+_MARGIN = 1.2  # size of the working volume, relative to the subject's bounding box
+_TRIANGULATION_STEPS = 6  # Gauss–Newton iterations
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,8 +1,7 @@
-"""Disparities, ranges and silhouettes against the true surface, pixel by pixel.
+"""Errors of disparities, ranges and silhouettes against the true surface, per pixel.
 
-The truth of a pixel does not depend on the calibration: the photograph's pixel is projected through the *true* camera
-onto the true surface and back into the other photograph, and only there the calibrated cameras give the rectified
-pixel. So the matcher's error is separate from the calibration's.
+The photograph's pixel is projected through the *true* camera onto the true surface and back into the other photograph;
+only there the calibrated cameras give the rectified pixel. So the matcher's error is separate from the calibration's.
 """
 
 from __future__ import annotations
@@ -24,12 +23,12 @@ from mammometry.study.rays import RayScene, inside, pixel_grid
 from mammometry.surface.ranges.range_image import RangeImage
 
 EDGE_PX = 5.0
-"""Pixels nearer than this to an occluding edge, in either picture, are not judged."""
+"""Least distance of an evaluated pixel from an occluding edge in either image, px."""
 INCIDENCE_DEG = 70.0
-"""Pixels seen at a greater angle by either camera are not judged."""
-_NEAR_EDGE_PX, _RIM_PX = 20.0, 8.0  # nearer than this to an occluding edge, errors and bias are given apart
-_JUMP_MM = 3.0  # neighbouring pixels that differ by more lie on either side of an occluding edge
-_JUDGED_WIDTH_PX = 1400  # wider pictures are judged at every n-th pixel
+"""Largest angle of incidence of an evaluated pixel in either camera, degrees."""
+_NEAR_EDGE_PX, _RIM_PX = 20.0, 8.0  # distances from an occluding edge within which errors and bias are given separately
+_JUMP_MM = 3.0  # least difference in range of neighbouring pixels at an occluding edge
+_JUDGED_WIDTH_PX = 1400  # wider images are evaluated at every n-th pixel
 
 
 @value(eq=False)

@@ -193,7 +193,7 @@ def agreement(data: PairedMeasurements) -> Agreement:
 
 
 def _once(data: PairedMeasurements) -> Agreement:
-    """One pair a subject."""
+    """Agreement with one pair per subject."""
     difference = data.differences
     n = len(difference)
     mean, sd = float(difference.mean()), float(difference.std(ddof=1))
@@ -202,7 +202,7 @@ def _once(data: PairedMeasurements) -> Agreement:
     sem = sd / math.sqrt(n)
     df = n - 1
     chi_low, chi_high = (float(math.sqrt(df / scipy.stats.chi2.ppf(q, df))) for q in (0.975, 0.025))
-    # The 97.5th percentile of a normal distribution lies at mean + s t′/√n, t′ of the noncentral t distribution.
+    # The 97.5th percentile of a normal distribution is mean + s t′/√n, with t′ of the noncentral t distribution.
     near, far = (float(scipy.stats.nct.ppf(q, df, _Z95 * math.sqrt(n))) * sem for q in (0.025, 0.975))
     return _assembled(
         data,

@@ -110,14 +110,14 @@ def curve_distances(
 
 
 def resampled(curve: Float64[Array, "n 3"], step_mm: float = _STEP_MM) -> Float64[Array, "k 3"]:
-    """Points every `step_mm` or a little less along a closed curve."""
+    """Closed curve resampled at `step_mm` or a little less."""
     return evenly_spaced(curve, max(3, int(np.ceil(closed_length_mm(curve) / step_mm))))
 
 
-_POINTS = 60_000  # true points at which a surface is judged
-_OTHER_RIG_SHARE = 0.02  # of the pictures' width
-_OTHER_SUBJECT_OVERLAP = 0.95  # least overlap of found and true silhouettes, of their union
-_OTHER_SUBJECT_MM = 3.0  # and the least median distance of a surface that is another subject's
+_POINTS = 60_000  # true points at which a surface is evaluated
+_OTHER_RIG_SHARE = 0.02  # RMS projection error, relative to the image width, from which the rig is another one
+_OTHER_SUBJECT_OVERLAP = 0.95  # overlap (intersection over union) of silhouettes below which the subject may differ
+_OTHER_SUBJECT_MM = 3.0  # median distance of the surface from which the subject may differ
 _REMEDY = "Name the truth of this session with --truth, or measure the session again"
 
 

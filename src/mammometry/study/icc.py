@@ -1,11 +1,10 @@
 """Intraclass correlation in all its forms, with intervals.
 
-Shrout and Fleiss, Psychological Bulletin 86 (1979) 420; McGraw and Wong, Psychological Methods 1 (1996) 30, whose
-formulas for mean squares, F tests and intervals are followed. Two-way random and two-way mixed models share their
-estimates and differ in what they say.
+Shrout and Fleiss, Psychological Bulletin 86 (1979) 420. Mean squares, F tests and intervals are those of McGraw and
+Wong, Psychological Methods 1 (1996) 30. Two-way random and two-way mixed models have the same estimates.
 
-k measurements that correlate alike by ρ have a covariance matrix only if ρ ≥ −1/(k − 1) (Fisher, Statistical Methods
-for Research Workers, 1925, section 38). Mean squares of few subjects may give less for absolute agreement; estimates
+k measurements with equal correlations ρ have a covariance matrix only if ρ ≥ −1/(k − 1) (Fisher, Statistical Methods
+for Research Workers, 1925, section 38). Mean squares of few subjects may give less for absolute agreement, so estimates
 and interval bounds are limited to it. At that limit the mean of the k measurements is constant, and its coefficient −∞.
 """
 
@@ -18,7 +17,7 @@ import scipy  # it imports scipy.stats, which takes half a second, when that is 
 
 from mammometry.geometry.arrays import Array, Float64
 
-_ROUNDING = 1e-12  # times the variance's largest value k: smaller values are rounding errors of 0
+_ROUNDING = 1e-12  # variance, relative to its largest value k, below which it is 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

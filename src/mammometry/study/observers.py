@@ -159,13 +159,10 @@ def _order(repeat: str) -> tuple[bool, int, str]:
 
 
 def scatter_of(groups: Sequence[Sequence[Float64[Array, " _"]]]) -> tuple[Scatter | None, Scatter | None]:
-    """Scatter of one person's repeats, and of whoever draws. Breasts count by their degrees of freedom.
+    """Scatter within one observer and between any observers, pooled over breasts; None without such drawings.
 
     Args:
-        groups: breast → person → volumes of that person's drawings, cc.
-
-    Returns:
-        None for what nothing was drawn of.
+        groups: breast → observer → volumes of that observer's drawings, cc.
     """
     mean_cc = float(np.mean(np.concatenate([own for persons in groups for own in persons])))
     repeats_df = sum(len(own) - 1 for persons in groups for own in persons)
@@ -182,7 +179,7 @@ def scatter_of(groups: Sequence[Sequence[Float64[Array, " _"]]]) -> tuple[Scatte
         ss_between += float((counts * (means - (counts * means).sum() / counts.sum()) ** 2).sum())
         n0 += float(counts.sum() - (counts**2).sum() / counts.sum())
     ms_between, n0 = ss_between / persons_df, n0 / persons_df
-    if ms_between <= ms_within:  # persons differ no more than one person's repeats: all drawings are alike
+    if ms_between <= ms_within:  # observers differ no more than repeats: all drawings are equivalent
         df = persons_df + repeats_df
         return within, _scatter((ss_between + ss_within) / df, df, mean_cc)
     share = 1 / n0
@@ -270,11 +267,11 @@ def regions_of(from_middle_mm: Float64[Array, "n 3"]) -> Int64[Array, " n"]:
 
 
 def evenly(curve: Float64[Array, "n 3"]) -> Float64[Array, "m 3"]:
-    """A closed curve as points about 1 mm apart."""
+    """Closed curve resampled at about 1 mm."""
     return points_along(curve, np.arange(0.0, closed_length_mm(curve), _STEP_MM))
 
 
-_KINDS = (("within", "one person again"), ("between", "whoever draws"))
+_KINDS = (("within", "same person"), ("between", "any person"))
 
 
 def observers_summary(found: ObserverStudy) -> list[str]:

@@ -1,4 +1,4 @@
-"""Rays at a true mesh: what each camera ought to see."""
+"""Ray casting at a true mesh: visibility of its points in the cameras."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Camera, Float64, Int64, Rig, TriangleMesh
 
-_AT_ONCE = 1_000_000  # rays, so that memory stays small
-_SEEN_MM = 0.3  # a ray that meets the mesh this near to a point has met the point
+_AT_ONCE = 1_000_000  # rays per call, to limit memory
+_SEEN_MM = 0.3  # largest distance between a visible point and its ray's hit
 SEEN_INCIDENCE_DEG = 75.0
-"""Largest angle of incidence at which a camera counts as seeing skin."""
+"""Largest angle of incidence of visible skin, degrees."""
 
 
 @value(eq=False)

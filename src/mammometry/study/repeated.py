@@ -1,10 +1,10 @@
 """Differences of two methods if a subject has several pairs of measurements.
 
 The true value may vary between the pairs of a subject, such as both breasts of a woman: Bland and Altman, Journal of
-Biopharmaceutical Statistics 17 (2007) 571, section 3. The variance of one difference is the sum of the variances between
-and within subjects, from a one-way analysis of variance with m₀ pairs per subject. The intervals of both mean squares
-are combined by MOVER: Zou, Statistical Methods in Medical Research 22 (2013) 630. With one pair per subject, mean and
-standard deviation are the usual ones.
+Biopharmaceutical Statistics 17 (2007) 571, section 3. The variance of one difference is the sum of the variances
+between and within subjects, from a one-way analysis of variance with m₀ pairs per subject. The intervals of both mean
+squares are combined by MOVER: Zou, Statistical Methods in Medical Research 22 (2013) 630. With one pair per subject,
+mean and standard deviation are the usual ones.
 """
 
 from __future__ import annotations

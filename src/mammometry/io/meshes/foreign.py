@@ -27,8 +27,8 @@ from mammometry.geometry.mesh_files.usdz import read_usdz
 
 _BY_SIZE = "as the body's size shows"
 _TORSO_MM = (230.0, 2300.0)
-"""Smallest longest side of a torso's front, and largest of a whole body with raised arms. The ratio is below ten, so
-that only one unit of `_USUAL` fits."""
+"""Length of the smallest torso's front, and of the largest body with raised arms. The ratio is below ten, so that only
+one unit of `_USUAL` fits."""
 _USUAL = ("mm", "cm", "m")  # usual units of scanners; inches and feet are ambiguous with cm and m
 _COARSEST_STEP_MM = 0.1  # equals the standard uncertainty of a scanner's surface (`api.mesh.SURFACE_STD_MM`)
 _HEADER_BYTES = 65_536  # part of a file whose comments may state its unit
@@ -50,7 +50,7 @@ class ForeignMesh:
     lengths: str = ""
     """A sentence on its length in the assumed unit and in others. Empty if there is no doubt."""
     remarks: tuple[str, ...] = ()
-    """What its reader left out or took for granted, one sentence each."""
+    """What its reader omitted or assumed, one sentence each."""
 
     @property
     def assumed(self) -> str:
@@ -77,7 +77,7 @@ def unit_remark(units: str, *, imported: bool = False) -> str:
 
 
 def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False) -> ForeignMesh:
-    """Read a mesh file.
+    """Mesh from a file, in mm.
 
     Args:
         path: a PLY, OBJ, STL, GLB or USDZ.

@@ -1,7 +1,7 @@
-"""The folder into which a mesh was measured: what was measured, so that every command can open it.
+"""The folder into which a mesh was measured, as a folder that every command can open.
 
-``mesh.toml`` names the mesh, which stays where it is, and what was said about it. Boundaries and landmarks are copied
-beside it, where they can be edited.
+``mesh.toml`` contains the path of the mesh and the options with which it was measured. Boundaries and landmarks are
+copied into the folder, where they can be edited.
 """
 
 from __future__ import annotations
@@ -33,51 +33,50 @@ _REMEDY = "Measure the mesh into this folder again: mammometry measure MESH --ou
 _DRAWN = {"boundary": BOUNDARIES, "landmarks": LANDMARK_FILE}
 _TEXTS, _FLAGS = ("units", "head", "ahead", "subject", "posture"), ("automatic", "largest", "sides_checked")
 _NUMBERS = ("scale_std", "surface_std_mm")
-_MOST_COPIES = 8  # digests of former copies that are kept
+_MOST_COPIES = 8  # digests of earlier copies that are stored
 
 
 @value
 class MeshFiles:
-    """Files and statements that come with a foreign mesh."""
+    """A foreign mesh with its files and options."""
 
     mesh: Path
     """PLY, OBJ, STL, GLB or USDZ."""
     units: str | None = None
-    """``mm``, ``cm``, ``m``, ``in`` or ``ft``. None where the file states it."""
+    """``mm``, ``cm``, ``m``, ``in`` or ``ft``. None if the file states it."""
     boundary: Path | None = None
     """boundaries.json of the mesh, in mm or the mesh's unit. None: found by landmarks or automatically."""
     landmarks: Path | None = None
-    """landmarks.json of the mesh, as of a session, in mm."""
+    """landmarks.json of the mesh, in mm, in the format of a session."""
     back: Path | None = None
     """Mesh of the measured wall behind the breast, in the same unit and frame."""
     automatic: bool = False
-    """Whether the boundaries are found along a torso's creases, as in a session."""
+    """Whether a torso's boundaries are found automatically, as in a session."""
     head: str | None = None
-    """The file's axis towards the head (``y``, ``-z`` …). None: ``y``, or ``z`` if ``y`` points ahead. Used by
-    `automatic`, or if only one breast is drawn.
-    """
+    """The file's axis towards the head (``y``, ``-z`` …). None: ``y``, or ``z`` if ``y`` points ahead. Used with
+    `automatic`, or if only one breast is drawn."""
     ahead: str | None = None
     """The axis straight ahead. None: the direction in which an open mesh faces."""
     largest: bool = False
-    """Whether to measure the largest of several pieces alone."""
+    """Whether to measure only the largest of several pieces."""
     scale_std: float = SCALE_STD
     """Relative standard uncertainty of its lengths."""
     surface_std_mm: float = SURFACE_STD_MM
     """Standard uncertainty of its whole surface along its normal, mm."""
     subject: str | None = None
-    """Identifier of the subject, a pseudonym, carried by every result. None: not given."""
+    """Pseudonym of the subject, which each result contains. None: not given."""
     posture: str = ""
-    """How the patient held herself: ``standing``, ``leaning`` or ``lying``. Empty: as the scan's folder says."""
+    """``standing``, ``leaning`` or ``lying``. Empty: that of the scan's folder."""
     sides_checked: bool = False
     """Whether a person has confirmed that left and right of the mesh are the patient's."""
     scan: Scan | None = None
-    """What an imported scan's folder says. None: the mesh was not imported."""
+    """Description of an imported scan. None: the mesh was not imported."""
     also: tuple[Path, ...] = ()
     """Further scans of the same visit and posture, in the same unit, which are merged with `mesh`."""
 
 
 def is_measured(folder: Path) -> bool:
-    """Whether a mesh was measured into this folder, by a version that describes it."""
+    """Whether a mesh was measured into this folder, by a version that writes ``mesh.toml``."""
     return (folder / ABOUT_MESH).is_file()
 
 
@@ -87,7 +86,7 @@ def can_be_opened(folder: Path) -> bool:
 
 
 def results_of(folder: Path) -> Path:
-    """Where the results of such a folder lie."""
+    """Folder of the results of such a folder."""
     return folder if is_measured(folder) else folder / RESULTS
 
 
@@ -97,15 +96,15 @@ def is_result(folder: Path, name: str) -> bool:
 
 
 def has_own_folder(files: MeshFiles, results: Path) -> bool:
-    """Whether these results are described by themselves: not those in an imported scan's folder."""
+    """Whether these results have a ``mesh.toml`` of their own: not those in an imported scan's folder."""
     return files.scan is None or results.resolve() != (files.mesh.parent / RESULTS).resolve()
 
 
 def with_edits(files: MeshFiles, folder: Path) -> MeshFiles:
-    """The files, with the drawings that were edited in the folder since.
+    """The files, with drawings that were edited in the folder.
 
     Raises:
-        StorageError: others are given as well.
+        StorageError: other drawings are given as well.
         SessionError: the folder's description is not as documented.
     """
     copies = _copies(folder)
@@ -123,15 +122,15 @@ def with_edits(files: MeshFiles, folder: Path) -> MeshFiles:
 
 
 def describe(folder: Path, files: MeshFiles, drawn: dict[str, str]) -> None:
-    """Write what is measured into a folder, and copies of the drawings, where they differ.
+    """Write ``mesh.toml`` and copies of the drawings into a folder, if they differ.
 
     Args:
-        folder: of the results, which `io.outputs.take_folder` has made.
-        files: what is measured.
+        folder: of the results, made by `io.outputs.take_folder`.
+        files: the mesh with its files and options.
         drawn: name → content of a drawing in mm, boundaries.json or landmarks.json.
 
     Raises:
-        StorageError: the disk is full or refuses.
+        StorageError: the disk is full or reports an error.
     """
     before = _copies(folder)
     given = {name: getattr(files, field) for field, name in _DRAWN.items()}
@@ -146,18 +145,18 @@ def describe(folder: Path, files: MeshFiles, drawn: dict[str, str]) -> None:
             if name in copied and (not path.is_file() or path.read_bytes() != copied[name].encode()):
                 write_text(path, copied[name])
             elif given[name] is None and path.is_file():
-                path.unlink()  # our own copy of an earlier drawing: `with_edits` takes any other
+                path.unlink()  # our own copy of an earlier drawing; `with_edits` uses any other
 
 
 def read_measured(folder: Path, *, drawn: bool = True) -> MeshFiles:
-    """What was measured into a folder, with what is drawn there now.
+    """The mesh that was measured into a folder, with the drawings that are in the folder now.
 
     Args:
         folder: with ``mesh.toml``.
-        drawn: whether drawn boundaries and landmarks count.
+        drawn: whether to include drawn boundaries and landmarks.
 
     Raises:
-        SessionError: the description is not as documented, or the mesh is not where it was.
+        SessionError: the description is not as documented, or the mesh is missing.
     """
     table, sources = _read(folder), sources_of(folder)
     try:

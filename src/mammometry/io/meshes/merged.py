@@ -1,7 +1,4 @@
-"""Scans of one visit merged into one mesh.
-
-The facts of their registration are kept as a scan's folder has them.
-"""
+"""Scans of one visit merged into one mesh, with the registrations as stored in a scan's folder."""
 
 from __future__ import annotations
 
@@ -21,33 +18,33 @@ from mammometry.io.meshes.foreign import ForeignMesh
 from mammometry.io.meshes.own import read_ply
 
 SOURCE = "source"
-"""Property of a merged PLY's vertices: scans that show it, as bits (`FusedScans.sources`)."""
+"""Vertex property of a merged PLY: scans that show the vertex, as bits (`FusedScans.sources`)."""
 MOST_ALSO = 4
-"""Further scans of one visit."""
+"""Most further scans of one visit."""
 _NUMBERS = ("overlap", "within_mm", "sigma_mm", "scale")
 _KEYS = {"sha256", "first_from_this", *_NUMBERS}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlsoScan:
-    """A further scan of the visit, and how it lies on the first one."""
+    """A further scan of the visit, and its registration to the first one."""
 
     sha256: str
-    """Of its file."""
+    """SHA-256 of its file."""
     overlap: float
     """Share of the smaller scan's skin that both show, 0 to 1."""
     within_mm: float
-    """Residual: 95 % of the shared skin lies within this distance of the first scan, mm."""
+    """Residual: 95 % of the shared skin are within this distance of the first scan, mm."""
     sigma_mm: float
-    """Standard uncertainty of one scan against the other, along the skin's normal, mm."""
+    """Standard uncertainty of one scan relative to the other, along the skin's normal, mm."""
     scale: float
-    """Its lengths over the first one's, less 1."""
+    """Relative difference of lengths: this scan over the first one, minus 1."""
     first_from_this: tuple[float, ...]
     """Rigid motion from its frame to the first scan's, mm: the 4 × 4 matrix, row by row."""
 
     @property
     def words(self) -> str:
-        """One line on its fit."""
+        """One line on the registration."""
         longer = round(100 * self.scale, 1) + 0.0
         return (
             f"{100 * self.overlap:.0f} % of its skin is in the first scan too; 95 % of that within "
@@ -55,7 +52,7 @@ class AlsoScan:
         )
 
     def as_table(self) -> dict[str, Any]:
-        """All of it as plain data, as scan.toml and ``--json`` have it."""
+        """JSON-ready data, as in scan.toml and ``--json``."""
         return {
             "sha256": self.sha256,
             **{name: round(getattr(self, name), 6) for name in _NUMBERS},
@@ -65,10 +62,10 @@ class AlsoScan:
 
 @value(eq=False)
 class MergedScans:
-    """Scans of one visit as one."""
+    """Scans of one visit as one mesh."""
 
     foreign: ForeignMesh
-    """The merged mesh, in the first scan's frame and named with its unit."""
+    """The merged mesh, in the first scan's frame and unit."""
     sources: UInt8[Array, " n"]
     """Scans that show each vertex, as bits: 1 the first, 2 the second, 3 both, 4 the third."""
     also: tuple[AlsoScan, ...]
@@ -85,26 +82,23 @@ def sha256_of(path: Path) -> str:
 
 
 def sigma_mm(also: Sequence[AlsoScan]) -> float:
-    """What merging adds to the surface's standard uncertainty.
-
-    Along its normal, mm. 0 for a single scan.
-    """
+    """Standard uncertainty of the surface along its normal from merging, mm; 0 for a single scan."""
     return max((scan.sigma_mm for scan in also), default=0.0)
 
 
 def merge_scans(
     first: ForeignMesh, others: Sequence[tuple[Path, ForeignMesh]], *, largest: bool = False, of_torso: bool = True
 ) -> MergedScans:
-    """Register scans of one visit with the first one and fuse them.
+    """Scans of one visit, registered to the first one and fused.
 
     Args:
         first: the scan that gives frame and unit.
         others: file and mesh of each further one.
-        of_torso: whether planes are lids of another program and no skin.
-        largest: whether only the largest piece of each scan counts, however large the others are.
+        of_torso: whether to remove planes, which are lids made by another program.
+        largest: whether to use only the largest piece of each scan, whatever the size of the others.
 
     Raises:
-        MeasureError: a scan cannot be registered, or is no surface. It names the file.
+        MeasureError: a scan cannot be registered, or is not a surface. It names the file.
     """
     from mammometry.measure.merging.fusion import ColouredMesh, fuse_scans
     from mammometry.measure.merging.registration import fit_scans
@@ -146,24 +140,21 @@ def merge_scans(
         remarks.append(f"{which} was merged with the first one: {also_words}.")
         if fit.doubtful:
             remarks.append(
-                f"{which} fits worse than scans of one posture do. The patient may have moved between the scans: "
+                f"{which} fits worse than a scan in the same posture. The patient may have moved between the scans: "
                 "compare the volumes with those of a single scan, or scan again."
             )
     fused = fuse_scans(scans)
-    mesh = fused.mesh.turned_over() if inside_out else fused.mesh  # whether it may be mirrored is judged later
+    mesh = fused.mesh.turned_over() if inside_out else fused.mesh  # mirroring is tested later
     merged = replace(first, mesh=mesh, colours=fused.colours, remarks=tuple(remarks))
     return MergedScans(foreign=merged, sources=fused.sources, also=tuple(also))
 
 
 def stored_sources(path: Path, points: Float64[Array, "m 3"]) -> UInt8[Array, " m"] | None:
-    """Scans that show points on the mesh of an imported, merged scan, as bits.
+    """Scans that show points on an imported, merged mesh, as bits. None if the file does not contain them.
 
     Args:
         path: the folder's scan.ply.
         points: on or near its mesh, mm.
-
-    Returns:
-        None where the file does not have them.
     """
     mesh, properties, _ = read_ply(path)
     if SOURCE not in properties or not len(mesh.vertices):
@@ -186,7 +177,7 @@ def also_text(also: Sequence[AlsoScan]) -> str:
 
 
 def also_in(tables: object) -> tuple[AlsoScan, ...] | None:
-    """The further scans of a scan.toml. None where they are not as documented."""
+    """The further scans of a scan.toml. None if they are not as documented."""
     if not isinstance(tables, list) or len(tables) > MOST_ALSO:
         return None
     read = [_also_in(table) for table in tables]

@@ -1,7 +1,4 @@
-"""Our triangle meshes: PLY in mm, world frame, and textured GLB and OBJ for any viewer.
-
-Units are metres in GLB, as its standard says, and mm in OBJ.
-"""
+"""Our triangle meshes: PLY in mm, world frame; textured GLB (metres, by its standard) and OBJ (mm) for any viewer."""
 
 from __future__ import annotations
 
@@ -21,14 +18,14 @@ from mammometry.geometry.mesh_files.ply import parse_ply
 if TYPE_CHECKING:
     from mammometry.surface.texture.texture_atlas import Atlas
 
-_MOST_MIB = 4096  # of a whole file: a hundred million vertices
+_MOST_MIB = 4096  # largest file: a hundred million vertices
 
 
 def read_ply(path: Path) -> tuple[TriangleMesh, dict[str, Array], tuple[str, ...]]:
-    """Read a PLY in mm: mesh, other vertex properties, comments.
+    """Mesh, other vertex properties and comments of a PLY in mm.
 
     Raises:
-        StorageError: it is not such a file, or it is cut short.
+        StorageError: it is not such a file, or incomplete.
     """
     expected = "a PLY with triangles"
     data = read_bytes(path, path.name, expected, most_mib=_MOST_MIB, refusal=StorageError)
@@ -39,7 +36,7 @@ def read_ply(path: Path) -> tuple[TriangleMesh, dict[str, Array], tuple[str, ...
         if not (np.abs(ply.points) <= LARGEST).all():
             raise ValueError("coordinates that are not finite")
         if ply.faces.max(initial=0) > np.iinfo(np.int32).max:
-            raise ValueError("faces of vertices that are not there")
+            raise ValueError("faces with missing vertices")
         mesh = TriangleMesh(vertices=ply.points, faces=ply.faces.astype(np.int32))
         return mesh, ply.properties(), ply.comments
     except MemoryError:
@@ -50,7 +47,7 @@ def read_ply(path: Path) -> tuple[TriangleMesh, dict[str, Array], tuple[str, ...
 
 
 def read_wall(path: Path) -> TriangleMesh:
-    """Read the wall behind a breast, measured by itself.
+    """Separately measured wall behind a breast, mm.
 
     Raises:
         SessionError: as `read_ply`, or it is too small or too large for a wall in mm.
@@ -64,10 +61,10 @@ def read_wall(path: Path) -> TriangleMesh:
 
 
 def write_glb(path: Path, atlas: Atlas) -> None:
-    """Write one binary glTF file, with its picture inside, in metres.
+    """Write one binary glTF file in metres that contains its picture.
 
     Raises:
-        OSError: the disk refuses.
+        OSError: the disk reports an error.
     """
     import trimesh
     from PIL import Image
@@ -89,7 +86,7 @@ def write_obj(path: Path, atlas: Atlas) -> None:
     """Write an OBJ with its material and picture (NAME.mtl, NAME.jpg), mm.
 
     Raises:
-        OSError: the disk refuses.
+        OSError: the disk reports an error.
     """
     from mammometry.surface.texture.texture_atlas import jpeg_of
 
@@ -120,10 +117,7 @@ def obj_text(atlas: Atlas, library: str, wall: Int32[Array, "k 3"] | None = None
 
 
 def _unwelded(atlas: Atlas) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"], Float64[Array, "n 2"]]:
-    """Vertices, faces and texture coordinates, each vertex once a chart.
-
-    Texture coordinates run from (0, 0), lower left, to (1, 1), upper right.
-    """
+    """Vertices (one per chart), faces and texture coordinates, from (0, 0) lower left to (1, 1) upper right."""
     origin, faces, uv = atlas.unwelded()
     return atlas.mesh.vertices[origin], faces, _upwards(uv)
 

@@ -1,7 +1,6 @@
-"""Scans of other devices as folders.
+"""Imported scans as folders: the mesh in mm, its colours or textures, and the scanner's name and unit.
 
-A folder holds the mesh in mm, its colours, and the scanner's name and unit.
-An OBJ comes with a material file and pictures. Their names are not kept, as they may hold a patient's name.
+An OBJ is stored with its material file and pictures. Their names are replaced: they may contain a patient's name.
 """
 
 from __future__ import annotations
@@ -44,47 +43,47 @@ OBJ, MTL = "scan.obj", "scan.mtl"
 MOST_PICTURES = 16
 """Pictures of one mesh. Scanners with several views write one a view; the most seen is six."""
 FILES = (ABOUT, MESH, OBJ, MTL, *(f"texture-{n}.{end}" for n in range(1, MOST_PICTURES + 1) for end in ("jpg", "png")))
-"""All files that a scan's folder may hold."""
+"""All possible files of a scan's folder."""
 AXES = ("y", "-y", "z", "-z", "x", "-x")
-"""Axes of a file, of which one points to the head."""
-_MOST_MTL_MIB = 1  # of a material file; real ones have a few hundred bytes
-_MOST_OBJ_MIB = 1024  # as `obj_texture`
-_ON_SKIN_MM = 1.0  # from the scanner's surface; seams are joined within 0.05 mm
-_SAME_AREA = 1e-3  # by which the area of what was written may differ: faces without area are left out
-_LONGEST = 100  # characters of a scanner's name
+"""Axes of a file, one of which points to the head."""
+_MOST_MTL_MIB = 1  # largest material file; real ones have a few hundred bytes
+_MOST_OBJ_MIB = 1024  # largest OBJ
+_ON_SKIN_MM = 1.0  # largest distance from the scanner's surface; seams are joined within 0.05 mm
+_SAME_AREA = 1e-3  # largest relative difference of the written area: faces without area are removed
+_LONGEST = 100  # most characters of a scanner's name
 _KEYS = {"format", "scanner", "units", "head", "ahead", "subject", "posture", "sha256", "sides", "remarks", "also"}
 _CHECKED = "checked"
 _MAP_OPTION = re.compile(r"-(?:blendu|blendv|cc|clamp|texres|bm|boost|type|imfchan|mm|o|s|t)(?=\s)", re.IGNORECASE)
-"""An option before the name of a map's picture (the format's specification, "Texture map statements")."""
+"""Option before the name of a map's picture (specification of OBJ, "Texture map statements")."""
 _OPTION_VALUE = re.compile(r"\s+(?:on|off|[-+]?[0-9.]+)(?=\s)")
 _JPEG_MARK, _BMP_MARK = b"\xff\xd8", b"BM"
-_MARK_BYTES = 4  # the longest of the marks
+_MARK_BYTES = 4  # length of the longest mark
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scan:
-    """Facts of a scan beside its shape."""
+    """Metadata of a scan."""
 
     scanner: str
     """Name of the device, as entered."""
     units: str
-    """Unit of the scanner's own file, and who says so, in words. The folder's mesh is in mm."""
+    """Unit of the scanner's own file, and its source. The folder's mesh is in mm."""
     head: str = ""
-    """The file's axis towards the head. Empty: nobody said."""
+    """The file's axis towards the head. Empty: unknown."""
     ahead: str = ""
-    """The axis straight ahead. Empty: where an open mesh faces."""
+    """The axis straight ahead. Empty: the direction in which an open mesh faces."""
     subject: str | None = None
     """Pseudonym. None: not given."""
     posture: str = ""
-    """How the patient held herself: ``standing``, ``leaning`` or ``lying``. Empty: nobody said."""
+    """``standing``, ``leaning`` or ``lying``. Empty: unknown."""
     sha256: str = ""
-    """Of the scanner's own mesh file."""
+    """SHA-256 of the scanner's own mesh file."""
     sides: str = ""
     """``checked``: a person confirmed that left and right are the patient's. Empty: not checked."""
     remarks: tuple[str, ...] = ()
-    """What was left out or taken for granted as the scanner's file was read, one sentence each."""
+    """What was omitted or assumed when the scanner's file was read, one sentence each."""
     also: tuple[AlsoScan, ...] = ()
-    """Further scans of the visit that are merged into the folder's mesh."""
+    """Further scans of the visit, merged into the folder's mesh."""
 
 
 def import_scan(
@@ -96,21 +95,21 @@ def import_scan(
     limits: LimitSettings = LimitSettings(),
     also: Sequence[Path] = (),
 ) -> dict[str, bytes]:
-    """Read a scanner's files, and return the files of a scan's folder.
+    """Files of a scan's folder (name → content), from a scanner's files.
 
     Args:
-        mesh: OBJ, PLY, STL, GLB or USDZ. The material file and the pictures of an OBJ lie beside it.
-        about: what is known; its unit and digest are set here.
-        units: ``mm``, ``cm`` or ``m``. None where the file states it.
-        texture: whether the pictures of an OBJ, a GLB or a USDZ are taken too.
-        limits: size that a picture may have.
+        mesh: OBJ, PLY, STL, GLB or USDZ. The material file and the pictures of an OBJ are in the same folder.
+        about: metadata; unit and digest are set here.
+        units: ``mm``, ``cm`` or ``m``. None if the file states it.
+        texture: whether to import the pictures of an OBJ, a GLB or a USDZ.
+        limits: largest size of a picture.
         also: further scans of the same visit and posture, which are merged with the first. The merged mesh has the
             pictures' colours at its vertices, and no pictures.
 
     Raises:
-        SessionError: a file is missing or unreadable, nobody says the unit, or the scanner has no name.
+        SessionError: a file is missing or unreadable, the unit is unknown, or the scanner has no name.
         ImageError: a picture cannot be read or is too large.
-        MeasureError: the mesh is no surface that can be measured, or a further scan cannot be registered with it.
+        MeasureError: the mesh cannot be measured, or a further scan cannot be registered to it.
     """
     _check(about)
     files, foreign = _read(mesh, units, limits, texture=texture)
@@ -129,7 +128,7 @@ def import_scan(
 def _read(
     mesh: Path, units: str | None, limits: LimitSettings, *, texture: bool
 ) -> tuple[dict[str, bytes], ForeignMesh]:
-    """Files of a folder that come from a scanner's files, and the mesh in the colours of its pictures."""
+    """Files of a folder from a scanner's files, and the mesh with the colours of its pictures."""
     foreign = read_foreign(mesh, units, of_torso=True)
     files: dict[str, bytes] = {}
     with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
@@ -149,7 +148,7 @@ def _read(
 
 
 def scan_text(scan: Scan) -> str:
-    """Text of scan.toml."""
+    """Content of scan.toml."""
     made = {
         "format": 1, "scanner": scan.scanner.strip(), "units": scan.units, "head": scan.head, "ahead": scan.ahead,
         **({} if scan.subject is None else {"subject": scan.subject}),
@@ -161,13 +160,13 @@ def scan_text(scan: Scan) -> str:
 
 
 def _check_written(mesh: Path, files: Mapping[str, bytes], foreign: ForeignMesh) -> None:
-    """Read back what was made, and refuse at the door what no measurement takes.
+    """Read the written files, and check them as a measurement does.
 
     Raises:
-        SessionError: the files hold another surface than was read.
-        MeasureError: it is no surface that can be measured.
+        SessionError: the files contain another surface than was read.
+        MeasureError: the surface cannot be measured.
     """
-    # Here, since sessions are opened without algorithms.
+    # Imported here: sessions are opened without algorithms.
     from mammometry.measure.scan_repair import repair_scan
     from mammometry.measure.scanned import check_mesh
 
@@ -194,13 +193,13 @@ def _check_written(mesh: Path, files: Mapping[str, bytes], foreign: ForeignMesh)
 def skin_colours(
     folder: Path, scan: Scan, points_mm: Float64[Array, "n 3"], otherwise: UInt8[Array, "n 3"]
 ) -> UInt8[Array, "n 3"]:
-    """Colours of a scan's pictures at points of its skin, which are finer than those of its vertices.
+    """Colours of a scan's pictures at points of its skin; more detailed than those of its vertices.
 
     Args:
         folder: of the scan.
-        scan: what its folder says.
+        scan: its metadata.
         points_mm: on its mesh, mm.
-        otherwise: colours of points that no picture covers, or of all where there are no pictures.
+        otherwise: colours of points without a picture.
     """
     factor = mm_of_unit(scan.units.partition(",")[0])
     if factor is None or not (folder / OBJ).is_file() or not (folder / MTL).is_file():
@@ -219,7 +218,7 @@ def is_scan(folder: Path) -> bool:
 
 
 def read_scan(folder: Path) -> Scan:
-    """Read what a scan's folder says of its mesh.
+    """Metadata from a scan's folder.
 
     Raises:
         SessionError: scan.toml is missing or not as documented.
@@ -238,7 +237,7 @@ def read_scan(folder: Path) -> Scan:
     also = also_in(table.get("also", []))
     if also is None:
         raise SessionError(
-            str(path), found="other tables under also", expected="a table for each further scan, as import writes it",
+            str(path), found="invalid tables under also", expected="a table for each further scan, as import writes it",
             remedy="Import the meshes again: mammometry import mesh --also",
         )  # fmt: skip
     made = Scan(**read, remarks=tuple(map(str, remarks)) if isinstance(remarks, list) else (), also=also)
@@ -247,7 +246,7 @@ def read_scan(folder: Path) -> Scan:
 
 
 def confirm_sides(folder: Path) -> None:
-    """Keep in a scan's folder that left and right of its mesh are the patient's.
+    """Record in a scan's folder that left and right of its mesh are confirmed to be the patient's.
 
     Raises:
         SessionError: scan.toml is missing or not as documented.
@@ -288,7 +287,7 @@ def _check(about: Scan) -> None:
 def _covered(
     mesh: Path, covered: CoveredObj, foreign: ForeignMesh, limits: LimitSettings
 ) -> tuple[dict[str, bytes], UInt8[Array, "n 3"]]:
-    """Files of the covered surface under names of ours, and a colour for each vertex."""
+    """Files of the textured surface with neutral names, and a colour for each vertex."""
     from scipy.spatial import cKDTree
 
     materials: dict[str, str] = {}
@@ -306,7 +305,7 @@ def _covered(
         content = path.read_bytes()
         jpeg = without_tags(content) if content.startswith(_JPEG_MARK) else None
         kept[name] = f"texture-{number}.{'png' if jpeg is None else 'jpg'}"
-        files[kept[name]] = _png(pixels[name]) if jpeg is None else jpeg.content  # without days, places and names
+        files[kept[name]] = _png(pixels[name]) if jpeg is None else jpeg.content  # without dates, places and names
     lines = []
     for number, material in enumerate(covered.materials, 1):
         picture = materials.get(material, "")
@@ -320,7 +319,7 @@ def _covered(
 
 
 def _libraries(mesh: Path, lines: tuple[str, ...]) -> list[Path]:
-    """Material files of an OBJ: a line names one file, or several with blanks between them."""
+    """Material files of an OBJ. A line names one file, or several separated by spaces."""
     paths = []
     for line in lines:
         whole = _found_beside(mesh, line)
@@ -329,7 +328,7 @@ def _libraries(mesh: Path, lines: tuple[str, ...]) -> list[Path]:
 
 
 def _materials(path: Path) -> dict[str, str]:
-    """Material → its picture's file name. Empty for a plain colour."""
+    """Material → file name of its picture; empty for a plain colour."""
     content = read_bytes(path, path.name, "a material file", most_mib=_MOST_MTL_MIB)
     pictures: dict[str, str] = {}
     current = ""
@@ -346,7 +345,7 @@ def _materials(path: Path) -> dict[str, str]:
 
 
 def _picture(rest: str) -> str:
-    """File name behind the options of a map, such as ``-s 1 1 1 skin.jpg``, as it stands."""
+    """File name after the options of a map, such as ``-s 1 1 1 skin.jpg``."""
     rest = rest.strip()
     while option := _MAP_OPTION.match(rest):
         at = option.end()
@@ -368,10 +367,9 @@ def _beside(mesh: Path, name: str, what: str) -> Path:
 
 
 def _found_beside(mesh: Path, name: str) -> Path | None:
-    """The file of this name beside the mesh. None: there is none.
+    """File of this name in the mesh's folder, or None.
 
-    Folders in the name do not count, and letters may be large or small. A name whose bytes are not UTF-8 is tried as
-    Western Windows writes it (code page 1252) too.
+    Folders in the name and the case of letters are ignored. A name that is not UTF-8 is also decoded as code page 1252.
     """
     plain = _plain_name(name)
     wanted = {_compared(plain), _compared(plain.encode("utf-8", "surrogateescape").decode("cp1252", "replace"))}
@@ -390,7 +388,7 @@ def _compared(name: str) -> str:
 
 
 def _texture(path: Path, name: str, limits: LimitSettings) -> UInt8[Array, "h w 3"]:
-    """A picture's pixels as stored, from which places in a texture count whatever its orientation tag says.
+    """A picture's pixels as stored: texture coordinates ignore its orientation tag.
 
     Raises:
         ImageError: it cannot be read or is too large.

@@ -1,4 +1,4 @@
-"""Textures of scans: an OBJ with its pictures, and GLB or USDZ written out as one."""
+"""Textures of scans: an OBJ with its pictures, and GLB or USDZ converted to one."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ from mammometry.geometry.mesh_files.obj import ObjFile, ObjPart, obj_text, parse
 from mammometry.geometry.mesh_files.scene import Scene, ScenePart
 from mammometry.geometry.mesh_files.usdz import read_usdz
 
-_MOST_MIB = 1024  # ten million triangles as text; scanners write a hundredth
-_GREY = 128  # sRGB; of what no picture covers
+_MOST_MIB = 1024  # largest OBJ: ten million triangles as text; scanners write a hundredth
+_GREY = 128  # sRGB of vertices without a picture
 _PICTURE_FORMATS = ("JPEG", "PNG", "WEBP")
-_MATERIAL = "m-"  # how the names of our materials begin
+_MATERIAL = "m-"  # prefix of our materials' names
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CoveredObj:
-    """An OBJ's lines, and where its vertices lie in pictures."""
+    """An OBJ's lines and texture coordinates."""
 
     libraries: tuple[str, ...]
-    """What its ``mtllib`` lines say, as it stands. Empty: no material file."""
+    """Content of its ``mtllib`` lines. Empty: no material file."""
     materials: tuple[str, ...]
     """Materials in the order of their first use."""
     lines: tuple[str, ...]
-    """Vertices, faces and uses of materials; no comments and no names of parts."""
+    """Vertices, faces and uses of materials, without comments and names of parts."""
     points: Float64[Array, "n 3"]
     """Its vertices, in its own unit."""
     uv: Float64[Array, "n 2"]
-    """Place of each vertex in its picture, (0, 0) lower left. NaN: in none."""
+    """Texture coordinates of each vertex, (0, 0) lower left. NaN: none."""
     material: Array
-    """Number of each vertex's material (n). −1: none."""
+    """Index of each vertex's material (n). −1: none."""
 
     def text(self, library: str | None) -> str:
-        """Text of the OBJ with neutral names: materials m1 and so on.
+        """Text of the OBJ with neutral names of materials: m1 and so on.
 
         Args:
             library: file name of the material file. None: without materials.
@@ -61,7 +61,7 @@ class CoveredObj:
     def colours(
         self, pictures: Mapping[str, UInt8[Array, "h w 3"]]
     ) -> tuple[Float64[Array, "n 3"], UInt8[Array, "n 3"]]:
-        """Return all finite vertices, and the colour of each.
+        """All finite vertices, and their colours.
 
         Args:
             pictures: material → its picture, sRGB.
@@ -78,7 +78,7 @@ class CoveredObj:
 
 
 def _pixels(picture: UInt8[Array, "h w 3"], uv: Float64[Array, "n 2"]) -> UInt8[Array, "n 3"]:
-    """Pixels at places in a picture, which repeats itself."""
+    """Pixels at texture coordinates of a picture that repeats periodically."""
     height, width = picture.shape[:2]
     u, v = (uv % 1.0).T
     column = np.minimum((u * width).astype(int), width - 1)
@@ -96,11 +96,11 @@ def texture_at(
     """Colours of an OBJ's pictures at points near its surface.
 
     Args:
-        obj: with places in pictures.
+        obj: with texture coordinates.
         pictures: material → its picture, sRGB.
         points: in the OBJ's unit.
-        otherwise: colours of points that no picture covers.
-        within: distance from the surface up to which a point is on it, in that unit.
+        otherwise: colours of points without a picture.
+        within: largest distance of a point on the surface, in that unit.
     """
     from mammometry.geometry.nearest import barycentric, closest_on_mesh
 
@@ -118,12 +118,10 @@ def texture_at(
 
 
 def parse_covered_obj(path: Path) -> CoveredObj:
-    """Read an OBJ's vertices, their places in pictures, and its materials.
-
-    A vertex has the place and the material of the first face that names it.
+    """An OBJ with its texture coordinates and materials; a vertex has those of the first face with it.
 
     Raises:
-        SessionError: the file cannot be read, or a line holds no numbers.
+        SessionError: the file cannot be read, or a line contains no numbers.
     """
     obj = parse_obj(read_bytes(path, path.name, "an OBJ", most_mib=_MOST_MIB), path.name)
     uv = np.full((len(obj.points), 2), np.nan)
@@ -137,19 +135,19 @@ def parse_covered_obj(path: Path) -> CoveredObj:
     )
 
 
-_MOST_MIB_OF_GLB = 4096  # of a file, as of other meshes
+_MOST_MIB_OF_GLB = 4096  # largest file, as for other meshes
 
 
 def covered_parts(path: Path, folder: Path, limits: LimitSettings) -> Path | None:
-    """Write a GLB or USDZ with pictures as OBJ, MTL and pictures.
+    """Convert a GLB or USDZ with pictures to OBJ, MTL and pictures.
 
     Args:
         path: of the GLB or USDZ.
         folder: empty, for the files.
-        limits: size that a picture may have.
+        limits: largest size of a picture.
 
     Returns:
-        The OBJ, in the file's unit. None where a part has no picture: its colours lie elsewhere.
+        The OBJ, in the file's unit. None if a part has no picture, because its colours are stored differently.
 
     Raises:
         SessionError: it cannot be read, or a picture is too large.
@@ -172,7 +170,7 @@ def _parse_glb(path: Path) -> Scene:
         return read_glb(content, path.name)
     except SessionError:
         raise
-    except Exception as error:  # a damaged file makes its reader stumble over anything
+    except Exception as error:  # the reader raises many kinds of error for a damaged file
         found = f"a file that cannot be read ({error_text(error)})"
         raise SessionError(path.name, found=found, expected="a GLB", remedy="Export it again") from None
 

@@ -1,21 +1,7 @@
-"""Write and read products, each in the format of its kind (docs/session-folder.md).
+"""Write and read products, each in the format of its kind (docs/session-folder.md; `formats`).
 
-====================  =========================================================================================
-product               files ====================
-========================================================================================= cameras
-cameras.json: per camera K, dist, R, t, image_size, std foreground,           one float32 TIFF of several pages each,
-deflated (`formats`) disparity, range, valid mesh                  mesh.ply: binary, mm, world; provenance, sigma_mm,
-pairs, red, green, blue a vertex boundaries            boundaries.json, which a session may also bring; and .npz model
-model.glb, model.obj (.mtl, .jpg): the viewing mesh; and .npz landmarks,            landmarks.json, symmetry.json,
-dimensions.json; and .npz symmetry, dimensions measurement           measurement.json, NAME.ply (the closed solid); and
-.npz all others            .npz, deflated: arrays, and ``tree``, UTF-8 JSON that says how they belong together; long
-ones
-                      are laid out for it (`packed`)
-====================  =========================================================================================
-
-A value without its own format becomes a JSON tree and arrays. Dataclasses of this package, mappings, tuples,
-enumerations and scalars become JSON. Arrays are set aside under a number, for the caller to store. A stored type is
-written under its label in `STORED_TYPES`.
+A value without its own format becomes a .npz: a JSON tree of dataclasses of this package, mappings, tuples,
+enumerations and scalars, and numbered arrays. A stored type is written under its label in `STORED_TYPES`.
 """
 
 from __future__ import annotations
@@ -95,21 +81,20 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "surface.stillness:Turn": "mammometry.surface.motion.motion_detection:Turn",
     }
 )
-"""Label on disk → current place of the type. A label never changes: a type that moves keeps its first label, so that
-moving code makes no result stale. Other kinds of target are labelled by their name.
-"""
+"""Label on disk → current place of the type. A label never changes, so that moving a type makes no result stale. Other
+kinds of target are labelled by their name."""
 STORED_FIELDS: Mapping[str, Mapping[str, str]] = MappingProxyType(
     {
         "measure.boundary:NoBreast": {"prominence": "standing"},
         "surface.stillness:Stillness": {"parameters": "asked", "distance_mm": "apart_mm"},
     }
 )
-"""Label → field → its first name, under which it stays on disk where it has another name now."""
+"""Label → field → its name on disk, if the field was renamed."""
 _SENTENCES = {
     "measure.boundary:Boundary": ("method", "remarks"),
     "measure.volume:VolumeMeasurement": ("boundary_method", "boundary_remarks"),
 }
-"""Label → field with a sentence of version 1.0, and the field that has its codes now."""
+"""Label → field with a sentence in version 1.0, and the field that now has its codes."""
 _CODES_OF_1_0: Mapping[str, BoundaryRemark] = MappingProxyType(
     {
         "given: ": "given",
@@ -118,15 +103,15 @@ _CODES_OF_1_0: Mapping[str, BoundaryRemark] = MappingProxyType(
     }
 )
 """Parts of those sentences → codes."""
-_OF_PARTNER = "its partner's silhouette is not known"  # version 1.0's reason for a camera that has none of its own
-_TARGET = "target:"  # before the name of a kind of target
+_OF_PARTNER = "its partner's silhouette is not known"  # reason in version 1.0 for a camera without its own silhouette
+_TARGET = "target:"  # prefix of the label of a kind of target
 
 
 def to_tree(value: object, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
-    """Turn a value into JSON-ready data. Its arrays go into `arrays` by name.
+    """JSON-ready tree of a value, whose arrays are added to `arrays` by name.
 
     Raises:
-        TypeError: a type that no result should have.
+        TypeError: a type that cannot be stored.
     """
     if isinstance(value, np.ndarray):
         name = f"a{len(arrays)}"
@@ -151,14 +136,14 @@ def to_tree(value: object, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
         return {"$tuple": [to_tree(item, arrays) for item in value]}
     if isinstance(value, list):
         return [to_tree(item, arrays) for item in value]
-    raise TypeError(f"a result holds a {type(value).__name__}, which cannot be kept")
+    raise TypeError(f"a result contains a {type(value).__name__}, which cannot be stored")
 
 
 def from_tree(tree: Any, arrays: Mapping[str, np.ndarray[Any, Any]]) -> Any:
-    """Rebuild what `to_tree` took apart.
+    """Value of a tree and its arrays, the inverse of `to_tree`.
 
     Raises:
-        StorageError: it names a type that is not one of ours, or lacks a member.
+        StorageError: an unknown type, or a missing member.
     """
     if isinstance(tree, list):
         return [from_tree(item, arrays) for item in tree]
@@ -187,7 +172,7 @@ def from_tree(tree: Any, arrays: Mapping[str, np.ndarray[Any, Any]]) -> Any:
 
 
 def _without_sentences(label: str, members: dict[str, Any]) -> dict[str, Any]:
-    """The members of a value. Version 1.0 stored no codes: they are read out of its sentences."""
+    """Members of a value, with the codes that version 1.0 stored as sentences."""
     if label == "measure.landmarks:Landmark" and "proposed" not in members:
         return members | {"proposed": members["method"].startswith("proposed: ")}
     if label == "matching.subjects:Subjects":
@@ -207,7 +192,7 @@ def _label(kind: type) -> str:
     if label is None and (name := next((name for name, target in TARGETS.items() if target is kind), None)) is not None:
         label = f"{_TARGET}{name}"
     if label is None:
-        raise TypeError(f"a result holds a {kind.__module__}.{kind.__qualname__}, which has no label on disk")
+        raise TypeError(f"a result contains a {kind.__module__}.{kind.__qualname__}, which has no label on disk")
     return label
 
 
@@ -228,37 +213,35 @@ class Format:
     """Format of one kind of product on disk."""
 
     write: Callable[[Path, Any], None]
-    """Writes the value to a path with `ending`, and the format's other files beside it with the same stem."""
+    """Writes the value to a path with `ending`, and the format's other files with the same stem."""
     read: Callable[[Path], Any]
-    """Reads the value back from the path with `read_ending`. Any error means a damaged file."""
+    """Reads the value from the path with `read_ending`. Any error means a damaged file."""
     ending: str
-    """Of the file that the product is known by, with its dot."""
+    """Ending, with the dot, of the product's main file."""
     read_ending: str | None = None
-    """Ending of the file that the value is read from. None: the same as `ending`."""
+    """Ending of the file from which the value is read. None: `ending`."""
 
 
 FORMATS: Registry[Format] = Registry(
     "format of a product", modules=("mammometry.io.results.formats", "mammometry.io.results.formats")
 )
-"""Kind of product → its format. A kind without an entry is stored as `ARRAYS`."""
-
-
-_LEVEL = 1  # of deflate: higher ones take longer and gain little
-_LEAST = 1 << 12  # numbers of an array that is worth it
-_PER_UNIT = 1024.0  # steps of positions, 1/mm
-_LARGEST = 2.0**30  # whole number whose differences fit 32 bits
+"""Kind of product → its format. All others are stored as `ARRAYS`."""
+_LEVEL = 1  # of deflate: higher levels take longer and save little
+_LEAST = 1 << 12  # least size of a packed array
+_PER_UNIT = 1024.0  # steps of packed positions, 1/mm
+_LARGEST = 2.0**30  # integers below have differences of 32 bits
 
 
 def packed(array: Array) -> tuple[UInt8[Array, "4 n"], dict[str, Any]] | None:
-    """Lay an array out, and say what `unpacked` needs.
+    """An array as byte planes of differences, which deflate well, and the facts that `unpacked` needs.
 
-    None where nothing is gained, or where it would come back with other bits.
+    None if nothing is gained, or if the values would change.
     """
     if array.size < _LEAST or array.dtype not in (np.int32, np.float64) or not array.flags.c_contiguous:
         return None
     per_unit = _PER_UNIT if array.dtype == np.float64 else 1.0
     scaled = array * per_unit
-    if not (np.abs(scaled) < _LARGEST).all():  # not where NaN either
+    if not (np.abs(scaled) < _LARGEST).all():  # also false for NaN
         return None
     whole = scaled.astype(np.int32)
     if per_unit != 1.0 and (whole.astype(np.float64) / per_unit).tobytes() != array.tobytes():
@@ -271,10 +254,10 @@ def packed(array: Array) -> tuple[UInt8[Array, "4 n"], dict[str, Any]] | None:
 
 
 def unpacked(planes: UInt8[Array, "4 n"], about: Mapping[str, Any]) -> Array:
-    """Bring back what `packed` laid out.
+    """The array of `packed`.
 
     Raises:
-        ValueError: the bytes do not fit what is said of them.
+        ValueError: bytes and facts do not match.
     """
     folded = np.ascontiguousarray(planes.T).view("<u4").reshape(about["shape"])
     steps = (folded >> np.uint32(1)).astype(np.int32) ^ -(folded & np.uint32(1)).astype(np.int32)
@@ -285,14 +268,11 @@ def unpacked(planes: UInt8[Array, "4 n"], about: Mapping[str, Any]) -> Array:
 
 
 _JSON_FORMAT = 1
-"""Version of our JSON files. A reader may rely on their members."""
+"""Version of the JSON files, whose members other programs rely on."""
 
 
 def write_arrays(path: Path, value: Any) -> None:
-    """Write a whole value to an .npz, compressed.
-
-    ``packed`` is UTF-8 JSON that says which arrays are laid out by `packed`.
-    """
+    """Write a value to a compressed .npz. Its array ``packed`` is UTF-8 JSON: the arrays stored by `packed`."""
     arrays: dict[str, np.ndarray[Any, Any]] = {}
     tree = json.dumps(to_tree(value, arrays)).encode()
     laid_out: dict[str, dict[str, Any]] = {}
@@ -313,7 +293,7 @@ def write_arrays(path: Path, value: Any) -> None:
 
 
 def read_arrays(path: Path) -> Any:
-    """Read back what `write_arrays` wrote."""
+    """Value written by `write_arrays`."""
     with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
         arrays = {name: stored[name] for name in stored.files if name not in ("tree", "packed")}
         for name, about in json.loads(stored["packed"].tobytes()).items() if "packed" in stored.files else ():
@@ -322,16 +302,14 @@ def read_arrays(path: Path) -> Any:
 
 
 def write_json(path: Path, table: Mapping[str, Any]) -> None:
-    """Write a table that other programs read."""
+    """Write a table for other programs."""
     path.write_text(
         json.dumps({"format": _JSON_FORMAT, **table}, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
     )
 
 
 def with_json(table: Callable[[str, Any], Mapping[str, Any]]) -> Format:
-    """Return a format with value in .npz and table in .json.
-
-    The table is for other programs. The table is for other programs.
+    """Format with the value in .npz, and a table for other programs in .json.
 
     Args:
         table: makes the table from the product's name and its value.
@@ -345,24 +323,22 @@ def with_json(table: Callable[[str, Any], Mapping[str, Any]]) -> Format:
 
 
 ARRAYS = Format(write=write_arrays, read=read_arrays, ending=".npz")
-"""The format of every product that has none of its own."""
+"""Format of products without their own."""
 
 
 _DAMAGED = (
     OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, EOFError, RecursionError,
     zipfile.BadZipFile, zlib.error, struct.error,
 )  # fmt: skip
-"""Errors that the standard library and NumPy raise for a file that is not as written."""
+"""Errors that the standard library and NumPy raise for a damaged file."""
 
 
 def encode(value: Any, folder: Path, product: str) -> None:
-    """Write a product's files into `folder`, named after the product.
-
-    ``disparity/front`` becomes disparity/front.tif.
+    """Write a product's files into `folder`: ``disparity/front`` becomes disparity/front.tif.
 
     Raises:
-        OSError: the disk refuses.
-        TypeError: a value that cannot be kept.
+        OSError: the disk reports an error.
+        TypeError: a value that cannot be stored.
     """
     stem = folder / product
     stem.parent.mkdir(parents=True, exist_ok=True)
@@ -371,7 +347,7 @@ def encode(value: Any, folder: Path, product: str) -> None:
 
 
 def decode(folder: Path, product: str) -> Any:
-    """Read a product back.
+    """Product read from `folder`.
 
     Raises:
         StorageError: its files are missing or damaged.
@@ -384,13 +360,13 @@ def decode(folder: Path, product: str) -> Any:
     except MammometryError:
         raise
     except _DAMAGED as error:
-        remedy = "Run the command again: it will be made again"
+        remedy = "Run the command again, which computes it again"
         expected = "the file as it was written"
         raise StorageError(
-            path.name, found=f"a result that cannot be read back ({error})", expected=expected, remedy=remedy
+            path.name, found=f"a result that cannot be read ({error})", expected=expected, remedy=remedy
         ) from None
 
 
 def _format(product: str) -> Format:
-    """Format of a product by its kind: that of ``disparity/front`` is ``disparity``."""
+    """Format of a product's kind: the kind of ``disparity/front`` is ``disparity``."""
     return FORMATS.get(product.partition("/")[0], ARRAYS)

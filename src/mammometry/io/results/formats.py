@@ -1,4 +1,4 @@
-"""Products that have a format of their own beside .npz: tables, meshes, and images as one TIFF."""
+"""Formats of products other than .npz: tables, meshes, and images as one TIFF."""
 
 from __future__ import annotations
 
@@ -37,23 +37,22 @@ if TYPE_CHECKING:
     from mammometry.surface.texture.texture_atlas import Atlas
 
 
-_STRIP_ROWS = 64  # rows compressed together: half a megabyte or so, enough of them to share among the cores
-_LEVEL = 1  # of deflate; level 6 saves 8 % of the bytes and takes a quarter longer
+_STRIP_ROWS = 64  # rows per strip: about half a megabyte, so that the cores compress strips in parallel
+_LEVEL = 1  # of deflate; level 6 saves 8 % of the bytes and takes 25 % longer
 _FLOATING_POINT = 3  # predictor (TIFF Technical Note 3)
 _FLAT = 2  # dimensions of an image of one channel
 _PAGE_NAME = 285  # TIFF 6.0's tag of this name
 
 
 def write_raster(path: Path, value: object) -> None:
-    """Write a dataclass that holds images.
+    """Write a dataclass with images to one TIFF, losslessly compressed.
 
-    Compressed without loss. Float32 images and masks are pages, in the order of its fields, named by them (PageName,
-    tag 285); of a value inside it with that value's place before the name. Float32 with the floating-point predictor
-    (3); masks as 8 bit 0 and 1. The first page's ImageDescription is JSON: the pages'
-    names and the value's other members, cameras among them.
+    Float32 images (floating-point predictor, 3) and masks (8 bits, 0 and 1) are pages in the order of the fields, named
+    by them (PageName, tag 285), for a nested value with its path. The first page's ImageDescription is JSON: the pages'
+    names and the value's other members, such as cameras.
 
     Raises:
-        ValueError: it holds no image.
+        ValueError: it contains no image.
     """
     import tifffile
 
@@ -91,7 +90,7 @@ def write_raster(path: Path, value: object) -> None:
 
 
 def _places(tree: Any, place: str) -> Iterator[tuple[str, str]]:
-    """Every array's name and where it stands in the value: ``keep.0``."""
+    """Name of each array, and its path in the value: ``keep.0``."""
     if isinstance(tree, dict) and "$array" in tree:
         yield tree["$array"], place
     elif isinstance(tree, dict) and "$tuple" in tree:
@@ -106,7 +105,7 @@ def _is_image(array: np.ndarray[Any, Any]) -> bool:
 
 
 def read_raster(path: Path) -> Any:
-    """Read back what `write_raster` wrote.
+    """Value written by `write_raster`.
 
     Raises:
         ValueError: it is not such a file.
@@ -124,7 +123,7 @@ def read_raster(path: Path) -> Any:
         return from_tree(about["value"], arrays)
     except (MammometryError, OSError, MemoryError):
         raise
-    except Exception as error:  # of a damaged file tifffile raises anything
+    except Exception as error:  # tifffile raises many kinds of error for a damaged file
         raise ValueError(error_text(error)) from None
 
 
@@ -206,7 +205,7 @@ def _measurements_write(path: Path, measurements: tuple[VolumeMeasurement, ...])
 
 
 def _measurements_table(measured: VolumeMeasurement) -> dict[str, Any]:
-    """Numbers and sentences of a measurement, JSON-ready, without its meshes and curves."""
+    """Numbers and texts of a measurement, JSON-ready, without its meshes and curves."""
     arrays: dict[str, np.ndarray[Any, Any]] = {}
     table = {}
     for name in measured.__dataclass_fields__:
@@ -216,7 +215,7 @@ def _measurements_table(measured: VolumeMeasurement) -> dict[str, Any]:
         table[name] = dict(value) if isinstance(value, Mapping) else value
         if name == "definitions":
             table[name] = [asdict(item) for item in value]
-        to_tree(value, arrays)  # refuses what JSON could not hold
+        to_tree(value, arrays)  # raises an error for values that JSON cannot contain
     return table | {"boundary_method": boundary_words(measured.boundary_method, measured.boundary_remarks)}
 
 
@@ -224,7 +223,7 @@ FORMATS.add("measurement")(Format(write=_measurements_write, read=read_arrays, e
 
 
 def _model_write(path: Path, model: Atlas) -> None:
-    # They bring compilers, which reading other results need not wait for.
+    # Imported here: they import compilers, which other formats do not need.
     from mammometry.io.meshes.own import write_glb, write_obj
     from mammometry.surface.texture.texture_atlas import without_picture
 
@@ -242,8 +241,7 @@ def _model_read(path: Path) -> Any:
 FORMATS.add("model")(Format(write=_model_write, read=_model_read, ending=".glb", read_ending=".npz"))
 
 
-_FEW = 36
-"""Longest array written as readable numbers. Longer ones are only in the .npz. Chosen by eye."""
+_FEW = 36  # length of the longest array in the JSON (6 × 6); longer ones are only in the .npz
 
 
 def _numbers_table(product: str, value: Any) -> dict[str, Any]:
@@ -251,7 +249,7 @@ def _numbers_table(product: str, value: Any) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Numbers and words of a value, JSON-ready, without meshes and long arrays."""
+    """Numbers and texts of a value, JSON-ready, without meshes and long arrays."""
     if isinstance(value, np.ndarray):
         return value.tolist()
     if is_dataclass(value):
@@ -271,10 +269,7 @@ for _product in ("symmetry", "dimensions", "lacking", "body", "sides"):
 
 
 def _surfaces_write(path: Path, value: Any) -> None:
-    """Write a bare, repaired or finished mesh.
-
-    What is not one number per vertex goes into a comment as JSON.
-    """
+    """Write a mesh as PLY. Members that are not one number per vertex become a comment in JSON."""
     properties: dict[str, np.ndarray[Any, Any]] = {}
     about: dict[str, Any] = {}
     repaired = value.repaired if isinstance(value, FinishedSurface) else value
@@ -296,7 +291,7 @@ def _surfaces_write(path: Path, value: Any) -> None:
 
 
 def _narrowed(bits: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Numbers of up to eight pairs in one byte each."""
+    """Bit masks of up to eight pairs as bytes."""
     return bits.astype(np.uint8) if bits.min(initial=0) >= 0 and bits.max(initial=0) < 1 << 8 else bits
 
 

@@ -1,4 +1,4 @@
-"""Records in provenance.json, checked strictly: the folder may be from elsewhere."""
+"""Records in provenance.json, checked strictly because the folder may be from another computer."""
 
 import os
 import re

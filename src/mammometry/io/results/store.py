@@ -1,11 +1,11 @@
-"""The memo on disk: SESSION/results, products beside their records.
+"""The memo on disk: SESSION/results, products with their records.
 
-A record says what its product was made from. A product is written to a hidden folder; renaming that folder to
-``.ready-…`` is the moment from which it counts. Its files are then moved into place and its record into
-``provenance.json``. Each step is on the disk before the next one begins. Whatever interrupts this, a power cut too,
-the next run either removes a half-written folder or finishes moving a ready one, so earlier results stay whole. A
-results folder may come from elsewhere. What its records say is checked (`records`), links are not followed, and what
-is in the way and not ours is set aside, never removed.
+A record states the inputs of its product. A product is written to a hidden folder, which is then renamed to
+``.ready-…``: from then on it counts. Its files are then moved into place, and its record into ``provenance.json``. Each
+step is on the disk before the next one begins. After an interruption, also by a power cut, the next run removes a
+half-written folder or finishes moving a ready one, so earlier results remain complete. A results folder may be from
+another computer: its records are checked (`records`), links are not followed, and foreign files in the way are renamed
+and never removed.
 """
 
 import logging
@@ -48,10 +48,10 @@ from mammometry.job.products import Key
 
 T = TypeVar("T")
 State = Literal["current", "damaged", "stale", "absent"]
-"""In this order: as recorded and wanted. Wanted, but changed since it was written. Made from something else. Not there.
-"""
+"""``current``: computed from these inputs, and as written. ``damaged``: the same, but changed since. ``stale``:
+computed from other inputs. ``absent``: missing."""
 Watch = Callable[[Key], AbstractContextManager[Progress]]
-"""Called for every product that is made. Returns the progress callback to use meanwhile."""
+"""Called for each product that is computed; the context gives its progress callback."""
 
 WRITING, READY, ASIDE = ".writing-", ".ready-", ".set-aside-"
 _Identity = tuple[int, int, int, int]
@@ -59,20 +59,20 @@ _LOG = logging.getLogger(__name__)
 
 
 def unwatched(key: Key) -> AbstractContextManager[Progress]:
-    """Watch a product being made, without showing anything."""
+    """A `Watch` that shows nothing."""
     return nullcontext(no_progress)
 
 
 class Store:
-    """Remembers products in a results folder. One process at a time may write there."""
+    """Products in a results folder. Only one process at a time can write there."""
 
     def __init__(self, folder: Path, watch: Watch = unwatched, subject: str | None = None) -> None:
         self.folder = folder
         self.watch = watch
         self.subject = subject
-        """Identifier carried by every product. A product with another one, or none, is not current."""
+        """Identifier in each product. A product with another one, or none, is not current."""
         self.made: list[str] = []
-        """``stage/product`` of everything made, not recalled, since this store was opened."""
+        """``stage/product`` of all products computed, not read, since this store was opened."""
         self._lock = RunLock(folder)
         self._depth = 0
         self._mutex = threading.RLock()
@@ -81,15 +81,15 @@ class Store:
 
     @property
     def at_work(self) -> str:
-        """Process, computer and start of a run in progress in the folder. Empty if there is none."""
+        """Process, computer and start time of a run in progress in the folder. Empty if there is none."""
         return self._lock.holder()
 
     @contextmanager
     def taken(self) -> Iterator[None]:
-        """Take the folder for writing, and tidy up after an interrupted run. May be nested.
+        """Lock the folder for writing, and clean up after an interrupted run. May be nested.
 
         Raises:
-            StorageError: it cannot be written to, or another run is working there.
+            StorageError: it cannot be written to, or another run is in progress there.
         """
         with self._mutex:
             if self._depth == 0:
@@ -122,7 +122,7 @@ class Store:
             raise
 
     def _tidy(self) -> None:
-        """Finish or remove what an interrupted run has left."""
+        """Finish or remove the remains of an interrupted run."""
         for left in sorted(self.folder.glob(f"{READY}*")):
             if (ready := self._finishable(left)) is not None:
                 _LOG.info("finishing what an interrupted run had ready: %s", left.name)
@@ -133,7 +133,7 @@ class Store:
             self._discard(left)
 
     def _finishable(self, left: Path) -> Ready | None:
-        """Record of a complete, ready product with nothing newer in place."""
+        """Record of a complete product, unless a newer one is in place."""
         ready = read_ready(left) if is_own_folder(left) else None
         if ready is None:
             return None
@@ -155,7 +155,7 @@ class Store:
             self._set_aside(left)
 
     def _set_aside(self, path: Path) -> None:
-        """Rename what is not ours. A link itself, not what it leads to."""
+        """Rename a foreign file or folder; a link itself, not its target."""
         name = f"{ASIDE}{path.name.lstrip('.')}"
         number = 1
         while os.path.lexists(self.folder / f"{name}-{number}"):
@@ -164,11 +164,7 @@ class Store:
         path.rename(self.folder / f"{name}-{number}")
 
     def state(self, key: Key) -> State:
-        """State of a product: present, whole, and current.
-
-        Current means made from these inputs and settings. Every file's bytes are read once in a process, and again
-        when its times, size or inode have changed.
-        """
+        """State of a product. A file is read once per process, and again if its times, size or inode have changed."""
         record = self.record(key)
         if record is None:
             return "absent"
@@ -179,7 +175,7 @@ class Store:
         return "current" if whole else "damaged"
 
     def states(self, keys: Iterable[Key]) -> list[State]:
-        """States of many products, read in parallel. This takes about a second for half a gigabyte and core."""
+        """States of many products, read in parallel: about one second per half gigabyte and core."""
         with ThreadPoolExecutor(available_cores()) as pool:
             return list(pool.map(self.state, keys))
 
@@ -188,18 +184,18 @@ class Store:
         return self.state(key) == "current"
 
     def all_current(self, keys: Iterable[Key]) -> bool:
-        """Whether all products are current: then nothing has to be written."""
+        """Whether all products are current, so that nothing has to be written."""
         return all(state == "current" for state in self.states(keys))
 
     def record(self, key: Key) -> Record | None:
-        """A product's record in provenance.json. None where there is none, or no valid one."""
+        """A product's record in provenance.json. None without a valid one."""
         return self._stage_records(key.stage).get(key.product)
 
     def files(self, key: Key) -> dict[str, bytes]:
         """Content of a product's files by name. Empty without a record.
 
         Raises:
-            StorageError: a file is not as it was written.
+            StorageError: a file was changed or is missing.
         """
         record = self.record(key)
         content = {}
@@ -213,21 +209,21 @@ class Store:
                     f"{key.stage}/{name}",
                     found="a file that was changed since it was written" if stored else "no file",
                     expected="the file as it was written",
-                    remedy="Run the session again: it will be made again",
+                    remedy="Run the session again, which computes it again",
                 )
             content[name] = data
         return content
 
     def made_at(self, keys: Iterable[Key]) -> str | None:
-        """Time at which the newest of these products was made, ISO 8601, UTC. None where none is there."""
+        """Time at which the newest of these products was computed, ISO 8601, UTC. None if there are none."""
         records = map(self.record, keys)
         return max((record.made for record in records if record is not None), default=None)
 
     def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
-        """Return the current, whole product from disk, or make and store it.
+        """The current product from disk, else computed and stored.
 
         Raises:
-            StorageError: the disk is full or refuses.
+            StorageError: the disk is full or reports an error.
         """
         from mammometry.io.results.codecs import decode, encode
 
@@ -248,7 +244,7 @@ class Store:
         return value
 
     def write_folder(self, key: Key, prepare: Callable[[], Callable[[Path, Progress], None]]) -> bool:
-        """Write a product as a whole folder of its stage, unless current. Returns whether it was written."""
+        """Write a product that is a folder of its stage, unless current. Returns whether it was written."""
         if self._is_current(key):
             return False
         write = prepare()
@@ -312,7 +308,7 @@ class Store:
         self.made.append(f"{key.stage}/{key.product}")
 
     def _put_in_place(self, ready: Path, about: Ready) -> None:
-        """Move a whole product's files, then its record. May be begun again wherever it was interrupted."""
+        """Move a complete product's files, then its record. It can be restarted after any interruption."""
         stage, files = about.stage, about.record.files
         folder = self._folder_in_place(self.folder / stage)
         parents = {folder}
@@ -321,7 +317,7 @@ class Store:
             for above in reversed(Path(name).parents[:-1]):
                 parents.add(self._folder_in_place(folder / above))
             if file_of(ready, stage, name) is None:
-                continue  # an interrupted run had moved it already
+                continue  # moved by an interrupted run
             if target.is_dir() and not is_link(target):
                 self._set_aside(target)
             (ready / stage / name).replace(target)
@@ -337,7 +333,7 @@ class Store:
         (ready / RECORDS).replace(folder / RECORDS)
         sync_folder(folder)
         self._records[stage] = records
-        shutil.rmtree(ready, ignore_errors=True)  # should a power cut bring it back, its files are elsewhere already
+        shutil.rmtree(ready, ignore_errors=True)  # a power cut may restore it, but without its files
 
     def _folder_in_place(self, folder: Path) -> Path:
         if is_link(folder) or (folder.exists() and not folder.is_dir()):
@@ -348,10 +344,7 @@ class Store:
         return folder
 
     def _remove_superseded(self, stage: str, old: Record | None, kept: set[str]) -> None:
-        """Remove what the product's earlier version had besides.
-
-        A file that was changed since is no longer ours.
-        """
+        """Remove files of the product's earlier version that were not replaced, unless they were changed since."""
         for name, written in {} if old is None else old.files.items():
             if name not in kept and self._is_as_written(self.folder, stage, name, written):
                 (self.folder / stage / name).unlink()
@@ -366,7 +359,7 @@ class Store:
 
 
 class Reader:
-    """A memo that reads what a store has, and makes nothing."""
+    """A memo that reads a store's products and computes nothing."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
@@ -376,16 +369,16 @@ class Reader:
         return self._store.has(key)
 
     def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
-        """Return the current, whole product from disk.
+        """The current product from disk.
 
         Raises:
-            StorageError: it is not there.
+            StorageError: there is none.
         """
 
         def refuse() -> Callable[[Progress], T]:
-            remedy = "Run the session: it will be made"
+            remedy = "Run the session, which computes it"
             raise StorageError(
-                f"{key.stage}/{key.product}", found="no current result", expected="it on the disk", remedy=remedy
+                f"{key.stage}/{key.product}", found="no current result", expected="a current result", remedy=remedy
             )
 
         return self._store.recall(key, refuse)

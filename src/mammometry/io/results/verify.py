@@ -45,15 +45,15 @@ class Damage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Findings:
-    """Result of checking all files."""
+    """Result of a verification."""
 
     products: int
     files: int
     """Number of files of products, and of commands that record what they wrote."""
     outputs: tuple[str, ...]
-    """Those written by commands: paths below the session or the results."""
+    """Files written by commands: paths below the session or the results."""
     bytes: int
-    """Number of bytes that are as written."""
+    """Number of bytes as written."""
     damaged: tuple[Damage, ...]
     unrecorded: tuple[str, ...]
     """Files in the results folder that are in no record."""
