@@ -1,1 +1,1 @@
-"""The Python interface."""
+"""The Python interface of mammometry."""

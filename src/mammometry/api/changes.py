@@ -37,14 +37,14 @@ _OF_PAGES = {"identity.name": "the folder's name", "identity.subject": "subject.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Changes:
-    """Differences of one or more results from those that would be made now, in their own sources."""
+    """Differences between the sources of stored results and the present ones."""
 
     inputs: tuple[str, ...] = ()
     """Files and parts of the manifest that have changed since the results were made."""
     absent: tuple[str, ...] = ()
     """Photographs of the results that are missing."""
     settings: tuple[str, ...] = ()
-    """Dotted names of changed settings, and other content of a page: the folder's name, the day."""
+    """Dotted names of changed settings, and other changed content of a page: the folder's name, the date."""
     subject: bool = False
     """Whether the subject's identifier differs."""
     software: bool = False
@@ -63,7 +63,7 @@ class Changes:
 
 
 def changes(store: Store, plan: Plan, keys: Iterable[Key]) -> Changes:
-    """Compare the keys of results with their records. Results without a record are left out.
+    """Differences between the keys of results and their records. Results without a record are ignored.
 
     Args:
         store: with the records.
@@ -132,7 +132,7 @@ def _group(plan: Plan, key: Key) -> str:
 
 
 def _full_name(group: str, name: str) -> str:
-    """Dotted name of a setting, of which a key may have the end only."""
+    """Dotted name of a setting, of which a key may contain only the end."""
     known = names(Settings())
     whole = f"{group}.{name}" if group else name
     ends = [full for full in known if full.endswith(f".{name.rpartition('.')[2]}")]

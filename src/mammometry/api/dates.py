@@ -1,4 +1,4 @@
-"""Compare two sessions of one patient, in the order of their dates."""
+"""Comparison of two sessions of one patient, in the order of their dates."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Comparison:
     after: Path
     """The later session."""
     change: Change
-    """Fit of the trunk, and changes of volumes, lengths and skin. World frame of the earlier session."""
+    """Registration of the trunk, and changes of volumes, lengths and skin, in the earlier session's world frame."""
     notices: tuple[Notice, ...]
     """Warnings, worst first, then remarks on the comparison."""
     folder: Path
@@ -79,9 +79,7 @@ def compare(
     watches: tuple[Watch, Watch] = (unwatched, unwatched),
     progress: Progress = no_progress,
 ) -> Comparison:
-    """Compare two sessions of one patient.
-
-    Results that are missing or have different settings are made first.
+    """Changes between two sessions of one patient, with a page. Results that are not current are computed first.
 
     Args:
         before: the earlier session; if both manifests have a date, the dates decide.
@@ -89,14 +87,14 @@ def compare(
         settings: of all stages, for both; None for the defaults.
         out: folder to write; None: ``results/compare/<earlier session>`` in the later one.
         privacy: what to leave out of the page; None: nothing.
-        watches: called for every product that is made, for each session.
+        watches: called for each product that is computed, for each session.
         progress: called with the fraction of the comparison itself.
 
     Raises:
         SessionError: a session is missing or invalid, both are the same, one is not of a torso, or they have different
             subjects or postures.
         MeasureError: no breast has a volume at both dates, or the trunks are not of one body.
-        StorageError: the page cannot be written, or another file is in its place.
+        StorageError: the page cannot be written, or a foreign file is in its place.
     """
     from mammometry.report.privacy import Privacy
 
@@ -121,10 +119,10 @@ def compare(
 def compare_visits(
     before: Path, after: Path, settings: Settings, *, out: Path, progress: Progress = no_progress
 ) -> Comparison:
-    """Compare two measured visits of a clinic.
+    """Changes between two measured visits of a clinic, with a page.
 
-    Patient, order, postures and confirmations come from its database, not from the manifests, and the page does not
-    mention postures and confirmations.
+    Patient, order, postures and confirmations come from the clinic's database and not from the manifests. The page does
+    not mention postures and confirmations.
 
     Args:
         before: folder of the earlier visit.
@@ -159,7 +157,7 @@ class _Request:
 
 
 def _compare(jobs: list[Job], request: _Request, progress: Progress) -> Comparison:
-    """Compare two dates, the earlier one first."""
+    """Comparison of two dates, the earlier one first."""
     from mammometry.report.documents import change_page
 
     settings, privacy = request.settings, request.privacy
@@ -219,7 +217,7 @@ _WHICH = ("earlier", "later")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Heading:
-    """Identities on the page: the only source of its names and dates."""
+    """All names and dates on the page."""
 
     title: str
     subtitle: str
@@ -238,7 +236,7 @@ def _heading(jobs: list[Job], dates: list[datetime.date | None], subject: str | 
 
 
 def _check(jobs: list[Job]) -> None:
-    """Refuse two dates that cannot be compared."""
+    """Raise an error if two dates cannot be compared."""
     for job in jobs:
         job.require_sides()
         kind = job.inputs.subject_kind
@@ -258,7 +256,7 @@ def _check(jobs: list[Job]) -> None:
 
 
 def _one_subject(jobs: list[Job]) -> str | None:
-    """Return the subject in the manifests, or refuse different ones."""
+    """The subject in the manifests; raises an error if they differ."""
     return one_subject(
         [(f"{job.folder}: subject.id", job.identity.subject) for job in jobs],
         remedy="Name two sessions of one subject, or correct subject.id in the one that is wrong",
@@ -266,10 +264,7 @@ def _one_subject(jobs: list[Job]) -> str | None:
 
 
 def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[VolumeMeasurement, ...]], list[Notice]]:
-    """Volumes of both dates by the same protocol.
-
-    They are measured again if boundaries or walls were made in different ways.
-    """
+    """Volumes of both dates by the same protocol, measured again if boundaries or walls differ in kind."""
     from mammometry.measure.wall.registry import TORSO_WALLS, in_order
 
     notices: list[Notice] = []
@@ -324,7 +319,7 @@ def _at_one_date(measured: Sequence[tuple[VolumeMeasurement, ...]]) -> dict[str,
 def _measured_again(
     job: Job, boundaries: list[Boundary], wall: str | None, back: TriangleMesh | None, progress: Progress
 ) -> tuple[VolumeMeasurement, ...]:
-    """Measure breasts of one date within these boundaries.
+    """Volumes of one date within these boundaries.
 
     Args:
         job: the date.
@@ -344,7 +339,7 @@ def _measured_again(
 
 
 def _evidence(job: Job) -> Evidence:
-    """Collect the errors of earlier stages for a volume's interval."""
+    """Errors of earlier stages, for a volume's interval."""
     return job.plan[measure.evidence]()
 
 

@@ -1,4 +1,4 @@
-"""Checks that an exposure of the target is a later one, so that it can show a movement."""
+"""Check that an exposure of the target was made after the calibration, so that it can show a movement."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -22,14 +22,14 @@ def require_later(
     calibrated: Mapping[Shot, Path],
     earlier: Iterable[Entry],
 ) -> dict[str, str]:
-    """Require photographs that are newer than the calibration and all known ones.
+    """Raise an error unless photographs are newer than the calibration and differ from all known ones.
 
-    Checking one exposure again is allowed: an earlier check of the same folder is ignored.
+    An earlier check of the same folder is ignored, so that an exposure can be checked again.
 
     Args:
         image_set: folder of the exposure.
         files: its photographs.
-        photographs: the same, read.
+        photographs: their content.
         calibrated: photographs of the calibration.
         earlier: checks against that calibration.
 
@@ -37,7 +37,7 @@ def require_later(
         Digest of each photograph's pixels, for the history.
 
     Raises:
-        SessionError: names the photograph and what it is.
+        SessionError: it names the photograph and the reason.
     """
     digests = {shot: pixels_digest(photographs[shot]) for shot in files}
     known_files = {file_digest(path): shot for shot, path in calibrated.items()}
@@ -56,7 +56,7 @@ def require_later(
 
 
 def _same_picture(path: Path, photograph: Photograph, camera: str, calibrated: Mapping[Shot, Path]) -> Shot | None:
-    """The calibration's photograph with the same pixels in another file."""
+    """Photograph of the calibration with the same pixels, or None."""
     from mammometry.io.photographs.images import read_photograph
 
     for shot, other in calibrated.items():
@@ -68,7 +68,7 @@ def _same_picture(path: Path, photograph: Photograph, camera: str, calibrated: M
 
 
 def _require_newer(path: Path, camera: str, calibrated: Mapping[Shot, Path]) -> None:
-    """Require that a photograph is newer than all of its camera's in the calibration, where their files tell."""
+    """Raise an error if a photograph is not newer than its camera's in the calibration, by the files' metadata."""
     taken_s = read_exposure(path).taken_s
     if taken_s is None:
         return

@@ -36,20 +36,20 @@ def open_session(
     method: Method = method,
     given: Given = NONE_GIVEN,
 ) -> Job:
-    """Open a folder for the main job, whatever is in it: a session of photographs, or a scan.
+    """The main job on a folder: a session of photographs, or a scan.
 
     Args:
-        path: of a session, of a scan as ``mammometry import mesh`` makes it, or the one into which
-            ``mammometry measure`` measured a mesh.
+        path: of a session, of a scan imported by ``mammometry import mesh``, or of a mesh measured by
+            ``mammometry measure``.
         settings: of all stages; None for the recommended ones.
-        watch: called for every product that is made; gives the progress callback to use meanwhile.
-        method: enters the products of the session: `job.method.method`, or one that calls it and enters more.
-        given: product of the method → another function that makes it (`job.products.instead_of`).
+        watch: called for each product that is computed; gives its progress callback.
+        method: plans the products: `job.method.method`, or a function that calls it and plans more.
+        given: product of the method → another function that computes it (`job.products.instead_of`).
 
     Raises:
         SessionError: the folder or its description is not as documented, or photographs are missing.
-        ImageError: a photograph is unreadable, or of another size than its camera's others.
-        MeasureError: a scan's mesh is no surface that can be measured.
+        ImageError: a photograph is unreadable, or differs in size from its camera's others.
+        MeasureError: a scan's mesh cannot be measured.
     """
     folder = Path(path)
     if is_scan(folder) or is_measured(folder):
@@ -57,15 +57,15 @@ def open_session(
     if not can_be_opened(folder) and (folder / "measure" / RECORDS).is_file():
         raise SessionError(
             str(folder), found="the results of a mesh, without a record of where the mesh is", expected=ABOUT_MESH,
-            remedy="Measure it into this folder again: mammometry measure MESH --out FOLDER. What is current is kept",
+            remedy="Measure it into this folder again: mammometry measure MESH --out FOLDER. Current results are kept",
         )  # fmt: skip
     return Job(Session.open(folder), settings or Settings(), watch, method=method, given=given)
 
 
 def drawable(folder: Path, settings: Settings | None = None, *, watch: Watch = unwatched) -> Job:
-    """Open a folder for drawing on its surface.
+    """The job on a folder, for drawing on its surface.
 
-    A drawing on a scan that the measurement refuses does not count. It can so be corrected.
+    A drawing on a scan that the measurement refuses is ignored, so that it can be corrected.
 
     Raises:
         MammometryError: it cannot be opened.
@@ -96,12 +96,12 @@ def _scan(
 
 
 def scan_files(folder: Path, *, subject: str | None = None, drawn: bool = True) -> MeshFiles:
-    """An imported scan's mesh, with what was drawn on it. Other boundaries are found automatically.
+    """An imported scan's mesh with its drawings. Other boundaries are found automatically.
 
     Args:
-        folder: made by ``mammometry import mesh``. What was drawn lies in it, as in a session.
-        subject: a pseudonym. None: the one that the folder names.
-        drawn: whether drawn boundaries and landmarks count.
+        folder: made by ``mammometry import mesh``, with the drawings, as in a session.
+        subject: a pseudonym. None: that of the folder.
+        drawn: whether to include drawn boundaries and landmarks.
 
     Raises:
         SessionError: the folder's description is not as documented.

@@ -1,6 +1,4 @@
-"""Measure a scanner's mesh like a session's surface.
-
-Boundaries, walls, interval, files and report are the same.
+"""Measurement of a scanner's mesh like a session's surface, with the same boundaries, walls, interval and report.
 
 ::
 
@@ -75,14 +73,14 @@ T = TypeVar("T")
 _NAMES = ("model", "left", "right")
 _COMMAND = "measure"
 _LOG = logging.getLogger(__name__)
-_LEAST_FACES = 10_000  # from which a second process for drawing, one processor second to start, is worth it
-_DENSE = 300_000  # faces, above which vertex colours are as fine as a page needs
-_DARK, _LIGHT = 70.0, 160.0  # 8-bit grey of a colourless mesh in shade, and what full light adds; chosen by eye
+_LEAST_FACES = 10_000  # fewest faces for a second process for drawing, which takes one processor second to start
+_DENSE = 300_000  # faces from which vertex colours are fine enough for a page
+_DARK, _LIGHT = 70.0, 160.0  # 8-bit grey of a colourless mesh without light, and added by full light; for display only
 WORLD = "The mesh file's own frame, in mm."
 
 
 class MeshJob(Job):
-    """The job on a mesh, whose surface is given. Current results in the folder are not computed again."""
+    """The job on a mesh. Current results in the folder are not computed again."""
 
     stages = ("measure", "report")
     world = WORLD
@@ -102,20 +100,20 @@ class MeshJob(Job):
         """Read the mesh and its files.
 
         Args:
-            files: the mesh and what was drawn on it.
-            folder: for the results, laid out as those of a session.
+            files: the mesh and its drawings.
+            folder: for the results, with the layout of a session's.
             settings: of the measurement; None for the recommended ones.
-            watch: called for every product that is made.
-            edited: whether boundaries and landmarks that were drawn in the folder count.
-            method: enters the products, as for `api.job.open_session`.
-            given: product of the method → another function that makes it.
+            watch: called for each product that is computed.
+            edited: whether to include boundaries and landmarks that were drawn in the folder.
+            method: plans the products, as for `api.job.open_session`.
+            given: product of the method → another function that computes it.
 
         Raises:
-            StorageError: the folder holds one of the files, or results of something else.
-            SessionError: a file is missing, unreadable, or not as documented; nobody says the unit; a drawing or an
+            StorageError: the folder contains one of the files, or other results.
+            SessionError: a file is missing, unreadable, or not as documented; the unit is unknown; a drawing or an
                 earlier result is of another subject.
-            MeasureError: the mesh is no surface to be measured, the boundary does not lie on it, or a landmark is off
-                it or on the wrong side.
+            MeasureError: the mesh cannot be measured, the boundary is not on it, or a landmark is off it or on the
+                wrong side.
         """
         self._assumed, self._method, self._given = "", method, given
         try:
@@ -261,7 +259,7 @@ class MeshJob(Job):
         return self.finished
 
     def _lay_out(self, repaired: RepairedSurface, foreign: ForeignMesh, by_drawing: dict[str, str]) -> None:
-        """Plan the measurement as for a session. The earlier products are given.
+        """Plan the measurement as for a session, with the earlier products given.
 
         Args:
             repaired: the surface to be measured.
@@ -279,7 +277,7 @@ class MeshJob(Job):
             colours = skin_colours(self.files.mesh.parent, self.files.scan, repaired.mesh.vertices, colours)
         if not np.ptp(
             foreign.colours, axis=0
-        ).any():  # a single colour shows no shape, so shade it with a lamp at the viewer
+        ).any():  # one colour does not show the shape, so shade it with a light at the viewer
             facing = np.abs(repaired.mesh.vertex_normals() @ rig_frame(self._rig)[2])
             colours = np.repeat((_DARK + _LIGHT * facing[:, None]).astype(np.uint8), 3, axis=1)
         textured = TexturedMesh(mesh=repaired.mesh, colours=colours)
@@ -298,7 +296,7 @@ class MeshJob(Job):
         self.plan = Plan(self._method, self.inputs, self.settings, self.store, stages=("measure",), given=known)
 
     def require_sides(self) -> None:
-        """Refuse a scan that may be a mirror image, before it is exported or compared.
+        """Raise an error if a scan may be a mirror image, before it is exported or compared.
 
         Raises:
             SessionError: its sides have not been compared with the patient.
@@ -315,11 +313,11 @@ class MeshJob(Job):
 
         Args:
             stage: ``measure`` or ``report``.
-            drawn: whether a picture of what is refused is drawn.
+            drawn: whether to draw pictures of a refusal.
 
         Raises:
-            SessionError: another stage, which takes photographs.
-            MammometryError: whatever stands in the way, in one sentence.
+            SessionError: another stage, which needs photographs.
+            MammometryError: the first error.
         """
         if stage not in self.stages:
             raise self._without_photographs()
@@ -349,11 +347,11 @@ class MeshJob(Job):
                 self._write_report(partial(self._gathered, drawn=pictures))
 
     def keys(self, stage: Stage) -> tuple[Key, ...]:
-        """Keys of a stage's products, or of the report's content. None of a stage that takes photographs."""
+        """Keys of a stage's products, or of the report's content; empty for a stage that needs photographs."""
         return (self.content_key,) if stage == "report" else tuple(product.key for product in self.plan.products(stage))
 
     def previews(self, stage: Stage) -> dict[str, bytes]:
-        """Return no files: the pictures of a mesh are drawn for the report."""
+        """Always empty: the pictures of a mesh are drawn for the report."""
         return {}
 
     @contextmanager
@@ -361,7 +359,7 @@ class MeshJob(Job):
         """Start a second process for drawing.
 
         Yields:
-            A function that starts drawing, once the breasts are measured, and returns one that waits for the pictures.
+            A function that starts drawing after the measurement, and returns one that waits for the pictures.
         """
         from mammometry.report.gather import drawn_mesh, mesh_result
 
@@ -461,7 +459,7 @@ def _drawn(inputs: Inputs) -> dict[str, str]:
 
 
 class _StoreOfMesh(Store):
-    """Results of a mesh. What its measurement refuses is said in words of a mesh."""
+    """Results of a mesh, whose errors have the wording for meshes."""
 
     def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
         """Recall a product, as `Store.recall` does."""

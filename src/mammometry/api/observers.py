@@ -1,4 +1,4 @@
-"""Several persons' drawings of the same breasts, measured alike.
+"""Several observers' drawings of the same breasts, measured in the same way.
 
 ::
 
@@ -45,7 +45,7 @@ _NOT_NAMES = frozenset(
      "operator", "investigator", "student", "annotator", "clinician", "resident", "registrar", "consultant", "trainee",
      "participant", "beobachter", "untersucher", "auswerter", "dr", "obs", "r", "o", "p")
 )  # fmt: skip
-"""Words that name a person by a number: ``rater-2`` and ``rater-1`` are different people."""
+"""Words after which a number identifies a person: ``rater-2`` and ``rater-1`` are different people."""
 _NUMBERED = re.compile(r"(.*[^\W\d_])[ _]?(\d{1,3})")
 """A name and a number without a hyphen."""
 _COPY = re.compile(r"\(\d+\)$|[\s_-](copy|kopie|copie|copia)([\s_-]?\(?\d+\)?)?$|^(copy of|kopie von) ", re.IGNORECASE)
@@ -69,15 +69,15 @@ class DrawnBy:
 
 
 def read_drawn_by(curves: Path, mesh: Path | None = None) -> tuple[DrawnBy, ...]:
-    """Read a table, or list a folder's drawings of one mesh.
+    """Drawings in a table, or in a folder for one mesh.
 
-    In a folder, ``anna-2.json`` is Anna's second drawing, and ``ben.json`` Ben's first. ``rater-2.json`` is another
-    rater's first: such words name no person without their number. Upper and lower case, and the forms of accented
-    letters, make no other person. A table's paths are relative to it; without a mesh column all drawings are of `mesh`.
+    In a folder, ``anna-2.json`` is Anna's second drawing, and ``ben.json`` Ben's first. ``rater-2.json`` is the first
+    drawing of another rater. Case and the forms of accented letters are ignored. A table's paths are relative to it;
+    without a mesh column all drawings are of `mesh`.
 
     Raises:
-        SessionError: the folder holds fewer than two drawings, a copy, one drawing twice, or ``anna_1`` and ``anna_2``,
-            which may be one person or two; or the mesh is unknown.
+        SessionError: the folder contains fewer than two drawings, a copy, one drawing twice, or ``anna_1`` and
+            ``anna_2``, which may be one person or two; or the mesh is unknown.
         TableError: the table cannot be read, has no such columns, an empty cell, or one drawing twice.
     """
     drawn = _of_folder(curves, mesh) if curves.is_dir() else _of_table(curves, mesh)
@@ -113,7 +113,7 @@ def _of_folder(folder: Path, mesh: Path | None) -> tuple[DrawnBy, ...]:
 
 
 def _require_hyphens(paths: Sequence[Path]) -> None:
-    """Refuse ``anna_1`` and ``anna_2``, which may be one person's drawings or two persons."""
+    """Raise an error for ``anna_1`` and ``anna_2``, which may be one person or two."""
     numbered: dict[str, Path] = {}
     for path in paths:
         match = _NUMBERED.fullmatch(path.stem)
@@ -178,7 +178,7 @@ _SIDES = ("left", "right")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasuredDrawings:
-    """All drawings, and the surfaces that they lie on."""
+    """All drawings, and their surfaces."""
 
     surfaces: tuple[DrawnSurface, ...]
     drawings: tuple[Drawing, ...]
@@ -193,19 +193,20 @@ def measure_drawings(
     settings: MeasureSettings | None = None,
     progress: Progress = no_progress,
 ) -> MeasuredDrawings:
-    """Measure every drawing in the same way: same wall, same mesh.
+    """Volumes of all drawings, with the same wall on the same mesh.
 
     Args:
-        drawn: who drew what.
-        units: of the meshes: ``mm``, ``cm``, ``m``; None where the files state it.
-        head: the meshes' axis towards the head; None: both sides' curves say, else ``y``, or ``z`` where that is ahead.
-        ahead: the axis straight ahead; None: the one to which an open mesh looks.
-        settings: which wall, and how a trunk is described.
+        drawn: files with their observers.
+        units: of the meshes: ``mm``, ``cm``, ``m``; None if the files state it.
+        head: the meshes' axis towards the head; None: from the curves of both sides, else ``y``, or ``z`` if ``y`` is
+            straight ahead.
+        ahead: the axis straight ahead; None: the direction in which an open mesh faces.
+        settings: selected wall, and description of the trunk.
         progress: called with the fraction done.
 
     Raises:
         SessionError: a file is missing or not as documented, has no curve, or the same curve as another.
-        MeasureError: a mesh is no surface to be measured, or a curve does not lie on it or cannot be followed.
+        MeasureError: a mesh cannot be measured, or a curve is not on it or cannot be followed.
     """
     surfaces: list[DrawnSurface] = []
     drawings: list[Drawing] = []
@@ -272,10 +273,7 @@ def _on_one(
 
 
 def _require_no_copies(drawn: Sequence[DrawnBy], files: Sequence[Mapping[str, Float64[Array, "n 3"]]]) -> None:
-    """Refuse one curve in two files: two people never agree to a thousandth of a millimetre.
-
-    Start and direction of a curve do not matter.
-    """
+    """Raise an error if two files contain the same curve to 0.001 mm, whatever its start and direction."""
     seen: list[tuple[DrawnBy, str, Float64[Array, "n 3"]]] = []
     for drawing, curves in zip(drawn, files, strict=True):
         for side, curve in curves.items():
@@ -294,10 +292,7 @@ def _require_no_copies(drawn: Sequence[DrawnBy], files: Sequence[Mapping[str, Fl
 def _frame(
     surface: RepairedSurface, files: Sequence[dict[str, Float64[Array, "n 3"]]], axes: tuple[str | None, str | None]
 ) -> Float64[Array, "3 3"]:
-    """The body's frame, one for all drawings.
-
-    From the first drawing that has both sides, or the mesh file's axes.
-    """
+    """Body frame of all drawings, from the first one with both sides, else from the mesh file's axes."""
     both = next((curves for curves in files if len(curves) == len(_SIDES)), None)
     if both is not None and axes == (None, None):
         rough = scanned.viewing_frame(surface, both, {})

@@ -1,4 +1,4 @@
-"""Photographs by one telephone and a printed board: from a folder of pictures to a session.
+"""Conversion of photographs by one telephone and a printed board to a session.
 
 ::
 
@@ -38,10 +38,10 @@ from mammometry.walk.stations import TELEPHONE, find_stations
 
 BOARD = "board.toml"
 WALK = "walk.json"
-_VERSION = 2  # raise it when the same photographs give a different session
+_VERSION = 2  # raised when the same photographs give a different session
 PRINT_STD = 0.01
 """Relative standard uncertainty of a board that was not measured: printers may scale a page by a few per cent."""
-_MARGIN_PX = 32  # margin around the region's picture, for windows at its edge
+_MARGIN_PX = 32  # margin around the region in the image, for windows at its edge
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +53,7 @@ class PreparedWalk:
     pictures: int
     """Photographs in the folder."""
     used: Sequence[str]
-    """Numbers of those in pairs, as `walk_files` counts them."""
+    """Numbers (`walk_files`) of the photographs in pairs."""
     left_out: Mapping[str, str]
     """Number of a photograph → reason why it is not used."""
     board_rms_px: float
@@ -82,15 +82,15 @@ def prepare_walk(
     session of the same photographs is not changed.
 
     Args:
-        folder: the photographs, and ``board.toml`` where the board is another than ours.
+        folder: the photographs, and ``board.toml`` if the board is not ours.
         out: the session's folder: new, empty, or made from these photographs before.
         posture: of the patient.
         subject: pseudonym.
-        progress: fraction of the photographs in which the board was looked for.
+        progress: fraction of the photographs in which the board was searched.
 
     Raises:
-        SessionError: no photographs, a ``board.toml`` that is not as documented, or `out` holds something else.
-        CalibrationError: the photographs do not show where they were taken.
+        SessionError: no photographs, a ``board.toml`` that is not as documented, or other content in `out`.
+        CalibrationError: the cameras' positions cannot be found from the photographs.
     """
     require_apart(out, [folder])
     earlier = read_walk(out)
@@ -137,7 +137,7 @@ def prepare_walk(
 
 
 def read_walk(session: Path) -> PreparedWalk | None:
-    """Facts about the photographs of a session that `prepare_walk` made. None for any other."""
+    """Facts about the photographs of a session made by `prepare_walk`. None for any other."""
     try:
         table = json.loads((session / WALK).read_text(encoding="utf-8"))
         return PreparedWalk(**{**table, "used": tuple(table["used"])})
@@ -146,7 +146,7 @@ def read_walk(session: Path) -> PreparedWalk | None:
 
 
 def read_board(folder: Path) -> Target:
-    """The board of a walk: board.toml, or the one that ``target --telephone`` draws.
+    """The board of a walk: that of board.toml, else the one drawn by ``target --telephone``.
 
     Raises:
         SessionError: ``board.toml`` is not as documented.
@@ -228,7 +228,7 @@ def _box(mask: Bool[Array, "h w"]) -> tuple[slice, slice]:
 
 
 def _cropped(camera: Camera, rows: slice, columns: slice) -> Camera:
-    """The camera of a part of its picture."""
+    """Camera of a part of the image."""
     width, height = camera.size_wh
     matrix = camera.matrix.copy()
     matrix[0, 2] -= columns.start

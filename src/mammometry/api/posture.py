@@ -1,4 +1,4 @@
-"""Postures of two dates: volumes in different postures must not be compared."""
+"""Check of the postures of two dates: volumes in different postures must not be compared."""
 
 from __future__ import annotations
 
@@ -10,11 +10,7 @@ from mammometry.base.notices import Notice
 
 
 def check_posture(before: Job, after: Job) -> None:
-    """Refuse dates of two postures.
-
-    Raises:
-        SessionError: names both folders and postures.
-    """
+    """Raise a SessionError if two dates have different postures."""
     if before.posture and after.posture and before.posture != after.posture:
         raise SessionError(
             f"{before.folder}, {after.folder}",

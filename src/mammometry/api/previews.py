@@ -1,7 +1,7 @@
 """Previews of a job's stages.
 
-If there are free cores, a second process draws them in parallel with the next stage, from the results on disk. If it
-fails, they are drawn here, so that errors are reported in the same way.
+If cores are free, a second process draws them in parallel with the next stage, from the results on disk. If it fails,
+they are drawn in this process, which reports errors in the usual way.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from mammometry.settings import Settings
 
 _LOG = logging.getLogger(__name__)
-_LEAST_MEGAPIXELS = 5.0  # photographs from which a second process, two processor seconds to start, is worth it
+_LEAST_MEGAPIXELS = 5.0  # smallest photographs for a second process, which takes two processor seconds to start
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -50,7 +50,7 @@ class Previews:
         """PNG previews of a finished stage: name → file content.
 
         Raises:
-            StorageError: one is not as it was written, or no picture.
+            StorageError: one was changed or is not a picture.
         """
         from mammometry.report.figures.canvas import caption_of
 
@@ -58,22 +58,22 @@ class Previews:
         for name, png in pictures.items():
             try:
                 caption_of(png)
-            except Exception as error:  # Pillow raises anything that a damaged file makes it stumble over
+            except Exception as error:  # Pillow raises many kinds of error for a damaged file
                 raise StorageError(
                     f"{stage}/{name}.png",
-                    found=f"a picture that cannot be read back ({error_text(error)})",
+                    found=f"a picture that cannot be read ({error_text(error)})",
                     expected="the unchanged file",
-                    remedy="Remove it and run the command again: it will be made again",
+                    remedy="Remove it and run the command again, which draws it again",
                 ) from None
         return pictures
 
     @contextmanager
     def drawing(self, stages: Sequence[Stage]) -> Iterator[Drawing]:
-        """Draw pictures as their stages are made. All are complete at the end of the block.
+        """Context in which pictures are drawn when their stages are complete; all are complete at its end.
 
         Args:
-            stages: to be made, in order. Without pictures to draw in parallel with a later one there is no second
-                process.
+            stages: to be computed, in order. A second process is used only if pictures can be drawn in parallel with a
+                later stage.
         """
         missing = any(not self.store.has(previews_key(stage, self.plan)) for stage in stages[:-1])
         usual = self.plan.method is method and not self.plan.given  # replaced functions exist only in this process
@@ -124,7 +124,7 @@ class Previews:
 
 
 class Drawing:
-    """Pictures that are being drawn, here or in the second process."""
+    """Pictures being drawn, in this or the second process."""
 
     def __init__(self, ensure: Callable[[Stage], Facts], pool: ThreadPoolExecutor | None) -> None:
         self._ensure = ensure
@@ -132,7 +132,7 @@ class Drawing:
         self._begun: dict[Stage, Future[Facts]] = {}
 
     def begin(self, stage: Stage) -> None:
-        """Draw the pictures of a stage that is made."""
+        """Start drawing the pictures of a complete stage."""
         if self._pool is None:
             done: Future[Facts] = Future()
             done.set_result(self._ensure(stage))
@@ -146,7 +146,7 @@ class Drawing:
         return not all(future.done() for future in self._begun.values())
 
     def facts(self) -> dict[Stage, Facts]:
-        """Wait for all started pictures. Returns the report's facts of their stages.
+        """The report's facts by stage, after all started pictures are complete.
 
         Raises:
             MammometryError: a picture cannot be drawn.
@@ -155,7 +155,7 @@ class Drawing:
 
 
 def load() -> None:
-    """Import the drawing libraries in the second process, by drawing something."""
+    """Load the drawing libraries in the second process, by drawing a small picture."""
     import numpy as np
 
     from mammometry.geometry import TriangleMesh

@@ -46,15 +46,15 @@ class Results:
     no_breast: Mapping[str, str] = field(default_factory=dict)
     """Side of a torso without a breast → the evidence for that."""
     notices: tuple[Notice, ...] = ()
-    """Notices: changes of a scanner's mesh, assumptions, doubts about a torso's volumes, and the posture."""
+    """Changes of a scanner's mesh, assumptions, warnings about a torso's volumes, and the posture."""
     lacking: Mapping[str, VolumeDeficit] = field(default_factory=dict)
-    """Side of a torso → its lacking volume compared with the mirrored other side."""
+    """Side of a torso → its volume deficit relative to the mirrored other side."""
     merged: tuple[Mapping[str, Any], ...] = ()
     """Further scans that were merged with the first one, as `AlsoScan.as_table`."""
     made: tuple[str, ...] = ()
-    """``stage/product`` of everything that this run made. Empty if everything existed already."""
+    """``stage/product`` of all products that this run computed."""
     made_at: str | None = None
-    """When the newest of the results was made, ISO 8601, UTC."""
+    """Time of the newest result, ISO 8601, UTC."""
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -70,7 +70,7 @@ class Results:
 
     @property
     def words(self) -> dict[str, str]:
-        """Name → volume and interval as text, rounded accordingly: "284 ± 55 cc (95 %: 230 to 339 cc)"."""
+        """Name → rounded volume and interval as text: "284 ± 55 cc (95 %: 230 to 339 cc)"."""
         from mammometry.report.words.volumes import measured_words
 
         return {
@@ -93,7 +93,7 @@ class Results:
         return difference(self.measurements["left"], self.measurements["right"], "sides")
 
     def as_table(self) -> dict[str, Any]:
-        """All results as plain data for JSON, as printed by ``--json``."""
+        """All results as JSON-ready data, as printed by ``--json``."""
         apart = self.difference
         interval_cc = None if apart is None else apart.difference_interval_cc
         return {
@@ -143,15 +143,13 @@ class Results:
 
 _LOG = logging.getLogger(__name__)
 FOLDER, PAGE = "refused", "refused.html"
-"""Folder of the page, in the results, with its pictures for the clinic."""
+"""Folder of the page in the results, with its pictures."""
 Pictures = Mapping[str, bytes]
 """Name → PNG with its caption."""
 
 
 def show_refusal(results: Path, identity: Identity, error: MammometryError, draw: Callable[[], Pictures]) -> None:
-    """Write a page with pictures of a refusal, and set `error.page`.
-
-    If the page fails, the refusal itself is still reported.
+    """Write a page with pictures of a refusal, and set `error.page`. Failures are only logged.
 
     Args:
         results: folder of the session's results.
@@ -166,8 +164,8 @@ def show_refusal(results: Path, identity: Identity, error: MammometryError, draw
         files = {PAGE: refusal_page(identity, error, pictures).encode()}
         write_outputs(results / FOLDER, files | {f"{name}.png": png for name, png in pictures.items()}, command="run")
         error.page = results / FOLDER / PAGE
-    except Exception as trouble:  # a failure of the page must not hide the refusal
-        _LOG.warning("what was seen could not be drawn: %s", error_text(trouble))
+    except Exception as trouble:  # the refusal itself must be reported
+        _LOG.warning("the page of the refusal could not be drawn: %s", error_text(trouble))
 
 
 def is_refusal_shown(results: Path) -> bool:
@@ -176,7 +174,7 @@ def is_refusal_shown(results: Path) -> bool:
 
 
 def withdraw_refusal(results: Path) -> None:
-    """Remove the page of an earlier refusal after a successful measurement."""
+    """Remove the page of an earlier refusal, after a successful measurement."""
     if is_refusal_shown(results):
         write_outputs(results / FOLDER, {}, command="run")
 
@@ -184,10 +182,10 @@ def withdraw_refusal(results: Path) -> None:
 def seen(
     stage: Stage, error: MammometryError, plan: Plan, inputs: Inputs, previews: Callable[[Stage], Pictures]
 ) -> Pictures:
-    """Pictures of a refused stage: its inputs and findings.
+    """Pictures of a refused stage: its inputs and results.
 
     Args:
-        stage: the refused one: calibrate, match, surface or measure.
+        stage: calibrate, match, surface or measure.
         error: the refusal.
         plan: the whole job.
         inputs: of the session.

@@ -66,17 +66,17 @@ class Job(Reported):
     """
 
     stages: tuple[Stage, ...] = STAGES
-    """Stages that are made, in order."""
+    """Stages in order."""
     world = ""
     """Frame of a given surface, as text. Empty: that of the cameras."""
     notices: tuple[Notice, ...] = ()
-    """Changes of a scanner's mesh and assumptions, one sentence each."""
+    """Changes of a scanner's mesh, and assumptions."""
     merged: tuple[Mapping[str, Any], ...] = ()
     """Further scans that were merged with the first one, as `AlsoScan.as_table`."""
     posture: str
     """``standing``, ``leaning`` or ``lying``. Empty: not given."""
     date: datetime.date | None
-    """Day of the photographs. None: not given."""
+    """Date of the photographs. None: not given."""
     brought: tuple[Path, ...]
     """The user's own files and folders."""
 
@@ -135,14 +135,14 @@ class Job(Reported):
         return front_of(self.rig, self.plan.value(measure.body))
 
     def require_sides(self) -> None:
-        """Refuse a scan that may be a mirror image, before it is exported or compared.
+        """Raise an error if a scan may be a mirror image, before it is exported or compared.
 
         Raises:
             SessionError: its sides have not been compared with the patient.
         """
 
     def ensure(self, stage: Stage, *, drawn: bool = True) -> None:
-        """Make a stage and those before it, unless they are current.
+        """Compute a stage and those before it, unless they are current.
 
         Args:
             stage: the last one.
@@ -154,7 +154,7 @@ class Job(Reported):
         self.session.require(stage)
         stages = STAGES[: STAGES.index(stage) + 1]
         if drawn and not self.store.at_work and self._all_current(stages):
-            return  # also where nothing may be written
+            return  # also in a read-only folder
         reuse_freed_memory()
         with (
             self.store.taken(),
@@ -215,8 +215,8 @@ class Job(Reported):
             progress: fraction of the photographs that are searched.
 
         Raises:
-            MammometryError: the first problem, in one sentence: also photographs of the calibration itself,
-                of an earlier check in another folder, or older than the calibration's by their time stamps.
+            MammometryError: the first error; also if photographs are those of the calibration itself, of an earlier
+                check in another folder, or older than the calibration by their time stamps.
         """
         from mammometry.api.exposures import require_later
         from mammometry.calibration.detection.detect import detect
@@ -265,12 +265,12 @@ class Job(Reported):
         return result
 
     def match(self) -> dict[str, DisparityMap]:
-        """Match every pair: pair → disparity map."""
+        """Pair → disparity map."""
         self.ensure("match")
         return {pair: product() for pair, product in self.plan[match.disparity].items()}
 
     def surface(self) -> FinishedSurface:
-        """Build, repair and colour the surface."""
+        """The repaired surface with its colours."""
         self.ensure("surface")
         return self.plan[surface.mesh]()
 
@@ -280,12 +280,12 @@ class Job(Reported):
         return {measured.name: measured for measured in self.plan.value(measure.measurements) or ()}
 
     def no_breast(self) -> dict[str, str]:
-        """Unmeasured sides of a torso → no breast, unclear or refused."""
+        """Side of a torso without a volume → reason: no breast, unclear or refused."""
         self.ensure("measure")
         return {side.name: side.why for side in self.plan.value(measure.absent) or ()}
 
     def lacking(self) -> tuple[VolumeDeficit, ...]:
-        """Volume by which the smaller side of a torso differs from the mirrored larger one."""
+        """Volume deficit of the smaller side of a torso relative to the mirrored larger one."""
         self.ensure("measure")
         return self.plan.value(measure.lacking) or ()
 
@@ -327,11 +327,11 @@ class Job(Reported):
 
     @property
     def _posture_noted(self) -> str | None:
-        """As `torso_notices` takes it."""
+        """Posture for `torso_notices`."""
         return self.posture or None
 
     def pages(self) -> dict[str, State]:
-        """Pages in results/ for others or of two dates → whether current."""
+        """Page in results/ for others or of two dates → its state."""
         folder = self.store.folder
         here = {self.page_digest(deidentify=deidentify) for deidentify in (False, True)}
         paths = sorted([*folder.glob("*/report.html"), *folder.glob("compare/*/compare.html")])
@@ -361,10 +361,7 @@ class Job(Reported):
         }
 
     def keys(self, stage: Stage) -> tuple[Key, ...]:
-        """Keys of a stage's products and pictures, or of the report's content.
-
-        A confirmation changes no content: the report is only rendered again.
-        """
+        """Keys of a stage's products and pictures, or of the report's content, which a confirmation does not change."""
         if stage == "report":
             return (self.content_key,)
         return (*(product.key for product in self.plan.products(stage)), previews_key(stage, self.plan))
@@ -377,8 +374,7 @@ class Job(Reported):
     def share(self, folder: Path, privacy: Privacy) -> Path:
         """Write a report for others into a folder, and return its page.
 
-        The session's own report does not change. Files of an earlier call are replaced; other files in the way are
-        refused before anything is computed.
+        Files of an earlier call are replaced; other files in the way are refused before anything is computed.
 
         Args:
             folder: for report.html and report.pdf.
@@ -397,7 +393,7 @@ class Job(Reported):
 
     def _ensure_report(self, drawing: Drawing) -> None:
         scene = None
-        if drawing.waiting:  # the last pictures: meanwhile what needs none of them
+        if drawing.waiting:  # while the last pictures are drawn: products that do not need them
             from mammometry.report import gather
 
             scene = gather.whole_scene(self.plan)
@@ -447,7 +443,7 @@ class Job(Reported):
 
 
 def _keys_in(page: Path) -> set[str]:
-    """Digests in a page's head. None if an earlier version made it."""
+    """Digests in a page's head; empty for pages of earlier versions."""
     with page.open(encoding="utf-8", errors="replace") as file:
         match = _PAGE_KEY.search(file.read(_HEAD))
     return set(match[1].split(",")) if match else set()

@@ -19,7 +19,7 @@ from mammometry.settings import Settings
 
 _WHOLE = {"cameras": "cameras.json", "prior": "prior.json", "wall": "wall.ply"}  # input → its file
 _BY_VALUE = (MANIFEST, ABOUT, MESH, BOUNDARIES, LANDMARK_FILE)
-"""Files that are always compared, because keys of results contain all their content except comments."""
+"""Files that are always compared: keys of results contain all their content except comments."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,12 +35,12 @@ class Sources:
 
 
 def sources(folder: Path, settings: Settings, recorded: frozenset[str]) -> Sources:
-    """Compare a session or an imported scan with the records of its results. Nothing is written.
+    """Comparison of a session or an imported scan with the records of its results. Nothing is written.
 
     Args:
         folder: of the session or scan.
         settings: of the results.
-        recorded: files of the folder that other records confirm, by their paths below it.
+        recorded: files of the folder in other records, by their paths below it.
 
     Raises:
         MammometryError: it cannot be opened.
@@ -68,7 +68,7 @@ def _used_files(job: Job, keys: list[Key]) -> set[str]:
 
 
 def _files(folder: Path) -> Iterator[str]:
-    """Files of a folder beside its results, hidden ones left out. A measured mesh's folder holds nothing else."""
+    """Files of a folder except its results and hidden files; none in a measured mesh's folder."""
     if is_measured(folder):
         return
     for path in sorted(folder.rglob("*")):

@@ -42,13 +42,13 @@ WARNINGS = "warnings.json"
 
 
 class Reported(ABC):
-    """A session or a scan that is measured and has a report among its results."""
+    """A session or a scan with a report among its results."""
 
     inputs: Inputs
     settings: Settings
     store: Store
     plan: Plan
-    """Its products, those of the measurement at least."""
+    """Its products, at least those of the measurement."""
     identity: Identity
     """Identity of the subject on pages."""
     folder: Path
@@ -61,10 +61,10 @@ class Reported(ABC):
     @property
     @abstractmethod
     def _page_inputs(self) -> PageInputs:
-        """Content of a report that is in no product."""
+        """Content of a report that is not in products."""
 
     def _photographs(self) -> Mapping[str, str]:
-        """Photographs that the report's page may link: name → address from there. None of a mesh."""
+        """Photographs that the report's page links: name → relative address; empty for a mesh."""
         return {}
 
     def _page_key(self, page: PageInputs) -> Key:
@@ -72,7 +72,7 @@ class Reported(ABC):
 
     @property
     def mesh(self) -> Product[FinishedSurface]:
-        """The surface that is measured, with its colours."""
+        """The measured surface with its colours."""
         return self.plan[surface.mesh]
 
     @property
@@ -82,38 +82,34 @@ class Reported(ABC):
 
     @property
     def content_key(self) -> Key:
-        """Key of the report's content: every product, and its other content."""
+        """Key of the report's content: all products, and its other content."""
         return self._page_key(self._page_inputs)
 
     @property
     def report_key(self) -> Key:
-        """Key of the rendered report: its content, and who drew and confirmed the boundaries."""
+        """Key of the rendered report: its content, and the authors and confirmations of the boundaries."""
         return report_key(self.content_key, self.inputs.attributions)
 
     def page_digest(self, *, deidentify: bool) -> str:
-        """Digest of everything a report would show now, with or without names."""
+        """Digest of all that the report would show now, with or without names."""
         page = self._page_inputs
         return self._page_key(replace(page, identity=NAMELESS) if deidentify else page).digest
 
     def rendered(self, clinical: Clinical) -> RenderedReport:
-        """The report with a clinic's data on the visit, from stored results.
-
-        It is not stored. Stale results are made first.
+        """The report with a clinic's data on the visit, which is not stored. Stale results are computed first.
 
         Args:
             clinical: names, operations, the confirmation, the conclusion.
 
         Raises:
-            MammometryError: whatever stands in the way, in one sentence.
+            MammometryError: the first error.
         """
         if not self.store.has(self.content_key):
             self.run()
         return self._render(clinical)
 
     def render_report(self) -> None:
-        """Render the report again with the present authors and confirmations.
-
-        Nothing is measured. If the report's content is not current, nothing happens.
+        """Render the report again with the present authors and confirmations, if its content is current.
 
         Raises:
             MammometryError: another run is in progress, or boundaries.json is invalid.
@@ -124,10 +120,7 @@ class Reported(ABC):
             self._write_pages()
 
     def _write_report(self, gather: Callable[[Progress], ReportContent]) -> None:
-        """Make the content, then the report, if they are not current.
-
-        A confirmation alone only renders again.
-        """
+        """Make the content and the report, if they are not current. A confirmation changes only the report."""
 
         def content() -> Callable[[Path, Progress], None]:
 
@@ -139,18 +132,16 @@ class Reported(ABC):
     def _write_for_others(
         self, folder: Path, privacy: Privacy, gather: Callable[[], ReportContent], brought: Iterable[Path]
     ) -> Path:
-        """Write a report for others into a folder, and return its page.
-
-        What an earlier call wrote there is replaced.
+        """Write a report for others into a folder, replacing that of an earlier call, and return its page.
 
         Args:
             folder: for report.html and report.pdf.
-            privacy: what to leave out.
-            gather: collects the content, without that.
-            brought: the user's own files, from which the folder must be apart.
+            privacy: what to omit.
+            gather: collects the content, without the omitted parts.
+            brought: the user's own files, which must not be in the folder.
 
         Raises:
-            StorageError: other files are in the way: then nothing was computed.
+            StorageError: other files are in the way; nothing was computed.
         """
         from mammometry.report.documents import html, pdf
         from mammometry.report.documents.rendering import render
@@ -164,7 +155,7 @@ class Reported(ABC):
         return folder / html.PAGE
 
     def _write_pages(self) -> None:
-        """Write the report's files from the stored content, where they are not current."""
+        """Write the report's files from the stored content, if they are not current."""
 
         def report() -> Callable[[Path, Progress], None]:
             from mammometry.report.documents import html, pdf
@@ -183,7 +174,7 @@ class Reported(ABC):
         self.store.write_folder(self.report_key, report)
 
     def _render(self, clinical: Clinical | None) -> RenderedReport:
-        """Render the stored content. Without a clinic's data, the reader uses the command line.
+        """The rendered report. Without a clinic's data its text refers to the command line.
 
         Raises:
             StorageError: the content is damaged.
@@ -203,12 +194,12 @@ def _write(folder: Path, files: Mapping[str, bytes]) -> None:
 
 CONTENT = "content.zip"
 _WORDS = "content.json"
-_LARGEST = 256 << 20  # bytes of all members; ours have a few MB
-_ALWAYS = (1980, 1, 1, 0, 0, 0)  # time of every member: the same content gives the same bytes
+_LARGEST = 256 << 20  # most bytes of all members; ours have a few MB
+_ALWAYS = (1980, 1, 1, 0, 0, 0)  # time of all members, so that the same content gives the same bytes
 
 
 def packed(content: ReportContent) -> bytes:
-    """The content as a ZIP: words and captions as JSON, the viewer's scene, pictures as they are shown."""
+    """The content as a ZIP: texts and captions as JSON, the viewer's scene, and the pictures."""
     bare = {
         stage: {name: replace(picture, webp=b"", jpeg=b"") for name, picture in drawn.items()}
         for stage, drawn in content.pictures.items()
@@ -230,7 +221,7 @@ def unpacked(data: bytes) -> ReportContent:
     """The content of such a ZIP.
 
     Raises:
-        StorageError: it is not as it was written.
+        StorageError: it is damaged.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -251,19 +242,16 @@ def unpacked(data: bytes) -> ReportContent:
             }
             scene = archive.read(SCENE).decode().replace("<", "\\u003c")  # safe inside a page, from any source
     except (OSError, ValueError, LookupError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
-        remedy = "Run the command again: it will be made again"
+        remedy = "Run the command again, which computes it again"
         expected = "the file as it was written"
         raise StorageError(
-            CONTENT, found=f"a result that cannot be read back ({error})", expected=expected, remedy=remedy
+            CONTENT, found=f"a result that cannot be read ({error})", expected=expected, remedy=remedy
         ) from None
     return replace(content, pictures=pictures, scene=scene)
 
 
 def stored_scene(results: Path) -> str | None:
-    """The report's 3D scene as JSON, from a results folder. None if there is none, or it cannot be read.
-
-    It is the one that the report's page shows: whether the page is current is not asked.
-    """
+    """3D scene of the report's page as JSON, whether current or not. None if it is missing or unreadable."""
     path = results / "report" / CONTENT
     if not path.is_file() or path.is_symlink():
         return None

@@ -1,4 +1,4 @@
-"""Compare results with the truth of virtual sessions and plaster models (paper 2.7, Table 1)."""
+"""Comparison of results with the truth of virtual sessions and plaster models (paper 2.7, Table 1)."""
 
 from __future__ import annotations
 
@@ -41,12 +41,10 @@ T = TypeVar("T")
 def evaluate_session(
     job: Job, truth_folder: Path | None = None, *, progress: Progress = no_progress
 ) -> tuple[Evaluation, Path]:
-    """Compare a session's current results with its truth.
-
-    The comparison is written to ``SESSION/evaluation/``. Stages without current results are left out.
+    """Errors of a session's current results, also written to ``SESSION/evaluation/``.
 
     Args:
-        job: the session, with the settings its results were made with.
+        job: the session, with the settings of its results.
         truth_folder: the truth; None for the session's own ``truth/``.
         progress: called with the fraction done.
 
@@ -54,8 +52,8 @@ def evaluate_session(
         The evaluation, and the folder with evaluation.json, evaluation.md and error-map.png.
 
     Raises:
-        SessionError: there is no truth, there are no results, or they are of another rig or subject. StorageError: the
-            evaluation cannot be written, or another file is in its place.
+        SessionError: there is no truth, there are no results, or they are of another rig or subject.
+        StorageError: the evaluation cannot be written, or a foreign file is in its place.
     """
     folder = job.session.path / FOLDER
     truth_folder = truth_folder or job.session.path / "truth"
@@ -84,7 +82,7 @@ def evaluate_session(
 
 
 def current_results(job: Job) -> SessionResults:
-    """Load a session's current results.
+    """A session's current results.
 
     Raises:
         SessionError: there are no cameras yet.
@@ -132,15 +130,15 @@ class PhantomResult:
     name: str
     true_cc: float
     measured_cc: float | None
-    """None: it was refused."""
+    """None if it was refused."""
     interval_cc: tuple[float, float] | None
-    """95 %."""
+    """95 % interval, cc."""
     failed: str = ""
-    """Why it was refused, one sentence."""
+    """Reason of the refusal, one sentence."""
 
     @property
     def holds(self) -> bool | None:
-        """Whether the interval contains the truth. None without an interval."""
+        """Whether the interval contains the true volume. None without an interval."""
         return None if self.interval_cc is None else self.interval_cc[0] <= self.true_cc <= self.interval_cc[1]
 
 
@@ -153,20 +151,20 @@ def measure_phantoms(
     settings: Settings | None = None,
     map_tasks: MapTasks = map_in_sequence,
 ) -> tuple[PhantomResult, ...]:
-    """Simulate, calibrate and measure each model. Existing results are not made again.
+    """Results of all models, simulated, calibrated and measured unless they exist.
 
-    A refused model does not end the study. A refused calibration does, because all models share it.
+    The study continues after a refused model, and ends after a refused calibration, because all models share it.
 
     Args:
-        out: folder of the study, with one session a model.
+        out: folder of the study, with one session per model.
         scale: of the reference rig's 4504 × 3000 pixels.
         seed: of the rig, its calibration poses and the models' shapes.
-        models: which ones; the first one's calibration serves all.
+        models: names; the first one's calibration is used for all.
         settings: of all stages; None for the recommended ones.
-        map_tasks: how to go through the models.
+        map_tasks: how the models are distributed to processes.
 
     Raises:
-        SessionError: the folder holds a study with another scale or seed, or something else.
+        SessionError: the folder contains a study with another scale or seed, or other files.
         CalibrationError: the photographs of the target do not calibrate the rig.
         MammometryError: a process cannot be started, or ended.
     """
@@ -198,18 +196,18 @@ def measure_phantoms(
 def measure_model(
     progress: StageProgress, session: Path, recipe: SessionRecipe, settings: str, first: Path
 ) -> dict[str, Any]:
-    """Simulate one model if it is not there, and measure it.
+    """Result of one model, simulated unless it exists.
 
     Args:
-        progress: called with the stage and how far it is.
-        session: of this model.
+        progress: called with the stage and its fraction done.
+        session: folder of this model.
         recipe: of its photographs.
         settings: of all stages, TOML.
-        first: session whose calibration is taken over if its photographs of the target are the same.
+        first: session whose calibration is copied if its photographs of the target are the same.
 
     Returns:
-        ``true_cc``, and ``measured_cc`` and ``interval_cc``, or ``failed`` with the sentence of the refusal, or
-        ``uncalibrated`` with its parts.
+        ``true_cc``, and ``measured_cc`` and ``interval_cc``, or ``failed`` with the refusal as text, or
+        ``uncalibrated`` with the parts of the refusal.
 
     Raises:
         MammometryError: the session cannot be made.
@@ -230,7 +228,7 @@ def measure_model(
 
 
 def paired(results: Sequence[PhantomResult]) -> PairedMeasurements:
-    """The measured results as a table of an agreement study. The reference is the exact volume, cc.
+    """The measured results for an agreement study, with the exact volume, cc, as reference.
 
     Raises:
         MeasureError: fewer than three were measured.
@@ -255,7 +253,7 @@ def paired(results: Sequence[PhantomResult]) -> PairedMeasurements:
 
 
 def as_csv(results: Sequence[PhantomResult]) -> str:
-    """A table of the measured results that `mammometry study agreement` reads."""
+    """CSV table of the measured results for `mammometry study agreement`."""
     rows = []
     for result in results:
         if result.measured_cc is None:
@@ -266,7 +264,7 @@ def as_csv(results: Sequence[PhantomResult]) -> str:
 
 
 def _take(out: Path, wanted: dict[str, float]) -> None:
-    """Take the folder for a new study, or resume its study."""
+    """Use the folder for a new study, or continue its study."""
     record = out / _RECORD
     if record.is_file():
         try:
@@ -295,7 +293,7 @@ def _worded(values: dict[str, float]) -> str:
 
 
 def _share_calibration(first: Path, session: Path) -> None:
-    """Copy the first session's calibration. It is used only if the photographs are the same."""
+    """Copy the first session's calibration, which is used only if the photographs are the same."""
     made, wanted = first / "results" / "calibrate", session / "results" / "calibrate"
     if session == first or wanted.exists() or not made.is_dir():
         return

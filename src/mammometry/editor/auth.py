@@ -1,4 +1,4 @@
-"""Access to the page. A key that works once is exchanged for a cookie. Other requests are refused.
+"""Access to the page: a one-time key is exchanged for a cookie, and all other requests are refused.
 
 The key is never in the arguments of a program, because other users of the computer can read those.
 """
@@ -38,13 +38,13 @@ class Door:
         self._cookie = secrets.token_urlsafe(32)
 
     def new_key(self) -> str:
-        """Make a key that works once."""
+        """A new one-time key."""
         key = secrets.token_urlsafe(24)
         self._keys.add(key)
         return key
 
     def refusal(self, request: HttpRequest) -> HttpResponse | None:
-        """Return the refusal of a request, or None if it is allowed.
+        """Refusal of a request, or None if it is allowed.
 
         A request that changes data needs the cookie and must come from our own page, according to the browser.
         """
@@ -71,7 +71,7 @@ class Door:
         headers = request.headers
         length = headers.get("content-length", "")
         if not length.isdecimal():
-            return 411, "The request does not say how long it is."
+            return 411, "The request does not state its length."
         if int(length) > LARGEST_BYTES:
             return 413, f"The request is larger than {LARGEST_BYTES >> 20} MB. A drawing is much smaller."
         kind = headers.get("content-type", "").split(";")[0].strip().lower()
@@ -91,21 +91,21 @@ class Door:
             sentence = f"This link is unknown or was used before. Stop “{self._command}” and start it again."
             return _refused(request, 403, sentence)
         self._keys.discard(held or "")
-        # No redirection: a browser would follow one from another page without the cookie. This page reloads instead.
+        # Not a redirection: after a link from another page, browsers would follow it without the cookie.
         answer = HttpResponse(_document('<meta http-equiv="refresh" content="0;url=/">', "Opening …"))
         answer.set_cookie(_cookie_name(request), self._cookie, httponly=True, samesite="Strict", path="/")
         return answer
 
 
 def sealed(response: _Response) -> _Response:
-    """Forbid storing a response or framing its page."""
+    """The response with headers that forbid storing it or framing its page."""
     for name, value in _HEADERS.items():
         response[name] = value
     return response
 
 
 def entrance() -> HttpResponse:
-    """The page of the printed address. It moves the key from the address bar into a form and sends it."""
+    """Page of the printed address, which moves the key from the address bar into a form and sends it."""
     return HttpResponse(
         _document(
             "",
@@ -119,11 +119,11 @@ def entrance() -> HttpResponse:
 
 @contextmanager
 def local_page(address: str, key: str) -> Iterator[Path]:
-    """Write a private file that sends a key. Only its owner can read it. The browser opens it.
+    """Temporary file, readable only by its owner, that sends a key when a browser opens it.
 
     Args:
         address: of the server: ``http://127.0.0.1:PORT``.
-        key: works once.
+        key: one-time key.
     """
     assert urlsplit(address).hostname in _NAMES
     handle, name = tempfile.mkstemp(prefix="mammometry-edit-", suffix=".html")  # readable only by its owner
@@ -150,15 +150,12 @@ def _document(head: str, body: str) -> str:
 
 
 def _cookie_name(request: HttpRequest) -> str:
-    """Name of the cookie, by port.
-
-    Browsers share cookies between servers of one computer, and two editors may run.
-    """
+    """Name of the cookie, with the port: browsers share cookies between servers of one computer."""
     return f"mammometry-{request.get_port()}"
 
 
 def _refused(request: HttpRequest, status: int, sentence: str) -> HttpResponse:
-    """A refusal: a page for a browser that opens an address, JSON for programs and the page's own script."""
+    """A refusal: a page for a browser's navigation, JSON for programs and the page's own script."""
     if "text/html" not in request.headers.get("accept", ""):
         return JsonResponse({"error": sentence}, status=status)
     body = f"<h1>This page cannot be opened</h1><p>{escape(sentence)}</p>"

@@ -1,10 +1,10 @@
-"""Drawn curves, projected onto the surface and measured at once.
+"""Drawn curves, projected onto the surface and measured immediately.
 
 The surface is simplified, so that a volume takes less than a second. The final number comes from ``mammometry
 measure``, which measures the saved curve on the full mesh.
 
-An existing curve is edited by a few of its own points, its handles. If a handle is moved, the curve is drawn again up
-to the next handle on either side. All other points stay exactly as they are.
+An existing curve is edited by handles, a few of its own points. If a handle is moved, the curve is redrawn up to the
+next handle on either side. All other points remain unchanged.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from mammometry.report.models import thinned
 from mammometry.surface.repair.repair import RepairedSurface
 
 TRIANGLES = 120_000  # of the simplified surface: a volume then takes less than a second
-_STEP_MM = 2.0  # between points of a drawn curve; chosen by eye
-_HANDLE_MM = 18.0  # between handles; chosen by eye
-_FEWEST_HANDLES = 8  # of a small curve; chosen by eye
-_TANGENT_MM = 5.0  # length over which a kept curve's direction is taken where a new piece joins it; chosen by eye
+_STEP_MM = 2.0  # spacing of a drawn curve's points: finer than the path along which it is cut, 3 mm
+_HANDLE_MM = 18.0  # spacing of the handles; affects only the page
+_FEWEST_HANDLES = 8  # fewest handles of a small curve; affects only the page
+_TANGENT_MM = 5.0  # length over which a curve's direction is averaged where a new piece joins it: two to three points
 _DIGITS = 4  # decimals of new points in mm
 
 
@@ -44,13 +44,13 @@ class LiveVolume:
     curve_world: Float64[Array, "n 3"]
     """The closed curve on the surface, mm, world frame."""
     volume_cc: float | None
-    """None if the curve encloses no solid; `problem` has the reason."""
+    """None if the curve does not enclose a solid; `problem` is the reason."""
     interval_cc: tuple[float, float] | None
     problem: str | None
     crossings_world: Float64[Array, "k 3"] = field(default_factory=lambda: np.empty((0, 3)))
-    """Where the curve crosses itself, mm, world frame. It then encloses no volume."""
+    """Points at which the curve crosses itself, mm, world frame; there is then no volume."""
     preliminary: bool = True
-    """False: the number of the full measurement, not of the simplified surface."""
+    """Whether it is from the simplified surface, not from the full measurement."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -65,7 +65,7 @@ class Handle:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DrawingBoard:
-    """The surface that is drawn on."""
+    """The surface for drawing."""
 
     surface: RepairedSurface
     """Simplified; world frame, mm."""
@@ -78,12 +78,12 @@ class DrawingBoard:
         automatic: Mapping[str, Boundary] | None = None,
         wanted: Collection[str] | None = None,
     ) -> dict[str, LiveVolume]:
-        """Measure the volumes inside closed curves.
+        """Volumes inside closed curves.
 
         Args:
             curves_world: breast → its boundary, mm, world frame.
             automatic: boundaries that were found automatically. A curve equal to one of them is measured as automatic.
-            wanted: breasts whose volume is wanted; None: all of them.
+            wanted: breasts to measure; None: all.
         """
         kept = {name: boundary for name, boundary in (automatic or {}).items() if name in curves_world}
         drawn: dict[str, Boundary] = {}
@@ -116,15 +116,11 @@ class DrawingBoard:
         return live
 
     def check(self, name: str, curve_world: Float64[Array, "n 3"]) -> None:
-        """Refuse a curve that the measurement would refuse: open, crossing itself or off the surface.
-
-        Raises:
-            MeasureError: with the fault and its size.
-        """
+        """Raise a MeasureError if a curve is open, crosses itself or is off the surface."""
         check_curve(name, curve_world, self.surface.mesh)
 
     def laid(self, points_world: Float64[Array, "k 3"]) -> Float64[Array, "n 3"]:
-        """Smooth closed curve through points, on the surface. A periodic cubic spline over their distances."""
+        """Smooth closed curve through points, on the surface: a periodic cubic spline over the arc length."""
         closed = np.concatenate([points_world, points_world[:1]])
         along = _along(closed)
         at = np.linspace(0.0, along[-1], max(int(along[-1] / _STEP_MM), 12), endpoint=False)
@@ -133,8 +129,8 @@ class DrawingBoard:
     def edited(self, curve_world: Float64[Array, "n 3"], handles: Sequence[Handle]) -> Float64[Array, "m 3"]:
         """Curve after some of its handles were moved, added or removed.
 
-        Points between two neighbouring handles (`handle_indices`) that did not change stay exactly as they are; every
-        other piece is a smooth curve through its handles that continues in their direction.
+        Points between two unchanged neighbouring handles (`handle_indices`) remain unchanged. Each other piece is a
+        smooth curve through its handles that continues the direction of the unchanged parts.
 
         Args:
             curve_world: the original curve, mm, world frame.
@@ -175,7 +171,7 @@ class DrawingBoard:
     def _joined(
         self, curve_world: Float64[Array, "n 3"], first: int, last: int, through: Float64[Array, "k 3"]
     ) -> Float64[Array, "m 3"]:
-        """New piece between two kept points of a curve, without these two."""
+        """New piece between two unchanged points of a curve, without these points."""
         along = _along(through)
         steps = max(round(along[-1] / _STEP_MM), 2)
         spline = CubicSpline(
@@ -196,7 +192,7 @@ class DrawingBoard:
 def drawing_board(
     surface: RepairedSurface, frame: Float64[Array, "3 3"], settings: MeasureSettings, *, triangles: int = TRIANGLES
 ) -> DrawingBoard:
-    """Simplify a repaired surface for drawing on it."""
+    """A repaired surface, simplified for drawing."""
     mesh, origin = thinned(surface.mesh, triangles)
     small = RepairedSurface(
         mesh=mesh,
@@ -210,10 +206,7 @@ def drawing_board(
 
 
 def handle_indices(curve_world: Float64[Array, "n 3"]) -> Int64[Array, " k"]:
-    """Indices of a closed curve's handles.
-
-    Evenly spaced, eight or more if there are so many points, else three.
-    """
+    """Indices of a closed curve's evenly spaced handles: at least eight if it has as many points, else three."""
     along = _along(np.concatenate([curve_world, curve_world[:1]]))
     count = max(int(along[-1] / _HANDLE_MM), _FEWEST_HANDLES)
     if len(curve_world) <= count:
@@ -226,20 +219,17 @@ def handle_indices(curve_world: Float64[Array, "n 3"]) -> Int64[Array, " k"]:
 
 
 def _along(points: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
-    """Distance along a chain of points, mm. It always increases, even if a point occurs twice."""
+    """Distance along a polyline, mm; strictly increasing, even if a point occurs twice."""
     return np.concatenate([[0.0], np.cumsum(np.maximum(np.linalg.norm(np.diff(points, axis=0), axis=1), 1e-6))])
 
 
 def _between(curve: Float64[Array, "n 3"], first: int, last: int) -> Float64[Array, "m 3"]:
-    """Points of a closed curve from one up to, without, another."""
+    """Points of a closed curve from the first index up to, but without, the last."""
     return curve[first:last] if first < last else np.concatenate([curve[first:], curve[:last]])
 
 
 def _direction(curve: Float64[Array, "n 3"], at: int, step: int) -> Float64[Array, 3]:
-    """Direction of a closed curve at a point, unit vector.
-
-    From its points a few mm before it (step -1) or behind it (step 1).
-    """
+    """Unit direction of a closed curve at a point, from the points before (step -1) or after it (step 1)."""
     k = at
     for _ in range(len(curve) - 1):
         k = (k + step) % len(curve)

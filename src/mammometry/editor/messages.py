@@ -1,4 +1,4 @@
-"""Messages from the page, checked as far as possible without the session. Lengths in mm, world frame."""
+"""Messages from the page (lengths in mm, world frame), checked as far as possible without the session."""
 
 from typing import Annotated, Any, Literal
 
@@ -23,7 +23,7 @@ Author = Annotated[str, Field(max_length=80), AfterValidator(_is_name)]
 
 
 class Message(BaseModel):
-    """Contains only the named fields."""
+    """A message, which must not contain other fields."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 

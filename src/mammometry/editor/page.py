@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from mammometry.api.job import Job
 
-_TRIANGLES = 150_000  # of the surface on the page: fine enough to see the nipple, small enough to load; chosen by eye
+_TRIANGLES = 150_000  # of the surface on the page: fine enough to see the nipple, small enough to load; display only
 _LOG = logging.getLogger(__name__)
 _Message = TypeVar("_Message", bound=Message)
 
@@ -36,11 +36,11 @@ class EditorPage:
         """Prepare the surface and the scene of the page.
 
         Args:
-            job: an open session or scan; its surface is made if it is not current.
+            job: an open session or scan; its surface is computed if it is not current.
             author: name of the person who draws; without it the page asks.
 
         Raises:
-            MammometryError: the surface cannot be made, or the subject has nothing to draw on.
+            MammometryError: the surface cannot be computed, or the subject has no boundaries.
         """
         self.desk = Desk(job, job.identity.subject)
         self.title = job.identity.title
@@ -48,7 +48,7 @@ class EditorPage:
         self._scene = _scene(job)
 
     def drawing(self, author: str | None = None) -> dict[str, Any]:
-        """Everything the page needs when it is opened.
+        """Data of the page when it is opened.
 
         Args:
             author: name of the logged-in person, which the page cannot change; None lets the page ask.
@@ -83,7 +83,7 @@ class EditorPage:
 
 
 def _scene(job: Job) -> dict[str, Any]:
-    """The surface with its photographs, from the report if that is current, otherwise made here."""
+    """The surface with its photographs, from the report if that is current, else computed."""
     record = job.store.record(job.content_key)
     mesh = job.mesh.key
     if record is not None and record.inputs.get(f"{mesh.stage}/{mesh.product}", mesh.digest) == mesh.digest:

@@ -1,6 +1,6 @@
-"""The local page. Serves the surface, measures drawn curves, saves changes into the session.
+"""Server of the local page: it sends the surface, measures drawn curves and saves changes into the session.
 
-It listens only on 127.0.0.1, and needs a key (`door`).
+It listens only on 127.0.0.1, and requires a one-time key (`auth`).
 """
 
 import io
@@ -25,25 +25,25 @@ Application = Callable[[Any, Any, Any], Awaitable[None]]
 
 
 def editor_app(opened: Callable[[], Job], door: Door, *, author: str | None = None) -> Application:
-    """Make the server of the page for one session or scan.
+    """Application of the page for one session or scan.
 
     Args:
-        opened: opens it, first for the page and again for each measurement. Its surface is made if it is not current.
-        door: decides about access.
+        opened: opens it, first for the page and again for each measurement. Its surface is computed if not current.
+        door: controls access.
         author: name of the person who draws. Without it the page asks.
 
     Raises:
-        MammometryError: the surface cannot be made, or the subject has nothing to draw on.
+        MammometryError: the surface cannot be computed, or the subject has no boundaries.
     """
     return guarded_app(_routes(_LocalPage(opened, author), door), door)
 
 
 def guarded_app(routes: tuple[URLPattern, ...], door: Door) -> Application:
-    """Make the server of a local page.
+    """Application of a local page.
 
     Args:
-        routes: of the page, with `door.enter` among them (`entrance_route`).
-        door: decides about access.
+        routes: of the page, including `door.enter` (`entrance_route`).
+        door: controls access.
     """
     handler = _handler()
 
@@ -67,8 +67,8 @@ def serve(opened: Callable[[], Job], *, ready: Callable[[str, str], None], autho
 
     Args:
         opened: as for `editor_app`.
-        ready: called as soon as the page answers, with an address that works once, and the address of a local file that
-            opens the page without revealing the key to other users of this computer.
+        ready: called when the page can be opened, with a one-time address, and the address of a local file that opens
+            the page without revealing the key to other users of this computer.
         author: as for `editor_app`.
 
     Raises:
@@ -90,7 +90,7 @@ def listen(app: Application, door: Door, *, ready: Callable[[str, str], None]) -
 
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listener:
         listener.bind((HOST, 0))
-        listener.listen()  # from here on an early browser waits
+        listener.listen()  # from now on browsers wait
         address = f"http://{HOST}:{listener.getsockname()[1]}"
         server = uvicorn.Server(
             uvicorn.Config(app, log_config=None, log_level="warning", access_log=False, lifespan="off")
@@ -101,7 +101,7 @@ def listen(app: Application, door: Door, *, ready: Callable[[str, str], None]) -
 
 
 def _handler() -> ASGIHandler:
-    """Django with only our views: no database, no sessions, no login."""
+    """Django with only our views, without database, sessions and login."""
     if not settings.configured:
         settings.configure(ROOT_URLCONF=(), MIDDLEWARE=[], USE_I18N=False, DATABASES={}, LOGGING_CONFIG=None)
     return get_asgi_application()
@@ -152,7 +152,7 @@ def entrance_route(door: Door) -> URLPattern:
 
 
 def page_view(**by_method: Callable[[HttpRequest], HttpResponse | dict[str, Any]]) -> Callable[..., HttpResponseBase]:
-    """Answer only the given methods. Errors become sentences."""
+    """View that answers only the given methods. Errors become messages."""
 
     def view(request: HttpRequest) -> HttpResponseBase:
         answer = by_method.get(request.method or "")

@@ -49,17 +49,17 @@ _LASTING = ("method", "author", "drawn")
 
 
 class Desk:
-    """A session or a scan that is drawn on. Its methods may be called from several threads."""
+    """Drawing on a session or a scan. Its methods may be called from several threads."""
 
     def __init__(self, job: Job, subject: str | None = None) -> None:
         """Prepare the surface for drawing.
 
         Args:
-            job: an open session or scan; its surface is made if it is not current.
+            job: an open session or scan; its surface is computed if it is not current.
             subject: identifier of the subject, if it has one. Drawn files of another subject are refused.
 
         Raises:
-            MammometryError: the surface cannot be made, or the subject has nothing to draw on.
+            MammometryError: the surface cannot be computed, or the subject has no boundaries.
         """
         self.kind = job.inputs.subject_kind
         if not BREASTS[self.kind]:
@@ -71,7 +71,7 @@ class Desk:
         self.folder = job.folder
         self.subject = subject
         frame = rig_frame(job.rig, job.inputs.mounting)
-        pool = ThreadPoolExecutor(1)  # the page opens in the meantime
+        pool = ThreadPoolExecutor(1)  # the page is opened in parallel
         self._board = pool.submit(drawing_board, surface, frame, job.settings.measure)
         pool.shutdown(wait=False)
         self.low, self.high = surface.mesh.vertices.min(axis=0), surface.mesh.vertices.max(axis=0)
@@ -87,7 +87,7 @@ class Desk:
         return self._board.result()
 
     def measured(self) -> dict[str, VolumeMeasurement]:
-        """Breast → last measurement with the drawing at opening. Empty if not current."""
+        """Breast → measurement with the drawing at opening. Empty if not current."""
         return {measured.name: measured for measured in self.job.plan.current(measure.measurements) or ()}
 
     def _proposed(self) -> dict[str, Any]:
@@ -99,7 +99,7 @@ class Desk:
         }
 
     def state(self) -> dict[str, Any]:
-        """State of the page as JSON. Exact curves, their origin, and digests for saving.
+        """State of the page as JSON: exact curves, their origin, and digests for saving.
 
         Raises:
             SessionError: a drawn file is invalid.
@@ -130,7 +130,7 @@ class Desk:
         }
 
     def live(self, sent: Measure) -> dict[str, Any]:
-        """Measure the curves on the page. A curve that was already measured keeps its exact number."""
+        """Volumes of the curves on the page, exact for curves that were already measured."""
         with self._lock:
             curves = {str(name): self._curve(name, sketch) for name, sketch in sent.boundaries.items()}
             known = {
@@ -146,7 +146,7 @@ class Desk:
         """Save changes. Nothing else in the session changes.
 
         Raises:
-            LateError: somebody else has changed the same item.
+            LateError: the same item was changed by someone else.
             MeasureError: the measurement would refuse the curve, for example because it crosses itself.
             SessionError: the message or a file is invalid.
             StorageError: the session cannot be written to.
@@ -174,7 +174,7 @@ class Desk:
         """Record that all boundaries were checked and are right.
 
         Raises:
-            LateError: somebody else has changed a boundary.
+            LateError: a boundary was changed by someone else.
             MeasureError: a curve crosses itself.
             SessionError: a boundary is not the one on the page, or was not checked.
             StorageError: the session cannot be written to.
@@ -226,7 +226,7 @@ class Desk:
         return curves
 
     def _found(self) -> dict[str, Boundary]:
-        """Automatic boundaries. Empty if they cannot be found, for which the page gives the reason."""
+        """Automatic boundaries. Empty if they cannot be found; the page shows the reason."""
         if self._automatic is None:
             plan, given = self.job.plan, self.job.inputs.boundaries
             try:
