@@ -47,7 +47,7 @@ def propose_on_midline(
     lowest_mm: float,
     highest_mm: float,
     *,
-    known: Bool[Array, " n"] | None = None,
+    claimed: Bool[Array, " n"] | None = None,
 ) -> tuple[Landmark, ...]:
     """Proposals for the midline, the sternal notch and the umbilicus, if they are visible.
 
@@ -58,11 +58,11 @@ def propose_on_midline(
         plane_sigma_mm: standard uncertainty of the plane's place, mm.
         lowest_mm: height of the boundaries' lowest point over `point_world`, along the frame's second row.
         highest_mm: height of their highest point.
-        known: vertices on measured skin or next to it; proposals are made only there. None: all.
+        claimed: vertices on measured skin or next to it; proposals are made only there. None: all.
     """
     ahead = mesh.vertex_normals() @ frame[2] > _FACING
-    if known is not None:
-        ahead &= known
+    if claimed is not None:
+        ahead &= claimed
     places = (mesh.vertices[ahead] - point_world) @ frame.T
     places = places[np.abs(places[:, 0]) < _ASIDE_MM]
     if not len(places):
