@@ -79,7 +79,7 @@ def compare(
     watches: tuple[Watch, Watch] = (unwatched, unwatched),
     progress: Progress = no_progress,
 ) -> Comparison:
-    """Changes between two sessions of one patient, with a page. Results that are not current are computed first.
+    """Changes between two sessions of one patient, with a page. Stale results are computed first.
 
     Args:
         before: the earlier session; if both manifests have a date, the dates decide.
@@ -256,7 +256,7 @@ def _check(jobs: list[Job]) -> None:
 
 
 def _one_subject(jobs: list[Job]) -> str | None:
-    """The subject in the manifests; raises an error if they differ."""
+    """The subject in the manifests. Raises an error if they differ."""
     return one_subject(
         [(f"{job.folder}: subject.id", job.identity.subject) for job in jobs],
         remedy="Name two sessions of one subject, or correct subject.id in the one that is wrong",

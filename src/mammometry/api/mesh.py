@@ -1,4 +1,4 @@
-"""Measurement of a scanner's mesh like a session's surface, with the same boundaries, walls, interval and report.
+"""Measurement of a scanner's mesh, with the boundaries, walls, interval and report of a session.
 
 ::
 
@@ -347,7 +347,7 @@ class MeshJob(Job):
                 self._write_report(partial(self._gathered, drawn=pictures))
 
     def keys(self, stage: Stage) -> tuple[Key, ...]:
-        """Keys of a stage's products, or of the report's content; empty for a stage that needs photographs."""
+        """Keys of a stage's products, or of the report's content. Empty for a stage of photographs."""
         return (self.content_key,) if stage == "report" else tuple(product.key for product in self.plan.products(stage))
 
     def previews(self, stage: Stage) -> dict[str, bytes]:

@@ -69,7 +69,7 @@ class Previews:
 
     @contextmanager
     def drawing(self, stages: Sequence[Stage]) -> Iterator[Drawing]:
-        """Context in which pictures are drawn when their stages are complete; all are complete at its end.
+        """Context in which pictures are drawn as soon as their stages are complete.
 
         Args:
             stages: to be computed, in order. A second process is used only if pictures can be drawn in parallel with a

@@ -361,7 +361,7 @@ class Job(Reported):
         }
 
     def keys(self, stage: Stage) -> tuple[Key, ...]:
-        """Keys of a stage's products and pictures, or of the report's content, which a confirmation does not change."""
+        """Keys of a stage's products and pictures, or of the report's content."""
         if stage == "report":
             return (self.content_key,)
         return (*(product.key for product in self.plan.products(stage)), previews_key(stage, self.plan))
@@ -443,7 +443,7 @@ class Job(Reported):
 
 
 def _keys_in(page: Path) -> set[str]:
-    """Digests in a page's head; empty for pages of earlier versions."""
+    """Digests in a page's head. Empty for pages of earlier versions."""
     with page.open(encoding="utf-8", errors="replace") as file:
         match = _PAGE_KEY.search(file.read(_HEAD))
     return set(match[1].split(",")) if match else set()

@@ -68,7 +68,7 @@ def _used_files(job: Job, keys: list[Key]) -> set[str]:
 
 
 def _files(folder: Path) -> Iterator[str]:
-    """Files of a folder except its results and hidden files; none in a measured mesh's folder."""
+    """Files of a folder except its results and hidden files. None in a measured mesh's folder."""
     if is_measured(folder):
         return
     for path in sorted(folder.rglob("*")):

@@ -64,7 +64,7 @@ class Reported(ABC):
         """Content of a report that is not in products."""
 
     def _photographs(self) -> Mapping[str, str]:
-        """Photographs that the report's page links: name → relative address; empty for a mesh."""
+        """Photographs that the report's page links: name → relative address. Empty for a mesh."""
         return {}
 
     def _page_key(self, page: PageInputs) -> Key:

@@ -206,7 +206,7 @@ def drawing_board(
 
 
 def handle_indices(curve_world: Float64[Array, "n 3"]) -> Int64[Array, " k"]:
-    """Indices of a closed curve's evenly spaced handles: at least eight if it has as many points, else three."""
+    """Indices of a closed curve's evenly spaced handles: eight or more, or three of a short curve."""
     along = _along(np.concatenate([curve_world, curve_world[:1]]))
     count = max(int(along[-1] / _HANDLE_MM), _FEWEST_HANDLES)
     if len(curve_world) <= count:
@@ -219,7 +219,7 @@ def handle_indices(curve_world: Float64[Array, "n 3"]) -> Int64[Array, " k"]:
 
 
 def _along(points: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
-    """Distance along a polyline, mm; strictly increasing, even if a point occurs twice."""
+    """Distance along a polyline, mm. Strictly increasing, even if a point occurs twice."""
     return np.concatenate([[0.0], np.cumsum(np.maximum(np.linalg.norm(np.diff(points, axis=0), axis=1), 1e-6))])
 
 

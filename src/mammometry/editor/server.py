@@ -1,4 +1,4 @@
-"""Server of the local page: it sends the surface, measures drawn curves and saves changes into the session.
+"""Server of the local page, which measures drawn curves and saves changes into the session.
 
 It listens only on 127.0.0.1, and requires a one-time key (`auth`).
 """

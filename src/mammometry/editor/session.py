@@ -226,7 +226,7 @@ class Desk:
         return curves
 
     def _found(self) -> dict[str, Boundary]:
-        """Automatic boundaries. Empty if they cannot be found; the page shows the reason."""
+        """Automatic boundaries. Empty if they cannot be found. The page shows the reason."""
         if self._automatic is None:
             plan, given = self.job.plan, self.job.inputs.boundaries
             try:

@@ -1,4 +1,4 @@
-"""The front of a scanned body's trunk. Back, legs and head are cut off, so that results do not depend on them."""
+"""The front of a scanned body's trunk, without back, legs and head."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _TOES_MM = 20.0  # least distance of the feet in front of the ankles; adults hav
 
 
 def front_of_body(scan: RepairedScan, frame: Float64[Array, "3 3"]) -> RepairedScan:
-    """A scan without its back, and of a whole body only the upper trunk; the same scan if there is nothing to cut off.
+    """A scan without its back, and of a whole body only the upper trunk.
 
     Args:
         scan: a torso or a whole body, mm.

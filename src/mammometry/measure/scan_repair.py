@@ -216,7 +216,7 @@ def _merged(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def _body(mesh: TriangleMesh, notes: list[str], *, largest: bool) -> TriangleMesh:
-    """Remove all pieces but the body; raise a MeasureError if others are too large."""
+    """Remove all pieces but the body. Raise a MeasureError if others are too large."""
     areas, part = _areas_mm2(mesh)
     if len(areas) == 1:
         return mesh
@@ -283,7 +283,7 @@ def _facing_out(mesh: TriangleMesh, notes: list[str]) -> tuple[TriangleMesh, boo
 def _turned_apart(
     count: int, one: Int64[Array, " e"], other: Int64[Array, " e"], unlike: Bool[Array, " e"]
 ) -> Bool[Array, " m"] | None:
-    """Faces to turn so that neighbours agree; None if that is impossible.
+    """Faces to turn so that neighbours agree. None if that is impossible.
 
     Each face is two nodes of a graph, as it is and turned. Neighbours that disagree are connected crosswise.
     """
@@ -378,7 +378,7 @@ def _without_chords(
 
 
 def _width_mm(rim: Float64[Array, "n 3"]) -> float:
-    """Width of a hole, mm; infinite if it is too long."""
+    """Width of a hole, mm. Infinite if it is too long."""
     if np.ptp(rim, axis=0).max() > _LONGEST_HOLE_MM:
         return float("inf")
     after = np.roll(rim, -1, axis=0)

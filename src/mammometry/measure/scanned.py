@@ -101,7 +101,7 @@ def check_mesh(mesh: TriangleMesh) -> None:
 
 
 def finer_scan(scan: RepairedScan, curves: Sequence[Float64[Array, "_ 3"]]) -> RepairedScan:
-    """A scan refined near the curves by `finer_along`. New vertices on edges of invented skin are invented."""
+    """A scan refined near the curves by `finer_along`, with new vertices on invented edges invented."""
     mesh, invented = _finer(scan.mesh, scan.invented, curves)
     return replace(scan, mesh=mesh, invented=invented)
 
@@ -114,7 +114,7 @@ def finer_along(mesh: TriangleMesh, curves: Sequence[Float64[Array, "_ 3"]]) -> 
 def _finer(
     mesh: TriangleMesh, marked: Bool[Array, " n"], curves: Sequence[Float64[Array, "_ 3"]]
 ) -> tuple[TriangleMesh, Bool[Array, " m"]]:
-    """The refined mesh and its marked vertices; a new vertex is marked if an end of its edge is."""
+    """The refined mesh and its marked vertices. A new vertex is marked if an end of its edge is."""
     if not curves:
         return mesh, marked
     vertices, faces = mesh.vertices, mesh.faces
@@ -293,7 +293,7 @@ def _axis(name: str, option: str) -> Float64[Array, 3]:
 
 
 def in_mesh_unit(points_mm: Float64[Array, "n 3"], mesh: TriangleMesh, mm_per_unit: float) -> Float64[Array, "n 3"]:
-    """A drawn curve in mm. Its unit is mm, or the mesh file's if that puts the curve on the mesh, and nearer to it."""
+    """A drawn curve in mm, from mm or from the mesh file's unit, whichever puts it nearer to the mesh."""
     vertices = point_tree(mesh.vertices)
     as_mm, as_unit = (float(np.median(vertices.query(points_mm * factor)[0])) for factor in (1.0, mm_per_unit))
     return points_mm * mm_per_unit if as_unit < min(_ON_MESH_MM, as_mm) else points_mm

@@ -143,7 +143,7 @@ def compare_surfaces(
 
 
 def align_surfaces(measured: TriangleMesh, truth: TriangleMesh, at: Int64[Array, " k"]) -> Transform:
-    """Rigid motion (truth_from_measured) of a measured surface onto the truth: ICP, point to plane, Huber's weights.
+    """Rigid motion of a measured surface onto the truth: point-to-plane ICP with Huber's weights.
 
     Args:
         measured: the surface under test, mm, within a few mm of its place.
@@ -174,7 +174,7 @@ def align_surfaces(measured: TriangleMesh, truth: TriangleMesh, at: Int64[Array,
 def map_errors(
     measured: TriangleMesh, truth: TriangleMesh, seen: Bool[Array, " m"], *, truth_from_measured: Transform
 ) -> ErrorMap:
-    """Signed distance of each measured vertex from the true surface, mm, to some hundredths of a mm; for figures.
+    """Signed distance of each measured vertex from the true surface, to some 0.01 mm, for figures.
 
     Near the truth it is the distance from the tangent plane at the closest true vertex, farther away the distance from
     that vertex itself.

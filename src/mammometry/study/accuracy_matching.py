@@ -184,7 +184,7 @@ def judge_disparity(truth: TrueDisparity, found: DisparityMap) -> MatchingAccura
 
 
 def judge_range(truth: TrueDisparity, found: RangeImage) -> RangeAccuracy | None:
-    """Errors of one pair's range image, at pixels that truth and range image share. None if none of them has a range.
+    """Errors of one pair's range image. None if no evaluated pixel has a range.
 
     Distances from the perspective centre need no common frame, so alignment does not affect them.
     """
@@ -203,7 +203,7 @@ def judge_range(truth: TrueDisparity, found: RangeImage) -> RangeAccuracy | None
 
 
 def judge_silhouette(scene: RayScene, true: Camera, foreground: Foreground) -> SilhouetteAccuracy | None:
-    """Distance of a found silhouette from the true one, in pixels of the photograph. None without a contour.
+    """Distance of a found silhouette from the true one, photograph pixels. None without a contour.
 
     The true contour is that of half coverage, from 8 × 8 rays in each pixel near the edge.
 

@@ -123,7 +123,7 @@ _REMEDY = "Name the truth of this session with --truth, or measure the session a
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SessionResults:
-    """Results of a session, as far as they exist; mm, world frame. Large values are loaded when called."""
+    """Existing results of a session, mm, world frame. Large values are loaded when called."""
 
     rig: Rig
     """The calibrated cameras."""
@@ -185,7 +185,7 @@ class Evaluation:
     """Errors of the latest surface at each vertex."""
 
     def as_table(self) -> dict[str, Any]:
-        """All figures as JSON-ready data; unknown ones are null."""
+        """All figures as JSON-ready data, with null for unknown ones."""
         pair, worst_mm = self.cameras.worst_pair
         table: dict[str, Any] = plain(
             {

@@ -139,7 +139,7 @@ def _by_ratio(
 
 
 def _agreement(ms: MeanSquares, confidence: float) -> IntraclassCorrelation:
-    """ICC(A,1), absolute agreement; its interval uses Satterthwaite's degrees of freedom."""
+    """ICC(A,1), absolute agreement. Its interval uses Satterthwaite's degrees of freedom."""
     n, k = ms.subjects, ms.methods
     signal, methods, noise = ms.between_subjects, ms.between_methods, ms.residual
     value = _divided(signal - noise, signal + (k - 1) * noise + k * (methods - noise) / n)

@@ -159,7 +159,7 @@ def _order(repeat: str) -> tuple[bool, int, str]:
 
 
 def scatter_of(groups: Sequence[Sequence[Float64[Array, " _"]]]) -> tuple[Scatter | None, Scatter | None]:
-    """Scatter within one observer and between any observers, pooled over breasts; None without such drawings.
+    """Scatter within one observer, and between any observers, pooled over breasts.
 
     Args:
         groups: breast → observer → volumes of that observer's drawings, cc.
@@ -353,7 +353,7 @@ def observers_tables(found: ObserverStudy, drawings: Sequence[Drawing]) -> list[
 
 
 def observers_json(found: ObserverStudy, drawings: Sequence[Drawing]) -> dict[str, Any]:
-    """All results as JSON-ready data; unknown ones are null."""
+    """All results as JSON-ready data, with null for unknown ones."""
 
     def scatter(spread: Scatter | None) -> dict[str, Any] | None:
         return None if spread is None else {**asdict(spread), "mdc": asdict(spread.mdc)}

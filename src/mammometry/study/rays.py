@@ -32,7 +32,7 @@ class Hits:
 
 
 class RayScene:
-    """A mesh prepared for ray casting: embree finds the triangle, its plane gives the distance in double precision."""
+    """A mesh prepared for ray casting by embree, with distances in double precision."""
 
     def __init__(self, mesh: TriangleMesh) -> None:
         from embreex import rtcore_scene
@@ -78,7 +78,7 @@ class RayScene:
         return self.cast(origin, offsets / distance[:, None]).range_mm < distance - _SEEN_MM
 
     def seen_from(self, origin: Float64[Array, 3], points: Float64[Array, "*n 3"]) -> Hits:
-        """Hits of rays towards given points; none for hidden points and NaN."""
+        """Hits of rays towards given points, none for hidden points and NaN."""
         offsets = points - origin
         distance = np.linalg.norm(offsets, axis=-1)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -95,13 +95,13 @@ def pixel_grid(camera: Camera, step: int = 1) -> Float64[Array, "h w 2"]:
 
 
 def inside(camera: Camera, uv: Float64[Array, "*n 2"]) -> Bool[Array, "*n"]:
-    """Mask of the positions inside the image; false for NaN."""
+    """Mask of the positions inside the image, false for NaN."""
     with np.errstate(invalid="ignore"):
         return np.all((uv >= 0) & (uv <= np.array(camera.size_wh) - 1), axis=-1)
 
 
 def seen_by_pairs(scene: RayScene, rig: Rig, *, every: int = 1) -> tuple[Int64[Array, " k"], Mapping[str, Array]]:
-    """Indices of the tested vertices, and pair → whether both its cameras see each of them at less than 75°.
+    """Indices of the tested vertices, and pair → whether both cameras see each at less than 75°.
 
     Args:
         scene: the true surface.

@@ -42,7 +42,7 @@ def p_words(p: float) -> str:
 
 
 def signed(value: float, digits: int = 1) -> str:
-    """A number with its sign and a true minus; zero without a sign."""
+    """A number with its sign and a true minus, zero without a sign."""
     words = number(value, f"+.{digits}f")
     return words.lstrip("+−") if value == value and not float(f"{value:.{digits}f}") else words
 

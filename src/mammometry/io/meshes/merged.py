@@ -82,7 +82,7 @@ def sha256_of(path: Path) -> str:
 
 
 def sigma_mm(also: Sequence[AlsoScan]) -> float:
-    """Standard uncertainty of the surface along its normal from merging, mm; 0 for a single scan."""
+    """Standard uncertainty of the surface along its normal from merging, mm. 0 for a single scan."""
     return max((scan.sigma_mm for scan in also), default=0.0)
 
 

@@ -1,4 +1,4 @@
-"""Our triangle meshes: PLY in mm, world frame; textured GLB (metres, by its standard) and OBJ (mm) for any viewer."""
+"""Our triangle meshes: PLY (mm, world frame), and textured GLB (metres) and OBJ (mm) for viewers."""
 
 from __future__ import annotations
 

@@ -193,7 +193,7 @@ def _check_written(mesh: Path, files: Mapping[str, bytes], foreign: ForeignMesh)
 def skin_colours(
     folder: Path, scan: Scan, points_mm: Float64[Array, "n 3"], otherwise: UInt8[Array, "n 3"]
 ) -> UInt8[Array, "n 3"]:
-    """Colours of a scan's pictures at points of its skin; more detailed than those of its vertices.
+    """Colours of a scan's pictures at points of its skin, more detailed than those of its vertices.
 
     Args:
         folder: of the scan.
@@ -328,7 +328,7 @@ def _libraries(mesh: Path, lines: tuple[str, ...]) -> list[Path]:
 
 
 def _materials(path: Path) -> dict[str, str]:
-    """Material → file name of its picture; empty for a plain colour."""
+    """Material → file name of its picture. Empty for a plain colour."""
     content = read_bytes(path, path.name, "a material file", most_mib=_MOST_MTL_MIB)
     pictures: dict[str, str] = {}
     current = ""

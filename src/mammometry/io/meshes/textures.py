@@ -118,7 +118,7 @@ def texture_at(
 
 
 def parse_covered_obj(path: Path) -> CoveredObj:
-    """An OBJ with its texture coordinates and materials; a vertex has those of the first face with it.
+    """An OBJ, each vertex with the texture coordinates and material of its first face.
 
     Raises:
         SessionError: the file cannot be read, or a line contains no numbers.

@@ -1,4 +1,4 @@
-"""Write and read products, each in the format of its kind (docs/session-folder.md; `formats`).
+"""Write and read products, each in the format of its kind (docs/session-folder.md, `formats`).
 
 A value without its own format becomes a .npz: a JSON tree of dataclasses of this package, mappings, tuples,
 enumerations and scalars, and numbered arrays. A stored type is written under its label in `STORED_TYPES`.
@@ -272,7 +272,7 @@ _JSON_FORMAT = 1
 
 
 def write_arrays(path: Path, value: Any) -> None:
-    """Write a value to a compressed .npz. Its array ``packed`` is UTF-8 JSON: the arrays stored by `packed`."""
+    """Write a value to a compressed .npz, whose array ``packed`` lists the packed arrays as JSON."""
     arrays: dict[str, np.ndarray[Any, Any]] = {}
     tree = json.dumps(to_tree(value, arrays)).encode()
     laid_out: dict[str, dict[str, Any]] = {}

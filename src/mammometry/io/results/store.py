@@ -155,7 +155,7 @@ class Store:
             self._set_aside(left)
 
     def _set_aside(self, path: Path) -> None:
-        """Rename a foreign file or folder; a link itself, not its target."""
+        """Rename a foreign file or folder. A link itself, not its target."""
         name = f"{ASIDE}{path.name.lstrip('.')}"
         number = 1
         while os.path.lexists(self.folder / f"{name}-{number}"):
@@ -164,7 +164,7 @@ class Store:
         path.rename(self.folder / f"{name}-{number}")
 
     def state(self, key: Key) -> State:
-        """State of a product. A file is read once per process, and again if its times, size or inode have changed."""
+        """State of a product. A file is read once per process, and again if it seems changed."""
         record = self.record(key)
         if record is None:
             return "absent"

@@ -109,7 +109,7 @@ def find_boundaries(
     rim_radius_mm: float | None = None,
     progress: Progress = no_progress,
 ) -> tuple[Boundary, ...]:
-    """Boundary of a cast, or boundaries of a torso's breasts; none for an open surface.
+    """Boundary of a cast, or boundaries of a torso's breasts. None for an open surface.
 
     Args:
         surface: the closed, repaired mesh; world frame, mm.
@@ -182,7 +182,7 @@ def find_base(
     viewer_direction: Float64[Array, 3],
     settings: BaseRimSettings = BaseRimSettings(),
 ) -> tuple[AdjustedBase, tuple[Base, ...]]:
-    """A cast's base from its rim (plane or convex cylinder), and alternatives that the cameras do not exclude.
+    """A cast's base (plane or convex cylinder) from its rim, and alternatives that remain possible.
 
     It is searched robustly, then adjusted to all silhouettes. The cylinder is used if the cameras agree on its rim
     clearly better than on the plane's. A base that cuts off measured skin that the other one keeps is excluded.

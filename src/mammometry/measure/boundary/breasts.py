@@ -455,7 +455,7 @@ def _no_crease(creased: float, name: str, least: float) -> MeasureError:
 
 
 def _near(mesh: TriangleMesh, points_world: Float64[Array, "n 3"]) -> TriangleMesh:
-    """Part of a mesh around points on it; the whole mesh if they are not on it."""
+    """Part of a mesh around points on it. The whole mesh if they are not on it."""
     inside = np.zeros(len(mesh.vertices), dtype=bool)
     inside[mesh.vertices_between(points_world.min(axis=0) - _NEAR_MM, points_world.max(axis=0) + _NEAR_MM)] = True
     part = mesh.submesh(mesh.faces_within(inside))

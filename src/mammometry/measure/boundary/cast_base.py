@@ -1,4 +1,4 @@
-"""The base of a cast: a plane or a convex circular cylinder, fitted robustly to candidates for its rim.
+"""The base of a cast: a plane or a convex cylinder, fitted robustly to candidates for its rim.
 
 Both are one family: a circle of curvature κ moved along straight lines, with κ = 0 for the plane. Candidates on an
 occluding limb instead of the rim are always above the base, so the cost is one-sided.
@@ -38,7 +38,7 @@ _CONVERGED_MM = 1e-4  # largest last step
 
 @value(eq=False)
 class Base:
-    """A plane (curvature 0) or a circular cylinder that bends away from the viewer; mm, world frame."""
+    """A plane (curvature 0) or a circular cylinder that bends away from the viewer, mm, world frame."""
 
     origin: Float64[Array, 3]
     """A point on the base, near the centre of the rim."""
@@ -190,7 +190,7 @@ def frame_towards(direction: Float64[Array, 3]) -> Float64[Array, "3 3"]:
 
 
 def _tukey(residuals: Float64[Array, "*n"], constant: float) -> Float64[Array, "*n"]:
-    """Tukey's weights above the base; below it at least a quarter (see the module)."""
+    """Tukey's weights above the base. Below it at least a quarter (see the module)."""
     weights = np.clip(1 - (residuals / constant) ** 2, 0.0, None) ** 2
     return np.where((residuals < 0) & (residuals > -3 * constant), np.maximum(weights, 0.25), weights)
 
@@ -282,7 +282,7 @@ def _from_parabola(plane: Base, solution: Float64[Array, 4], angle: float, s_cen
 
 
 def moved(base: Base, step: Float64[Array, " k"], extent: float) -> Base:
-    """A base moved by a small step: tilts (mm at `extent`), height (mm), then bend (mm of sag) and its direction."""
+    """A base moved by tilts (mm at `extent`), height (mm), bend (mm of sag) and its direction."""
     turn = np.array([step[0], step[1], step[4] if len(step) > 3 else 0.0]) / extent
     rotation = Rotation.from_rotvec(turn @ base.frame).as_matrix()
     bend = 2 * step[3] / extent**2 if len(step) > 3 else 0.0

@@ -246,7 +246,7 @@ class AdjustedBase:
 
 
 def mean_height(base: Base, rim: Float64[Array, "n 3"]) -> float:
-    """Mean height above a base over the rim's area, mm; exact for parabolas over ellipses."""
+    """Mean height above a base over the rim's area, mm, exact for parabolas over ellipses."""
     return float((base.height(rim).mean() + base.height(rim.mean(axis=0)[None])[0]) / 2)
 
 

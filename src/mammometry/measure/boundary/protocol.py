@@ -1,4 +1,4 @@
-"""A breast's boundary from landmarks, by a named protocol, so that observers define the breast in the same way.
+"""A breast's boundary from landmarks, by a named protocol.
 
 The four borders are those of Wesselius (2018): inframammary fold, sternum, pectoral transition, axillary line. There is
 a landmark on each: the fold's lowest point, the medial end beside the sternum, the lateral end on the axillary line,

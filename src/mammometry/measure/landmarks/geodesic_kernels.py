@@ -1,4 +1,4 @@
-"""Compiled shortest paths over a surface. The test's reference is SciPy's Dijkstra (unit/measure/test_geodesic.py)."""
+"""Compiled shortest paths over a surface. Reference in the tests: SciPy's Dijkstra."""
 
 from heapq import heappop, heappush
 

@@ -212,11 +212,8 @@ _LEAST_TIP_MM = 1.2
 A round breast has up to 0.5, a mound on a telephone's scan up to 0.7, a nipple 1.6 to 5."""
 _TIP_SIGMA_MM = 2.5  # standard uncertainty of a tip within an areola; errors on a virtual torso: 2.6 and 3.2 mm
 _ALONE_SIGMA_MM = 4.0  # standard uncertainty of an areola's centre without a tip, and of a tip without an areola
-# Probabilities of a nipple; not critical. A tip without an areola may be a reconstructed nipple, a scan without colours
-# or a scar.
-_AREOLA_TIP_PROBABILITY = 0.98
-_AREOLA_PROBABILITY = 0.9
-_TIP_PROBABILITY = 0.6
+_AREOLA_TIP_PROBABILITY, _AREOLA_PROBABILITY, _TIP_PROBABILITY = 0.98, 0.9, 0.6
+"""Probability of a nipple: areola with a tip, without a tip, and a tip alone, which may be a scar. Not critical."""
 
 # Not critical:
 _SAMPLE_MM = 2.5  # one vertex is used per cube of this side
@@ -328,7 +325,7 @@ def _pairs(points: Float64[Array, "n 3"], chosen: Array, within_mm: float) -> _P
 def _mean(
     samples: _Samples, values: Float64[Array, "n k"], within_mm: float, beyond_mm: float = 0.0
 ) -> Float64[Array, "n k"]:
-    """Mean over the samples in a ring around each sample; its own value if there are none."""
+    """Mean over the samples in a ring around each sample. Its own value if there are none."""
     pairs = samples.near if within_mm <= _FOOT_MM[1] else samples.far
     kept = (pairs.distance_mm >= beyond_mm) & (pairs.distance_mm < within_mm)
     row, column = pairs.row[kept], pairs.column[kept]

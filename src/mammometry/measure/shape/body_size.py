@@ -25,7 +25,7 @@ _CORRELATION = 0.5  # of two lengths' logarithms between adults; assumed, as for
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AdultLength:
-    """Distribution of a length among adults: lognormal, with a different spread on each side of the median."""
+    """Distribution of a length among adults: lognormal, with two spreads around the median."""
 
     words: str
     """Phrase for messages, with {} for the length."""
@@ -73,7 +73,7 @@ class BodySize:
 
     @property
     def deviations(self) -> float:
-        """Common deviation from an average adult, in standard deviations between adults; positive: larger."""
+        """Common deviation from an average adult, in standard deviations, positive if larger."""
         return self._common()[1]
 
     @property
@@ -86,7 +86,7 @@ class BodySize:
 
     @property
     def is_impossible(self) -> bool:
-        """Whether fewer than 0.1 % of adults are as large or as small: several lengths agree, or one is extreme."""
+        """Whether fewer than 0.1 % of adults are as large or as small, by several lengths or an extreme one."""
         sign = math.copysign(1.0, self.deviations)
         agree = sum(sign * deviation > _ALIKE for deviation in self._each().values())
         limit = _NEVER if len(self.lengths_mm) >= _FEWEST else _ALONE

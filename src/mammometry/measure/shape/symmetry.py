@@ -127,7 +127,7 @@ def trunk_skin(
 def signed_mm(
     skin: TriangleMesh, other: TriangleMesh, *, selected: Bool[Array, " n"] | None = None
 ) -> Float64[Array, " n"]:
-    """Signed distance of each vertex from another, finely triangulated surface, mm; positive outside.
+    """Signed distance of each vertex from another, finely triangulated surface, mm, positive outside.
 
     It is the distance from the tangent plane at the nearest vertex. NaN without a counterpart: beyond the other's edge,
     where the offset to the nearest vertex runs along the surface, or more than 80 mm away.

@@ -121,7 +121,7 @@ class OpenPart:
 
 
 def above(mesh: TriangleMesh, height: Height) -> OpenPart:
-    """Largest connected part of a mesh with positive `height`; without faces if there is none.
+    """Largest connected part of a mesh with positive `height`. Without faces if there is none.
 
     Edges that cross are split at zero height, to 1e-10 mm.
     """
@@ -150,7 +150,7 @@ def above(mesh: TriangleMesh, height: Height) -> OpenPart:
 
 
 def inside_curve(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> OpenPart:
-    """Smaller part of a closed mesh cut along a closed curve; without faces if the curve separates nothing.
+    """Smaller part of a closed mesh cut along a closed curve. Empty if the curve separates nothing.
 
     Args:
         mesh: a closed mesh.
@@ -208,7 +208,7 @@ def check_whole(name: str, part: OpenPart) -> None:
 
 
 def faces_inside(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> Bool[Array, " m"]:
-    """Faces of the part that `inside_curve` keeps. If another breast touches it, it ends at the neck between them."""
+    """Faces of the part that `inside_curve` keeps, which ends at the neck to a touching breast."""
     around = faces_around(mesh.vertices[curve], mesh)
     inside = np.zeros(len(mesh.faces), dtype=bool)
     near = TriangleMesh(vertices=mesh.vertices, faces=mesh.faces[around])
@@ -220,7 +220,7 @@ def faces_inside(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> Bool[Array, "
 
 
 def _smaller_part(near: TriangleMesh, curve: Int64[Array, " n"], *, goes_on: bool) -> Bool[Array, " m"] | None:
-    """Faces on the smaller side of a curve; all false if it separates nothing.
+    """Faces on the smaller side of a curve. All false if it separates nothing.
 
     If the mesh `goes_on` beyond its edge, parts that reach the edge are not small. None if both do.
     """
@@ -250,7 +250,7 @@ def sides_on(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> Bool[Array, " h"]
 
 
 def open_part(mesh: TriangleMesh, faces: Bool[Array, " m"], curve: Int64[Array, " n"]) -> OpenPart:
-    """Faces of a mesh with their openings, ready for a wall. Openings cut elsewhere than along the curve are closed."""
+    """Faces of a mesh with the opening along the curve. Openings by other cuts are closed."""
     return _without_chords(_without_necks(_compact(mesh, faces), mesh, faces, curve))
 
 

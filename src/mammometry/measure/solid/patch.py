@@ -1,4 +1,4 @@
-"""Triangulation of closed loops in a plane, harmonic values on it, and sewing of such a patch onto an opening.
+"""Triangulation of closed loops in a plane, harmonic values on it, and sewing onto an opening.
 
 No vertex is added on a loop, so that a patch can be sewn to the mesh from which the loop was taken.
 """

@@ -10,7 +10,7 @@ _ROUNDS = 20  # rounds of removing crossings, after which a circle is used; not 
 
 
 def uncrossed(loop: Float64[Array, "n 2"]) -> Float64[Array, "n 2"]:
-    """A closed curve without self-crossings; the curve itself if it has none.
+    """A closed curve without self-crossings. The curve itself if it has none.
 
     On overhanging skin, a curve that is simple on the surface may cross itself in a flat map. Points between the two
     passes of a crossing are put on a straight line. A curve that still crosses itself is replaced by a circle.
@@ -41,7 +41,7 @@ def rounded(loop: Float64[Array, "n 2"]) -> Float64[Array, "n 2"]:
 
 
 def signed_area_mm2(loop: Float64[Array, "n 2"]) -> float:
-    """Area inside a closed loop, mm²; positive if counter-clockwise."""
+    """Area inside a closed loop, mm², positive if counter-clockwise."""
     x, y = (loop - loop.mean(axis=0)).T
     return float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2)
 

@@ -111,7 +111,7 @@ def find_body(
     skin: Skin | None = None,
     stated: bool = False,
 ) -> Body:
-    """Body frame from the trunk's axis and mid-sagittal plane, else from two breasts, else from the cameras.
+    """Body frame from the trunk's axis and mid-sagittal plane, or else from the breasts or the cameras.
 
     Args:
         surface: the repaired mesh, world frame, mm.
@@ -220,7 +220,7 @@ def _least_asymmetry(skin: Skin, trunk: Trunk) -> tuple[float, float]:
 
 
 def lies_across(skin: Skin, frame: Float64[Array, "3 3"]) -> bool:
-    """Whether the trunk's axis is along the frame's left instead of up, because the cameras are rolled by 90°.
+    """Whether the trunk's axis is along the frame's left, because the cameras are rolled by 90°.
 
     The axis is the direction to which most of the skin is parallel, of those found
     from either start. Upright torsos have .46 to .49 of it along the trunk and .27 to .36 across.

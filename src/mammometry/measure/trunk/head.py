@@ -41,7 +41,7 @@ _SHOWN = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeadSigns:
-    """Signs of the head's direction, each from −1 (at the other end) to 1; 0: unknown."""
+    """Signs of the head's direction, each from −1 (at the other end) to 1, or 0 if unknown."""
 
     arms: float
     """Arms leave the trunk at the head's end."""

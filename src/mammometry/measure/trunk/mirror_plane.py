@@ -46,7 +46,7 @@ def register(
     start: Transform | None = None,
     subject: str = "surfaces",
 ) -> Registration:
-    """Rigid registration of points with normals by iterated closest points, point to plane, with Tukey's weights.
+    """Rigid registration of points with normals: point-to-plane ICP with Tukey's weights.
 
     Partners must be within a distance that shrinks with the scatter, and have similar normals. Motions that the
     surfaces do not determine remain unchanged (regularised normal equations).

@@ -155,7 +155,7 @@ class Relief:
         return smoothed
 
     def concavity_per_mm(self, sigma_mm: float) -> Float64[Array, "h w"]:
-        """Laplacian of the smoothed bulge, 1/mm, positive in a valley: twice the mean curvature of gently sloping skin.
+        """Laplacian of the smoothed bulge, 1/mm, positive in a valley (twice the mean curvature).
 
         Zero where no skin is visible and near the outer end of the visible skin, where it depends on the filling.
         """
@@ -171,7 +171,7 @@ class Relief:
         return np.clip((away_mm - KNOWN_MM) / (reach_mm - KNOWN_MM), 0.0, 1.0)
 
     def at(self, flat: Float64[Array, "*n 2"], values: Float64[Array, "h w"]) -> Float64[Array, "*n"]:
-        """A map sampled bilinearly at (half width × θ, y), mm; beyond its edge the nearest value."""
+        """A map sampled bilinearly at (half width × θ, y), mm, beyond its edge the nearest value."""
         column, row = np.moveaxis((flat - self.low) / PIXEL_MM, -1, 0)
         sampled: Float64[Array, "*n"] = map_coordinates(values, [row, column], order=1, mode="nearest")
         return sampled

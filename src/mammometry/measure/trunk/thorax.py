@@ -138,7 +138,7 @@ class Skin:
 
 
 def seen_faces(surface: RepairedSurface) -> Int64[Array, " k"]:
-    """Faces that are not invented; all faces if none is measured."""
+    """Faces that are not invented, or all faces if none is measured."""
     seen = surface.mesh.faces_within(surface.provenance != Provenance.INVENTED)
     return np.flatnonzero(seen) if seen.any() else np.arange(len(surface.mesh.faces))
 
@@ -222,7 +222,7 @@ def _axis(normals: Float64[Array, "n 3"], frame: Float64[Array, "3 3"]) -> Float
 
 
 def level_axis(normals: Float64[Array, "n 3"], start: Float64[Array, 3]) -> tuple[Float64[Array, 3], float]:
-    """Direction to which most of the skin is parallel, iterated from a first one, and the share of that skin."""
+    """Direction to which most of the skin is parallel, from a first guess, and that skin's share."""
     axis = start
     for _ in range(_AXIS_ROUNDS):
         weights = 1 / (1 + ((normals @ axis) / _LEAN) ** 2)
@@ -451,7 +451,7 @@ def _design(arc_y: Float64[Array, "n 2"], half_width: float) -> Float64[Array, "
 
 
 def orthonormal(up: Float64[Array, 3], ahead: Float64[Array, 3]) -> Float64[Array, "3 3"]:
-    """Frame (rows: patient's left, head, straight ahead) with the head along `up`, the front nearly along `ahead`."""
+    """Frame (rows: patient's left, head, straight ahead) with the head along `up`."""
     up = up / np.linalg.norm(up)
     ahead = ahead - up * (ahead @ up)
     ahead /= np.linalg.norm(ahead)

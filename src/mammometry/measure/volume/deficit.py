@@ -1,4 +1,4 @@
-"""Volume deficit of one side of a torso relative to the mirrored other side, for planning a reconstruction.
+"""Volume deficit of one side of a torso relative to the mirrored other side.
 
 It is the volume between the fuller side's skin, mirrored at the trunk's mid-sagittal plane, and the skin of this side.
 It needs one curve, on the fuller side, and no chest wall.

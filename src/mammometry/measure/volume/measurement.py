@@ -72,7 +72,7 @@ class DefinedVolume:
 
     @property
     def weight_g(self) -> tuple[float, float]:
-        """Weight of this volume of breast tissue, and the half-width of its 95 % interval, density included, g."""
+        """Weight of this volume of breast tissue, and the half-width of its 95 % interval, g."""
         low, high = self.interval_cc
         half = np.hypot((high - low) / 2 * DENSITY_G_PER_CC, COVERAGE_95 * DENSITY_SD * self.volume_cc)
         return self.volume_cc * DENSITY_G_PER_CC, float(half)

@@ -144,7 +144,7 @@ _ROOM_SAMPLES = 4000  # unseen vertices whose free space is computed; the others
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EarlierErrors:
-    """Errors of the calibration; unknown for imported cameras."""
+    """Errors of the calibration, which are unknown for imported cameras."""
 
     scale_std: float | None = None
     """Relative standard uncertainty of all lengths, from the measurement of the target."""
@@ -154,7 +154,7 @@ class EarlierErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evidence:
-    """Results of earlier stages about the errors of a volume; each may be unknown."""
+    """Results of earlier stages about the errors of a volume, each of which may be unknown."""
 
     surface: RepairedSurface | None = None
     """Surface with its measured, repaired and invented skin. None: all skin counts as measured."""
@@ -362,7 +362,7 @@ def _at_95(std_mm3: Mapping[str, float]) -> dict[str, float]:
 def _may_be_off_mm(
     skin: TriangleMesh, which: Bool[Array, " n"], surface: RepairedSurface, views: Sequence[Bound]
 ) -> Float64[Array, " k"]:
-    """Largest error of unmeasured vertices, mm; 0 if nothing was measured.
+    """Largest error of unmeasured vertices, mm. 0 if nothing was measured.
 
     It is the distance of measured skin, or the space that no view excludes if that is less.
     """

@@ -68,7 +68,7 @@ class SeenThrough:
 
     @classmethod
     def of(cls, image: RangeImage, margin_mm: float) -> SeenThrough:
-        """The window of a range image that contains data; the rest excludes nothing."""
+        """The window of a range image that contains data."""
         top, bottom, left, right = mesh_kernels.extent(image.valid).tolist()
         window = (slice(top, bottom), slice(left, right))
         return cls(

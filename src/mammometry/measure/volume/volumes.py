@@ -44,7 +44,7 @@ def measure(
     alternatives: Sequence[ChestWall] = (),
     evidence: Evidence = Evidence(),
 ) -> VolumeMeasurement:
-    """Measurement of the solid between skin and wall. The volume is exact for the mesh (divergence theorem).
+    """Measurement of the solid between skin and wall, exact for the mesh (divergence theorem).
 
     Args:
         boundary: around the breast, mm, world frame.
@@ -166,7 +166,7 @@ def measure_volumes(
 def measured_or_refused(
     breasts: Sequence[OpenBreast], evidence: Evidence = Evidence(), *, progress: Progress = no_progress
 ) -> list[VolumeMeasurement | MeasureError]:
-    """For each breast its measurement or the error that refused it, computed in parallel. See `measure_volumes`."""
+    """For each breast its measurement or the error that refused it (see `measure_volumes`)."""
 
     def measured(breast: OpenBreast) -> VolumeMeasurement | MeasureError:
         try:

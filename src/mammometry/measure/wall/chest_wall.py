@@ -70,7 +70,7 @@ def fit_all(breast: OpenBreast) -> tuple[ChestWall, ...]:
 
 
 def _wanted(breast: OpenBreast, wanted: str) -> str:
-    """Name of the selected wall; by default a separately measured one if there is one, else the subject's default."""
+    """Name of the selected wall. By default a separately measured one if there is one, else the subject's default."""
     names = in_order(breast.walls)
     if wanted != DEFAULT and wanted not in names:
         raise MeasureError(

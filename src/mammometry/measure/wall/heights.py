@@ -107,7 +107,7 @@ def through(part: OpenPart, chart: Chart, height: Height | None = None, *, subje
 
 
 def plate(places: Float64[Array, "n 3"]) -> Height:
-    """Thin-plate spline through evenly chosen points; of coincident points the first is used."""
+    """Thin-plate spline through evenly chosen points."""
     knots = places[np.unique(np.linspace(0, len(places) - 1, min(_PLATE_KNOTS, len(places))).astype(int))]
     knots = knots[np.sort(np.unique(knots[:, :2].round(_SAME_PLACE_DIGITS), axis=0, return_index=True)[1])]
     spline = RBFInterpolator(knots[:, :2], knots[:, 2], kernel="thin_plate_spline", degree=1)

@@ -24,7 +24,7 @@ from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OpenBreast:
-    """One breast or cast with its boundary, to be closed by a wall. Cut and trunk are computed on first use."""
+    """One breast or cast with its boundary. Cut and trunk are computed on first use."""
 
     boundary: Boundary
     """On the surface, mm, world frame."""
@@ -104,7 +104,7 @@ class OpenBreast:
 
     @cached_property
     def body_frame(self) -> Float64[Array, "3 3"] | None:
-        """Body frame, as given or from a boundary on each side; None if unknown."""
+        """Body frame, as given or from a boundary on each side. None if unknown."""
         if self.frame is not None:
             return self.frame
         curves = {boundary.name: boundary.points_world for boundary in self._all_boundaries()}

@@ -204,7 +204,7 @@ def _icc(found: Components, places: tuple[int, ...]) -> Estimate:
 
 
 def _log_ratio(larger: float, smaller: float) -> float:
-    """Logarithm of a ratio; a bound of 0, or an infinite one, counts as `_FAR`."""
+    """Logarithm of a ratio. A bound of 0, or an infinite one, counts as `_FAR`."""
     return min(math.log(larger / smaller), _FAR) if smaller > 0 else _FAR
 
 

@@ -135,7 +135,7 @@ distance from the boundary. Without this test volumes were 108 cc too large (doc
     "24 mm outside it, so that it continues that skin's slope",
 )
 def tangent_continuous(breast: OpenBreast) -> Closed:
-    """Thin plate through the boundary and the skin 12 to 24 mm outside it, which continues that skin's slope.
+    """Thin plate that continues the slope of the skin 12 to 24 mm outside the boundary.
 
     Distances are measured on the flattened trunk, because skin that is near in space may be under a fold.
 

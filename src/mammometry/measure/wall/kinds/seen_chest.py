@@ -1,4 +1,4 @@
-"""Walls that follow visible or measured skin: beside the breasts, on the other side, or measured separately."""
+"""Walls that follow skin beside the breasts, on the other side, or measured separately."""
 
 from __future__ import annotations
 
