@@ -84,7 +84,7 @@ def add(folder: Path, name: str, kind: str, generator: str, make: Callable[[], t
         return f"{name}: {error}"
     write_ply(folder / f"{name}.ply", made.mesh, made.ply_colours, comments=("mm, y to the head, z ahead",))
     sided = ("nipple", "inframammary_fold", "fold_curve", "border")
-    absent = [f"{one}_{side}" for side in SIDES if f"border_{side}" not in known for one in sided]
+    absent = [f"{one}_{side}" for side in SIDES for one in sided if f"{one}_{side}" not in known]
     only = generator == "torso"  # of the others it is not known what is missing
     own = {
         "kind": kind,
