@@ -234,8 +234,10 @@ class MeshJob(Job):
             return frame_from_axes(mesh, files.head, files.ahead)
         except DirectionError as refused:
             take_folder(self.store.folder, command=_COMMAND)
-            pictures = partial(directions_seen, mesh, refused.fronts)
-            show_refusal(self.store.folder, self.identity, refused, lambda: {"directions": pictures()})
+            fronts = refused.fronts
+            show_refusal(
+                self.store.folder, self.identity, refused, lambda: {"directions": directions_seen(mesh, fronts)}
+            )
             raise
 
     @property
