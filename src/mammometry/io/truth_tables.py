@@ -15,6 +15,7 @@ from mammometry.base.identity import folded
 from mammometry.base.parse import shown
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.csv_tables import Table, read_table
+from mammometry.io.label_maps import SUFFIX, segment_cc
 from mammometry.io.meshes.foreign import read_foreign
 from mammometry.io.subject_columns import SIDE_WORDS, SIDES, SUBJECTS
 from mammometry.study.validation.truths import TrueVolume, skin_left, water, weight
@@ -23,7 +24,7 @@ _COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "water": ("displaced_g", "water_c", "skin_left_cm2", "skin_mm", "displaced_sd_cc"),
         "weight": ("weight_g", "age", "glandular_percent", "skin_left_cm2", "skin_mm"),
-        "segmentation": ("segmentation", "units", "truth_sd_cc"),
+        "segmentation": ("segmentation", "units", "segment", "truth_sd_cc"),
         "volume": ("truth_cc", "truth_sd_cc"),
     }
 )
@@ -34,7 +35,7 @@ _EXAMPLES = MappingProxyType(
     {
         "water": ("512.0", "21", "35", "", ""),
         "weight": ("498", "57", "", "35", ""),
-        "segmentation": ("segmentations/W1-left.stl", "mm", "10"),
+        "segmentation": ("segmentations/W1-left.stl", "mm", "", "10"),
         "volume": ("530", "10"),
     }
 )
@@ -127,16 +128,18 @@ def _truths(table: Table, path: Path, kind: str) -> list[TrueVolume]:
     numbers = {
         name: _optional(table, name, needed=place == 0)
         for place, name in enumerate(_COLUMNS[kind])
-        if name not in ("segmentation", "units")
+        if name not in ("segmentation", "units", "segment")
     }
     value = {name: [None if math.isnan(number) else float(number) for number in column]
              for name, column in numbers.items()}  # fmt: skip
     if kind == "segmentation":
         files = table.texts("segmentation")
-        units = table.texts("units") if "units" in table.columns else ("",) * count
+        units, segments = (
+            table.texts(name) if name in table.columns else ("",) * count for name in ("units", "segment")
+        )
         return [
-            TrueVolume(volume_cc=_enclosed_cc(path.parent / file, unit or None), sd_cc=_or_nan(sd))
-            for file, unit, sd in zip(files, units, value["truth_sd_cc"], strict=True)
+            TrueVolume(volume_cc=_segmented_cc(path.parent / file, unit or None, segment), sd_cc=_or_nan(sd))
+            for file, unit, segment, sd in zip(files, units, segments, value["truth_sd_cc"], strict=True)
         ]
     if kind == "volume":
         return [
@@ -178,8 +181,10 @@ def _optional(table: Table, name: str, *, needed: bool) -> Float64[Array, " n"]:
     return found
 
 
-def _enclosed_cc(file: Path, units: str | None) -> float:
-    """Volume of a closed mesh, cc."""
+def _segmented_cc(file: Path, units: str | None, segment: str) -> float:
+    """Volume of a closed mesh, or of a segment of a DICOM segmentation, cc."""
+    if file.suffix.lower() == SUFFIX:
+        return segment_cc(file, segment)
     mesh = read_foreign(file, units).mesh
     if not mesh.is_watertight():
         raise SessionError(
