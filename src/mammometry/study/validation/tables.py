@@ -24,9 +24,9 @@ _REMARKS = {
     "weight": "Truth: weight by density, plus the skin that the operation left. Density from the composition (fat "
     "0.93, gland 1.04 g/cc; ± 0.02), else from the age (0.96 ± 0.04 from 50 years on, 1.01 ± 0.08 below; Yi 2019), "
     "else 0.97 ± 0.04 g/cc.",
-    "segmentation": "Truth: the volume that the closed mesh encloses, or the voxels of the segment. Where its back is, is "
-    "a choice of whoever segmented it. Women lie prone in most scanners: a breast's volume is the same, its border may "
-    "not be.",
+    "segmentation": "Truth: the volume that the closed mesh encloses, or the voxels of the segment. Where its back is, "
+    "is a choice of whoever segmented it. Women lie prone in most scanners: a breast's volume is the same, its border "
+    "may not be.",
     "volume": "Truth: as in the table.",
 }
 
