@@ -142,10 +142,19 @@ def acceptance_files(folder: Path, outcome: Outcome) -> dict[str, bytes]:
 
 def past_tests(folder: Path, device: str) -> list[PastTest]:
     """Earlier tests of a device, from the results in the folders beside this test's. Others are skipped."""
+    own = folder.resolve()
+    return device_tests(own.parent, device, without=own.name)
+
+
+def device_tests(folder: Path, device: str, *, without: str = "") -> list[PastTest]:
+    """Tests of a device in the subfolders of a folder, the oldest first.
+
+    Results of other devices and versions are skipped, and the subfolder `without`.
+    """
     found = []
-    for other in visible(folder.resolve().parent):
+    for other in visible(folder):
         path = other / RESULTS / NUMBERS
-        if other.name == folder.resolve().name or not path.is_file():
+        if other.name == without or not path.is_file():
             continue
         try:
             past = read_past(path, device)

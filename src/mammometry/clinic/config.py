@@ -28,7 +28,7 @@ KEY_FILE = "secret.key"
 SETTINGS_FILE = "settings.toml"
 """Settings of all measurements, in the clinic's folder; without it, the defaults."""
 OPENID_SECRET_FILE = "openid.secret"
-FOLDERS = ("sessions", "rigs", "uploads", "backups", "logs")
+FOLDERS = ("sessions", "rigs", "acceptance", "uploads", "backups", "logs")
 _STRICT = ConfigDict(extra="forbid", strict=True, frozen=True)
 _KEY_BYTES = 48  # of randomness in the secret key; Django asks for 50 characters
 
@@ -129,6 +129,15 @@ class Backup(BaseModel):
     """Number of backups; older ones are deleted after a new one is complete."""
 
 
+class Rigs(BaseModel):
+    """Tests of the rigs."""
+
+    model_config = _STRICT
+
+    acceptance_days: Annotated[int, Field(ge=0, le=3650)] = 0
+    """Days after which a rig's page asks for a new acceptance test; 0: never."""
+
+
 class OpenId(BaseModel):
     """The hospital's own login, by OpenID Connect. Its secret is in the file openid.secret."""
 
@@ -165,6 +174,7 @@ class ClinicConfig(BaseModel):
     limits: Limits = Limits()
     people: People = People()
     backup: Backup = Backup()
+    rigs: Rigs = Rigs()
     openid: OpenId | None = None
     cameras: dict[Filled, Filled] = {}
     """Name of a rig that is connected to this computer → its rig.toml, relative to the clinic's folder."""

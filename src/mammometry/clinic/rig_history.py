@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
 from django.db.models import Min
 from django.utils import timezone
 
+from mammometry.api.acceptance import device_tests
 from mammometry.capture.sessions import make_session, manifest_text
 from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Job, Rig, Upload, Visit
 from mammometry.clinic.site import the_clinic
 from mammometry.io.drift import CameraDrift, Entry
+from mammometry.study.acceptance.tables import PastTest
 
 Answer: TypeAlias = Literal["yes", "care", "no"]
 _OLD_DAYS = 90
@@ -137,6 +139,41 @@ def judge(day: datetime.date, calibrated: Calibrated | None, checked: Checked | 
     return Today(verdict="yes", sentence=f"Yes: {how}.")
 
 
+def with_acceptance(answer: Today, day: datetime.date, last: PastTest | None, every_days: int) -> Today:
+    """Add what the acceptance tests say about a rig.
+
+    Args:
+        answer: without them.
+        day: today in the clinic's time zone.
+        last: the newest test; None: there was none.
+        every_days: days after which a new one is due; 0: never.
+    """
+    reasons = []
+    if last is not None and last.decision == "reject":
+        reasons.append(f"The acceptance test of {last.date.isoformat()} rejected this rig.")
+    elif last is not None and last.decision == "undecided":
+        reasons.append(f"The acceptance test of {last.date.isoformat()} is undecided.")
+    if every_days and last is None:
+        reasons.append("This rig has had no acceptance test.")
+    elif every_days and last is not None and (day - last.date).days > every_days:
+        reasons.append(f"The last acceptance test is {(day - last.date).days} days old.")
+    if not reasons:
+        return answer
+    calm = answer.verdict == "yes"
+    return replace(
+        answer,
+        verdict="care" if calm else answer.verdict,
+        sentence="Yes, with care: read why." if calm else answer.sentence,
+        reasons=(*answer.reasons, *reasons),
+        remedy=answer.remedy or "Test the rig with the artefacts.",
+    )
+
+
+def acceptance_tests(rig: Rig) -> list[PastTest]:
+    """Acceptance tests in the clinic's folder whose device has the rig's name, the oldest first."""
+    return device_tests(the_clinic().folder / "acceptance", rig.name)
+
+
 _OF_A_DAY = 20  # newest checks among which those of one day are
 _SHOWN = 60  # newest checks of the chart: two months of days
 
@@ -148,6 +185,11 @@ def current(rig: Rig) -> Calibration | None:
 
 def today(rig: Rig) -> Today:
     """May we measure with this rig today?"""
+    last = next(reversed(acceptance_tests(rig)), None)
+    return with_acceptance(_by_checks(rig), timezone.localdate(), last, the_clinic().rigs.acceptance_days)
+
+
+def _by_checks(rig: Rig) -> Today:
     day = timezone.localdate()
     calibration = current(rig)
     if calibration is None:

@@ -76,7 +76,7 @@ def test_the_spacing_error_is_that_of_the_centres(true: tuple[Camera, Camera], p
     expected = np.linalg.norm(np.diff(measured(ends, true), axis=0)) - 300.0
     assert abs(expected) > 0.05
     # A lens also deforms each ball, of which the front alone is seen: its fitted centre moves by up to 0.1 mm.
-    assert spacing.error == pytest.approx(expected, abs=0.02 if true is TURNED else 0.12)
+    assert spacing.error == pytest.approx(expected, abs=0.04 if true is TURNED else 0.12)
 
 
 @pytest.mark.requirement("R-ACCEPT-1")

@@ -274,7 +274,7 @@ MANIFEST = "manifest.json"
 """Format, version, time, migrations, and the SHA-256 of each file; the archive's last entry."""
 
 
-KEPT_FOLDERS = ("sessions", "rigs", "uploads")
+KEPT_FOLDERS = ("sessions", "rigs", "acceptance", "uploads")
 PART = ".part"
 """Suffix of an archive while it is written."""
 SCRATCH = "restore-test-"

@@ -26,6 +26,7 @@ from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.responses import Refused, download, form_page, json_view, person_of
 from mammometry.io.manifest import MANIFEST
 from mammometry.io.photographs.images import read_photograph
+from mammometry.study.acceptance.tables import DECISION_WORDS, worst_errors
 
 
 def rigs(request: HttpRequest) -> HttpResponse:
@@ -43,12 +44,26 @@ def rig(request: HttpRequest, rig: uuid.UUID) -> HttpResponse:
         "calibrations": shown.calibrations.select_related("created_by")[:50],
         "checks": shown.checks.select_related("by")[:30],
         "drift": list(drift_rows(shown)),
+        "tests": _tests(shown),
         "cameras": cameras_of(shown.definition),
         "doubted": _doubted(shown),
         "described": "rig" in shown.definition,
         "measured": is_measured(shown.definition),
     }
     return render(request, "clinic/rig.html", context)
+
+
+def _tests(rig: Rig) -> list[dict[str, Any]]:
+    """The rig's acceptance tests, the newest first, with their worst errors."""
+    return [
+        {
+            "date": test.date,
+            "decision": DECISION_WORDS.get(test.decision, test.decision),
+            "good": test.decision == "accept",
+            "errors": worst_errors(test),
+        }
+        for test in reversed(rig_history.acceptance_tests(rig))
+    ]
 
 
 def _doubted(rig: Rig) -> Calibration | None:

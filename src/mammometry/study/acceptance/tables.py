@@ -13,6 +13,7 @@ from mammometry.study.acceptance.artefacts import (
     BREAST_CC,
     KINDS,
     POSITIONS,
+    QUANTITIES,
     TITLES,
     Artefact,
     Bar,
@@ -37,7 +38,7 @@ QUANTITY_WORDS: Mapping[Quantity, str] = MappingProxyType(
         "volume": "volume error",
     }
 )
-DECISION_WORDS: Mapping[Decision, str] = MappingProxyType(
+DECISION_WORDS: Mapping[str, str] = MappingProxyType(
     {"accept": "accepted", "reject": "rejected", "undecided": "undecided"}
 )
 _HEADLINES: Mapping[Decision, str] = MappingProxyType(
@@ -210,6 +211,18 @@ class PastTest:
     decision: str
     worst: Mapping[str, tuple[float, float, float]]
     """``artefact/quantity`` → error, expanded uncertainty and limit at the position that decides, mm or cc."""
+
+
+def worst_errors(test: PastTest) -> list[str]:
+    """Worst errors of a test, with uncertainty and limit: "sphere-spacing error +0.10 ± 0.06 mm (limit 0.30 mm)"."""
+    lines = []
+    for kind in KINDS:
+        for quantity in QUANTITIES[kind]:
+            if (name := f"{kind}/{quantity}") in test.worst:
+                error, expanded, limit = test.worst[name]
+                around = f"{number(error, '+.2f')} ± {number(expanded, '.2f')} {unit_of(quantity)}"
+                lines.append(f"{QUANTITY_WORDS[quantity]} {around} (limit {shown(quantity, limit)})")
+    return lines
 
 
 def as_past(outcome: Outcome) -> PastTest:
