@@ -214,7 +214,7 @@ class PastTest:
 
 
 def worst_errors(test: PastTest) -> list[str]:
-    """Worst errors of a test, with uncertainty and limit: "sphere-spacing error +0.10 ± 0.06 mm (limit 0.30 mm)"."""
+    """Worst errors of a test with uncertainty and limit, one line each."""
     lines = []
     for kind in KINDS:
         for quantity in QUANTITIES[kind]:
