@@ -35,6 +35,13 @@ _WITHOUT_KERNELS = [
     if path.stem not in ("__init__", "lens") and "machine.compiled import" not in path.read_text(encoding="utf-8")
 ]
 
+# Loading every kernel takes longer. Two kernels are listed with two lists of argument types: either on disk is enough.
+_IS_COMPILED = """
+from mammometry.base.machine.compiled import is_cached
+from mammometry.cli.compile_cache import kernel_named, listed
+raise SystemExit(not all(is_cached(kernel_named(name)) for name, _ in listed()))
+"""
+
 
 def _check_arrays(checked: Any = jaxtyping.jaxtyped, **checker: Any) -> Callable[[Any], Any]:
     """Check what names an array; a check costs as much as a short function, and the other types are mypy's."""
@@ -68,11 +75,12 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Compile every kernel before workers start: they would all compile the same ones at the same time.
+    """Compile missing kernels before workers start: they would all compile the same ones at the same time.
 
     A second process begins at the list's end; where they meet, each finds on disk what the other compiled.
     """
-    if session.config.getoption("numprocesses", None):
+    in_workers = session.config.getoption("numprocesses", None)
+    if in_workers and subprocess.run([sys.executable, "-c", _IS_COMPILED]).returncode != 0:
         from_end = "from mammometry.cli.compile_cache import *; compile_kernels(reversed(listed()))"
         with subprocess.Popen([sys.executable, "-c", from_end]) as second:
             subprocess.run([sys.executable, "-m", "mammometry.cli.compile_cache"], check=True)
