@@ -43,7 +43,7 @@ def make_session(folder: Path) -> dict[str, Any]:
     from tests.scenes.conftest import TINY, TINY_SETTINGS
 
     from mammometry.api.job import open_session
-    from mammometry.io.drawn import Change, change_drawn
+    from mammometry.io.drawn import ItemChange, change_drawn
     from mammometry.settings import Settings
     from mammometry.simulate.session import write_session
 
@@ -58,7 +58,7 @@ def make_session(folder: Path) -> dict[str, Any]:
     vertices = open_session(folder, settings=settings).surface().repaired.mesh.vertices
     nipple = [round(float(value), 3) for value in vertices[vertices[:, 2].argmax()]]
     entry = {"points": [nipple], "author": "A. Nurse"}
-    change_drawn(folder, "model", {("landmarks", "nipple_model"): Change(entry=entry, base=None)})
+    change_drawn(folder, "model", {("landmarks", "nipple_model"): ItemChange(entry=entry, base=None)})
     results = open_session(folder, settings=settings).run()
     for name in _HEAVY:
         shutil.rmtree(folder / "results" / name)

@@ -18,7 +18,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 from mammometry.measure.boundary.boundary import TorsoSides
 from mammometry.measure.shape.anthropometry import Dimensions
 from mammometry.measure.shape.symmetry import Symmetry
-from mammometry.measure.trunk.body import Body
+from mammometry.measure.trunk.body import BodyDirections
 from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
 from mammometry.settings import RANGES, Settings
 
@@ -29,7 +29,7 @@ FILES: dict[str, tuple[type, str]] = {
     "symmetry.json": (Symmetry, "Under `symmetry`. Null if only one breast was measured."),
     "dimensions.json": (Dimensions, "Under `dimensions`."),
     "lacking.json": (VolumeDeficit, "A list under `lacking`. Empty if no mirror plane was found."),
-    "body.json": (Body, "Under `body`. Torsos only."),
+    "body.json": (BodyDirections, "Under `body`. Torsos only."),
     "sides.json": (TorsoSides, "Under `sides`. Torsos whose boundaries were found automatically."),
 }
 """File in results/measure → the class it stores, and where its object is in the file."""

@@ -32,8 +32,8 @@ from mammometry.matching.dense.match import match
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.rectify import rectify
 from mammometry.matching.settings import MatchSettings
-from mammometry.report.figures.canvas import Sheet
-from mammometry.report.figures.shading import Scene, front_frame, picture_wh, standard_views
+from mammometry.report.figures.canvas import PanelSheet
+from mammometry.report.figures.shading import ShadedMesh, front_frame, picture_wh, standard_views
 from mammometry.report.figures.surface import show
 from mammometry.simulate.disturbances.exposure import plain_exposure
 from mammometry.simulate.rigs.build import flashes
@@ -144,14 +144,14 @@ def picture(drawn: Mapping[str, TriangleMesh], truth: TriangleMesh, rig: Rig, ti
 
     view = standard_views(truth, front_frame(rig))[-1]
     columns = -(-len(drawn) // 2)
-    sheet = Sheet(columns, 2, picture_wh(view, 260), bars=True)
+    sheet = PanelSheet(columns, 2, picture_wh(view, 260), bars=True)
     tree, normals = cKDTree(truth.vertices), truth.vertex_normals()
     colours = mpl.colormaps["coolwarm"]
     for index, (name, mesh) in enumerate(drawn.items()):
         nearest = tree.query(mesh.vertices)[1]
         signed = np.einsum("ij,ij->i", mesh.vertices - truth.vertices[nearest], normals[nearest])
         painted = (255 * colours(np.clip(signed / (2 * _ERROR_MM) + 0.5, 0, 1))[:, :3]).astype(np.uint8)
-        show(sheet.panel(index, name), Scene(mesh).render(view, size_px=400, colours=painted), view)
+        show(sheet.panel(index, name), ShadedMesh(mesh).render(view, size_px=400, colours=painted), view)
     scale = mpl.cm.ScalarMappable(norm=mpl.colors.Normalize(-_ERROR_MM, _ERROR_MM), cmap="coolwarm")
     for row in range(2):
         sheet.bar(row, scale, "outside the truth, mm")

@@ -38,12 +38,12 @@ from mammometry.measure.volume import volumes
 from mammometry.measure.volume.boundary_jitter import displacements_mm, redraw
 from mammometry.measure.volume.difference import difference
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence
+from mammometry.measure.volume.uncertainty import EarlierErrors, VolumeEvidence
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast, open_breasts
 from mammometry.simulate.rigs.build import FULL_SIZE_WH
 from mammometry.simulate.subjects.registry import make_subject
-from mammometry.simulate.subjects.solid import Solid, waves
+from mammometry.simulate.subjects.solid import SubjectSolid, waves
 
 _SINK_MM = 3.0
 _AS_DEFINED, _TO_MUSCLE, _SIDES = ", as defined", ", to the muscle", "left less right"
@@ -132,7 +132,7 @@ def _torso(true: TrueTorso, seed: int, settings: MeasureSettings) -> Iterator[He
         drawn.append(redraw(moved, rng.normal(size=len(modes)) @ modes, surface.mesh))
     truth_cc, both = true.solid.volumes_cc, []
     for breast in open_breasts(drawn, surface, settings):
-        boundary, found = breast.boundary, volumes.measure_volume(breast, Evidence(earlier=earlier))
+        boundary, found = breast.boundary, volumes.measure_volume(breast, VolumeEvidence(earlier=earlier))
         yield Held(true.solid.name, boundary.name, found.volume_cc - truth_cc[boundary.name], half_width_cc(found))
         yield as_defined(found, true, settings)
         if muscle_cc := _muscle_cc(true.solid):
@@ -142,7 +142,7 @@ def _torso(true: TrueTorso, seed: int, settings: MeasureSettings) -> Iterator[He
     yield replace(_of_both_sides(both, truth_cc), subject=true.solid.name)
 
 
-def _muscle_cc(solid: Solid) -> Mapping[str, float]:
+def _muscle_cc(solid: SubjectSolid) -> Mapping[str, float]:
     volumes_cc = solid.facts.get("muscle_volumes_cc", {})
     assert isinstance(volumes_cc, Mapping)
     return volumes_cc
@@ -161,7 +161,7 @@ def _cast(name: str, seed: int, settings: MeasureSettings) -> Held:
     boundary = Boundary(name="model", points_world=rim, method="drawn", sigma_mm=_estimated(errors.base_mm, rng))
     surface = as_seen(mesh)
     wall = chest_wall.fit(OpenBreast(boundary=boundary, surface=surface, settings=settings))
-    found = volumes.measure(boundary, wall, settings, evidence=Evidence(surface=surface, earlier=earlier))
+    found = volumes.measure(boundary, wall, settings, evidence=VolumeEvidence(surface=surface, earlier=earlier))
     return Held(f"{name}, seed {seed}", "model", found.volume_cc - solid.volume_cc, half_width_cc(found))
 
 

@@ -25,12 +25,12 @@ from benchmarks.accuracy.walls import TrueTorso, as_seen, true_boundaries
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary
-from mammometry.measure.change import Change, TrunkFit, TrunkSkin, Visit, compare, fit_trunks, trunk_of
+from mammometry.measure.change import Change, DatedMeasurements, TrunkFit, TrunkSkin, compare, fit_trunks, trunk_of
 from mammometry.measure.settings import CompareSettings, MeasureSettings
 from mammometry.measure.trunk.thorax import frame_from_sides, seen_skin
 from mammometry.measure.volume.boundary_jitter import displacements_mm, redraw
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.measure.volume.uncertainty import Evidence
+from mammometry.measure.volume.uncertainty import VolumeEvidence
 from mammometry.measure.volume.volumes import measure_volumes
 from mammometry.measure.wall.chest_wall import fit
 from mammometry.measure.wall.open_breast import open_breasts
@@ -122,7 +122,7 @@ def otherwise(shape: TorsoShape, rng: np.random.Generator) -> TorsoShape:
 
 def as_measured(
     true: TrueVisit, settings: MeasureSettings = MeasureSettings(), rng: np.random.Generator | None = None
-) -> Visit:
+) -> DatedMeasurements:
     """A visit with true skin and boundaries; with a generator, both with drawn errors."""
     surface, boundaries = true.torso.surface, true.torso.boundaries
     if rng is not None:
@@ -134,8 +134,8 @@ def as_measured(
             moved = replace(boundary, points_world=boundary.points_world * scale)
             drawn.append(redraw(moved, rng.normal(size=len(modes)) @ modes, surface.mesh))
         boundaries = tuple(drawn)
-    found = measure_volumes(open_breasts(boundaries, surface, settings), Evidence(earlier=EARLIER))
-    return Visit(surface=surface, measurements=found, frame=frame_of(true, boundaries))
+    found = measure_volumes(open_breasts(boundaries, surface, settings), VolumeEvidence(earlier=EARLIER))
+    return DatedMeasurements(surface=surface, measurements=found, frame=frame_of(true, boundaries))
 
 
 def frame_of(true: TrueVisit, boundaries: tuple[Boundary, ...] | None = None) -> np.ndarray:

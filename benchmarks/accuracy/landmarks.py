@@ -43,7 +43,7 @@ from mammometry.job.stages import surface
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.scan import QUALITIES, VirtualScan, clean_front, scan
 from mammometry.simulate.session import write_session
-from mammometry.simulate.subjects.solid import Solid
+from mammometry.simulate.subjects.solid import SubjectSolid
 from mammometry.simulate.subjects.woman import woman_named
 from mammometry.study.landmarks import fold_curve, lowest_point
 
@@ -66,7 +66,7 @@ def of_borders(borders: Mapping[str, Float64[Array, "b 3"]]) -> Known:
     return known
 
 
-def known_of(solid: Solid, *, notch: bool) -> Known:
+def known_of(solid: SubjectSolid, *, notch: bool) -> Known:
     """True landmarks of one of our women, frame of the solid."""
     known = of_borders({side: solid.mesh.vertices[breast.boundary] for side, breast in solid.breasts.items()})
     points = ("nipple_left", "nipple_right", "midline", *(("sternal_notch",) if notch else ()))
@@ -107,7 +107,7 @@ def _of_woman(number: int, kind: str) -> tuple[VirtualScan, Known]:
     return _scanned(solid, kind), known_of(solid, notch=False)
 
 
-def _scanned(solid: Solid, kind: str) -> VirtualScan:
+def _scanned(solid: SubjectSolid, kind: str) -> VirtualScan:
     return clean_front(solid) if kind == CLEAN else scan(solid, QUALITIES[kind], 0)
 
 

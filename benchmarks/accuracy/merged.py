@@ -37,7 +37,7 @@ from mammometry.simulate.disturbances.registry import disturbed
 from mammometry.simulate.recipe import parse_situation
 from mammometry.simulate.scan import QUALITIES, clean_front, scan
 from mammometry.simulate.subjects.registry import make_subject
-from mammometry.simulate.subjects.solid import Solid
+from mammometry.simulate.subjects.solid import SubjectSolid
 
 SCANS = ("clean", "front", "below", "merged")
 _EDGE_MM = 2.0  # of the bodies' triangles, on the breasts
@@ -46,7 +46,7 @@ _AT_RANDOM = "turned and moved"
 
 
 @cache
-def hanging_woman(number: int, posture: str = "standing") -> Solid:
+def hanging_woman(number: int, posture: str = "standing") -> SubjectSolid:
     """Make a virtual woman whose nipples are 10 to 60 mm below the folds.
 
     Raises:
@@ -57,7 +57,7 @@ def hanging_woman(number: int, posture: str = "standing") -> Solid:
     return make_subject(f"torso_{number}", 0, edge_mm=_EDGE_MM, reshape=reshape)
 
 
-def write_scans(solid: Solid, folder: Path, quality: str = "telephone") -> dict[str, Path]:
+def write_scans(solid: SubjectSolid, folder: Path, quality: str = "telephone") -> dict[str, Path]:
     """Scan a body, and write its clean mesh and both scans."""
     made = {"clean": clean_front(solid)}
     for walk, seed in zip(("front", "below"), _SEEDS, strict=True):

@@ -30,7 +30,7 @@ from mammometry.measure.volume import volumes
 from mammometry.measure.volume.boundary_jitter import boundary_std_cc, drawn_sigma_mm, redraw
 from mammometry.measure.volume.difference import difference
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence
+from mammometry.measure.volume.uncertainty import EarlierErrors, VolumeEvidence
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.simulate.subjects.woman import woman_named
@@ -110,7 +110,7 @@ def measured(
         try:
             wall = chest_wall.fit(breast)
             std_cc = boundary_std_cc(breast, wall)
-            evidence = Evidence(
+            evidence = VolumeEvidence(
                 surface=surface,
                 earlier=EarlierErrors(scale_std=_SCALE_STD),
                 boundary_std_cc=std_cc,

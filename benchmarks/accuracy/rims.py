@@ -23,11 +23,11 @@ from mammometry.measure.boundary.cast_rim import mean_height, rim_candidates
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.render import render_subject
-from mammometry.simulate.rendering.scene import Room, Scene, light_scene
-from mammometry.simulate.rendering.skin import Skin
+from mammometry.simulate.rendering.scene import Room, StudioScene, light_scene
+from mammometry.simulate.rendering.skin import SkinReflectance
 from mammometry.simulate.rigs.build import build_rig, flashes
 from mammometry.simulate.rigs.rig_file import find_plan
-from mammometry.simulate.subjects.solid import Solid, rig_from_solid, rounded_mesh
+from mammometry.simulate.subjects.solid import SubjectSolid, rig_from_solid, rounded_mesh
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _RADIUS_MM, _HEIGHT_MM, _STRETCH = 58.0, 48.0, 1.08
@@ -38,7 +38,7 @@ _CLEAR_PX = 5.0
 _SEED = 3
 
 
-def dome(rim_radius_mm: float) -> Solid:
+def dome(rim_radius_mm: float) -> SubjectSolid:
     """Half an ellipsoid on a plane, its edge rounded by a radius, mm."""
     turn = np.linspace(0, np.pi / 2, _SKIN_ROWS)
     wall_mm = _RADIUS_MM * np.sqrt(1 - (rim_radius_mm / _HEIGHT_MM) ** 2)
@@ -56,7 +56,7 @@ def dome(rim_radius_mm: float) -> Solid:
     mesh = _revolved(x, z)
     angle = np.arange(_AROUND) * 2 * np.pi / _AROUND
     corner = wall_mm * np.stack([np.cos(angle), _STRETCH * np.sin(angle), 0 * angle], axis=1)
-    return Solid(
+    return SubjectSolid(
         name="dome",
         subject_kind="model",
         mesh=rounded_mesh(mesh.vertices, mesh.faces),
@@ -111,8 +111,8 @@ def height_mm(rim_radius_mm: float, scale: float) -> float:
     return -mean_height(found.base, place.apply(solid.base_boundary))
 
 
-def _silhouettes(scene: Scene, rig: Rig) -> Iterator[Foreground]:
-    skin, film = Skin(), Film()
+def _silhouettes(scene: StudioScene, rig: Rig) -> Iterator[Foreground]:
+    skin, film = SkinReflectance(), Film()
     for number, camera in enumerate(rig.cameras.values()):
         aperture = film.aperture(camera)
         light = render_subject(scene, camera, skin, seed=_SEED, aperture=aperture, background=film.stray_light)

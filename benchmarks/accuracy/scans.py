@@ -45,7 +45,7 @@ from mammometry.simulate.disturbances.registry import disturbed
 from mammometry.simulate.recipe import parse_situation
 from mammometry.simulate.scan import QUALITIES, clean_front, scan
 from mammometry.simulate.subjects.registry import make_subject
-from mammometry.simulate.subjects.solid import Solid
+from mammometry.simulate.subjects.solid import SubjectSolid
 
 _EDGE_MM = 2.0  # of the bodies' triangles, on the breasts
 # Share of the women who are operated on or differ, and how.
@@ -100,7 +100,7 @@ def posture_of(number: int) -> str:
     return POSTURES[(number + number // len(_OPERATIONS)) % len(POSTURES)]
 
 
-def woman(number: int, posture: str) -> Solid:
+def woman(number: int, posture: str) -> SubjectSolid:
     """Make a virtual woman.
 
     Raises:
@@ -185,7 +185,7 @@ def _rows_of_woman(body: Body) -> Iterator[tuple[str, int, Row]]:
             }  # fmt: skip
 
 
-def true_grades(solid: Solid) -> dict[str, str]:
+def true_grades(solid: SubjectSolid) -> dict[str, str]:
     """Side → Regnault's grade by the true fold, nipple and lowest contour, for nipples below the fold."""
     grades = {}
     for side, breast in solid.breasts.items():

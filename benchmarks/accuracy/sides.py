@@ -39,7 +39,7 @@ from mammometry.simulate.recipe import parse_situation
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import rig_from_solid
 from mammometry.simulate.subjects.torso import torso
-from mammometry.simulate.subjects.torso_shape import BreastShape, TorsoShape, torso_shape
+from mammometry.simulate.subjects.torso_shape import BreastDesign, TorsoShape, torso_shape
 from mammometry.surface.repair.repair import RepairedSurface
 
 _NOISE_MM, _TILT_DEG, _EDGE_MM = 0.15, 8.0, 3.0
@@ -58,7 +58,7 @@ class Case:
     """Left less right, true, cc."""
 
 
-def mound(shape: TorsoShape, volume_cc: float, rng: np.random.Generator) -> BreastShape:
+def mound(shape: TorsoShape, volume_cc: float, rng: np.random.Generator) -> BreastDesign:
     """A right mound that runs out flat all around: an expander, or a flap."""
     radius = (volume_cc * 1000 / (0.3 * np.pi * rng.uniform(0.4, 0.65))) ** (1 / 3)
     old = shape.breasts["right"]

@@ -14,7 +14,7 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.study.agreement import PairedMeasurements, agreement
 from mammometry.study.icc import intraclass_correlations
-from mammometry.study.tables import Table
+from mammometry.study.tables import TextTable
 
 _SIZES = ((3, 2), (6, 2), (9, 2), (20, 2), (6, 3), (3, 4))  # subjects × methods
 _CORRELATIONS = (0.0, 0.5, 0.95)
@@ -22,7 +22,7 @@ _WOMEN = ((6, 3), (10, 5), (20, 20))  # women, and how many of them have both br
 _SPREADS = ((1.0, 0.5), (0.5, 1.0))  # standard deviations of differences between women and within one
 
 
-def correlations(tables: int, rng: np.random.Generator) -> Table:
+def correlations(tables: int, rng: np.random.Generator) -> TextTable:
     """Of all six forms: faulty intervals, and coverage of ICC(2,1)."""
     rows = []
     for n, k in _SIZES:
@@ -36,10 +36,10 @@ def correlations(tables: int, rng: np.random.Generator) -> Table:
                 held += low <= rho <= high
             rows.append((f"{n} × {k}", f"{rho:g}", f"{100 * faulty / tables:.1f}", f"{100 * held / tables:.1f}"))
     columns = ("subjects × methods", "true ρ", "tables with a faulty interval, %", "ICC(2,1) held, %")
-    return Table(title="Intraclass correlations", columns=columns, rows=tuple(rows))
+    return TextTable(title="Intraclass correlations", columns=columns, rows=tuple(rows))
 
 
-def breasts(tables: int, rng: np.random.Generator) -> Table:
+def breasts(tables: int, rng: np.random.Generator) -> TextTable:
     """Both breasts of some women: intervals as independent rows and as rows of women."""
     rows = []
     for women, both in _WOMEN:
@@ -54,7 +54,7 @@ def breasts(tables: int, rng: np.random.Generator) -> Table:
     columns = ("women, of them with both breasts", "SD between, within women", "bias held, independent rows, %",
                "upper limit held, independent rows, %", "bias held, rows of women, %",
                "upper limit held, rows of women, %")  # fmt: skip
-    return Table(title="Both breasts of one woman", columns=columns, rows=tuple(rows))
+    return TextTable(title="Both breasts of one woman", columns=columns, rows=tuple(rows))
 
 
 def _held(difference: Float64[Array, " n"], whose: Float64[Array, " n"], limit: float) -> Float64[Array, "2 2"]:

@@ -26,7 +26,7 @@ from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.measure.wall.registry import TORSO_WALLS
 from mammometry.simulate.subjects.registry import make_subject
-from mammometry.simulate.subjects.solid import Solid, rig_from_solid
+from mammometry.simulate.subjects.solid import SubjectSolid, rig_from_solid
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 SIDES = ("left", "right")
@@ -38,7 +38,7 @@ _EDGE_MM = 2.0
 class TrueTorso:
     """A torso of the simulator as it stands before the cameras."""
 
-    solid: Solid
+    solid: SubjectSolid
     """Placed; its frame is the rig's: x to the patient's left, y up, z towards the cameras."""
     surface: RepairedSurface
     """Its skin; the back is marked as invented."""
@@ -71,7 +71,7 @@ def as_seen(mesh: TriangleMesh, least_cosine: float = _SEEN_COSINE) -> RepairedS
     )
 
 
-def true_boundaries(solid: Solid, vertices: Float64[Array, "n 3"]) -> tuple[Boundary, ...]:
+def true_boundaries(solid: SubjectSolid, vertices: Float64[Array, "n 3"]) -> tuple[Boundary, ...]:
     """The curves where skin and chest wall part."""
     return tuple(
         Boundary(name=name, points_world=vertices[solid.breasts[name].boundary], method="true")  # type: ignore[arg-type]

@@ -30,7 +30,7 @@ from mammometry.calibration.features.pixels import FoundPoints
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.calibration.targets.target import TARGETS
 from mammometry.capture.camera import BACKENDS, Devices
-from mammometry.capture.shots import Shot, take
+from mammometry.capture.shots import PendingShot, take
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.io.cameras.formats import import_cameras
@@ -57,7 +57,7 @@ from mammometry.simulate.recipe import SessionRecipe, parse_situation
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.registry import RENDERERS
-from mammometry.simulate.rendering.skin import Skin
+from mammometry.simulate.rendering.skin import SkinReflectance
 from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.poses import draw_poses
@@ -229,7 +229,7 @@ def test_a_camera_back_end_is_fired(run: Callable[[str], dict[str, Any]], tmp_pa
     run("A camera back-end")
     names = ("a", "b", "c")
     rig = BACKENDS["grey-card"](Devices(cameras=names, ids={"a": "7"}, options={"dead": "c"}))
-    taken = take(rig, names, Shot(tmp_path), timeout_s=1.0, features=False)
+    taken = take(rig, names, PendingShot(tmp_path), timeout_s=1.0, features=False)
     assert set(taken.frames) == {"a", "b"}
     assert taken.frames["a"].serial == "7"
     assert taken.frames["a"].seen.median == pytest.approx(0.5, abs=0.02)
@@ -271,7 +271,7 @@ def test_a_figure_is_drawn_with_those_of_its_stage(run: Callable[[str], dict[str
 def test_a_disturbance_is_put_beside_the_subject(run: Callable[[str], dict[str, Any]]) -> None:
     run("A disturbance of a virtual capture")
     solid = make_subject("sphere", 1, edge_mm=8.0)
-    about = Surroundings(solid=solid, rig_from_solid=Transform.identity(), skin=Skin())
+    about = Surroundings(solid=solid, rig_from_solid=Transform.identity(), skin=SkinReflectance())
     (thing,) = disturbed(about, "thing", parse_situation("balloon=60"), 3).things
     assert np.ptp(thing.props.vertices[:, 1]) == pytest.approx(120.0)
     with pytest.raises(ValueError, match=r"balloon .* 20 and 200"):

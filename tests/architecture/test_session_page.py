@@ -14,11 +14,11 @@ from mammometry.calibration.targets.target import TARGETS
 from mammometry.capture.loop import record_of
 from mammometry.capture.shots import Delivered, Firing
 from mammometry.capture.skew import Skew
-from mammometry.capture.verdict import Verdict
+from mammometry.capture.verdict import CaptureVerdict
 from mammometry.io import manifest
-from mammometry.io.drift import CameraDrift, Entry, entry_table
+from mammometry.io.drift import CameraDrift, DriftEntry, entry_table
 from mammometry.io.meshes import merged, scans
-from mammometry.io.results.records import Record
+from mammometry.io.results.records import ProductRecord
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def test_every_key_of_every_target_is_on_the_page(named: set[str]) -> None:
 
 def test_every_key_of_the_other_files_is_on_the_page(named: set[str]) -> None:
     drift = CameraDrift(moved=False, shift_mm=0.0, turn_deg=0.0, shift_px=0.0, sigma=0.0)
-    check = Entry(
+    check = DriftEntry(
         when="", image_set="", calibration="", verdict="", effect_mm=0.0, reasons=(), cameras={"c": drift},
         photographs={"1": "a"},
     )  # fmt: skip
@@ -59,10 +59,10 @@ def test_every_key_of_the_other_files_is_on_the_page(named: set[str]) -> None:
     skew = Skew(offset_ms={"c": 0.0}, std_ms=0.0, measured="", exposure_ms=1.0)
     frame = Mock(spec=Delivered, seconds=0.0)
     firing = Firing(fired_s=0.0, frames={"c": frame}, faults={}, seconds=0.0)
-    verdict = Verdict(findings=(), seconds=0.0)
+    verdict = CaptureVerdict(findings=(), seconds=0.0)
     shot: dict[str, Any] = record_of(firing, verdict, "virtual")
     keys = {
-        *line, *line["cameras"]["c"], *skew.as_table(), *Record.model_fields,
+        *line, *line["cameras"]["c"], *skew.as_table(), *ProductRecord.model_fields,
         *scans._KEYS, *merged._KEYS, *shot, *shot["cameras"]["c"], *shot["verdict"],
     }  # fmt: skip
     assert keys - named == set()

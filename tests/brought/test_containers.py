@@ -11,7 +11,7 @@ from tests.brought.containers import GLBS, USDZS, VOLUME_CC, Container, Glb, ran
 
 from mammometry.base.errors import SessionError
 from mammometry.io.meshes.foreign import read_foreign
-from mammometry.io.meshes.scans import ABOUT, Scan, import_scan, read_scan
+from mammometry.io.meshes.scans import ABOUT, ScanFacts, import_scan, read_scan
 
 pytestmark = pytest.mark.usefixtures("meshes_in_this_process")
 
@@ -111,7 +111,7 @@ def test_what_stands_behind_the_files_end_is_not_read(tmp_path: Path) -> None:
 def test_what_was_noted_of_a_container_is_kept_with_an_imported_scan(tmp_path: Path) -> None:
     mirrored = next(container for container in GLBS if container.name == "a negative scale")
     (tmp_path / "a.glb").write_bytes(mirrored.make())
-    (tmp_path / ABOUT).write_bytes(import_scan(tmp_path / "a.glb", Scan(scanner="A", units=""))[ABOUT])
+    (tmp_path / ABOUT).write_bytes(import_scan(tmp_path / "a.glb", ScanFacts(scanner="A", units=""))[ABOUT])
     scan = read_scan(tmp_path)
     assert scan.units == "m, glTF's unit"
     assert ["mirrored" in remark for remark in scan.remarks] == [True]

@@ -17,7 +17,7 @@ from mammometry.hospital.codes import text_fault
 from mammometry.hospital.dicom.frame import encoded
 from mammometry.hospital.dicom.objects import objects
 from mammometry.hospital.dicom.worklist import only_entry, read_answers
-from mammometry.hospital.exported import Exported, Order, Patient
+from mammometry.hospital.exported import Exported, ExportedPatient, Order
 from mammometry.hospital.fhir import bundle
 from mammometry.hospital.peers import Peer
 from mammometry.report.content import Clinical, Signed
@@ -198,4 +198,4 @@ def test_patient_and_order_check_themselves() -> None:
     with pytest.raises(SettingsError, match=r"id: .*17 letters"):
         Order(procedure_id="P" * 17)
     with pytest.raises(SettingsError, match=r"id: .*backslash .*\b3"):
-        Patient(id="ab\\c")
+        ExportedPatient(id="ab\\c")

@@ -17,7 +17,7 @@ from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.parse import LimitSettings
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.meshes.foreign import read_foreign
-from mammometry.io.meshes.scans import Scan, import_scan
+from mammometry.io.meshes.scans import ScanFacts, import_scan
 
 pytestmark = pytest.mark.usefixtures("meshes_in_this_process")
 
@@ -300,7 +300,7 @@ def require_covered(files: dict[str, bytes], folder: Path) -> None:
     assert pixels[-5, 32, 1] > 150
 
 
-SCAN = Scan(scanner="Test", units="")
+SCAN = ScanFacts(scanner="Test", units="")
 MTL = b"newmtl skin\nmap_Kd skin.jpg\n"
 
 

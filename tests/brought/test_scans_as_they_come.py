@@ -28,7 +28,7 @@ from mammometry.measure.scan_front import front_of_body
 from mammometry.measure.scan_repair import largest_part, repair_scan
 from mammometry.measure.trunk.body import find_body
 from mammometry.measure.trunk.thorax import find_trunk, seen_skin
-from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence
+from mammometry.measure.volume.uncertainty import EarlierErrors, VolumeEvidence
 from mammometry.measure.volume.volumes import measure_volumes
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
@@ -380,7 +380,7 @@ def test_a_volume_that_is_known_no_better_than_by_half_is_refused() -> None:
 
     def measured(scale_std: float) -> float:
         breasts = open_breasts([boundary], surface, frame=FRAME)
-        return measure_volumes(breasts, Evidence(earlier=EarlierErrors(scale_std=scale_std)))[0].volume_cc
+        return measure_volumes(breasts, VolumeEvidence(earlier=EarlierErrors(scale_std=scale_std)))[0].volume_cc
 
     assert measured(0.001) == pytest.approx(true_cc()["left"], rel=0.02)
     with pytest.raises(MeasureError, match=r"^breast 'left': .*\d+ ± \d+ cc \(scale ± \d+ cc"):

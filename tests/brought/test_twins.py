@@ -17,7 +17,7 @@ from mammometry.base.units import MM_PER_UNIT, unit_in_comment, unit_named
 from mammometry.cli import main
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.meshes.foreign import read_foreign
-from mammometry.io.meshes.scans import ABOUT, Scan, confirm_sides, import_scan, read_scan, scan_text
+from mammometry.io.meshes.scans import ABOUT, ScanFacts, confirm_sides, import_scan, read_scan, scan_text
 from mammometry.io.outputs import write_outputs
 from mammometry.measure.scan_repair import repair_scan
 from mammometry.measure.shape.body_size import UNCHECKED
@@ -97,7 +97,9 @@ def test_a_cast_has_no_sides(tmp_path: Path) -> None:
 
 
 def test_a_scans_text_is_read_back_whole(tmp_path: Path) -> None:
-    scan = Scan(scanner="A", units="mm, as stated", head="y", posture="standing", sha256="0", remarks=("One.", "Two."))
+    scan = ScanFacts(
+        scanner="A", units="mm, as stated", head="y", posture="standing", sha256="0", remarks=("One.", "Two.")
+    )
     (tmp_path / ABOUT).write_text(scan_text(scan))
     assert read_scan(tmp_path) == scan
     confirm_sides(tmp_path)
@@ -109,7 +111,7 @@ def test_a_scans_text_is_read_back_whole(tmp_path: Path) -> None:
 def test_an_imported_scan_keeps_that_its_sides_were_compared(tmp_path: Path) -> None:
     mesh = written(mirrored(front()), tmp_path / "a.ply")
     folder = tmp_path / "scan"
-    write_outputs(folder, import_scan(mesh, Scan(scanner="A", units=""), units="mm"), command="import mesh")
+    write_outputs(folder, import_scan(mesh, ScanFacts(scanner="A", units=""), units="mm"), command="import mesh")
     assert open_session(folder).sides_doubtful
     assert read_scan(folder).sides == ""
     confirm_sides(folder)
@@ -121,7 +123,7 @@ def test_an_imported_scan_keeps_that_its_sides_were_compared(tmp_path: Path) -> 
 @pytest.mark.requirement("R-SIDE-4")
 def test_measure_keeps_the_confirmation_in_an_imported_scans_folder(tmp_path: Path) -> None:
     mesh, folder = written(mirrored(front()), tmp_path / "a.ply"), tmp_path / "scan"
-    write_outputs(folder, import_scan(mesh, Scan(scanner="A", units=""), units="mm"), command="import mesh")
+    write_outputs(folder, import_scan(mesh, ScanFacts(scanner="A", units=""), units="mm"), command="import mesh")
     confirm = ["measure", str(folder), "--sides-checked", "--out", str(tmp_path / "out")]
     assert main.run([*confirm, "--quiet"]) in (0, 8)  # what the measurement says is not asked here
     assert read_scan(folder).sides == "checked"
@@ -222,7 +224,7 @@ def test_a_refusal_says_which_unit_was_assumed_and_what_else_would_fit(tmp_path:
 def test_an_imported_scans_unit_is_noted_when_it_is_measured(tmp_path: Path) -> None:
     mesh = written(in_unit(front(), "cm"), tmp_path / "a.ply")
     folder = tmp_path / "scan"
-    write_outputs(folder, import_scan(mesh, Scan(scanner="A", units="")), command="import mesh")
+    write_outputs(folder, import_scan(mesh, ScanFacts(scanner="A", units="")), command="import mesh")
     assert str(open_session(folder).notices[0].values["text"]).startswith(
         "The unit of the mesh is taken to be cm, as the body's size shows."
     )
@@ -275,7 +277,7 @@ def test_a_scan_of_a_wrong_size_is_never_silent(
 @pytest.mark.requirement("R-SIDE-4")
 def test_nothing_of_a_doubtful_scan_is_exported_or_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mesh, folder = written(mirrored(front()), tmp_path / "a.ply"), tmp_path / "scan"
-    write_outputs(folder, import_scan(mesh, Scan(scanner="A", units=""), units="mm"), command="import mesh")
+    write_outputs(folder, import_scan(mesh, ScanFacts(scanner="A", units=""), units="mm"), command="import mesh")
     for call in (
         ["export", "table", str(folder), "--out", str(tmp_path / "table")],
         ["compare", str(folder), str(folder), "--out", str(tmp_path / "compared")],
@@ -286,7 +288,7 @@ def test_nothing_of_a_doubtful_scan_is_exported_or_compared(tmp_path: Path, caps
 
 def test_an_imported_scan_is_in_mm_whatever_its_file_was_in(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mesh, folder = written(in_unit(front(), "cm"), tmp_path / "a.ply"), tmp_path / "scan"
-    write_outputs(folder, import_scan(mesh, Scan(scanner="A", units="")), command="import mesh")
+    write_outputs(folder, import_scan(mesh, ScanFacts(scanner="A", units="")), command="import mesh")
     assert read_scan(folder).remarks[0].endswith("If it is another, import the scanner's file again with --units.")
     assert main.run(["measure", str(folder), "--units", "in", "--out", str(tmp_path / "out")]) == 2
     assert "Import the scanner's file again" in " ".join(capsys.readouterr().err.split())

@@ -14,7 +14,7 @@ from tests.unit.measure.trunks import trunk_mesh
 from mammometry.base.errors import SessionError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.meshes.foreign import read_foreign
-from mammometry.io.meshes.scans import Scan, import_scan
+from mammometry.io.meshes.scans import ScanFacts, import_scan
 
 pytest.importorskip("pxr")
 pytestmark = pytest.mark.slow  # every reading starts a process: 1 to 2 s
@@ -133,7 +133,7 @@ def covered(picture: str = "0/right.jpg") -> str:
 def test_its_pictures_are_taken(tmp_path: Path) -> None:
     pictures: dict[str, bytes | str] = {"0/left.jpg": jpeg((200, 40, 40)), "0/right.jpg": jpeg((40, 200, 40))}
     mesh = packed(tmp_path / "a.usdz", {"a.usda": covered(), **pictures})
-    files = import_scan(mesh, Scan(scanner="A telephone", units=""))
+    files = import_scan(mesh, ScanFacts(scanner="A telephone", units=""))
     assert {"scan.obj", "scan.mtl", "texture-1.jpg", "texture-2.jpg"} < set(files)
     (tmp_path / "read.ply").write_bytes(files["scan.ply"])
     vertices, _, colours = read_triangles(tmp_path / "read.ply")
@@ -156,7 +156,7 @@ def test_nothing_outside_is_read(tmp_path: Path) -> None:
     secret = tmp_path / "secret.jpg"
     secret.write_bytes(jpeg((1, 2, 3)))
     mesh = packed(tmp_path / "b.usdz", {"a.usda": covered(str(secret)), "0/left.jpg": jpeg((200, 40, 40))})
-    assert "scan.obj" not in import_scan(mesh, Scan(scanner="A telephone", units=""))
+    assert "scan.obj" not in import_scan(mesh, ScanFacts(scanner="A telephone", units=""))
 
 
 @pytest.mark.parametrize(

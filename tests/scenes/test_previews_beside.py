@@ -138,7 +138,7 @@ def test_the_scene_that_is_made_meanwhile_is_what_the_report_would_make(
 
     monkeypatch.setattr(gather, "gather", noted)
     with monkeypatch.context() as while_drawn:
-        while_drawn.setattr(previews.Drawing, "waiting", property(lambda _: True))
+        while_drawn.setattr(previews.PreviewTasks, "waiting", property(lambda _: True))
         job.report()
     (job.session.results / "report" / "provenance.json").unlink()
     again = open_session(job.session.path, job.settings)

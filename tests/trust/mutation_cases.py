@@ -27,7 +27,7 @@ from mammometry.calibration.targets.kinds.points import PointsTarget
 from mammometry.cli import main, simulation
 from mammometry.geometry.camera import Camera
 from mammometry.io.cameras.formats import camera_texts
-from mammometry.io.drift import CameraDrift, Entry, append_history
+from mammometry.io.drift import CameraDrift, DriftEntry, append_history
 from mammometry.job.products import STAGES
 from mammometry.job.stages.report import previews_key
 from mammometry.settings import Settings
@@ -217,7 +217,7 @@ def _checked(folder: Path) -> None:
             name: CameraDrift(moved=day == 3, shift_mm=0.1 * day, turn_deg=0.01, shift_px=0.2, sigma=1.0 * day)
             for name in _PAIR
         }
-        entry = Entry(
+        entry = DriftEntry(
             when=f"2026-04-0{day}T09:00:00+02:00",
             image_set="later",
             calibration="0" * 12,

@@ -11,7 +11,7 @@ from small_products import NAMES, make
 
 from mammometry.api.sources import sources
 from mammometry.base.errors import MammometryError
-from mammometry.batch.record import Measured, Record, Row, write_record
+from mammometry.batch.record import BatchRow, Measured, SessionRecord, write_record
 from mammometry.cli import main
 from mammometry.io.outputs import write_output, write_outputs
 from mammometry.io.results.store import Store
@@ -20,7 +20,7 @@ from mammometry.io.sealed import sealed, unsealed
 from mammometry.settings import Settings
 
 _WHOLE = 1 << 14  # bytes of a file of which each is tried; of longer ones, so many chosen by chance
-_ROW = Row(
+_ROW = BatchRow(
     session="a",
     subject="P-1",
     date=None,
@@ -46,7 +46,7 @@ def session(tmp_path: Path) -> Path:
     write_outputs(results / "deidentified", {"report.html": b"<p>", "report.pdf": b"%PDF"}, command="report")
     write_output(results / "products.svg", b"<svg/>", command="graph")
     write_output(results.parent / "cameras.json", b"{}", command="import-cameras")
-    record = Record(key="ab" * 32, files={"session.toml": (1, 2), "s3": (3, "tag")}, row=_ROW)
+    record = SessionRecord(key="ab" * 32, files={"session.toml": (1, 2), "s3": (3, "tag")}, row=_ROW)
     write_record(results.parent, record)
     return results.parent
 

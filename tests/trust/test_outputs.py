@@ -28,7 +28,7 @@ from mammometry.api import observers as drawn_alike
 from mammometry.api.job import Job
 from mammometry.base.progress import map_in_sequence
 from mammometry.batch import batch as batches
-from mammometry.batch.record import Row
+from mammometry.batch.record import BatchRow
 from mammometry.calibration.detection import detect as detecting
 from mammometry.calibration.judge import check as checking
 from mammometry.calibration.judge.check import RigCheck
@@ -360,7 +360,7 @@ def observers(place: Path, patch: pytest.MonkeyPatch) -> Case:
 
 def batch(place: Path, patch: pytest.MonkeyPatch) -> Case:
     session = _session(place / "archive" / "one")
-    row = Row(
+    row = BatchRow(
         session="one",
         subject=None,
         date=None,

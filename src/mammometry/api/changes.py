@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from mammometry.io.results.records import Record
+from mammometry.io.results.records import ProductRecord
 from mammometry.io.results.store import Store
 from mammometry.job.graph import Plan
 from mammometry.job.inputs import MISSING
@@ -111,7 +111,7 @@ def source_of(key: Key, name: str) -> str:
     return name if name == "target" else f"calibration/{name}"
 
 
-def _differing(record: Record, key: Key) -> list[str]:
+def _differing(record: ProductRecord, key: Key) -> list[str]:
     return [name for name in {**record.inputs, **key.inputs} if record.inputs.get(name) != key.inputs.get(name)]
 
 

@@ -26,9 +26,9 @@ from mammometry.settings import Settings
 if TYPE_CHECKING:
     from mammometry.geometry.mesh import TriangleMesh
     from mammometry.measure.boundary.boundary import Boundary
-    from mammometry.measure.change import Change, Visit
+    from mammometry.measure.change import Change, DatedMeasurements
     from mammometry.measure.volume.measurement import VolumeMeasurement
-    from mammometry.measure.volume.uncertainty import Evidence
+    from mammometry.measure.volume.uncertainty import VolumeEvidence
     from mammometry.report.documents.change_page import ChangeReport
     from mammometry.report.privacy import Privacy
 
@@ -338,7 +338,7 @@ def _measured_again(
     return measure_volumes(breasts, _evidence(job), progress=progress)
 
 
-def _evidence(job: Job) -> Evidence:
+def _evidence(job: Job) -> VolumeEvidence:
     """Errors of earlier stages, for a volume's interval."""
     return job.plan[measure.evidence]()
 
@@ -364,11 +364,11 @@ def _automatic(job: Job) -> tuple[Boundary, ...]:
     return outline_torso(job.surface().repaired, frame).boundaries
 
 
-def _visit(job: Job, volumes: tuple[VolumeMeasurement, ...]) -> Visit:
-    from mammometry.measure.change import Visit
+def _visit(job: Job, volumes: tuple[VolumeMeasurement, ...]) -> DatedMeasurements:
+    from mammometry.measure.change import DatedMeasurements
 
     sizes = job.plan.value(measure.dimensions)
-    return Visit(
+    return DatedMeasurements(
         surface=job.surface().repaired,
         measurements=volumes,
         frame=job.frame(),
@@ -409,7 +409,7 @@ def _report(
     jobs: list[Job],
     heading: _Heading,
     change: Change,
-    visits: list[Visit],
+    visits: list[DatedMeasurements],
     notices: tuple[Notice, ...],
     privacy: Privacy,
 ) -> ChangeReport:

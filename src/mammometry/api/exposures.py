@@ -5,7 +5,7 @@ from pathlib import Path
 
 from mammometry.base.errors import SessionError
 from mammometry.base.photograph import Photograph
-from mammometry.io.drift import Entry
+from mammometry.io.drift import DriftEntry
 from mammometry.io.photographs.same_pixels import may_be_same, pixels_digest
 from mammometry.io.photographs.tags import read_exposure
 from mammometry.io.write import file_digest
@@ -20,7 +20,7 @@ def require_later(
     files: Mapping[Shot, Path],
     photographs: Mapping[Shot, Photograph],
     calibrated: Mapping[Shot, Path],
-    earlier: Iterable[Entry],
+    earlier: Iterable[DriftEntry],
 ) -> dict[str, str]:
     """Raise an error unless photographs are newer than the calibration and differ from all known ones.
 

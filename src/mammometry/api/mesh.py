@@ -61,7 +61,7 @@ from mammometry.measure.landmarks.landmarks import PICKED_SIGMA_MM
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
-    from mammometry.report.content import Picture, ReportContent
+    from mammometry.report.content import ReportContent, ReportPicture
     from mammometry.report.privacy import Privacy
     from mammometry.report.scene import ViewerScene
     from mammometry.report.words.stage_facts import Facts
@@ -357,7 +357,7 @@ class MeshJob(Job):
         return {}
 
     @contextmanager
-    def _drawing_beside(self) -> Iterator[Callable[[], Callable[[], Mapping[str, Picture]]]]:
+    def _drawing_beside(self) -> Iterator[Callable[[], Callable[[], Mapping[str, ReportPicture]]]]:
         """Start a second process for drawing.
 
         Yields:
@@ -365,7 +365,7 @@ class MeshJob(Job):
         """
         from mammometry.report.gather import drawn_mesh, mesh_result
 
-        def draw() -> Mapping[str, Picture]:
+        def draw() -> Mapping[str, ReportPicture]:
             shown = mesh_result(self.plan, self._rig, self.finished.textured, self._sources)
             try:
                 return child.call(drawn_mesh, shown)
@@ -375,10 +375,10 @@ class MeshJob(Job):
                 _LOG.warning("the pictures are drawn here: %s", why)
                 return drawn_mesh(shown)
 
-        def begin() -> Callable[[], Mapping[str, Picture]]:
+        def begin() -> Callable[[], Mapping[str, ReportPicture]]:
             drawn = pool.submit(draw)
 
-            def wait() -> Mapping[str, Picture]:
+            def wait() -> Mapping[str, ReportPicture]:
                 from mammometry.report.documents import html, pdf  # noqa: F401  # the pages need them next
 
                 return drawn.result()
@@ -419,7 +419,7 @@ class MeshJob(Job):
         self,
         progress: Progress,
         privacy: Privacy | None = None,
-        drawn: Callable[[], Mapping[str, Picture]] | None = None,
+        drawn: Callable[[], Mapping[str, ReportPicture]] | None = None,
     ) -> ReportContent:
         from mammometry.report.gather import gather_mesh
         from mammometry.report.words.mesh_facts import MeshOrigin

@@ -36,7 +36,7 @@ from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import find_body
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
-from mammometry.study.observers import Drawing, DrawnSurface
+from mammometry.study.observers import DrawnSurface, ObservedCurve
 from mammometry.surface.repair.repair import RepairedSurface
 
 _SUFFIX = ".json"
@@ -181,7 +181,7 @@ class MeasuredDrawings:
     """All drawings, and their surfaces."""
 
     surfaces: tuple[DrawnSurface, ...]
-    drawings: tuple[Drawing, ...]
+    drawings: tuple[ObservedCurve, ...]
 
 
 def measure_drawings(
@@ -209,7 +209,7 @@ def measure_drawings(
         MeasureError: a mesh cannot be measured, or a curve is not on it or cannot be followed.
     """
     surfaces: list[DrawnSurface] = []
-    drawings: list[Drawing] = []
+    drawings: list[ObservedCurve] = []
     done = 0
     for mesh in dict.fromkeys(drawing.mesh for drawing in drawn):
         own = [drawing for drawing in drawn if drawing.mesh == mesh]
@@ -231,7 +231,7 @@ def _on_one(
     axes: tuple[str | None, str | None],
     settings: MeasureSettings,
     progress: Progress,
-) -> tuple[DrawnSurface, list[Drawing]]:
+) -> tuple[DrawnSurface, list[ObservedCurve]]:
     foreign = read_foreign(path, units)
     scan = repair_scan(foreign.mesh, skin_alone=True)
     files = []
@@ -257,7 +257,7 @@ def _on_one(
             wall = chest_wall.fit(breast)
             axes_world = np.stack([frame[0] if side == "left" else -frame[0], frame[1], frame[2]])
             drawings.append(
-                Drawing(
+                ObservedCurve(
                     breast=f"{shown_name(path.with_suffix(''))}, {side}",
                     observer=drawing.observer,
                     repeat=drawing.repeat,

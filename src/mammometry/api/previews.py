@@ -68,7 +68,7 @@ class Previews:
         return pictures
 
     @contextmanager
-    def drawing(self, stages: Sequence[Stage]) -> Iterator[Drawing]:
+    def drawing(self, stages: Sequence[Stage]) -> Iterator[PreviewTasks]:
         """Context in which pictures are drawn as soon as their stages are complete.
 
         Args:
@@ -78,11 +78,11 @@ class Previews:
         missing = any(not self.store.has(previews_key(stage, self.plan)) for stage in stages[:-1])
         usual = self.plan.method is method and not self.plan.given  # replaced functions exist only in this process
         if not missing or not usual or available_cores() < 2 or self._megapixels() < _LEAST_MEGAPIXELS:
-            yield Drawing(self._ensure, None)
+            yield PreviewTasks(self._ensure, None)
             return
         with ThreadPoolExecutor(1) as pool, ChildProcess() as child:
             pool.submit(child.call, load)
-            drawing = Drawing(lambda stage: self._ensure(stage, child), pool)
+            drawing = PreviewTasks(lambda stage: self._ensure(stage, child), pool)
             try:
                 yield drawing
                 drawing.facts()
@@ -123,7 +123,7 @@ class Previews:
         return drawn(stage, self.plan, self.inputs)
 
 
-class Drawing:
+class PreviewTasks:
     """Pictures being drawn, in this or the second process."""
 
     def __init__(self, ensure: Callable[[Stage], Facts], pool: ThreadPoolExecutor | None) -> None:
@@ -159,14 +159,14 @@ def load() -> None:
     import numpy as np
 
     from mammometry.geometry import TriangleMesh
-    from mammometry.report.figures.canvas import Sheet
+    from mammometry.report.figures.canvas import PanelSheet
     from mammometry.report.figures.catalogue import previews_of
-    from mammometry.report.figures.shading import Scene, standard_views
+    from mammometry.report.figures.shading import ShadedMesh, standard_views
 
     previews_of("measure")
     triangle = TriangleMesh(vertices=np.eye(3), faces=np.array([[0, 1, 2]], dtype=np.int32))
-    sheet = Sheet(1, 1, (8, 8))
-    sheet.panel(0, "title").imshow(Scene(triangle).render(standard_views(triangle, np.eye(3))[0], size_px=8))
+    sheet = PanelSheet(1, 1, (8, 8))
+    sheet.panel(0, "title").imshow(ShadedMesh(triangle).render(standard_views(triangle, np.eye(3))[0], size_px=8))
     sheet.png("", "")
 
 

@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from mammometry.api.previews import Drawing, Previews
+from mammometry.api.previews import Previews, PreviewTasks
 from mammometry.api.results import Results, is_refusal_shown, seen, show_refusal, withdraw_refusal
 from mammometry.api.stored_report import Reported
 from mammometry.base.errors import (
@@ -181,7 +181,7 @@ class Job(Reported):
         refused = stages[-1] in ("measure", "report") and is_refusal_shown(self.store.folder)
         return not refused and self.store.all_current(keys)
 
-    def _ensure_stage(self, stage: Stage, drawing: Drawing | None, background: Background) -> None:
+    def _ensure_stage(self, stage: Stage, drawing: PreviewTasks | None, background: Background) -> None:
         try:
             self.plan.ensure(stage, background)
         except (CalibrationError, MatchingError, SurfaceError, MeasureError) as error:
@@ -191,7 +191,7 @@ class Job(Reported):
         if drawing is not None:
             drawing.begin(stage)
 
-    def _seen(self, stage: Stage, error: MammometryError, drawing: Drawing) -> Mapping[str, bytes]:
+    def _seen(self, stage: Stage, error: MammometryError, drawing: PreviewTasks) -> Mapping[str, bytes]:
         drawing.facts()  # all started pictures are then complete
         return seen(stage, error, self.plan, self.inputs, self.previews)
 
@@ -391,7 +391,7 @@ class Job(Reported):
 
         return self._write_for_others(folder, privacy, gather, self.brought)
 
-    def _ensure_report(self, drawing: Drawing) -> None:
+    def _ensure_report(self, drawing: PreviewTasks) -> None:
         scene = None
         if drawing.waiting:  # while the last pictures are drawn: products that do not need them
             from mammometry.report import gather
@@ -414,13 +414,13 @@ class Job(Reported):
         scene: ViewerScene | None = None,
     ) -> ReportContent:
         from mammometry.report import gather
-        from mammometry.report.words.stage_facts import Shown
+        from mammometry.report.words.stage_facts import DrawnStages
 
         return gather.gather(
             self.plan,
             self.inputs,
             self._page_inputs,
-            Shown(pictures={stage: self.previews(stage) for stage in _DRAWN}, facts=facts, scene=scene),
+            DrawnStages(pictures={stage: self.previews(stage) for stage in _DRAWN}, facts=facts, scene=scene),
             privacy=privacy,
             progress=progress,
         )

@@ -24,7 +24,7 @@ from mammometry.job.inputs import FinishedSurface, Inputs
 from mammometry.job.products import Key, Product
 from mammometry.job.stages import surface
 from mammometry.job.stages.report import PageInputs, report_key
-from mammometry.report.content import Picture, ReportContent
+from mammometry.report.content import ReportContent, ReportPicture
 from mammometry.report.scene import SCENE
 from mammometry.report.words.notices import words_of
 from mammometry.settings import Settings
@@ -264,7 +264,7 @@ def stored_scene(results: Path) -> str | None:
         return None
 
 
-def _files(pictures: Mapping[str, Mapping[str, Picture]]) -> Iterator[tuple[str, bytes]]:
+def _files(pictures: Mapping[str, Mapping[str, ReportPicture]]) -> Iterator[tuple[str, bytes]]:
     for stage, drawn in pictures.items():
         for name, picture in drawn.items():
             yield f"{stage}/{name}.webp", picture.webp

@@ -12,7 +12,7 @@ from mammometry.base.progress import MapTasks, Progress, no_progress
 from mammometry.batch import record, storage
 from mammometry.batch.cluster import Machines
 from mammometry.batch.engine import Began, Ended, Engine, StopRequest, Task
-from mammometry.batch.record import Entry, Row, key_of
+from mammometry.batch.record import BatchEntry, BatchRow, key_of
 from mammometry.batch.session import measure_entry
 from mammometry.io.meshes.measured import results_of
 from mammometry.io.photographs.images import megapixels_of
@@ -23,12 +23,12 @@ _READERS = 8  # threads that read records: network disks are slow; chosen by eye
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Line:
+class SessionOutcome:
     """Outcome of one session."""
 
-    entry: Entry
+    entry: BatchEntry
     state: State
-    row: Row | None = None
+    row: BatchRow | None = None
     """Its result. None if it failed or was not measured."""
     failed: str = ""
     """Reason for having no result, one sentence."""
@@ -50,13 +50,13 @@ class Line:
 class Looked:
     """Known facts about the sessions before measuring."""
 
-    current: Mapping[str, Row]
+    current: Mapping[str, BatchRow]
     """Address → row of each current session."""
-    known: Mapping[str, Row]
+    known: Mapping[str, BatchRow]
     """Address → row of each session that was ever measured in a batch."""
 
 
-def look(entries: Sequence[Entry], settings: Settings, progress: Progress = no_progress) -> Looked:
+def look(entries: Sequence[BatchEntry], settings: Settings, progress: Progress = no_progress) -> Looked:
     """Find current sessions by the sizes and times of their files.
 
     Raises:
@@ -67,7 +67,7 @@ def look(entries: Sequence[Entry], settings: Settings, progress: Progress = no_p
         if entry.assignments not in keys:
             keys[entry.assignments] = key_of(settings.overridden(entry.assignments))
 
-    def looked(entry: Entry) -> tuple[Row | None, bool]:
+    def looked(entry: BatchEntry) -> tuple[BatchRow | None, bool]:
         key = keys[entry.assignments]
         return storage.look_up(entry, key) if entry.remote else record.look_up(Path(entry.address), key)
 
@@ -83,7 +83,7 @@ def look(entries: Sequence[Entry], settings: Settings, progress: Progress = no_p
 
 
 def measure_batch(
-    entries: Sequence[Entry],
+    entries: Sequence[BatchEntry],
     settings: Settings,
     machines: Machines,
     looked: Looked,
@@ -91,7 +91,7 @@ def measure_batch(
     cores: int = 1,
     watch: Callable[[Began | Ended], None] = lambda event: None,
     stop: Callable[[], StopRequest] = lambda: StopRequest.NONE,
-) -> tuple[Line, ...]:
+) -> tuple[SessionOutcome, ...]:
     """Measure the stale sessions.
 
     Args:
@@ -121,7 +121,7 @@ def measure_batch(
         (row.megapixels, row.peak_memory_mb) for row in looked.known.values() if row.megapixels and row.peak_memory_mb
     ]
     lines = {
-        address: Line(entry=entry, state="current", row=looked.current[address])
+        address: SessionOutcome(entry=entry, state="current", row=looked.current[address])
         for address, entry in ((entry.address, entry) for entry in entries)
         if address in looked.current
     }
@@ -131,10 +131,10 @@ def measure_batch(
             watch(event)
             if isinstance(event, Ended):
                 lines[event.name] = _line(todo[event.name], event)
-    return tuple(lines.get(entry.address, Line(entry=entry, state="stopped")) for entry in entries)
+    return tuple(lines.get(entry.address, SessionOutcome(entry=entry, state="stopped")) for entry in entries)
 
 
-def _size(entry: Entry, looked: Looked) -> float | None:
+def _size(entry: BatchEntry, looked: Looked) -> float | None:
     """Megapixels of its photographs. None if they cannot be read from here."""
     if (row := looked.known.get(entry.address)) is not None:
         return row.megapixels or None
@@ -144,10 +144,10 @@ def _size(entry: Entry, looked: Looked) -> float | None:
         return None
 
 
-def _line(entry: Entry, event: Ended) -> Line:
+def _line(entry: BatchEntry, event: Ended) -> SessionOutcome:
     about = {"host": event.host, "memory_mb": event.memory_mb}
     if event.failed:
-        return Line(
+        return SessionOutcome(
             entry=entry,
             state="failed",
             failed=event.failed,
@@ -158,14 +158,16 @@ def _line(entry: Entry, event: Ended) -> Line:
     try:
         record = storage.record_of(entry) if entry.remote else _record_at(Path(entry.address))
     except MammometryError as error:
-        return Line(entry=entry, state="failed", failed=str(error), kind="StorageError", exit_code=error.exit_code)
+        return SessionOutcome(
+            entry=entry, state="failed", failed=str(error), kind="StorageError", exit_code=error.exit_code
+        )
     if record is None or record.digest != event.value["digest"]:
         refusal = "Its results are not those that were measured: they were changed, or this machine sees other storage."
-        return Line(entry=entry, state="failed", failed=refusal, kind="StorageError", exit_code=9)
-    return Line(entry=entry, state="measured", row=record.row, **about)  # type: ignore[arg-type]
+        return SessionOutcome(entry=entry, state="failed", failed=refusal, kind="StorageError", exit_code=9)
+    return SessionOutcome(entry=entry, state="measured", row=record.row, **about)  # type: ignore[arg-type]
 
 
-def _record_at(session: Path) -> record.Record | None:
+def _record_at(session: Path) -> record.SessionRecord | None:
     try:
         return record.read_record((results_of(session) / record.RECORD).read_bytes())
     except OSError:

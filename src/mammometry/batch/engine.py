@@ -19,7 +19,7 @@ from mammometry.base.errors import BatchError
 from mammometry.batch import record
 from mammometry.batch.cluster import Machines, other_version
 from mammometry.batch.record import CORES, MEMORY, software
-from mammometry.batch.supervise import TOPIC, Limits, stop, stop_all, supervise
+from mammometry.batch.supervise import TOPIC, ProcessLimits, stop, stop_all, supervise
 
 _KIND = "mammometry"  # first word of all keys: Dask learns by it how long tasks take, and spreads them evenly
 _DEATHS = 2  # of a task before it fails; the last one alone on its worker
@@ -115,7 +115,7 @@ class Engine:
         self._at_work: dict[str, tuple[Any, _Tried]] = {}
         self._names: dict[str, str] = {}  # of tasks, by their keys in Dask
         self._largest_mb = 0.0
-        self._limits = Limits(
+        self._limits = ProcessLimits(
             batch=uuid4().hex, cores=cores, software=software(), report_s=max(1.0, machines.count() / _REPORTS_A_SECOND)
         )
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from mammometry.base.errors import SessionError, TableError
 from mammometry.base.listing import visible
-from mammometry.batch.record import Entry, is_address
+from mammometry.batch.record import BatchEntry, is_address
 from mammometry.batch.storage import sessions_at
-from mammometry.io.csv_tables import Table, read_table
+from mammometry.io.csv_tables import CsvTable, read_table
 from mammometry.io.meshes.measured import can_be_opened, is_measured
 
 _SESSION, _SET = "session", "set"
@@ -22,7 +22,7 @@ _NAMES = ("model", "left", "right")
 """Names of volumes."""
 
 
-def find_entries(wanted: Sequence[str], results: str | None = None) -> tuple[Entry, ...]:
+def find_entries(wanted: Sequence[str], results: str | None = None) -> tuple[BatchEntry, ...]:
     """Find the sessions of a command line, each once, in order.
 
     Args:
@@ -35,7 +35,7 @@ def find_entries(wanted: Sequence[str], results: str | None = None) -> tuple[Ent
         SessionError: a session is missing, or given twice with different settings.
         TableError: a table is invalid.
     """
-    entries: dict[str, Entry] = {}
+    entries: dict[str, BatchEntry] = {}
     for text in wanted:
         for entry in _entries(text):
             before = entries.setdefault(entry.address, entry)
@@ -66,7 +66,7 @@ def find_entries(wanted: Sequence[str], results: str | None = None) -> tuple[Ent
                 entry.address, found=f"another session of the same name, {other}", expected=expected, remedy=remedy
             )
     return tuple(
-        Entry(
+        BatchEntry(
             address=entry.address,
             assignments=entry.assignments,
             reference_cc=entry.reference_cc,
@@ -76,9 +76,9 @@ def find_entries(wanted: Sequence[str], results: str | None = None) -> tuple[Ent
     )
 
 
-def _entries(text: str) -> Iterator[Entry]:
+def _entries(text: str) -> Iterator[BatchEntry]:
     if is_address(text):
-        yield from (Entry(address=address) for address in sessions_at(text))
+        yield from (BatchEntry(address=address) for address in sessions_at(text))
         return
     if text.lower().endswith(".csv"):
         yield from _of_table(Path(text))
@@ -89,7 +89,7 @@ def _entries(text: str) -> Iterator[Entry]:
         remedy = "Check the name; `mammometry new SESSION` makes a session"
         expected = "the folder of a session or a scan, or of such folders; a pattern; a .csv; or an address"
         raise SessionError(text, found="no session" if paths else "no such folder", expected=expected, remedy=remedy)
-    yield from (Entry(address=str(session)) for session in sessions)
+    yield from (BatchEntry(address=str(session)) for session in sessions)
 
 
 def _sessions_in(folder: Path) -> list[Path]:
@@ -100,7 +100,7 @@ def _sessions_in(folder: Path) -> list[Path]:
     return [path.resolve() for path in visible(resolved) if path.is_dir() and can_be_opened(path)]
 
 
-def _of_table(path: Path) -> Iterator[Entry]:
+def _of_table(path: Path) -> Iterator[BatchEntry]:
     """Sessions of a table. Their paths are below the table's folder."""
     table = read_table(
         path, str(path), "a first line with a column session, then one session per line", refusal=TableError
@@ -122,7 +122,7 @@ def _of_table(path: Path) -> Iterator[Entry]:
             if not math.isnan(volume)
         }
         if is_address(text):
-            yield Entry(address=text.rstrip("/"), assignments=tuple(given.split()), reference_cc=known)
+            yield BatchEntry(address=text.rstrip("/"), assignments=tuple(given.split()), reference_cc=known)
             continue
         folder = (path.parent / text).resolve()
         if not can_be_opened(folder):
@@ -132,10 +132,10 @@ def _of_table(path: Path) -> Iterator[Entry]:
                 expected="the folder of a session or a scan, from the table's own folder on",
                 remedy="Correct the line, or remove it",
             )
-        yield Entry(address=str(folder), assignments=tuple(given.split()), reference_cc=known)
+        yield BatchEntry(address=str(folder), assignments=tuple(given.split()), reference_cc=known)
 
 
-def _volumes(table: Table, columns: Sequence[str]) -> list[list[float]]:
+def _volumes(table: CsvTable, columns: Sequence[str]) -> list[list[float]]:
     """Volumes, cc, row by row. NaN in empty cells: not every subject has a reference.
 
     Raises:

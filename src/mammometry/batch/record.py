@@ -32,7 +32,7 @@ _ADDRESS = re.compile(r"[a-z][a-z0-9+]*://")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Entry:
+class BatchEntry:
     """One session of a batch."""
 
     address: str
@@ -106,7 +106,7 @@ class Measured(BaseModel):
     """95 %."""
 
 
-class Row(BaseModel):
+class BatchRow(BaseModel):
     """Result of a session: a row of the batch's table."""
 
     model_config = _STRICT
@@ -135,7 +135,7 @@ class Row(BaseModel):
     """A small picture of the subject, WebP in base64."""
 
 
-class Record(BaseModel):
+class SessionRecord(BaseModel):
     """Record of a finished session."""
 
     model_config = _STRICT
@@ -145,7 +145,7 @@ class Record(BaseModel):
     """Digest of settings and software."""
     files: Mapping[str, Stat]
     """Path in the session → its size and version."""
-    row: Row
+    row: BatchRow
 
     @property
     def digest(self) -> str:
@@ -192,7 +192,7 @@ def _stat(about: os.stat_result) -> Stat:
     return (about.st_size, f"{about.st_mtime_ns} {about.st_ctime_ns}")
 
 
-def write_record(session: Path, record: Record) -> None:
+def write_record(session: Path, record: SessionRecord) -> None:
     """Write the record next to the session's results, atomically.
 
     Raises:
@@ -201,20 +201,20 @@ def write_record(session: Path, record: Record) -> None:
     write_bytes(results_of(session) / RECORD, content_of(record))
 
 
-def content_of(record: Record) -> bytes:
+def content_of(record: SessionRecord) -> bytes:
     """Content of a record's file."""
     return sealed(record.model_dump(mode="json"))
 
 
-def read_record(data: bytes) -> Record | None:
+def read_record(data: bytes) -> SessionRecord | None:
     """Read a record from a file's content. None if it is not of this version."""
     try:
-        return Record.model_validate(unsealed(data)[0])
+        return SessionRecord.model_validate(unsealed(data)[0])
     except _UNREADABLE:
         return None
 
 
-def look_up(session: Path, key: str) -> tuple[Row | None, bool]:
+def look_up(session: Path, key: str) -> tuple[BatchRow | None, bool]:
     """Record of a session, and whether its files still match it. Files match by size and times."""
     path = results_of(session) / RECORD
     try:

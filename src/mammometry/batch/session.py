@@ -22,7 +22,17 @@ from mammometry.base.machine.system import peak_memory_mb
 from mammometry.base.notices import from_table
 from mammometry.base.progress import Progress, StageProgress
 from mammometry.batch import storage
-from mammometry.batch.record import RECORD, Entry, Measured, Record, Row, key_of, read_record, stats_of, write_record
+from mammometry.batch.record import (
+    RECORD,
+    BatchEntry,
+    BatchRow,
+    Measured,
+    SessionRecord,
+    key_of,
+    read_record,
+    stats_of,
+    write_record,
+)
 from mammometry.io.meshes.measured import is_result, results_of
 from mammometry.io.photographs.images import megapixels_of
 from mammometry.io.write import disk_errors
@@ -37,7 +47,7 @@ _WAIT_S, _STEP_S = 30.0, 1.0
 """Wait for the previous run of a restarted task, which may still be ending in the session."""
 
 
-def measure_entry(progress: StageProgress, entry: Entry, settings: str) -> dict[str, Any]:
+def measure_entry(progress: StageProgress, entry: BatchEntry, settings: str) -> dict[str, Any]:
     """Measure one session in place, or in a scratch folder if remote.
 
     Args:
@@ -79,7 +89,7 @@ def _scratch() -> Iterator[Path]:
         yield Path(folder)
 
 
-def _measured(session: Path, settings: Settings, progress: StageProgress) -> Record:
+def _measured(session: Path, settings: Settings, progress: StageProgress) -> SessionRecord:
     """Measure a session and write its record.
 
     The record has the state of the user's files before the run, so that changes during the run are noticed next time.
@@ -91,12 +101,12 @@ def _measured(session: Path, settings: Settings, progress: StageProgress) -> Rec
     row = _row_of(job, peak_memory_mb() if earlier is None else earlier.peak_memory_mb)
     brought = {name: stat for name, stat in before.items() if not is_result(session, name)}
     made_now = {name: stat for name, stat in stats_of(session).items() if is_result(session, name)}
-    record = Record(key=key_of(settings), files={**brought, **made_now}, row=row)
+    record = SessionRecord(key=key_of(settings), files={**brought, **made_now}, row=row)
     write_record(session, record)
     return record
 
 
-def _earlier(session: Path) -> Row | None:
+def _earlier(session: Path) -> BatchRow | None:
     """Result of an earlier record, for a run that made nothing.
 
     The peak memory of such a run is too low to be useful.
@@ -120,10 +130,10 @@ def _when_free(run: Callable[[], _R]) -> _R:
             time.sleep(_STEP_S)
 
 
-def _row_of(job: Job, peak_mb: float | None) -> Row:
+def _row_of(job: Job, peak_mb: float | None) -> BatchRow:
     warnings = json.loads((job.store.folder / "report" / WARNINGS).read_text(encoding="utf-8"))
     made = [job.store.record(key) for stage in job.stages for key in job.keys(stage)]
-    return Row(
+    return BatchRow(
         session=job.identity.name,
         subject=job.identity.subject,
         date=job.identity.date or None,

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mammometry.base.errors import SessionError, StorageError
-from mammometry.batch.record import RECORD, Entry, Record, Row, Stat, is_address, read_record
+from mammometry.batch.record import RECORD, BatchEntry, BatchRow, SessionRecord, Stat, is_address, read_record
 from mammometry.io.manifest import MANIFEST
 from mammometry.io.meshes.scans import ABOUT
 
@@ -48,7 +48,7 @@ def _has_session(system: AbstractFileSystem, folder: str) -> bool:
     return any(system.isfile(f"{folder}/{name}") for name in (MANIFEST, ABOUT))
 
 
-def fetch(entry: Entry, folder: Path) -> dict[str, Stat]:
+def fetch(entry: BatchEntry, folder: Path) -> dict[str, Stat]:
     """Fetch a session and its former results into a new folder.
 
     Returns:
@@ -77,7 +77,7 @@ def fetch(entry: Entry, folder: Path) -> dict[str, Stat]:
     return remote
 
 
-def put(entry: Entry, results: Path, digest: str) -> None:
+def put(entry: BatchEntry, results: Path, digest: str) -> None:
     """Send results back, atomically. Former ones are removed afterwards.
 
     Raises:
@@ -111,7 +111,7 @@ def _remove(system: AbstractFileSystem, folder: str) -> None:
             system.rmdir(path)
 
 
-def look_up(entry: Entry, key: str) -> tuple[Row | None, bool]:
+def look_up(entry: BatchEntry, key: str) -> tuple[BatchRow | None, bool]:
     """Record of a session, and whether its files still match it. Files match by the storage's own tags.
 
     Raises:
@@ -123,7 +123,7 @@ def look_up(entry: Entry, key: str) -> tuple[Row | None, bool]:
     return record.row, record.key == key and dict(record.files) == stats(entry)
 
 
-def record_of(entry: Entry) -> Record | None:
+def record_of(entry: BatchEntry) -> SessionRecord | None:
     """The record of the present results. None if there are none.
 
     Raises:
@@ -140,7 +140,7 @@ def record_of(entry: Entry) -> Record | None:
             return None
 
 
-def results_of(entry: Entry) -> str | None:
+def results_of(entry: BatchEntry) -> str | None:
     """Address of the present results."""
     former = _pointed(entry)
     return None if former is None else f"{_base(entry).rstrip('/')}/{former}"
@@ -158,7 +158,7 @@ def read(address: str) -> bytes:
         return content
 
 
-def stats(entry: Entry) -> dict[str, Stat]:
+def stats(entry: BatchEntry) -> dict[str, Stat]:
     """Name → size and storage tag of every file of the user.
 
     The tag is the change time if the storage has none.
@@ -183,7 +183,7 @@ def stats(entry: Entry) -> dict[str, Stat]:
     return dict(sorted(remote.items()))
 
 
-def _base(entry: Entry) -> str:
+def _base(entry: BatchEntry) -> str:
     """Address of the folder with the results."""
     return entry.address if entry.results is None else entry.results
 
@@ -202,7 +202,7 @@ def _opened(address: str) -> tuple[AbstractFileSystem, str]:
     return system, path.rstrip("/")
 
 
-def _pointed(entry: Entry) -> str | None:
+def _pointed(entry: BatchEntry) -> str | None:
     """Name of the folder with the present results."""
     with _answers(entry.address):
         system, root = _opened(_base(entry))

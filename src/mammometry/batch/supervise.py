@@ -27,7 +27,7 @@ running: dict[tuple[str, str], subprocess.Popen[bytes]] = {}
 
 
 @value
-class Limits:
+class ProcessLimits:
     """Limits of a task's process."""
 
     batch: str
@@ -39,7 +39,7 @@ class Limits:
     """Between two reports on the same stage, s. The scheduler receives those of all workers."""
 
 
-def supervise(name: str, call: Call, limits: Limits) -> dict[str, Any]:
+def supervise(name: str, call: Call, limits: ProcessLimits) -> dict[str, Any]:
     """Run a task in its own process.
 
     Args:

@@ -14,7 +14,7 @@ from skimage.measure import blur_effect
 
 from mammometry.base.photograph import LUMA, Photograph
 from mammometry.geometry.arrays import Array, Bool, Float32
-from mammometry.io.photographs.tags import Exposure
+from mammometry.io.photographs.tags import PhotographTags
 from mammometry.matching.foreground.block_segmentation import segment
 from mammometry.matching.foreground.silhouette import block_means
 
@@ -305,7 +305,7 @@ def camera_of_serial(serial: str, known: Mapping[str, KnownCamera]) -> str | Non
     return matching[0] if len(matching) == 1 else None
 
 
-def right_camera(camera: str, exposure: Exposure, named: str | None, known: Mapping[str, KnownCamera]) -> Finding:
+def right_camera(camera: str, exposure: PhotographTags, named: str | None, known: Mapping[str, KnownCamera]) -> Finding:
     """Check that the photograph is filed under the right camera.
 
     Args:

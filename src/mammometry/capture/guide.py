@@ -47,7 +47,7 @@ class Suggestion:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Progress:
+class GuideProgress:
     """Quality of the calibration so far."""
 
     poses: int
@@ -65,13 +65,13 @@ def opening(pair_names: tuple[str, ...], taken: int) -> str:
     return f"Keep the board in the middle and turn it towards pair {pair}, tilted by a hand's breadth at one edge."
 
 
-def progress(calibration: Calibration) -> Progress:
+def progress(calibration: Calibration) -> GuideProgress:
     """Distance of the calibration from good enough."""
     errors = expected_error(calibration).rms_mm
     worst = max(errors, key=lambda pair: np.nan_to_num(errors[pair], nan=np.inf))
     poses, good = len(calibration.world_from_target), bool(errors[worst] <= GOOD_MM)
     word = "Good enough" if good else "Not yet good enough"
-    return Progress(
+    return GuideProgress(
         poses=poses,
         error_mm=float(errors[worst]),
         good_enough=good,

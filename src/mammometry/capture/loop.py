@@ -20,7 +20,7 @@ from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.kinds.points import PointsTarget
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture.camera import BACKENDS, Backend, Holds
-from mammometry.capture.guide import Progress, Suggestion, opening, progress, suggest
+from mammometry.capture.guide import GuideProgress, Suggestion, opening, progress, suggest
 from mammometry.capture.sessions import (
     RigFile,
     definition_of,
@@ -29,9 +29,9 @@ from mammometry.capture.sessions import (
     read_rig_file,
     share_calibration,
 )
-from mammometry.capture.shots import Firing, Shot, accept, add_pose, last_record, require_replaceable, take
+from mammometry.capture.shots import Firing, PendingShot, accept, add_pose, last_record, require_replaceable, take
 from mammometry.capture.skew import Skew, read_moment, read_skew, skew_of, write_skew
-from mammometry.capture.verdict import Expected, Verdict, judge
+from mammometry.capture.verdict import CaptureVerdict, Expected, judge
 from mammometry.geometry.camera import Rig
 from mammometry.io.manifest import MANIFEST, read_manifest
 from mammometry.io.photographs.images import read_photograph
@@ -51,7 +51,7 @@ class CaptureResult:
 
     shot: Path
     """Folder of its pictures, from all cameras that delivered."""
-    verdict: Verdict
+    verdict: CaptureVerdict
     accepted: bool
     """Whether it is the session's capture now."""
     written_s: float
@@ -66,7 +66,7 @@ class PoseResult:
     """Its folder in ``calibration``; empty if none was taken now."""
     count: int
     """Poses so far."""
-    progress: Progress | None
+    progress: GuideProgress | None
     """None while there are too few."""
     suggestion: Suggestion | None
     sentence: str
@@ -166,7 +166,7 @@ class OpenRig:
         prepare(session, self.file, self.calibration, subject_id=subject_id)
         require_replaceable(session)
         entry, before = self.file.capture, last_record(session)
-        shot = Shot(session, suffix=entry.format)
+        shot = PendingShot(session, suffix=entry.format)
         try:
             taken = take(
                 self.backend, self.cameras, shot, timeout_s=entry.timeout_s, features=self.rig is not None
@@ -205,7 +205,7 @@ class OpenRig:
                 "the rig's file", found="no [target]", expected="the board for the calibration", remedy=remedy
             )
         prepare(session, self.file, None)
-        shot = Shot(session, suffix=self.file.capture.format)
+        shot = PendingShot(session, suffix=self.file.capture.format)
         try:
             taken = take(
                 self.backend, self.cameras, shot, timeout_s=self.file.capture.timeout_s, features=False
@@ -311,7 +311,7 @@ class OpenRig:
             )
         seen = []
         for _ in range(firings):
-            shot = Shot(session / "skew", suffix="png" if self.file.capture.format == "png" else "jpg")
+            shot = PendingShot(session / "skew", suffix="png" if self.file.capture.format == "png" else "jpg")
             try:
                 self.backend.arm()
                 self.backend.fire()
@@ -358,7 +358,7 @@ def prepare(session: Path, file: RigFile, calibration: Path | None, *, subject_i
         share_calibration(calibration, session)
 
 
-def record_of(taken: Firing, verdict: Verdict, backend: str) -> dict[str, object]:
+def record_of(taken: Firing, verdict: CaptureVerdict, backend: str) -> dict[str, object]:
     """Content of a firing's shot.json."""
     when = datetime.datetime.fromtimestamp(taken.fired_s, datetime.UTC).isoformat(timespec="milliseconds")
     return {

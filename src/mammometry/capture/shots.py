@@ -32,7 +32,7 @@ _QUALITY = 95  # of JPEGs made here: errors of 1 grey level, below the sensor's 
 _BEGIN = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png", b"II*\x00": ".tif", b"MM\x00*": ".tif"}
 
 
-class Shot:
+class PendingShot:
     """One firing while it is written."""
 
     def __init__(self, session: Path, *, suffix: str = "jpg") -> None:
@@ -228,7 +228,9 @@ class Firing:
     """From the pulse until all are on the disk and analysed."""
 
 
-def take(backend: Backend, cameras: tuple[str, ...], shot: Shot, *, timeout_s: float, features: bool = True) -> Firing:
+def take(
+    backend: Backend, cameras: tuple[str, ...], shot: PendingShot, *, timeout_s: float, features: bool = True
+) -> Firing:
     """Arm, fire and fetch all cameras.
 
     If one camera or its file fails, the pictures of the others are still written.

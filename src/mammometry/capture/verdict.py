@@ -23,7 +23,7 @@ _OLD_S = 2.0  # before the pulse: shared clocks differ by far less
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
+class CaptureVerdict:
     """All findings, worst first."""
 
     findings: tuple[tuple[str, Finding], ...]
@@ -85,7 +85,7 @@ class Expected:
     skew_limit_ms: float = 1.0
 
 
-def judge(taken: Firing, expected: Expected) -> Verdict:
+def judge(taken: Firing, expected: Expected) -> CaptureVerdict:
     """Decide whether a firing may be measured.
 
     Args:
@@ -106,7 +106,7 @@ def judge(taken: Firing, expected: Expected) -> Verdict:
         findings += [(name, finding) for finding in checks.judge(frame.seen, expected.subject_kind)]
     order = {"refuse": 0, "warn": 1, "unknown": 2, "ok": 3}
     findings.sort(key=lambda named: order[named[1].level])
-    return Verdict(findings=tuple(findings), seconds=taken.seconds + time.monotonic() - begun)
+    return CaptureVerdict(findings=tuple(findings), seconds=taken.seconds + time.monotonic() - begun)
 
 
 def _delivered(taken: Firing, expected: Expected) -> Iterator[tuple[str, Finding]]:

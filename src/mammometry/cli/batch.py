@@ -20,7 +20,7 @@ from mammometry.cli.common import Answer, Bars, Options, command
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from mammometry.batch.batch import Line
+    from mammometry.batch.batch import SessionOutcome
     from mammometry.batch.engine import Began, Ended, StopRequest
     from mammometry.report.documents.batch_page import BatchLine
 
@@ -107,7 +107,7 @@ def batch(
         looked = look(entries, chosen, progress)
     todo = [entry.address for entry in entries if entry.address not in looked.current]
     show = _Show(len(entries), todo, options)
-    lines: Sequence[Line]
+    lines: Sequence[SessionOutcome]
     stop = _Wishes()
     with stop.heard():
         if todo:
@@ -139,7 +139,7 @@ def batch(
     return Answer(table, [*shown, counted(texts), f"Page and tables: {out / 'batch.html'}"], code)
 
 
-def _said(line: Line) -> BatchLine:
+def _said(line: SessionOutcome) -> BatchLine:
     """One session's row of the page."""
     from mammometry.report.documents.batch_page import BatchLine, BatchVolume
 

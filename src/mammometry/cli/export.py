@@ -15,8 +15,8 @@ from mammometry.cli.common import Answer, Bars, Options, SessionOrScan, command
 from mammometry.cli.stages import opened
 
 if TYPE_CHECKING:
-    from mammometry.hospital.exported import Exported, Order, Patient
-    from mammometry.hospital.peers import Tls
+    from mammometry.hospital.exported import Exported, ExportedPatient, Order
+    from mammometry.hospital.peers import PeerTls
 
 app = typer.Typer(name="export", help="Write results for other systems: DICOM, FHIR, REDCap, tables.")
 
@@ -115,7 +115,7 @@ def dicom(
     """
     from mammometry.base.extras import require
     from mammometry.hospital.codes import require_text
-    from mammometry.hospital.peers import AUTHORIZATION, Peer, Tls, require_encrypted, web_address
+    from mammometry.hospital.peers import AUTHORIZATION, Peer, PeerTls, require_encrypted, web_address
     from mammometry.io.outputs import require_apart, require_free, write_outputs
 
     if out is None and send is None and stow is None:
@@ -125,8 +125,8 @@ def dicom(
     patient, order = _who(patient_id, patient_name, born, sex, accession, study_uid, referring)
     peer = None if send is None else Peer.parse(send)
     worklist_peer = None if worklist is None else Peer.parse(worklist)
-    encrypted = Tls(authorities=tls_ca, certificate=tls_certificate, key=tls_key)
-    chosen = encrypted if tls or encrypted != Tls() else None
+    encrypted = PeerTls(authorities=tls_ca, certificate=tls_certificate, key=tls_key)
+    chosen = encrypted if tls or encrypted != PeerTls() else None
     login = os.environ.get(AUTHORIZATION)
     if stow is not None:
         stow = web_address(stow)
@@ -283,15 +283,17 @@ def _who(
     accession: str = "",
     study_uid: str = "",
     referring: str = "",
-) -> tuple[Patient, Order]:
-    from mammometry.hospital.exported import Order, Patient
+) -> tuple[ExportedPatient, Order]:
+    from mammometry.hospital.exported import ExportedPatient, Order
 
     day = None if born is None else born.date()
-    patient = Patient(id=patient_id, name=patient_name, born=day, sex="" if sex is None else sex.value)
+    patient = ExportedPatient(id=patient_id, name=patient_name, born=day, sex="" if sex is None else sex.value)
     return patient, Order(accession=accession, study_uid=study_uid, referring=referring)
 
 
-def _from_worklist(peer: Any, patient: Patient, order: Order, own_title: str, tls: Tls | None) -> tuple[Patient, Order]:
+def _from_worklist(
+    peer: Any, patient: ExportedPatient, order: Order, own_title: str, tls: PeerTls | None
+) -> tuple[ExportedPatient, Order]:
     """Patient and order from the one entry that matches the options."""
     from mammometry.hospital.dicom.worklist import entries, only_entry
 

@@ -228,13 +228,13 @@ def mesh(
     pictures. The original file names are not kept, because they may contain a patient's name. Scans merged with --also
     become one scan.ply, whose vertices have the property source: 1 the first scan, 2 the second, 3 both.
     """
-    from mammometry.io.meshes.scans import FILES, MESH, Scan, import_scan, read_scan
+    from mammometry.io.meshes.scans import FILES, MESH, ScanFacts, import_scan, read_scan
     from mammometry.io.outputs import require_apart, require_free, write_outputs
 
     further = _further(also)
     require_apart(out, [file, *further])
     require_free(out, FILES, command=_COMMAND)
-    about = Scan(
+    about = ScanFacts(
         scanner=scanner, units="", head=head, ahead=ahead, subject=named_subject(subject), posture=posture,
         sides="checked" if sides_checked else "",
     )  # fmt: skip

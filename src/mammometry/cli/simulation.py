@@ -22,7 +22,7 @@ from mammometry.simulate.recipe import SessionRecipe, parse_situation
 from mammometry.simulate.rendering.film import Film
 
 if TYPE_CHECKING:
-    from mammometry.simulate.subjects.solid import Solid
+    from mammometry.simulate.subjects.solid import SubjectSolid
     from mammometry.simulate.subjects.user_mesh import MeshFile
 
 
@@ -72,7 +72,7 @@ def scan_demo(folder: Path, options: Options) -> Answer:
     return Answer(table, [*lines, *volume_lines(results)])
 
 
-def _woman() -> Solid:
+def _woman() -> SubjectSolid:
     from mammometry.simulate.disturbances.registry import disturbed
     from mammometry.simulate.recipe import parse_situation
     from mammometry.simulate.subjects.registry import make_subject
@@ -81,17 +81,17 @@ def _woman() -> Solid:
     return make_subject(_WOMAN, 0, edge_mm=_EDGE_MM, reshape=reshape)
 
 
-def _scanned(woman: Solid) -> dict[str, bytes]:
+def _scanned(woman: SubjectSolid) -> dict[str, bytes]:
     """Files of the scan's folder, as if a telephone's mesh were imported."""
     from mammometry.geometry.mesh_files.ply import write_ply
-    from mammometry.io.meshes.scans import Scan, import_scan
+    from mammometry.io.meshes.scans import ScanFacts, import_scan
     from mammometry.simulate.scan import QUALITIES, scan
 
     made = scan(woman, QUALITIES[_QUALITY], _SEED)
     with tempfile.TemporaryDirectory(prefix="mammometry-") as place:
         path = Path(place) / "scan.ply"
         write_ply(path, made.mesh, made.ply_colours, comments=())
-        return import_scan(path, Scan(scanner=_SCANNER, units="", posture="standing"), units=_UNITS)
+        return import_scan(path, ScanFacts(scanner=_SCANNER, units="", posture="standing"), units=_UNITS)
 
 
 app = typer.Typer()

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from mammometry.api.truth import PhantomResult
     from mammometry.base.progress import MapTasks
     from mammometry.study.agreement import Agreement, CheckedFigure, PairedMeasurements
-    from mammometry.study.tables import Table
+    from mammometry.study.tables import TextTable
 
 
 dates_app = typer.Typer()
@@ -117,7 +117,7 @@ def evaluate(
     return Answer(table, [*lines, f"World and truth were aligned by {differences.frame}.", f"Evaluation: {folder}"])
 
 
-def table_lines(table: Table) -> list[Any]:
+def table_lines(table: TextTable) -> list[Any]:
     """A table with a title for the terminal. Columns of text are only on the page."""
     from rich.table import Table as RichTable
 
@@ -356,11 +356,11 @@ def _tasks_side_by_side(bars: Bars, count: int, scale: float) -> Iterator[MapTas
         yield lambda function, arguments: loop()(function, arguments)
 
 
-def interval_table(results: Sequence[PhantomResult]) -> Table:
+def interval_table(results: Sequence[PhantomResult]) -> TextTable:
     """Interval of each model, and whether it contains the true volume."""
-    from mammometry.study.tables import Table, number
+    from mammometry.study.tables import TextTable, number
 
-    return Table(
+    return TextTable(
         title="Intervals of single measurements",
         columns=("model", "true cc", "95 % interval cc", "contains the truth"),
         rows=tuple(
@@ -376,7 +376,7 @@ def interval_table(results: Sequence[PhantomResult]) -> Table:
 
 
 def _answer(
-    folder: Path, data: PairedMeasurements, figures: Agreement, checked: Sequence[CheckedFigure], *more: Table
+    folder: Path, data: PairedMeasurements, figures: Agreement, checked: Sequence[CheckedFigure], *more: TextTable
 ) -> Answer:
     from mammometry.report.documents.study_pages import study_json
     from mammometry.report.words.notices import lines_of

@@ -101,7 +101,7 @@ class AuditFilter:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Entry:
+class AuditLine:
     """An entry of the audit as text for the page."""
 
     number: int
@@ -167,7 +167,7 @@ def entries(chosen: AuditFilter) -> QuerySet[LogEntry]:
     return rows
 
 
-def entry_page(chosen: AuditFilter, before: int | None = None) -> tuple[list[Entry], int | None]:
+def entry_page(chosen: AuditFilter, before: int | None = None) -> tuple[list[AuditLine], int | None]:
     """Entries older than a number, and the number where the next page starts.
 
     Args:
@@ -184,7 +184,7 @@ def entry_page(chosen: AuditFilter, before: int | None = None) -> tuple[list[Ent
 
 def in_words(
     row: LogEntry, names: Mapping[UUID, str], texts: Mapping[str, tuple[str, str]] = MappingProxyType({})
-) -> Entry:
+) -> AuditLine:
     """One entry as text, even if its object no longer exists.
 
     Args:
@@ -200,7 +200,7 @@ def in_words(
     kind = CHANGED if changed else additional.get("kind") if additional.get("kind") in KINDS else OPENED
     title = f"{model.capitalize()} {_VERBS[row.action]}" if changed else title_of(str(additional.get("page", "")))
     who = names.get(row.actor_id, f"account {additional['account']}" if "account" in additional else "")
-    return Entry(
+    return AuditLine(
         number=row.pk,
         at=row.timestamp,
         who=who,

@@ -64,7 +64,7 @@ def _are_encrypted(secrets_of: dict[str, str]) -> dict[str, str]:
 Filled = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 
 
-class Tls(BaseModel):
+class ServerTls(BaseModel):
     """Encryption of the connection."""
 
     model_config = _STRICT
@@ -82,7 +82,7 @@ class Tls(BaseModel):
         return self.behind_proxy or bool(self.certificate)
 
 
-class Limits(BaseModel):
+class RateLimits(BaseModel):
     """Limits for one person or address."""
 
     model_config = _STRICT
@@ -170,8 +170,8 @@ class ClinicConfig(BaseModel):
     """``sqlite``, or ``postgresql://user:password@host:port/name``."""
     cluster: str = ""
     """Dask scheduler (tcp://…) that measures; empty: this machine."""
-    tls: Tls = Tls()
-    limits: Limits = Limits()
+    tls: ServerTls = ServerTls()
+    limits: RateLimits = RateLimits()
     people: People = People()
     backup: Backup = Backup()
     rigs: Rigs = Rigs()

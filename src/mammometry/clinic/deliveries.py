@@ -14,9 +14,9 @@ from mammometry.clinic.models import Delivery, Destination, Job, Patient, Person
 from mammometry.clinic.records.clinical import clinical_of, operation_words, operations_before
 from mammometry.clinic.records.results import measured_job
 from mammometry.clinic.site import the_clinic
-from mammometry.hospital.exported import Exported, Operation, Order, plain_name
-from mammometry.hospital.exported import Patient as PatientModule
-from mammometry.hospital.peers import Peer, Tls
+from mammometry.hospital.exported import Exported, ExportedOperation, Order, plain_name
+from mammometry.hospital.exported import ExportedPatient as PatientModule
+from mammometry.hospital.peers import Peer, PeerTls
 from mammometry.report.content import Clinical
 
 _LIBRARIES = ("pydicom", "pynetdicom", "highdicom")
@@ -112,10 +112,10 @@ def gathered(config: ClinicConfig, visit: Visit, *, whole: bool = True, deidenti
     return replace(exported, operations=_operations(visit), organization=config.name, is_final=is_final)
 
 
-def _operations(visit: Visit) -> tuple[Operation, ...]:
+def _operations(visit: Visit) -> tuple[ExportedOperation, ...]:
     """Operations before the visit, newest first."""
     return tuple(
-        Operation(
+        ExportedOperation(
             kind=row.kind, title=str(row.get_kind_display()), side=row.side, day=row.day,
             sentence=operation_words(row),
         )
@@ -153,7 +153,7 @@ def order_of(visit: Visit) -> Order:
     )  # fmt: skip
 
 
-def connection(destination: Destination) -> tuple[Peer, Tls | None]:
+def connection(destination: Destination) -> tuple[Peer, PeerTls | None]:
     """Address of a DICOM application, and the encryption of the connection."""
     return Peer.parse(destination.address), tls_of(destination)
 
@@ -176,7 +176,7 @@ def _send(config: ClinicConfig, visit: Visit, destination: Destination) -> tuple
     return sent, committed(made, peer, own_title=own_title, tls=tls, listen=destination.promise_port)
 
 
-def tls_of(destination: Destination) -> Tls | None:
+def tls_of(destination: Destination) -> PeerTls | None:
     """Encryption of the connection to an archive. None: unencrypted."""
     if not destination.encrypted:
         return None
@@ -184,4 +184,4 @@ def tls_of(destination: Destination) -> Tls | None:
         Path(name) if name else None for name in (destination.authorities, destination.certificate, destination.key)
     )
     authorities, certificate, key = files
-    return Tls(authorities=authorities, certificate=certificate, key=key)
+    return PeerTls(authorities=authorities, certificate=certificate, key=key)

@@ -14,7 +14,7 @@ from mammometry.api.acceptance import device_tests
 from mammometry.capture.sessions import make_session, manifest_text
 from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Job, Rig, Upload, Visit
 from mammometry.clinic.site import the_clinic
-from mammometry.io.drift import CameraDrift, Entry
+from mammometry.io.drift import CameraDrift, DriftEntry
 from mammometry.study.acceptance.tables import PastTest
 
 Answer: TypeAlias = Literal["yes", "care", "no"]
@@ -53,7 +53,7 @@ class Calibrated:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Checked:
+class LatestCheck:
     """The newest daily check against that calibration."""
 
     on: datetime.date
@@ -68,7 +68,7 @@ class Checked:
     """Whether the photographs of two cameras are exchanged, so that it shows no movements."""
 
     @classmethod
-    def of(cls, on: datetime.date, figures: Mapping[str, Any]) -> Checked:
+    def of(cls, on: datetime.date, figures: Mapping[str, Any]) -> LatestCheck:
         """Build the facts from a check's stored figures."""
         return cls(
             on=on,
@@ -80,7 +80,7 @@ class Checked:
         )
 
 
-def judge(day: datetime.date, calibrated: Calibrated | None, checked: Checked | None) -> Today:
+def judge(day: datetime.date, calibrated: Calibrated | None, checked: LatestCheck | None) -> Today:
     """Decide whether a rig may be used today.
 
     Args:
@@ -213,7 +213,7 @@ def _by_checks(rig: Rig) -> Today:
             for name in other.figures.get("cameras", {})
         }
         unseen = [name for name in newest.figures.get("unseen", ()) if name not in seen]
-        checked = Checked.of(on, {**newest.figures, "unseen": unseen})
+        checked = LatestCheck.of(on, {**newest.figures, "unseen": unseen})
     return judge(day, known, checked)
 
 
@@ -227,7 +227,7 @@ def photographed_at(calibration: Calibration) -> datetime.datetime:
     return calibration.taken_at if first is None else min(first, calibration.taken_at)
 
 
-def entries(rig: Rig) -> list[Entry]:
+def entries(rig: Rig) -> list[DriftEntry]:
     """The newest evaluated checks for the drift chart, oldest first."""
     checks = rig.checks.exclude(figures={}).select_related("calibration").order_by("-taken_at")[:_SHOWN]
     return [_entry(check) for check in reversed(checks)]
@@ -314,10 +314,10 @@ def _about(target: Visit | Calibration | DailyCheck) -> Any:
     return Q(calibration=target) if isinstance(target, Calibration) else Q(check_of_day=target)
 
 
-def _entry(check: DailyCheck) -> Entry:
+def _entry(check: DailyCheck) -> DriftEntry:
     figures = check.figures
     names = ("shift_mm", "turn_deg", "shift_px", "sigma")
-    return Entry(
+    return DriftEntry(
         when=timezone.localtime(check.taken_at).isoformat(timespec="minutes"),
         image_set=str(check.pk),
         calibration=str(figures.get("calibration", check.calibration_id)),

@@ -22,47 +22,47 @@ def _is_name(name: str) -> str:
 Author = Annotated[str, Field(max_length=80), AfterValidator(_is_name)]
 
 
-class Message(BaseModel):
+class EditorMessage(BaseModel):
     """A message, which must not contain other fields."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
-class SentHandle(Message):
+class SentHandle(EditorMessage):
     """A handle of a boundary."""
 
     point: Point
     at: Annotated[int, Field(ge=0)] | None = None
 
 
-class Sketch(Message):
+class Sketch(EditorMessage):
     """A boundary on the page: its original curve, and the positions of its handles."""
 
     of: Annotated[str, Field(max_length=64)] | None = None
     handles: Annotated[list[SentHandle], Field(min_length=3, max_length=5000)]
 
 
-class Measure(Message):
+class Measure(EditorMessage):
     """Boundaries to measure."""
 
     boundaries: dict[Breast, Sketch]
 
 
-class SketchChange(Message):
+class SketchChange(EditorMessage):
     """A changed boundary. Without a sketch it will be found automatically."""
 
     base: Base
     sketch: Sketch | None
 
 
-class PlaceChange(Message):
+class PlaceChange(EditorMessage):
     """A changed landmark. Without points it is removed."""
 
     base: Base
     points: Annotated[list[Point], Field(min_length=1, max_length=5000)] | None
 
 
-class Save(Message):
+class Save(EditorMessage):
     """All changed items."""
 
     author: Author
@@ -70,7 +70,7 @@ class Save(Message):
     landmarks: dict[str, PlaceChange] = {}
 
 
-class Finish(Message):
+class Finish(EditorMessage):
     """Confirmation that all boundaries were checked and are right."""
 
     author: Author

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from mammometry.api.stored_report import stored_scene
 from mammometry.base.errors import FullDiskError, MammometryError, StorageError
-from mammometry.editor.messages import Finish, Measure, Message, Save, sentence
+from mammometry.editor.messages import EditorMessage, Finish, Measure, Save, sentence
 from mammometry.editor.session import Desk
 from mammometry.io.drawn import LateError
 from mammometry.report.figures.shading import front_frame
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _TRIANGLES = 150_000  # of the surface on the page: fine enough to see the nipple, small enough to load; display only
 _LOG = logging.getLogger(__name__)
-_Message = TypeVar("_Message", bound=Message)
+_Message = TypeVar("_Message", bound=EditorMessage)
 
 
 class EditorPage:

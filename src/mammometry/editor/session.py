@@ -19,10 +19,10 @@ from mammometry.editor.messages import Finish, Measure, Point, Save, Sketch
 from mammometry.geometry import Array, Float64
 from mammometry.io.drawn import (
     BREASTS,
-    Change,
     DrawnBoundaries,
     Entry,
     Item,
+    ItemChange,
     change_drawn,
     drawn_entries,
     drawn_entry,
@@ -152,13 +152,13 @@ class Desk:
             StorageError: the session cannot be written to.
         """
         moment = datetime.now(UTC)
-        changes: dict[Item, Change] = {}
+        changes: dict[Item, ItemChange] = {}
         with self._lock:
             for name, change in sent.boundaries.items():
                 entry = None if change.sketch is None else self._drawn(name, change.sketch, sent.author, moment)
                 if entry is None:
                     _known(name, BREASTS[self.kind])
-                changes["boundaries", name] = Change(entry=entry, base=change.base)
+                changes["boundaries", name] = ItemChange(entry=entry, base=change.base)
             kinds = {mark.name: mark.kind for mark in LANDMARKS[self.kind]}
             for mark, place in sent.landmarks.items():
                 _known(mark, kinds)
@@ -167,7 +167,7 @@ class Desk:
                     points = self._near(mark, place.points)
                     _count(mark, len(points), line=kinds[mark] == "line")
                     entry = drawn_entry(points, method="picked by hand", author=sent.author, moment=moment)
-                changes["landmarks", mark] = Change(entry=entry, base=place.base)
+                changes["landmarks", mark] = ItemChange(entry=entry, base=place.base)
             return change_drawn(self.folder, self.kind, changes, subject=self.subject)
 
     def finish(self, sent: Finish) -> None:
@@ -189,12 +189,12 @@ class Desk:
                     "the boundaries", found="different curves from those on the page", expected=expected, remedy=remedy
                 )
             moment = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-            changes: dict[Item, Change] = {}
+            changes: dict[Item, ItemChange] = {}
             for name, digest in sent.curves.items():
                 self.board.check(name, curves[name])
                 entry = entries.get(("boundaries", name))
                 seen = {"confirmed": {"by": sent.author, "at": moment, "curve": digest}}
-                changes["boundaries", name] = Change(
+                changes["boundaries", name] = ItemChange(
                     entry={**(entry or {"automatic": True}), **seen}, base=entry_digest(entry)
                 )
             change_drawn(self.folder, self.kind, changes, subject=self.subject)

@@ -50,7 +50,7 @@ def as_patient_id(subject: str) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Patient:
+class ExportedPatient:
     """Patient in other systems."""
 
     id: str = ""
@@ -144,7 +144,7 @@ class Quantity:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Operation:
+class ExportedOperation:
     """One operation before the visit."""
 
     kind: str
@@ -168,7 +168,7 @@ class Absent:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Model:
+class ExportedMesh:
     """One closed or open mesh as a binary STL."""
 
     name: str
@@ -184,7 +184,7 @@ class CoveredModel:
     """One mesh as an OBJ, textured with photographs."""
 
     name: str
-    """As of `Model`."""
+    """As of `ExportedMesh`."""
     title: str
     side: Side
     obj: bytes
@@ -222,7 +222,7 @@ class Exported:
     notices: tuple[Notice, ...] = ()
     """Warnings about the volumes, worst first."""
     report_pdf: bytes | None = None
-    models: tuple[Model, ...] = ()
+    models: tuple[ExportedMesh, ...] = ()
     covered: CoveredModels | None = None
     """None if its photographic colours are left out."""
     photographs: Mapping[str, Photograph] = field(default_factory=dict)
@@ -234,7 +234,7 @@ class Exported:
     deidentified: bool = False
     clinical: Clinical = field(default_factory=Clinical)
     """Confirmation and conclusions, with names. Empty if de-identified."""
-    operations: tuple[Operation, ...] = ()
+    operations: tuple[ExportedOperation, ...] = ()
     """The newest first. Empty if de-identified."""
     is_final: bool = False
     """Whether exactly these numbers were confirmed and concluded."""

@@ -12,7 +12,15 @@ from typing import Any, Literal
 
 from mammometry.hospital import codes
 from mammometry.hospital.codes import Coded, identifier
-from mammometry.hospital.exported import Absent, Exported, Operation, Patient, Quantity, Side, as_patient_id
+from mammometry.hospital.exported import (
+    Absent,
+    Exported,
+    ExportedOperation,
+    ExportedPatient,
+    Quantity,
+    Side,
+    as_patient_id,
+)
 from mammometry.report.content import Signed
 from mammometry.report.words.notices import concerns, words_of
 
@@ -31,7 +39,7 @@ _RESEARCH = "For research use only. mammometry is not a certified medical device
 _SEXES = {"F": "female", "M": "male", "O": "other"}
 
 
-def bundle(exported: Exported, patient: Patient = Patient(), *, release: Release = "R4") -> bytes:
+def bundle(exported: Exported, patient: ExportedPatient = ExportedPatient(), *, release: Release = "R4") -> bytes:
     """One session as JSON, validated by fhir.resources.
 
     Args:
@@ -40,9 +48,11 @@ def bundle(exported: Exported, patient: Patient = Patient(), *, release: Release
         release: of FHIR.
     """
     if exported.deidentified:
-        patient = Patient(id=f"anonymous-{exported.source[:12]}")
+        patient = ExportedPatient(id=f"anonymous-{exported.source[:12]}")
     elif not patient.id:
-        patient = Patient(id=as_patient_id(exported.subject), name=patient.name, born=patient.born, sex=patient.sex)
+        patient = ExportedPatient(
+            id=as_patient_id(exported.subject), name=patient.name, born=patient.born, sex=patient.sex
+        )
     who = _patient(patient)
     subject = {"reference": f"Patient/{who['id']}"}
     about = {"subject": subject} | _moments(exported)
@@ -80,7 +90,7 @@ def bundle(exported: Exported, patient: Patient = Patient(), *, release: Release
     return (json.dumps(made, ensure_ascii=False, indent=1) + "\n").encode()
 
 
-def _patient(patient: Patient) -> dict[str, Any]:
+def _patient(patient: ExportedPatient) -> dict[str, Any]:
     made: dict[str, Any] = {"resourceType": "Patient", "id": identifier("patient", patient.id)}
     if patient.id:
         made["identifier"] = [{"value": patient.id}]
@@ -131,7 +141,7 @@ def _provenance(role: str, signed: Signed, target: str, seed: tuple[str, str]) -
 
 
 def _operation(
-    operation: Operation, subject: dict[str, str], seed: tuple[str, str], release: Release
+    operation: ExportedOperation, subject: dict[str, str], seed: tuple[str, str], release: Release
 ) -> dict[str, Any]:
     code = codes.OPERATIONS.get(operation.kind)
     sides = ("left", "right") if operation.side == "both" else (operation.side,)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 from mammometry.base.listing import visible
-from mammometry.hospital.exported import Absent, CoveredModel, CoveredModels, Exported, Model, Quantity, Side
+from mammometry.hospital.exported import Absent, CoveredModel, CoveredModels, Exported, ExportedMesh, Quantity, Side
 from mammometry.io.photographs.images import EXTENSIONS
 from mammometry.job.stages import measure, surface
 from mammometry.measure.volume.attribution import Attribution
@@ -225,12 +225,12 @@ def _absent(side: NoBreast) -> Absent:
     return Absent(side="left" if side.name == "left" else "right", why=side.why, kind=kind)
 
 
-def _models(measured: Sequence[VolumeMeasurement], surface: TriangleMesh) -> Iterator[Model]:
+def _models(measured: Sequence[VolumeMeasurement], surface: TriangleMesh) -> Iterator[ExportedMesh]:
     for measurement in measured:
-        yield Model(
+        yield ExportedMesh(
             name=measurement.name, title=_TITLES[measurement.name], side=measurement.name, stl=stl(measurement.closed)
         )
-    yield Model(name="surface", title=_WHOLE, side="", stl=stl(surface))
+    yield ExportedMesh(name="surface", title=_WHOLE, side="", stl=stl(surface))
 
 
 def _photograph_files(job: Job) -> dict[str, Path]:

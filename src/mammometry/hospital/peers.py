@@ -48,7 +48,7 @@ class Peer:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Tls:
+class PeerTls:
     """Encryption of a connection."""
 
     authorities: Path | None = None

@@ -106,7 +106,7 @@ _STATED = re.compile(r'"?sep=([^\w\s"\'.]|\t)"?[,;\t ]*', re.IGNORECASE)  # firs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Table:
+class CsvTable:
     """A table with named columns. Cells have no spaces around them."""
 
     name: str
@@ -180,7 +180,7 @@ class Table:
             ) from None
 
 
-def read_table(path: Path, name: str, expected: str, *, refusal: type[MammometryError] = SessionError) -> Table:
+def read_table(path: Path, name: str, expected: str, *, refusal: type[MammometryError] = SessionError) -> CsvTable:
     """Read a CSV whose first line names the columns.
 
     Args:
@@ -227,4 +227,6 @@ def read_table(path: Path, name: str, expected: str, *, refusal: type[Mammometry
         raise refusal(where, found=error_text(error), expected=expected, remedy="Correct the table") from None
     if not columns:
         raise refusal(name, found="an empty file", expected=expected, remedy="Fill in the table")
-    return Table(name=name, columns=columns, lines=tuple(lines), rows=tuple(rows), separator=separator, refusal=refusal)
+    return CsvTable(
+        name=name, columns=columns, lines=tuple(lines), rows=tuple(rows), separator=separator, refusal=refusal
+    )

@@ -23,7 +23,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.write import disk_errors, write_bytes
 from mammometry.job.inputs import SubjectKind
 from mammometry.measure.landmarks.landmarks import LANDMARKS
-from mammometry.measure.volume.attribution import Attribution, Confirmation
+from mammometry.measure.volume.attribution import Attribution, CurveConfirmation
 
 BOUNDARIES, LANDMARK_FILE, HISTORY = "boundaries.json", "landmarks.json", "history"
 BREASTS: Mapping[SubjectKind, tuple[str, ...]] = {"model": ("model",), "torso": ("left", "right"), "surface": ()}
@@ -182,7 +182,7 @@ def _who(step: Mapping[str, Any]) -> str:
 def _attribution(path: Path, name: str, entry: Mapping[str, Any]) -> Attribution:
     try:
         seen = entry.get("confirmed")
-        confirmation = None if seen is None else Confirmation(**{key: seen[key] for key in ("by", "at", "curve")})
+        confirmation = None if seen is None else CurveConfirmation(**{key: seen[key] for key in ("by", "at", "curve")})
         texts = [entry.get(key) for key in ("method", "author", "drawn")]
         texts += [step.get(key) for step in entry.get("earlier", []) for key in ("method", "author", "drawn")]
         texts += [] if confirmation is None else [confirmation.by, confirmation.at, confirmation.curve]
@@ -266,7 +266,7 @@ class LateError(SessionError):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Change:
+class ItemChange:
     """Requested change of one item."""
 
     entry: Entry | None
@@ -318,7 +318,7 @@ def drawn_entries(session: Path, kind: SubjectKind, subject: str | None = None) 
 
 
 def change_drawn(
-    session: Path, kind: SubjectKind, changes: Mapping[Item, Change], *, subject: str | None = None
+    session: Path, kind: SubjectKind, changes: Mapping[Item, ItemChange], *, subject: str | None = None
 ) -> tuple[Path, ...]:
     """Change items, all of them or none.
 
@@ -392,7 +392,7 @@ def _write(
     return path
 
 
-def _keep_late(session: Path, changes: Mapping[Item, Change], moment: datetime) -> Path:
+def _keep_late(session: Path, changes: Mapping[Item, ItemChange], moment: datetime) -> Path:
     table: dict[str, Any] = {"units": "mm", "frame": "world", "boundaries": {}, "landmarks": {}}
     for (group, name), change in changes.items():
         table[group][name] = change.entry

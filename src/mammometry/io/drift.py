@@ -42,7 +42,7 @@ class CameraDrift:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Entry:
+class DriftEntry:
     """One check of a rig, as a line of its history."""
 
     when: str
@@ -64,15 +64,17 @@ class Entry:
 class History:
     """All checks of a rig."""
 
-    entries: tuple[Entry, ...] = ()
+    entries: tuple[DriftEntry, ...] = ()
     """The oldest first."""
     notices: tuple[Notice, ...] = ()
     """Lines that cannot be read."""
 
 
-def entry_of(result: RigCheck, *, when: str, image_set: str, calibration: str, photographs: Mapping[str, str]) -> Entry:
+def entry_of(
+    result: RigCheck, *, when: str, image_set: str, calibration: str, photographs: Mapping[str, str]
+) -> DriftEntry:
     """Make the history's entry of a check."""
-    return Entry(
+    return DriftEntry(
         when=when,
         image_set=image_set,
         calibration=calibration,
@@ -95,7 +97,7 @@ def _drift(check: CameraCheck) -> CameraDrift:
     )
 
 
-def entry_table(entry: Entry) -> dict[str, Any]:
+def entry_table(entry: DriftEntry) -> dict[str, Any]:
     """An entry as a plain table for a line of the history."""
     cameras = {
         name: {
@@ -129,7 +131,7 @@ def read_history(session: Path) -> History:
     path = session / FOLDER / HISTORY
     with disk_errors(path):
         lines = path.read_bytes().split(b"\n") if path.exists() else []
-    entries: list[Entry] = []
+    entries: list[DriftEntry] = []
     unreadable: list[Notice] = []
     for number, line in enumerate(lines, start=1):
         if not line.strip():
@@ -143,7 +145,7 @@ def read_history(session: Path) -> History:
     return History(entries=tuple(entries), notices=tuple(unreadable))
 
 
-def append_history(session: Path, entry: Entry) -> None:
+def append_history(session: Path, entry: DriftEntry) -> None:
     """Append a check to the history.
 
     Returns when it is on the disk. Simultaneous checks wait for each other.
@@ -166,13 +168,13 @@ def append_history(session: Path, entry: Entry) -> None:
         sync_folder(folder)
 
 
-def _entry(table: dict[str, Any]) -> Entry:
+def _entry(table: dict[str, Any]) -> DriftEntry:
     if table["format"] != _FORMAT:
         raise ValueError(f"format {table['format']}, not {_FORMAT}")
     effect_mm = float(table["effect_mm"])
     if not math.isfinite(effect_mm):  # it could not be drawn
         raise ValueError(f"effect_mm {effect_mm}")
-    return Entry(
+    return DriftEntry(
         when=str(table["when"]),
         image_set=str(table["image_set"]),
         calibration=str(table["calibration"]),

@@ -9,7 +9,7 @@ import numpy as np
 
 from mammometry.base.errors import TableError
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.io.csv_tables import Table
+from mammometry.io.csv_tables import CsvTable
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +87,9 @@ def _unit_of(name: str) -> tuple[str, _Unit | None]:
     return match["name"], _UNITS.get(_OTHER_WORDS.get(word, word))
 
 
-def common_unit(table: Table, reference: MeasuredColumn, measured: MeasuredColumn) -> tuple[str, Float64[Array, " 2"]]:
+def common_unit(
+    table: CsvTable, reference: MeasuredColumn, measured: MeasuredColumn
+) -> tuple[str, Float64[Array, " 2"]]:
     """Common unit of two columns and the factors to it. A column without a unit has the other's.
 
     Raises:

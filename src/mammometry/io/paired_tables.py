@@ -13,7 +13,7 @@ from mammometry.base.errors import TableError
 from mammometry.base.notices import Notice
 from mammometry.base.parse import number, parsing, read_text, shown, toml_table
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.io.csv_tables import Table, both_readings, read_table
+from mammometry.io.csv_tables import CsvTable, both_readings, read_table
 from mammometry.io.measured_columns import MeasuredColumn, common_unit, measured_column, same_unit
 from mammometry.io.subject_columns import SubjectRows, subject_rows
 
@@ -74,7 +74,7 @@ def read_pairs(path: Path, *, reference: str, measured: str) -> PairedMeasuremen
 
 
 def _require_marks(
-    table: Table, names: tuple[str, str], pairs: Float64[Array, "n 2"], factors: Float64[Array, " 2"]
+    table: CsvTable, names: tuple[str, str], pairs: Float64[Array, "n 2"], factors: Float64[Array, " 2"]
 ) -> None:
     """Refuse ``1.422`` next to 1434: other cells show a decimal mark, but the other method suggests 1422."""
     for column, name in enumerate(names):
@@ -98,7 +98,7 @@ def _times(one: float, other: float) -> float:
     return math.exp(abs(math.log(abs(one) / abs(other))))
 
 
-def _require_values(table: Table, columns: tuple[MeasuredColumn, ...], pairs: Float64[Array, "n 2"]) -> None:
+def _require_values(table: CsvTable, columns: tuple[MeasuredColumn, ...], pairs: Float64[Array, "n 2"]) -> None:
     """Refuse negative values, unless the column is a change, and negative codes for missing values."""
     for row, place in np.argwhere(pairs < 0):
         column, value = columns[place], pairs[row, place]
@@ -121,7 +121,7 @@ def _is_code(value: float) -> bool:
     return set(digits) == {"9"} and (value < 0 or len(digits) > 2)
 
 
-def _require_two_methods(table: Table, columns: tuple[MeasuredColumn, ...], pairs: Float64[Array, "n 2"]) -> None:
+def _require_two_methods(table: CsvTable, columns: tuple[MeasuredColumn, ...], pairs: Float64[Array, "n 2"]) -> None:
     if (pairs[:, 0] == pairs[:, 1]).all():
         found = f"the same numbers in {columns[0].name} and {columns[1].name}"
         raise _refused(table, found, "measurements by two methods", "Check that one was not copied from the other")
@@ -159,7 +159,7 @@ def _typical_ratio(pairs: Float64[Array, "n 2"]) -> float:
     return float(np.median(usable[:, 1] / usable[:, 0])) if len(usable) else 1.0
 
 
-def _require_scale(table: Table, columns: tuple[MeasuredColumn, ...], pairs: Float64[Array, "n 2"]) -> None:
+def _require_scale(table: CsvTable, columns: tuple[MeasuredColumn, ...], pairs: Float64[Array, "n 2"]) -> None:
     """Refuse a column without a unit whose values do not fit the other column's unit."""
     ratio = _typical_ratio(pairs)
     unknown = [column for column in columns if not column.unit]
@@ -172,7 +172,7 @@ def _require_scale(table: Table, columns: tuple[MeasuredColumn, ...], pairs: Flo
         )
 
 
-def _refused(table: Table, found: str, expected: str, remedy: str) -> TableError:
+def _refused(table: CsvTable, found: str, expected: str, remedy: str) -> TableError:
     return TableError(table.name, found=found, expected=expected, remedy=remedy)
 
 

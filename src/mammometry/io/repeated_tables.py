@@ -11,7 +11,7 @@ from mammometry.base.errors import TableError
 from mammometry.base.identity import folded
 from mammometry.base.parse import shown
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.io.csv_tables import Table, read_table
+from mammometry.io.csv_tables import CsvTable, read_table
 from mammometry.io.measured_columns import measured_column
 from mammometry.io.subject_columns import SIDE_WORDS, SIDES, SUBJECTS
 from mammometry.study.repeatability.design import Reading
@@ -111,12 +111,12 @@ def read_repeated(path: Path, measured: str | None = None) -> tuple[Reading, ...
     return tuple(read)
 
 
-def _column(table: Table, names: Sequence[str], measured: str | None) -> str | None:
+def _column(table: CsvTable, names: Sequence[str], measured: str | None) -> str | None:
     known = {folded(name): name for name in reversed(table.columns) if name and name != measured}
     return next((known[name] for name in names if name in known), None)
 
 
-def _require_filled(table: Table, columns: Mapping[str, Sequence[str]]) -> None:
+def _require_filled(table: CsvTable, columns: Mapping[str, Sequence[str]]) -> None:
     for column, cells in columns.items():
         row = next((row for row, cell in enumerate(cells) if not cell), None)
         if row is not None:
@@ -128,7 +128,7 @@ def _require_filled(table: Table, columns: Mapping[str, Sequence[str]]) -> None:
             )
 
 
-def _conditions(table: Table, used: Sequence[str | None]) -> list[tuple[tuple[str, str], ...]]:
+def _conditions(table: CsvTable, used: Sequence[str | None]) -> list[tuple[tuple[str, str], ...]]:
     """What the table says of each capture: posture, breath, arms, and lengths in mm."""
     names = [name for name in table.columns if name not in used
              and (folded(name) in _CONDITIONS or name.endswith(_LENGTH))]  # fmt: skip
@@ -154,7 +154,7 @@ def _captures(texts: Mapping[str, Sequence[str]], sides: Sequence[str]) -> list[
     return found
 
 
-def _side(table: Table, row: int, word: str) -> str:
+def _side(table: CsvTable, row: int, word: str) -> str:
     if not word:
         return ""
     if folded(word) not in SIDE_WORDS:
@@ -167,7 +167,7 @@ def _side(table: Table, row: int, word: str) -> str:
     return SIDE_WORDS[folded(word)]
 
 
-def _volumes(table: Table, column: str, *, blank: bool) -> Float64[Array, " n"]:
+def _volumes(table: CsvTable, column: str, *, blank: bool) -> Float64[Array, " n"]:
     volumes = table.numbers(column, blank=blank)[:, 0]
     known = measured_column(column, volumes[volumes == volumes]) if (volumes == volumes).any() else None
     unit = "" if known is None else known.unit
@@ -184,5 +184,5 @@ def _volumes(table: Table, column: str, *, blank: bool) -> Float64[Array, " n"]:
     return volumes * _FACTORS[unit]
 
 
-def _refused(table: Table, found: str, expected: str, remedy: str) -> TableError:
+def _refused(table: CsvTable, found: str, expected: str, remedy: str) -> TableError:
     return TableError(table.name, found=found, expected=expected, remedy=remedy)

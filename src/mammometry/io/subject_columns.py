@@ -11,7 +11,7 @@ import numpy as np
 from mammometry.base.errors import TableError
 from mammometry.base.identity import folded
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.io.csv_tables import Table
+from mammometry.io.csv_tables import CsvTable
 
 SUBJECTS = ("patient", "subject", "woman", "participant", "person", "pseudonym", "case", "id", "name", "model")
 """Names of the column of subjects, the surest first."""
@@ -50,7 +50,7 @@ class SubjectRows:
     """Subject of the row. Case and the encoding of accented letters are ignored."""
 
 
-def subject_rows(table: Table, measured: tuple[str, str], pairs: Float64[Array, "n 2"]) -> SubjectRows:
+def subject_rows(table: CsvTable, measured: tuple[str, str], pairs: Float64[Array, "n 2"]) -> SubjectRows:
     """Find the subject of each row.
 
     A column named patient, subject, id or similar contains the subjects, or else the first column if it is not
@@ -78,7 +78,7 @@ def subject_rows(table: Table, measured: tuple[str, str], pairs: Float64[Array, 
     return SubjectRows(names=names, subjects=tuple(subjects))
 
 
-def _subject_column(table: Table, measured: tuple[str, str]) -> str | None:
+def _subject_column(table: CsvTable, measured: tuple[str, str]) -> str | None:
     words = {name: folded(re.sub(r"[_\s.-]*(id|no|nr|number|code)$", "", name, flags=re.IGNORECASE) or name)
              for name in table.columns if name and name not in measured}  # fmt: skip
     for word in SUBJECTS:
@@ -103,7 +103,7 @@ def _without_sides(names: list[str]) -> list[str]:
     return [who if both else name for name, (who, _) in zip(names, parts, strict=True)]
 
 
-def _require_subject(table: Table, row: int, names: tuple[str, ...] | None, pairs: Float64[Array, "n 2"]) -> None:
+def _require_subject(table: CsvTable, row: int, names: tuple[str, ...] | None, pairs: Float64[Array, "n 2"]) -> None:
     """Refuse a row without a subject, and a summary row, by its name or its numbers.
 
     A row with a name like the first one's, ``P-07`` and ``P-01``, is a subject whatever its numbers.
@@ -147,7 +147,7 @@ def _decimals(value: float) -> int:
     return len(f"{value:.{_MOST_DECIMALS}f}".rstrip("0").partition(".")[2])
 
 
-def _require_once(table: Table, who: list[tuple[str, str]], pairs: Float64[Array, "n 2"], named: bool) -> None:
+def _require_once(table: CsvTable, who: list[tuple[str, str]], pairs: Float64[Array, "n 2"], named: bool) -> None:
     """Refuse a subject's numbers twice, and a table that contains all its numbers twice."""
     numbers = [tuple(pair) for pair in pairs.tolist()]
     rows = list(zip(who, numbers, strict=True)) if named else []

@@ -14,7 +14,7 @@ from mammometry.base.errors import SessionError, TableError
 from mammometry.base.identity import folded
 from mammometry.base.parse import shown
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.io.csv_tables import Table, read_table
+from mammometry.io.csv_tables import CsvTable, read_table
 from mammometry.io.label_maps import SUFFIX, segment_cc
 from mammometry.io.meshes.foreign import read_foreign
 from mammometry.io.subject_columns import SIDE_WORDS, SIDES, SUBJECTS
@@ -123,7 +123,7 @@ def read_truths(path: Path, kind: str | None = None) -> tuple[str, tuple[TruthRo
     return chosen, rows
 
 
-def _truths(table: Table, path: Path, kind: str) -> list[TrueVolume]:
+def _truths(table: CsvTable, path: Path, kind: str) -> list[TrueVolume]:
     count = len(table.rows)
     numbers = {
         name: _optional(table, name, needed=place == 0)
@@ -165,7 +165,7 @@ def _truths(table: Table, path: Path, kind: str) -> list[TrueVolume]:
     ]
 
 
-def _optional(table: Table, name: str, *, needed: bool) -> Float64[Array, " n"]:
+def _optional(table: CsvTable, name: str, *, needed: bool) -> Float64[Array, " n"]:
     """A column of numbers of 0 or more, NaN where it is empty or missing. The needed one is above 0 and complete."""
     if name not in table.columns and not needed:
         return np.full(len(table.rows), math.nan)
@@ -200,7 +200,7 @@ def _or_nan(number: float | None) -> float:
     return math.nan if number is None else number
 
 
-def _side(table: Table, row: int, word: str) -> str:
+def _side(table: CsvTable, row: int, word: str) -> str:
     if word and folded(word) not in SIDE_WORDS:
         raise TableError(
             f"{table.name}, row {table.lines[row]}", found=f"the side {shown(word)}", expected="left or right",
@@ -209,7 +209,7 @@ def _side(table: Table, row: int, word: str) -> str:
     return SIDE_WORDS[folded(word)] if word else ""
 
 
-def _require_once(table: Table, breasts: Sequence[tuple[str, str]]) -> None:
+def _require_once(table: CsvTable, breasts: Sequence[tuple[str, str]]) -> None:
     for row, breast in enumerate(breasts):
         if not breast[0] or breast in breasts[:row]:
             raise TableError(
@@ -220,5 +220,5 @@ def _require_once(table: Table, breasts: Sequence[tuple[str, str]]) -> None:
             )
 
 
-def _refused(table: Table, found: str, expected: str, remedy: str) -> TableError:
+def _refused(table: CsvTable, found: str, expected: str, remedy: str) -> TableError:
     return TableError(table.name, found=found, expected=expected, remedy=remedy)

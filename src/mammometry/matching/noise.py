@@ -12,7 +12,7 @@ import numpy as np
 from scipy import ndimage
 
 from mammometry.geometry.arrays import Array, Bool, Float32
-from mammometry.matching.dense.least_squares_step import Estimate
+from mammometry.matching.dense.least_squares_step import MatchEstimate
 from mammometry.matching.filters import blur, gaussian_taps, pull
 from mammometry.matching.pyramid import FAR_WEIGHT, Level, build, decimation
 
@@ -110,7 +110,7 @@ _LONG_WAVES = 4.0  # in window σ: slower shading is not texture
 _LOWEST_NOISE = 1e-4  # of luma 0…1: a tenth of an 8-bit step's rounding
 
 
-def unexplained(level: Level, matches: Estimate, sigma_px: float) -> Float32[Array, "h w"]:
+def unexplained(level: Level, matches: MatchEstimate, sigma_px: float) -> Float32[Array, "h w"]:
     """Factor on a match's variance, 1 … 4. It is 1 if noise explains the residual after gain and offset.
 
     In weak texture a match is uncertain but right, as its variance shows. If the residual is much larger than both
@@ -129,7 +129,7 @@ def unexplained(level: Level, matches: Estimate, sigma_px: float) -> Float32[Arr
     return np.clip(ratio, 1, _MOST_DOUBT, out=ratio)
 
 
-def weak_texture(level: Level, matches: Estimate, sigma_px: float, limit_px: float) -> Bool[Array, "h w"]:
+def weak_texture(level: Level, matches: MatchEstimate, sigma_px: float, limit_px: float) -> Bool[Array, "h w"]:
     """Subject pixels whose texture is too weak for a match with a standard deviation below `limit_px`.
 
     Also those whose texture is only noise. A window's shift has the variance noise² Σw² / Σw·slope² (Cramér and Rao).

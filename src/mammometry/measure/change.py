@@ -157,7 +157,7 @@ EARLIER, LATER = "before", "after"
 
 
 @value(eq=False)
-class Visit:
+class DatedMeasurements:
     """The measurements of one date, in its own world frame, mm."""
 
     surface: RepairedSurface
@@ -228,8 +228,8 @@ class Change:
 
 
 def compare(
-    before: Visit,
-    after: Visit,
+    before: DatedMeasurements,
+    after: DatedMeasurements,
     settings: CompareSettings = CompareSettings(),
     *,
     common_scale: bool = True,
@@ -327,7 +327,7 @@ def length_changes(before: Sequence[LinearMeasure], after: Sequence[LinearMeasur
     return found
 
 
-def _paired(before: Visit, after: Visit) -> list[tuple[VolumeMeasurement, VolumeMeasurement]]:
+def _paired(before: DatedMeasurements, after: DatedMeasurements) -> list[tuple[VolumeMeasurement, VolumeMeasurement]]:
     """Both dates' measurements of each breast. MeasureError if there are none, or their walls differ in kind."""
     earlier, later = (
         {measurement.name: measurement for measurement in visit.measurements} for visit in (before, after)
@@ -355,7 +355,7 @@ def _listed(names: Iterable[str]) -> str:
     return " and ".join(names) or "none"
 
 
-def _fit(before: Visit, after: Visit) -> TrunkFit:
+def _fit(before: DatedMeasurements, after: DatedMeasurements) -> TrunkFit:
     """Registration of the trunks without the breasts of either date."""
     curves = [
         {measurement.name: measurement.boundary_world for measurement in visit.measurements}

@@ -11,7 +11,7 @@ from mammometry.geometry import Array, Bool, Float64, TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.scan_repair import RepairedScan
 from mammometry.measure.solid.cut import above
-from mammometry.measure.trunk.thorax import Skin, find_trunk
+from mammometry.measure.trunk.thorax import SkinSamples, find_trunk
 
 WHOLE_BODY_MM = 1200.0
 """Height above which a body is whole (with legs), instead of a torso, mm. Not critical."""
@@ -90,7 +90,7 @@ def _front_depth(mesh: TriangleMesh, frame: Float64[Array, "3 3"]) -> float | No
     area = np.maximum(np.linalg.norm(vectors, axis=1), 1e-12)
     normals = vectors / area[:, None]
     ahead = normals @ frame[2] > _FACING_BACK
-    skin = Skin(points_world=mesh.vertices[mesh.faces[ahead]].mean(axis=1), normals_world=normals[ahead])
+    skin = SkinSamples(points_world=mesh.vertices[mesh.faces[ahead]].mean(axis=1), normals_world=normals[ahead])
     try:
         trunk = find_trunk(skin, frame)
     except MeasureError:

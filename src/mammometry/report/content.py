@@ -10,7 +10,7 @@ from typing import Literal
 from mammometry.base.identity import Identity
 from mammometry.base.notices import Notice
 from mammometry.measure.boundary import BoundaryRemark
-from mammometry.study.tables import Table
+from mammometry.study.tables import TextTable
 
 DISCLAIMER = (
     "For research use only. mammometry is not a certified medical device. Do not base a diagnosis or a treatment on it."
@@ -18,7 +18,7 @@ DISCLAIMER = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Picture:
+class ReportPicture:
     """A picture of a report with its caption."""
 
     title: str
@@ -90,7 +90,7 @@ class BreastReport:
     """Digest of the measured boundary. Empty for a side that was not measured."""
     unmeasured: Literal["", "none", "unclear", "refused"] = ""
     """Reason for having no volume. Empty if there is one."""
-    tables: tuple[Table, ...] = ()
+    tables: tuple[TextTable, ...] = ()
     """Terms of the interval, and the volume with other walls."""
 
 
@@ -101,7 +101,7 @@ class StageReport:
     stage: str
     title: str
     facts: tuple[Fact, ...]
-    tables: tuple[Table, ...] = ()
+    tables: tuple[TextTable, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -129,7 +129,7 @@ class ReportContent:
     """Difference of both volumes. None without two."""
     meanings: tuple[Meaning, ...] = ()
     """The volumes in every definition of the breast, the leading one first. Empty for a cast."""
-    lengths: Table | None = None
+    lengths: TextTable | None = None
     """Surgical lengths. None: not measured."""
     lengths_note: str = ""
     """Lengths missing in the table."""
@@ -139,7 +139,7 @@ class ReportContent:
     """Settings that differ from the defaults."""
     all_settings: tuple[Fact, ...]
     versions: tuple[Fact, ...]
-    pictures: Mapping[str, Mapping[str, Picture]] = field(default_factory=dict)
+    pictures: Mapping[str, Mapping[str, ReportPicture]] = field(default_factory=dict)
     """Stage → name → picture."""
     scene: str = ""
     """Scene of the 3D viewer, from `scene.to_json`. Empty: no viewer."""

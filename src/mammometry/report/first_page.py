@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from mammometry.base.letters import isolated
 from mammometry.base.notices import Notice
 from mammometry.measure.volume.attribution import Attribution
-from mammometry.report.content import BreastReport, Clinical, LargeNumber, Picture, ReportContent, Signed
+from mammometry.report.content import BreastReport, Clinical, LargeNumber, ReportContent, ReportPicture, Signed
 from mammometry.report.figures.canvas import CYCLE
 from mammometry.report.words.notices import caution_of, concerns
 from mammometry.report.words.volumes import date_words
@@ -32,7 +32,7 @@ class FirstPage:
     """Both volumes and their difference."""
     cautions: tuple[str, ...]
     """Cautions about these numbers, one line each."""
-    pictures: tuple[Picture, ...]
+    pictures: tuple[ReportPicture, ...]
     """The front view, then both oblique ones."""
     change: tuple[str, ...]
     """Change since the previous visit."""
@@ -137,7 +137,7 @@ def _cautions(measured: Sequence[BreastReport], notices: Sequence[Notice]) -> tu
     return tuple(dict.fromkeys(lines))
 
 
-def _pictures(content: ReportContent) -> tuple[Picture, ...]:
+def _pictures(content: ReportContent) -> tuple[ReportPicture, ...]:
     drawn = content.pictures.get("measure", {})
     pictures = tuple(drawn[name] for name in FIRST_PICTURES if name in drawn)
     surface = content.pictures.get("surface", {})

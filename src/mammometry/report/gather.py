@@ -16,7 +16,7 @@ from mammometry.job.stages import calibrate, measure, surface
 from mammometry.job.stages.report import PageInputs
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report import content
-from mammometry.report.content import Picture, ReportContent
+from mammometry.report.content import ReportContent, ReportPicture
 from mammometry.report.figures import stage_results
 from mammometry.report.figures.shading import front_of
 from mammometry.report.figures.stage_results import MeasureResult, draw_stage
@@ -42,7 +42,7 @@ from mammometry.report.words.anthropometry import (
 )
 from mammometry.report.words.doubts import body_doubts
 from mammometry.report.words.mesh_facts import MeshOrigin, mesh_facts
-from mammometry.report.words.stage_facts import MatchingFacts, Shown, matching_facts, surface_facts
+from mammometry.report.words.stage_facts import DrawnStages, MatchingFacts, matching_facts, surface_facts
 from mammometry.surface.texture.texture import TexturedMesh
 
 _COLOURED: tuple[Stage, ...] = ("surface", "measure")  # stages whose pictures show the surface in its colours
@@ -52,7 +52,7 @@ def gather(
     plan: Plan,
     inputs: Inputs,
     page: PageInputs,
-    shown: Shown,
+    shown: DrawnStages,
     *,
     created: datetime | None = None,
     privacy: Privacy = Privacy(),
@@ -189,7 +189,7 @@ def gather_mesh(
     page: PageInputs,
     origin: MeshOrigin,
     *,
-    drawn: Callable[[], Mapping[str, Picture]] | None = None,
+    drawn: Callable[[], Mapping[str, ReportPicture]] | None = None,
     privacy: Privacy | None = None,
     progress: Progress = no_progress,
 ) -> ReportContent:
@@ -286,6 +286,6 @@ def mesh_result(
     )
 
 
-def drawn_mesh(result: MeasureResult) -> Mapping[str, Picture]:
+def drawn_mesh(result: MeasureResult) -> Mapping[str, ReportPicture]:
     """Pictures of a measured mesh."""
     return all_encoded({"measure": stage_results.draw(result)})["measure"]

@@ -24,7 +24,7 @@ from mammometry.report.figures.measure import reach_mm
 from mammometry.report.figures.names import NAMES
 from mammometry.report.figures.shading import even_curve
 from mammometry.report.figures.surface import PROVENANCE_COLOURS
-from mammometry.report.scene import Layer, Model, Texture, ViewerScene
+from mammometry.report.scene import Layer, Texture, ViewedSurface, ViewerScene
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 from mammometry.surface.texture import simplify as thinning
 from mammometry.surface.texture.texture import TexturedMesh
@@ -171,7 +171,7 @@ def _whole(
     own: Seen = lambda points: points,
     first: tuple[Layer, ...] = (),
     triangles: int,
-) -> Model:
+) -> ViewedSurface:
     """A whole surface with its layers, boundaries and walls.
 
     Args:
@@ -185,7 +185,7 @@ def _whole(
     mesh, origin = thinned(repaired.mesh, triangles) if atlas is None else _covered(atlas, repaired.mesh)
     walls = [measured.wall.mapped(own) for measured in measurements]
     moved = mesh.mapped(seen)
-    return Model(
+    return ViewedSurface(
         name=surface.name,
         title=surface.title,
         mesh=moved,
@@ -286,7 +286,7 @@ def _breast(
     seen: Seen,
     symmetry: Symmetry | None,
     triangles: int,
-) -> Model:
+) -> ViewedSurface:
     """One breast's skin and wall. The left one is unchanged, the right one mirrored and aligned with it."""
     mirrored = measured.name == "right"
     skin, _ = thinned(measured.skin, triangles)
@@ -301,7 +301,7 @@ def _breast(
     if mirrored:
         mesh, wall = mesh.turned_over(), wall.turned_over()
     name = NAMES[measured.name]
-    return Model(
+    return ViewedSurface(
         name=measured.name,
         title=f"{name[:1].upper()}{name[1:]}{', mirrored' if mirrored else ''}",
         mesh=mesh,

@@ -7,7 +7,7 @@ import numpy as np
 from PIL import Image
 
 from mammometry.base.machine.cores import map_in_threads
-from mammometry.report.content import Picture
+from mammometry.report.content import ReportPicture
 from mammometry.report.figures.canvas import caption_in
 from mammometry.report.figures.catalogue import is_on_paper
 
@@ -18,12 +18,12 @@ _SMALL_BYTES = 60_000
 """Lossless pictures below this size, bytes, stay lossless, because lines and text are sharper."""
 
 
-def encoded(png: bytes, *, on_paper: bool = True) -> Picture:
+def encoded(png: bytes, *, on_paper: bool = True) -> ReportPicture:
     """Encode a PNG with its caption for the page and the PDF."""
     with Image.open(io.BytesIO(png), formats=("PNG",)) as image:
         caption, (width, height) = caption_in(image), image.size  # the picture is read once for all
         bare = Image.fromarray(np.asarray(image.convert("RGB")))  # without any metadata
-    return Picture(
+    return ReportPicture(
         title=caption.title,
         text=caption.text,
         width=width,
@@ -33,7 +33,7 @@ def encoded(png: bytes, *, on_paper: bool = True) -> Picture:
     )
 
 
-def all_encoded(pictures: Mapping[str, Mapping[str, bytes]]) -> dict[str, dict[str, Picture]]:
+def all_encoded(pictures: Mapping[str, Mapping[str, bytes]]) -> dict[str, dict[str, ReportPicture]]:
     """Stage → name → picture, from PNGs. The PDF gets those of the measurement and those meant for it.
 
     If nothing was measured, views of the surface are on the first page.
@@ -41,11 +41,11 @@ def all_encoded(pictures: Mapping[str, Mapping[str, bytes]]) -> dict[str, dict[s
     first = "measure" if pictures.get("measure") else "surface"
     names = [(stage, name) for stage, drawn in pictures.items() for name in drawn]
 
-    def one(place: tuple[str, str]) -> Picture:
+    def one(place: tuple[str, str]) -> ReportPicture:
         stage, name = place
         return encoded(pictures[stage][name], on_paper=stage == first or is_on_paper(name))
 
-    made: dict[str, dict[str, Picture]] = {stage: {} for stage in pictures}
+    made: dict[str, dict[str, ReportPicture]] = {stage: {} for stage in pictures}
     for (stage, name), picture in zip(names, map_in_threads(one, names), strict=True):
         made[stage][name] = picture
     return made

@@ -63,7 +63,7 @@ class Texture:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Model:
+class ViewedSurface:
     """One surface to view, in the viewing frame, mm.
 
     x points to the reader's right, y up, z towards the reader.
@@ -92,7 +92,7 @@ class Model:
 class ViewerScene:
     """All that the viewer can show."""
 
-    models: tuple[Model, ...]
+    models: tuple[ViewedSurface, ...]
     world_from_view: Transform
     """Viewing frame to world frame."""
     comparisons: tuple[tuple[str, str, str], ...] = field(default=())
@@ -129,7 +129,7 @@ def to_json(scene: ViewerScene) -> str:
     return json.dumps(table, allow_nan=False).replace("<", "\\u003c")
 
 
-def _model(model: Model) -> dict[str, object]:
+def _model(model: ViewedSurface) -> dict[str, object]:
     texture = model.texture
     return {
         "name": model.name,

@@ -23,7 +23,7 @@ from mammometry.matching.foreground.foreground import Foreground
 from mammometry.matching.foreground.outlines_first import without_outline
 from mammometry.matching.quality import MatchQuality
 from mammometry.measure.settings import MeasureSettings
-from mammometry.measure.trunk.body import Body
+from mammometry.measure.trunk.body import BodyDirections
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.content import sentence
 from mammometry.report.words import describe
@@ -72,7 +72,7 @@ class VolumeDoubts:
     """One a breast."""
     moved: Sequence[Notice] = ()
     """What moved."""
-    body: Body | None = None
+    body: BodyDirections | None = None
     """The body's frame."""
     doubtful: Sequence[str] = ()
     """Breasts on which no nipple was seen."""
@@ -188,7 +188,7 @@ def run_concerns(run: RunResults) -> Iterator[Notice]:
             yield Notice(code="skin-not-measured", about=(measured.name,), values={"percent": float(100 * share)})
 
 
-def mesh_warnings(measurements: Sequence[VolumeMeasurement], body: Body | None) -> Iterator[Notice]:
+def mesh_warnings(measurements: Sequence[VolumeMeasurement], body: BodyDirections | None) -> Iterator[Notice]:
     """Warnings of another scanner's mesh."""
     yield Notice(code="mesh-of-another-scanner")
     sunk = (

@@ -21,7 +21,7 @@ from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Float32, Float64, Transform, TriangleMesh, UInt8
 from mammometry.simulate.rendering.develop import srgb_encoded
 from mammometry.simulate.rendering.skin import SKINS
-from mammometry.simulate.subjects.solid import Solid
+from mammometry.simulate.subjects.solid import SubjectSolid
 from mammometry.study.rays import RayScene
 from mammometry.surface.fusion.marching import march
 
@@ -271,7 +271,7 @@ class VirtualScan:
         return {name: np.ascontiguousarray(self.colours[:, k]) for k, name in enumerate(("red", "green", "blue"))}
 
 
-def clean_front(solid: Solid) -> VirtualScan:
+def clean_front(solid: SubjectSolid) -> VirtualScan:
     """The body's own triangles in front of the back's edge, without noise."""
     low, high = _box(solid)
     inside = np.all((solid.mesh.vertices > low) & (solid.mesh.vertices < high), axis=1)
@@ -281,7 +281,7 @@ def clean_front(solid: Solid) -> VirtualScan:
     return VirtualScan(mesh=mesh, colours=_colours(solid, mesh))
 
 
-def scan(solid: Solid, quality: ScanQuality, seed: int, walk: Walk = "front") -> VirtualScan:
+def scan(solid: SubjectSolid, quality: ScanQuality, seed: int, walk: Walk = "front") -> VirtualScan:
     """Scan a body with a virtual telephone.
 
     Args:
@@ -304,7 +304,7 @@ def scan(solid: Solid, quality: ScanQuality, seed: int, walk: Walk = "front") ->
     return VirtualScan(mesh=mesh, colours=_colours(solid, mesh))
 
 
-def _box(solid: Solid) -> tuple[Float64[Array, 3], Float64[Array, 3]]:
+def _box(solid: SubjectSolid) -> tuple[Float64[Array, 3], Float64[Array, 3]]:
     """Corners of the scanned box: the front with the shoulders and the upper arms."""
     middle = solid.landmarks["midline"].mean(axis=0)
     low = np.array([middle[0] - _ASIDE_MM, middle[1] - _BELOW_MM, middle[2] - _BACK_MM])
@@ -313,7 +313,7 @@ def _box(solid: Solid) -> tuple[Float64[Array, 3], Float64[Array, 3]]:
     return np.maximum(low, vertices.min(axis=0)), np.minimum(high, vertices.max(axis=0) + 1.0)
 
 
-def _faces_ahead(solid: Solid) -> Bool[Array, " m"]:
+def _faces_ahead(solid: SubjectSolid) -> Bool[Array, " m"]:
     """Faces of the front: all that do not face back, and all of the breasts."""
     vectors = solid.mesh.face_vectors()
     length = np.maximum(np.linalg.norm(vectors, axis=1), 1e-12)
@@ -323,7 +323,7 @@ def _faces_ahead(solid: Solid) -> Bool[Array, " m"]:
     return ahead
 
 
-def _colours(solid: Solid, mesh: TriangleMesh) -> UInt8[Array, "n 3"]:
+def _colours(solid: SubjectSolid, mesh: TriangleMesh) -> UInt8[Array, "n 3"]:
     nearest = cKDTree(solid.mesh.vertices).query(mesh.vertices)[1]
     skin, share = SKINS["skin"], solid.areola[nearest][:, None].astype(np.float64)
     colour = (1.0 - share) * np.array(skin.base_rgb) + share * np.array(skin.areola_rgb)

@@ -21,17 +21,17 @@ from mammometry.base.progress import Progress, no_progress, part
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry import Rig, Transform
 from mammometry.simulate.disturbances.about import Surroundings
-from mammometry.simulate.disturbances.exposure import Exposure, plain_exposure
+from mammometry.simulate.disturbances.exposure import CaptureConditions, plain_exposure
 from mammometry.simulate.disturbances.registry import DISTURBANCES, disturbed
 from mammometry.simulate.recipe import SessionRecipe
-from mammometry.simulate.rendering.scene import Scene
+from mammometry.simulate.rendering.scene import StudioScene
 from mammometry.simulate.rigs.build import build_rig, flashes, pairs_of
 from mammometry.simulate.rigs.poses import draw_poses
 from mammometry.simulate.rigs.rig_file import find_plan
 from mammometry.simulate.rigs.targets import described, sees_target
 from mammometry.simulate.studio import Arrangement, Studio, photograph, refusing
 from mammometry.simulate.subjects.registry import make_subject
-from mammometry.simulate.subjects.solid import Solid, rig_from_solid
+from mammometry.simulate.subjects.solid import SubjectSolid, rig_from_solid
 from mammometry.simulate.truth import write_truth
 
 _POSES_ENOUGH = 5
@@ -52,7 +52,7 @@ class SimulatedSession:
     """The true cameras, rig frame."""
     rig_from_board: Mapping[str, Transform]
     """Pose → rig from board. The first pose's board is the world frame of the results."""
-    scene: Scene
+    scene: StudioScene
     """The scene with the subject, rig frame."""
     true_volumes_cc: Mapping[str, float]
     """Name (``model``, or ``left`` and ``right``) → exact volume, cc. Empty if the subject's mesh is open."""
@@ -92,7 +92,7 @@ def write_session(
         built = build_rig(plan, recipe.scale, seed)
         built = pairs_of(built, wanted) if wanted else built
         lights, situation = flashes(plan=plan), recipe.situation
-        exposure: Exposure = disturbed(plain_exposure(built, lights, studio.film), "shoot", situation, seed)
+        exposure: CaptureConditions = disturbed(plain_exposure(built, lights, studio.film), "shoot", situation, seed)
         true_rig = exposure.rig
         studio = replace(studio, skin=disturbed(studio.skin, "skin", situation, seed))
         solid = _subject(recipe)
@@ -144,7 +144,7 @@ def true_volumes_cc(recipe: SessionRecipe) -> dict[str, float]:
     return solid.placed(rig_from_solid(solid, recipe.seed)).volumes_cc
 
 
-def _subject(recipe: SessionRecipe) -> Solid:
+def _subject(recipe: SessionRecipe) -> SubjectSolid:
     """The subject, with the situation's operations."""
     operated = any(DISTURBANCES[disturbance.name].stage == "patient" for disturbance in recipe.situation.disturbances)
     return make_subject(
@@ -177,7 +177,7 @@ def _check_cameras_see_target(rig: Rig, target: Target, poses: Mapping[str, Tran
             )
 
 
-def _manifest(rig: Rig, target: Target, solid: Solid, made_by: str) -> str:
+def _manifest(rig: Rig, target: Target, solid: SubjectSolid, made_by: str) -> str:
     """Text of session.toml for a rig, its target and the subject. `made_by` is its recipe."""
     pairs = ",\n".join(
         f'  {{ name = "{name}", left = "{left}", right = "{right}" }}' for name, (left, right) in rig.pair_names.items()

@@ -18,28 +18,28 @@ from mammometry.base.machine.cores import available_cores
 from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry import Array, Camera, Float32, Float64, Rig, Transform
-from mammometry.simulate.disturbances.exposure import Exposure
+from mammometry.simulate.disturbances.exposure import CaptureConditions
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.registry import BUILT_IN, RENDERERS
-from mammometry.simulate.rendering.scene import Prop, Room, Scene, light_scene, moved
-from mammometry.simulate.rendering.skin import Skin
+from mammometry.simulate.rendering.scene import Prop, Room, StudioScene, light_scene, moved
+from mammometry.simulate.rendering.skin import SkinReflectance
 from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.targets import BOARD, sees_target, visible_points
-from mammometry.simulate.subjects.solid import Solid
+from mammometry.simulate.subjects.solid import SubjectSolid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Arrangement:
     """Positions of everything in a virtual session, rig frame, mm."""
 
-    exposure: Exposure
+    exposure: CaptureConditions
     """Cameras at calibration and capture, films, flashes and moments."""
     lights: Float64[Array, "l 4"]
     """Each calibration flash: position, and irradiance × mm² at distance 1."""
     rig_from_target: Mapping[str, Transform]
     """Pose → placement of the calibration target."""
-    solid: Solid
+    solid: SubjectSolid
     """The subject, in its own frame."""
     rig_from_solid: Transform
     """Pose of the subject."""
@@ -52,7 +52,7 @@ class Arrangement:
         return self.exposure.rig
 
 
-_SKIN, _FILM = Skin(), Film()
+_SKIN, _FILM = SkinReflectance(), Film()
 _BACKGROUNDS = ("dark", "clutter")
 _IMAGE_FORMATS = ("jpg", "png", "tif")
 _WORKERS_AT_MOST = 8  # most threads: each stores a picture's radiance, 160 MB at full size
@@ -66,7 +66,7 @@ class Studio:
 
     target: Target = BOARD
     """Object that is photographed for the calibration."""
-    skin: Skin = _SKIN
+    skin: SkinReflectance = _SKIN
     """Appearance of the subject's skin."""
     film: Film = _FILM
     """Lens and sensor."""
@@ -106,7 +106,7 @@ def _require_one_of(what: str, word: str, choices: tuple[str, ...]) -> None:
 
 def photograph(
     folder: Path, arrangement: Arrangement, studio: Studio, *, seed: int, progress: Progress = no_progress
-) -> Scene:
+) -> StudioScene:
     """Write ``calibration/`` and ``capture/``, and return the capture's scene, rig frame.
 
     The scene is lit while the target is photographed. The same arguments give the same pictures with any number of
@@ -171,7 +171,9 @@ def photograph(
         return lit.result()
 
 
-def _capture(lit: Future[Scene], name: str, exposure: Exposure, studio: Studio, seed: int) -> Float32[Array, "h w 3"]:
+def _capture(
+    lit: Future[StudioScene], name: str, exposure: CaptureConditions, studio: Studio, seed: int
+) -> Float32[Array, "h w 3"]:
     film, camera, scene = exposure.films[name], exposure.capture_rig.cameras[name], lit.result()
     if exposure.motion is not None and exposure.seconds[name]:
         scene = moved(scene, exposure.motion, exposure.seconds[name])

@@ -17,7 +17,7 @@ from mammometry.simulate.disturbances.surfaces import merged
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering import kernels
 from mammometry.simulate.rendering.sampling import lens_parameters, picture_window
-from mammometry.simulate.rendering.scene import Scene, moved
+from mammometry.simulate.rendering.scene import StudioScene, moved
 from mammometry.simulate.rigs.targets import described
 from mammometry.simulate.studio import Arrangement, Studio
 from mammometry.simulate.subjects.solid import rounded_mesh
@@ -26,7 +26,7 @@ _ROWS_AT_ONCE = 256  # rows traced at a time; limits memory
 _STEPS_PER_MM = 1024.0  # depths are rounded to a micrometre, so that the file compresses well
 
 
-def true_depth(scene: Scene, camera: Camera) -> Float32[Array, "h w"]:
+def true_depth(scene: StudioScene, camera: Camera) -> Float32[Array, "h w"]:
     """Depth z of the subject along every pixel's ray, camera's frame, mm. NaN where it is not seen.
 
     Rounded to 1/1024 mm, a twentieth of the precision of a float32 ray.
@@ -71,7 +71,7 @@ def write_depth(path: Path, depth_mm: Float32[Array, "h w"]) -> None:
 def write_truth(
     folder: Path,
     arrangement: Arrangement,
-    scene: Scene,
+    scene: StudioScene,
     studio: Studio,
     recipe: SessionRecipe,
     *,

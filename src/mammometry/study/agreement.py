@@ -76,7 +76,7 @@ class PairedMeasurements:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Estimate:
+class IntervalEstimate:
     """A figure with its 95 % confidence interval."""
 
     value: float
@@ -87,7 +87,7 @@ class Estimate:
 class Trend:
     """Straight line through the differences. NaN if the abscissae are all equal."""
 
-    slope: Estimate
+    slope: IntervalEstimate
     intercept: float
     p: float
     """p of the null hypothesis that the slope is 0."""
@@ -100,9 +100,9 @@ class Agreement:
     subjects: int
     pairs: int
     """At least the number of subjects."""
-    mean_difference: Estimate
+    mean_difference: IntervalEstimate
     """The bias, with Student's interval."""
-    sd: Estimate
+    sd: IntervalEstimate
     """Standard deviation of the differences (n − 1), with its χ² interval. With several pairs per subject: of one pair,
     between and within subjects together."""
     sem: float
@@ -116,17 +116,17 @@ class Agreement:
     """Two-sided 95 % threshold of Student's t."""
     student_99: float
     """Two-sided 99 % threshold."""
-    lower_limit: Estimate
+    lower_limit: IntervalEstimate
     """Lower limit of agreement, bias − 1.96 SD, with the exact interval of that percentile."""
-    upper_limit: Estimate
+    upper_limit: IntervalEstimate
     """Upper limit of agreement."""
     trend: Trend
     """Regression of the differences on the means of both methods (proportional bias)."""
     trend_on_reference: Trend
     """Regression on the reference; correct if the reference is exact."""
-    sem_of_measurement: Estimate
+    sem_of_measurement: IntervalEstimate
     """Standard error of measurement, SD / √2: error of one measurement if both methods are equally exact."""
-    mdc: Estimate
+    mdc: IntervalEstimate
     """Minimal (smallest) detectable change at 95 %: 1.96 √2 times the standard error of measurement, i.e. 1.96 SD."""
     mdc_of_mean: float
     """1.96 √2 times the standard error of the *mean*: not a detectable change, but the paper's figure."""
@@ -209,7 +209,7 @@ def _once(data: PairedMeasurements) -> Agreement:
         (data.means, data.reference, difference),
         mean=mean,
         sem=sem,
-        spread=Estimate(value=sd, interval=(sd * chi_low, sd * chi_high)),
+        spread=IntervalEstimate(value=sd, interval=(sd * chi_low, sd * chi_high)),
         limits=(mean - far, mean - near, mean + near, mean + far),
         icc=intraclass_correlations(np.stack([data.reference, data.measured], axis=1)),
     )
@@ -232,7 +232,7 @@ def _repeated(data: PairedMeasurements, clusters: Int64[Array, " n"]) -> Agreeme
         by_subject,
         mean=mean,
         sem=found.sem,
-        spread=Estimate(value=sd, interval=(low, high)),
+        spread=IntervalEstimate(value=sd, interval=(low, high)),
         limits=(
             mean - _Z95 * sd - outward,
             mean - _Z95 * sd + inward,
@@ -249,7 +249,7 @@ def _assembled(
     *,
     mean: float,
     sem: float,
-    spread: Estimate,
+    spread: IntervalEstimate,
     limits: tuple[float, float, float, float],
     icc: tuple[IntraclassCorrelation, ...],
 ) -> Agreement:
@@ -273,7 +273,7 @@ def _assembled(
     return Agreement(
         subjects=len(difference),
         pairs=len(data.names),
-        mean_difference=Estimate(value=mean, interval=(mean - student * sem, mean + student * sem)),
+        mean_difference=IntervalEstimate(value=mean, interval=(mean - student * sem, mean + student * sem)),
         sd=spread,
         sem=sem,
         t=t,
@@ -281,8 +281,8 @@ def _assembled(
         p=float(2 * scipy.stats.t.sf(abs(t), df)),
         student_95=student,
         student_99=float(scipy.stats.t.ppf(0.995, df)),
-        lower_limit=Estimate(value=mean - _Z95 * sd, interval=limits[:2]),
-        upper_limit=Estimate(value=mean + _Z95 * sd, interval=limits[2:]),
+        lower_limit=IntervalEstimate(value=mean - _Z95 * sd, interval=limits[:2]),
+        upper_limit=IntervalEstimate(value=mean + _Z95 * sd, interval=limits[2:]),
         trend=_trend(means, difference),
         trend_on_reference=_trend(reference, difference),
         sem_of_measurement=_scaled(spread, 1 / math.sqrt(2)),
@@ -316,7 +316,7 @@ def _trend(abscissae: Float64[Array, " n"], differences: Float64[Array, " n"]) -
     centred = abscissae - abscissae.mean()
     total = float(centred @ centred)
     if total <= (1e-9 * float(np.abs(abscissae).max())) ** 2:
-        nothing = Estimate(value=math.nan, interval=(math.nan, math.nan))
+        nothing = IntervalEstimate(value=math.nan, interval=(math.nan, math.nan))
         return Trend(slope=nothing, intercept=math.nan, p=math.nan)
     slope = float(centred @ differences) / total
     intercept = float(differences.mean() - slope * abscissae.mean())
@@ -325,12 +325,12 @@ def _trend(abscissae: Float64[Array, " n"], differences: Float64[Array, " n"]) -
     error = math.sqrt(float(left @ left) / df / total)
     reach = float(scipy.stats.t.ppf(0.975, df)) * error
     p = float(2 * scipy.stats.t.sf(abs(slope) / error, df)) if error else math.nan
-    return Trend(slope=Estimate(value=slope, interval=(slope - reach, slope + reach)), intercept=intercept, p=p)
+    return Trend(slope=IntervalEstimate(value=slope, interval=(slope - reach, slope + reach)), intercept=intercept, p=p)
 
 
-def _scaled(estimate: Estimate, factor: float) -> Estimate:
+def _scaled(estimate: IntervalEstimate, factor: float) -> IntervalEstimate:
     low, high = estimate.interval
-    return Estimate(value=factor * estimate.value, interval=(factor * low, factor * high))
+    return IntervalEstimate(value=factor * estimate.value, interval=(factor * low, factor * high))
 
 
 def _key(form: str) -> str:

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from mammometry.study.agreement import Agreement, CheckedFigure, Estimate, PairedMeasurements
+from mammometry.study.agreement import Agreement, CheckedFigure, IntervalEstimate, PairedMeasurements
 from mammometry.study.icc import IntraclassCorrelation
-from mammometry.study.tables import Table, number, p_words, plain, probability
+from mammometry.study.tables import TextTable, number, p_words, plain, probability
 
 _P = "p"  # format of a probability
 
@@ -48,12 +48,14 @@ def summary(data: PairedMeasurements, found: Agreement) -> list[str]:
     return lines
 
 
-def agreement_tables(data: PairedMeasurements, found: Agreement, checked: Sequence[CheckedFigure] = ()) -> list[Table]:
+def agreement_tables(
+    data: PairedMeasurements, found: Agreement, checked: Sequence[CheckedFigure] = ()
+) -> list[TextTable]:
     """Figures, intraclass correlations, published figures if any, and the data."""
     unit = f", {data.unit}" if data.unit else ""
     slope, on_reference = found.trend, found.trend_on_reference
     repeated = found.pairs > found.subjects
-    rows: list[tuple[str, float, Estimate | None, str]] = [
+    rows: list[tuple[str, float, IntervalEstimate | None, str]] = [
         (f"mean difference{unit}", found.mean_difference.value, found.mean_difference, ".3f"),
         (f"standard deviation (SD) of the differences{unit}", found.sd.value, found.sd, ".3f"),
         (f"standard error of the mean (SEM){'' if repeated else ', SD / √n'}{unit}", found.sem, None, ".3f"),
@@ -77,7 +79,7 @@ def agreement_tables(data: PairedMeasurements, found: Agreement, checked: Sequen
         ("Shapiro–Wilk p of the differences", found.normality_p, None, _P),
     ]
     tables = [
-        Table(
+        TextTable(
             title="Agreement",
             columns=("figure", "value", "95 % interval"),
             rows=tuple(
@@ -89,7 +91,7 @@ def agreement_tables(data: PairedMeasurements, found: Agreement, checked: Sequen
                 for name, value, estimate, form in rows
             ),
         ),
-        Table(
+        TextTable(
             title="Intraclass correlation",
             columns=("Shrout–Fleiss", "McGraw–Wong", "value", "95 % interval", "F (df)", "p", "meaning"),
             rows=tuple(
@@ -107,7 +109,7 @@ def agreement_tables(data: PairedMeasurements, found: Agreement, checked: Sequen
     ]
     if checked:
         tables.append(
-            Table(
+            TextTable(
                 title="Published figures",
                 columns=("figure", "published", "recomputed", "follows", "remark"),
                 rows=tuple(
@@ -123,7 +125,7 @@ def agreement_tables(data: PairedMeasurements, found: Agreement, checked: Sequen
             )
         )
     tables.append(
-        Table(
+        TextTable(
             title="Measurements",
             columns=(
                 "subject",
@@ -175,7 +177,7 @@ def _figure(value: float, form: str) -> str:
     return probability(value) if form == _P else number(value, form)
 
 
-def _interval(estimate: Estimate, form: str) -> str:
+def _interval(estimate: IntervalEstimate, form: str) -> str:
     return _span(estimate.interval, form)
 
 

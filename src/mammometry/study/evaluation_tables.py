@@ -6,17 +6,17 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from mammometry.study.evaluation import Evaluation
-from mammometry.study.tables import Table, number
+from mammometry.study.tables import TextTable, number
 
 _Column = tuple[str, Callable[[Any], str]]
 
 
-def evaluation_tables(found: Evaluation) -> list[Table]:
+def evaluation_tables(found: Evaluation) -> list[TextTable]:
     """One table per stage with results."""
     pair, worst_mm = found.cameras.worst_pair
     rig = found.cameras
     tables = [
-        Table(
+        TextTable(
             title="Calibration: cameras after rigid alignment over the working volume",
             columns=("camera", "projection px", "centre mm", "focal %"),
             rows=(
@@ -37,7 +37,7 @@ def evaluation_tables(found: Evaluation) -> list[Table]:
                 ),
             ),
         ),
-        Table(
+        TextTable(
             title=f"Calibration: triangulation, worst pair {pair} {number(worst_mm)} mm",
             columns=("pair", "RMS mm"),
             rows=tuple((name, number(value)) for name, value in rig.triangulation_rms_mm.items()),
@@ -69,7 +69,7 @@ def evaluation_tables(found: Evaluation) -> list[Table]:
             ("median mm", lambda ranges: number(ranges.median_mm)),
             ("95 % mm", lambda ranges: number(ranges.p95_mm)),
         ),
-        Table(
+        TextTable(
             title="Surface: mm, where at least one pair sees the skin; positive outside",
             columns=("surface", "mean", "median", "RMS", "95 %", "bias", "complete %", "claimed %", "stray %"),
             rows=tuple(
@@ -102,7 +102,7 @@ def evaluation_tables(found: Evaluation) -> list[Table]:
             ("worst mm", lambda boundary: number(boundary.worst_mm, ".2f")),
             ("height mm", lambda boundary: number(boundary.height_bias_mm, "+.3f")),
         ),
-        Table(
+        TextTable(
             title="Volume",
             columns=("breast", "true cc", "measured cc", "error cc", "error %", "95 % interval cc", "holds the truth"),
             rows=tuple(
@@ -122,8 +122,8 @@ def evaluation_tables(found: Evaluation) -> list[Table]:
     return [table for table in tables if table.rows]
 
 
-def _table(title: str, first: str, values: Mapping[str, Any], *columns: _Column) -> Table:
-    return Table(
+def _table(title: str, first: str, values: Mapping[str, Any], *columns: _Column) -> TextTable:
+    return TextTable(
         title=title,
         columns=(first, *(name for name, _ in columns)),
         rows=tuple(

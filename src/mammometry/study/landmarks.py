@@ -24,7 +24,7 @@ from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.measure.landmarks.landmarks import LANDMARKS
 from mammometry.study.evaluation import curve_distances, resampled
-from mammometry.study.tables import Table, number, plain
+from mammometry.study.tables import TextTable, number, plain
 
 Places: TypeAlias = Mapping[str, Float64[Array, "k 3"]]
 """Name → one point, or the corners of a curve in order, mm, frame of the mesh."""
@@ -220,15 +220,15 @@ PUBLISHED: tuple[tuple[str, str, str], ...] = (
 """Published figures of raters: what, mm, source. No error of an automatic fold or midline is published."""
 
 
-def score_tables(found: Sequence[Score]) -> tuple[Table, ...]:
+def score_tables(found: Sequence[Score]) -> tuple[TextTable, ...]:
     """The errors of each landmark and kind, and published figures of raters."""
     return (
-        Table(
+        TextTable(
             title="Landmarks and borders, errors in mm",
             columns=("landmark", "input", "women", "found", "invented", "median", "mean", "95 %", "worst"),
             rows=tuple(_row(one) for one in found),
         ),
-        Table(title="Published figures of raters", columns=("what", "mm", "source"), rows=PUBLISHED),
+        TextTable(title="Published figures of raters", columns=("what", "mm", "source"), rows=PUBLISHED),
     )
 
 

@@ -20,9 +20,9 @@ from scipy.spatial import cKDTree
 from mammometry.base.value import value
 from mammometry.geometry import Array, Float64, Int64, TriangleMesh
 from mammometry.geometry.curves import closed_length_mm, points_along
-from mammometry.study.agreement import Estimate
+from mammometry.study.agreement import IntervalEstimate
 from mammometry.study.icc import IntraclassCorrelation, intraclass_correlations
-from mammometry.study.tables import Table, number, plain
+from mammometry.study.tables import TextTable, number, plain
 
 REGIONS = ("lateral", "upper", "medial", "lower")
 WHOLE = "whole curve"
@@ -33,7 +33,7 @@ _ICC = "ICC(2,1)"  # absolute agreement of single measurements, random observers
 
 
 @value(eq=False)
-class Drawing:
+class ObservedCurve:
     """One curve around one breast, and the volume that it gives."""
 
     breast: str
@@ -68,7 +68,7 @@ class DrawnSurface:
 class Scatter:
     """Scatter of single measurements of one breast."""
 
-    sem: Estimate
+    sem: IntervalEstimate
     """Standard error of measurement (standard deviation of one measurement), cc."""
     df: float
     """Its degrees of freedom."""
@@ -76,10 +76,12 @@ class Scatter:
     """The same in % of the mean volume."""
 
     @property
-    def mdc(self) -> Estimate:
+    def mdc(self) -> IntervalEstimate:
         """Minimal detectable change at 95 %, cc: 1.96 √2 times the standard error of measurement."""
         low, high = self.sem.interval
-        return Estimate(value=_DETECTABLE_95 * self.sem.value, interval=(_DETECTABLE_95 * low, _DETECTABLE_95 * high))
+        return IntervalEstimate(
+            value=_DETECTABLE_95 * self.sem.value, interval=(_DETECTABLE_95 * low, _DETECTABLE_95 * high)
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,13 +120,13 @@ class ObserverStudy:
     """Region → distance between curves of two observers; empty with one observer."""
 
 
-def observer_study(drawings: Sequence[Drawing]) -> ObserverStudy:
+def observer_study(drawings: Sequence[ObservedCurve]) -> ObserverStudy:
     """Agreement of observers from their drawings, in the order of `repeat` (numbers first, 2 before 10).
 
     Raises:
         ValueError: no breast was drawn twice, or a drawing occurs twice.
     """
-    table: dict[str, dict[str, dict[str, Drawing]]] = {}
+    table: dict[str, dict[str, dict[str, ObservedCurve]]] = {}
     for drawing in sorted(drawings, key=lambda drawing: _order(drawing.repeat)):
         own = table.setdefault(drawing.breast, {}).setdefault(drawing.observer, {})
         if drawing.repeat in own:
@@ -193,10 +195,12 @@ def _scatter(variance: float, df: float, mean_cc: float) -> Scatter:
     """A standard deviation with its χ² interval."""
     sd = math.sqrt(variance)
     low, high = (float(np.sqrt(df / scipy.stats.chi2.ppf(q, df))) for q in (0.975, 0.025))
-    return Scatter(sem=Estimate(value=sd, interval=(sd * low, sd * high)), df=float(df), percent=100 * sd / mean_cc)
+    return Scatter(
+        sem=IntervalEstimate(value=sd, interval=(sd * low, sd * high)), df=float(df), percent=100 * sd / mean_cc
+    )
 
 
-def _volumes(own: Mapping[str, Drawing]) -> list[float]:
+def _volumes(own: Mapping[str, ObservedCurve]) -> list[float]:
     return [drawing.volume_cc for drawing in own.values()]
 
 
@@ -209,7 +213,7 @@ def _icc(rows: Sequence[Mapping[str, float]]) -> IntraclassCorrelation | None:
     return next(form for form in intraclass_correlations(ratings) if form.shrout_fleiss == _ICC)
 
 
-def _icc_of_repeats(table: Mapping[str, Mapping[str, Mapping[str, Drawing]]]) -> dict[str, IntraclassCorrelation]:
+def _icc_of_repeats(table: Mapping[str, Mapping[str, Mapping[str, ObservedCurve]]]) -> dict[str, IntraclassCorrelation]:
     found = {}
     for observer in dict.fromkeys(name for persons in table.values() for name in persons):
         own = [_volumes(persons[observer]) for persons in table.values() if observer in persons]
@@ -220,11 +224,11 @@ def _icc_of_repeats(table: Mapping[str, Mapping[str, Mapping[str, Drawing]]]) ->
     return found
 
 
-def _pairs(persons: Mapping[str, Mapping[str, Drawing]]) -> Iterator[tuple[Drawing, Drawing]]:
+def _pairs(persons: Mapping[str, Mapping[str, ObservedCurve]]) -> Iterator[tuple[ObservedCurve, ObservedCurve]]:
     return itertools.combinations([drawing for own in persons.values() for drawing in own.values()], 2)
 
 
-def _apart(pairs: Sequence[tuple[Drawing, Drawing]]) -> dict[str, Apart]:
+def _apart(pairs: Sequence[tuple[ObservedCurve, ObservedCurve]]) -> dict[str, Apart]:
     if not pairs:
         return {}
     found = [distances_by_region_mm(*pair) for pair in pairs]
@@ -244,7 +248,7 @@ def _apart(pairs: Sequence[tuple[Drawing, Drawing]]) -> dict[str, Apart]:
     }
 
 
-def distances_by_region_mm(first: Drawing, second: Drawing) -> dict[str, Float64[Array, " n"]]:
+def distances_by_region_mm(first: ObservedCurve, second: ObservedCurve) -> dict[str, Float64[Array, " n"]]:
     """Distances of each of two curves from the other, mm, by region.
 
     A point's region is its direction from the centre of both curves, seen from the front.
@@ -306,11 +310,11 @@ def observers_summary(found: ObserverStudy) -> list[str]:
     return lines
 
 
-def observers_tables(found: ObserverStudy, drawings: Sequence[Drawing]) -> list[Table]:
+def observers_tables(found: ObserverStudy, drawings: Sequence[ObservedCurve]) -> list[TextTable]:
     """Volumes, intraclass correlations, distances by region, and all drawings."""
     scatters = {"within": found.within, "between": found.between}
     tables = [
-        Table(
+        TextTable(
             title="Volume",
             columns=("who draws", "standard error of measurement (SEM), cc", "95 % interval", "%",
                      "minimal detectable change (MDC) 95 %, cc", "95 % interval", "degrees of freedom"),
@@ -321,7 +325,7 @@ def observers_tables(found: ObserverStudy, drawings: Sequence[Drawing]) -> list[
     correlations += [(f"repeats by {name}", correlation) for name, correlation in found.icc_within.items()]
     if correlations:
         tables.append(
-            Table(
+            TextTable(
                 title="Intraclass correlation of volumes",
                 columns=("of", "form", "value", "95 % interval"),
                 rows=tuple(_icc_row(words, correlation) for words, correlation in correlations),
@@ -334,7 +338,7 @@ def observers_tables(found: ObserverStudy, drawings: Sequence[Drawing]) -> list[
         if apart:
             tables.append(_apart_table(title, apart))
     tables.append(
-        Table(
+        TextTable(
             title="Drawings",
             columns=("breast", "person", "drawing", "volume cc", "base cm²"),
             rows=tuple(
@@ -352,7 +356,7 @@ def observers_tables(found: ObserverStudy, drawings: Sequence[Drawing]) -> list[
     return tables
 
 
-def observers_json(found: ObserverStudy, drawings: Sequence[Drawing]) -> dict[str, Any]:
+def observers_json(found: ObserverStudy, drawings: Sequence[ObservedCurve]) -> dict[str, Any]:
     """All results as JSON-ready data, with null for unknown ones."""
 
     def scatter(spread: Scatter | None) -> dict[str, Any] | None:
@@ -398,8 +402,8 @@ def _icc_row(words: str, correlation: IntraclassCorrelation) -> tuple[str, ...]:
     return (words, correlation.shrout_fleiss, number(correlation.value, ".5f"), span)
 
 
-def _apart_table(title: str, apart: Mapping[str, Apart]) -> Table:
-    return Table(
+def _apart_table(title: str, apart: Mapping[str, Apart]) -> TextTable:
+    return TextTable(
         title=f"{title}: distance, mm",
         columns=("region", "mean", "95th percentile", "standard uncertainty of one curve", "pairs of curves"),
         rows=tuple(

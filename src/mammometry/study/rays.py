@@ -17,7 +17,7 @@ SEEN_INCIDENCE_DEG = 75.0
 
 
 @value(eq=False)
-class Hits:
+class RayHits:
     """First hits of rays."""
 
     range_mm: Float64[Array, "*n"]
@@ -47,7 +47,7 @@ class RayScene:
         self._normals = vectors / length
         self._heights = np.einsum("ij,ij->i", mesh.vertices[mesh.faces[:, 0]], self._normals)
 
-    def cast(self, origin: Float64[Array, 3], directions: Float64[Array, "*n 3"]) -> Hits:
+    def cast(self, origin: Float64[Array, 3], directions: Float64[Array, "*n 3"]) -> RayHits:
         """First hits of rays from one point, mesh frame, mm.
 
         Args:
@@ -69,7 +69,7 @@ class RayScene:
             with np.errstate(divide="ignore", invalid="ignore"):
                 ranges[index[met]] = (self._heights[faces[met]] - normals @ origin) / towards
             cosines[index[met]] = -towards
-        return Hits(range_mm=ranges.reshape(shape), cosine=cosines.reshape(shape))
+        return RayHits(range_mm=ranges.reshape(shape), cosine=cosines.reshape(shape))
 
     def hides(self, origin: Float64[Array, 3], points: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
         """Mask of the mesh's own points that it hides, even if a ray slips between two triangles there."""
@@ -77,14 +77,14 @@ class RayScene:
         distance = np.linalg.norm(offsets, axis=-1)
         return self.cast(origin, offsets / distance[:, None]).range_mm < distance - _SEEN_MM
 
-    def seen_from(self, origin: Float64[Array, 3], points: Float64[Array, "*n 3"]) -> Hits:
+    def seen_from(self, origin: Float64[Array, 3], points: Float64[Array, "*n 3"]) -> RayHits:
         """Hits of rays towards given points, none for hidden points and NaN."""
         offsets = points - origin
         distance = np.linalg.norm(offsets, axis=-1)
         with np.errstate(divide="ignore", invalid="ignore"):
             hits = self.cast(origin, offsets / distance[..., None])
             seen = np.abs(hits.range_mm - distance) < _SEEN_MM
-        return Hits(range_mm=np.where(seen, hits.range_mm, np.nan), cosine=np.where(seen, hits.cosine, np.nan))
+        return RayHits(range_mm=np.where(seen, hits.range_mm, np.nan), cosine=np.where(seen, hits.cosine, np.nan))
 
 
 def pixel_grid(camera: Camera, step: int = 1) -> Float64[Array, "h w 2"]:

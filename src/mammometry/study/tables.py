@@ -11,7 +11,7 @@ _LEAST_P = 0.001  # smaller ones are written "< 0.001": style of the American Me
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Table:
+class TextTable:
     """A table of text. The first column names the row."""
 
     title: str

@@ -15,15 +15,15 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.geometry.transform import Transform
 from mammometry.io.cameras.own import cameras_table
-from mammometry.io.drawn import Change, change_drawn, drawn_entry
+from mammometry.io.drawn import ItemChange, change_drawn, drawn_entry
 from mammometry.job.inputs import FinishedSurface
 from mammometry.job.stages import calibrate, measure
 from mammometry.job.stages.surface import corrected_cameras, mesh
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.shape.anthropometry import dimensions, find_landmarks
-from mammometry.measure.trunk.body import Body, find_body, rig_frame
+from mammometry.measure.trunk.body import BodyDirections, find_body, rig_frame
 from mammometry.measure.volume import volumes
-from mammometry.measure.volume.uncertainty import Evidence
+from mammometry.measure.volume.uncertainty import VolumeEvidence
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.surface.texture.texture import TexturedMesh
@@ -81,7 +81,7 @@ def write_session(
         drawn = {("boundaries", name): points for name, points in curves.items()}
         drawn |= {("landmarks", name): points for name, points in marks.items()}
         entries = {item: drawn_entry(points, method="drawn", author="a test") for item, points in drawn.items()}
-        change_drawn(folder, kind, {item: Change(entry=entry, base=None) for item, entry in entries.items()})
+        change_drawn(folder, kind, {item: ItemChange(entry=entry, base=None) for item, entry in entries.items()})
     if back is not None:
         write_ply(folder / "wall.ply", back)
     return folder
@@ -101,11 +101,11 @@ def put_results(folder: Path, true: TrueVisit, boundaries: tuple[Boundary, ...] 
     settings, frame = job.settings.measure, rig_frame(rig())
     back = job.inputs.wall
     breasts = open_breasts(edges, surface, settings, frame=frame, back=back)
-    evidence = Evidence(surface=surface)
+    evidence = VolumeEvidence(surface=surface)
     measured = tuple(
         volumes.measure(breast.boundary, chest_wall.fit(breast), settings, evidence=evidence) for breast in breasts
     )
-    own = Body(frame=frame, point_world=np.zeros(3), plane_sigma_mm=None, scatter_mm=None, how="")
+    own = BodyDirections(frame=frame, point_world=np.zeros(3), plane_sigma_mm=None, scatter_mm=None, how="")
     marks = find_landmarks(surface, colours, measured, job.inputs.landmarks, own, settings)
     sizes = dimensions(surface.mesh, measured, marks, frame, settings)
     for definition, value in (

@@ -21,9 +21,9 @@ from mammometry.api.job import Job, open_session
 from mammometry.base.errors import MeasureError, SessionError, StorageError
 from mammometry.base.notices import Notice
 from mammometry.cli.main import run
-from mammometry.io.meshes.scans import Scan, import_scan
+from mammometry.io.meshes.scans import ScanFacts, import_scan
 from mammometry.measure.volume import boundary_jitter
-from mammometry.measure.volume.uncertainty import Evidence
+from mammometry.measure.volume.uncertainty import VolumeEvidence
 from mammometry.report.documents import change_page
 from mammometry.report.documents.change_page import ChangeReport
 from mammometry.report.privacy import Privacy
@@ -67,7 +67,7 @@ def reports(monkeypatch: pytest.MonkeyPatch) -> list[ChangeReport]:
 def _nothing_is_matched(monkeypatch: pytest.MonkeyPatch) -> None:
     """The store holds what a comparison reads; no stage is made."""
     monkeypatch.setattr(Job, "ensure", lambda self, stage, *, drawn=True: None)
-    monkeypatch.setattr(dates, "_evidence", lambda job: Evidence())
+    monkeypatch.setattr(dates, "_evidence", lambda job: VolumeEvidence())
     # The slow part of an interval, with tests of its own; its rule of thumb stands in.
     monkeypatch.setattr(boundary_jitter, "boundary_std_cc", lambda *_, **__: None)
 
@@ -251,7 +251,7 @@ def scan_of(folder: Path, how: tuple[int, float], posture: str = "") -> Path:
     folder.mkdir()
     mesh = body(*how).torso.solid.mesh
     trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(folder / "scanner.ply")
-    about = Scan(scanner="Vectra M5", units="mm", head="y", ahead="z", posture=posture)
+    about = ScanFacts(scanner="Vectra M5", units="mm", head="y", ahead="z", posture=posture)
     files = import_scan(folder / "scanner.ply", about, units="mm")
     (folder / "scanner.ply").unlink()
     for name, content in files.items():

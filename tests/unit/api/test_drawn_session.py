@@ -13,7 +13,7 @@ from tests.unit.measure.solids import given_surface
 
 from mammometry.api.job import open_session
 from mammometry.cli.main import run
-from mammometry.io.drawn import Change, change_drawn, drawn_entries, drawn_entry, entry_digest
+from mammometry.io.drawn import ItemChange, change_drawn, drawn_entries, drawn_entry, entry_digest
 from mammometry.job.graph import Plan
 from mammometry.job.method import method
 from mammometry.job.stages import measure
@@ -54,14 +54,14 @@ def keys(session: Path) -> tuple[str, ...]:
 def confirm(session: Path, curve: np.ndarray) -> None:
     seen = {"by": "C. Eye", "at": "2026-11-22T10:00:00Z", "curve": curve_digest(curve)}
     base = entry_digest(drawn_entries(session, "torso").get(LEFT))
-    change = Change(entry={"automatic": True, "confirmed": seen}, base=base)
+    change = ItemChange(entry={"automatic": True, "confirmed": seen}, base=base)
     change_drawn(session, "torso", {LEFT: change})
 
 
 def test_a_landmark_changes_no_boundary_and_no_volume(session: Path) -> None:
     before = keys(session)
     mark = drawn_entry(np.array([[1.0, 2.0, 3.0]]), method="picked by hand", author="A. Nurse")
-    change_drawn(session, "torso", {("landmarks", "sternal_notch"): Change(entry=mark, base=None)})
+    change_drawn(session, "torso", {("landmarks", "sternal_notch"): ItemChange(entry=mark, base=None)})
     assert keys(session)[:2] == before[:2]
 
 
@@ -97,7 +97,7 @@ def test_one_drawn_breast_leaves_the_other_automatic(session: Path, true: TrueVi
     drawn = true.torso.boundaries[0]
     assert drawn.name == "left"
     entry = drawn_entry(drawn.points_world, method="edited by hand", author="A. Nurse")
-    change_drawn(session, "torso", {LEFT: Change(entry=entry, base=None)})
+    change_drawn(session, "torso", {LEFT: ItemChange(entry=entry, base=None)})
     assert json.loads((session / "boundaries.json").read_text())["boundaries"]["right"] == {"automatic": True}
     given = given_surface(true.torso.surface, rig())
     plan = Plan(method, open_session(session).inputs, Settings(), None, stages=("measure",), given=given)

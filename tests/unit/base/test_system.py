@@ -12,7 +12,7 @@ import pytest
 
 from mammometry.base.child_process import ChildProcess
 from mammometry.base.machine import system
-from mammometry.io.drawn import Change, change_drawn
+from mammometry.io.drawn import ItemChange, change_drawn
 from mammometry.io.results.lock import RunLock
 from mammometry.io.write import sync_tree
 
@@ -52,7 +52,7 @@ def test_the_process_is_looked_at_by_windows_own_words(windows: list[tuple[str, 
 
 def test_files_are_written_and_locked_where_no_folder_can_be_opened(windows: object, tmp_path: Path) -> None:
     entry = {"points": [[0.0, 0.0, 60.0]], "author": "A"}
-    (changed,) = change_drawn(tmp_path, "cast", {("landmarks", "nipple_model"): Change(entry=entry, base=None)})
+    (changed,) = change_drawn(tmp_path, "cast", {("landmarks", "nipple_model"): ItemChange(entry=entry, base=None)})
     assert changed == tmp_path / "landmarks.json"
     lock = RunLock(tmp_path)
     lock.take()

@@ -7,10 +7,20 @@ import time
 import pytest
 
 from mammometry.base.notices import Notice
-from mammometry.batch.record import Measured, Record, Row, key_of, look_up, need_mb, read_record, stats_of, write_record
+from mammometry.batch.record import (
+    BatchRow,
+    Measured,
+    SessionRecord,
+    key_of,
+    look_up,
+    need_mb,
+    read_record,
+    stats_of,
+    write_record,
+)
 from mammometry.settings import Settings
 
-ROW = Row(
+ROW = BatchRow(
     session="one",
     subject="P-17",
     date="2026-11-22",
@@ -32,7 +42,7 @@ def session(tmp_path):
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(name)
-    write_record(folder, Record(key="k", files=stats_of(folder), row=ROW))
+    write_record(folder, SessionRecord(key="k", files=stats_of(folder), row=ROW))
     return folder
 
 
@@ -95,7 +105,7 @@ def test_a_record_that_is_none_says_nothing(session, text):
 
 
 def test_there_and_back_is_the_same_and_has_one_digest(session):
-    record = Record(key="k", files=stats_of(session), row=ROW)
+    record = SessionRecord(key="k", files=stats_of(session), row=ROW)
     again = read_record(record.model_dump_json().encode())
     assert again == record
     assert again.digest == record.digest
@@ -105,7 +115,7 @@ def test_there_and_back_is_the_same_and_has_one_digest(session):
 def test_names_that_are_not_utf_8_and_times_before_1980_are_noted(session):
     (session / os.fsdecode(b"n\xffte.txt")).write_text("")
     os.utime(session / "session.toml", (-1e8, -1e8))
-    write_record(session, Record(key="k", files=stats_of(session), row=ROW))
+    write_record(session, SessionRecord(key="k", files=stats_of(session), row=ROW))
     assert look_up(session, "k") == (ROW, True)
     (session / os.fsdecode(b"n\xffte.txt")).write_text("more")
     assert look_up(session, "k") == (ROW, False)
@@ -116,7 +126,7 @@ def test_thousands_are_looked_at_in_seconds(session):
     for number in range(150):
         (session / "calibration" / f"{number:03}.jpg").parent.mkdir(exist_ok=True)
         (session / "calibration" / f"{number:03}.jpg").write_text("")
-    write_record(session, Record(key="k", files=stats_of(session), row=ROW))
+    write_record(session, SessionRecord(key="k", files=stats_of(session), row=ROW))
     begun = time.process_time()
     for _ in range(20):
         assert look_up(session, "k")[1]

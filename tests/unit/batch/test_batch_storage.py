@@ -13,9 +13,9 @@ import pytest
 
 from mammometry.base.errors import SessionError, StorageError
 from mammometry.batch import storage
-from mammometry.batch.record import Entry, Record, Row
+from mammometry.batch.record import BatchEntry, BatchRow, SessionRecord
 
-ROW = Row(
+ROW = BatchRow(
     session="one",
     subject=None,
     date=None,
@@ -87,7 +87,7 @@ def result(folder, text):
 
 
 def record_into(folder, entry, key="k"):
-    record = Record(key=key, files=storage.stats(entry), row=ROW)
+    record = SessionRecord(key=key, files=storage.stats(entry), row=ROW)
     (folder / "batch.json").write_text(record.model_dump_json())
     return record.digest
 
@@ -104,7 +104,7 @@ def test_sessions_are_found_there_and_below(address):
 
 
 def test_a_session_is_fetched_and_its_results_come_back(address, tmp_path):
-    entry = Entry(address=address)
+    entry = BatchEntry(address=address)
     there = storage.fetch(entry, tmp_path / "one")
     assert sorted(there) == sorted(BROUGHT)
     assert {name: (tmp_path / "one" / name).read_text() for name in BROUGHT} == {name: name for name in BROUGHT}
@@ -121,7 +121,7 @@ def test_a_session_is_fetched_and_its_results_come_back(address, tmp_path):
 
 
 def test_what_people_change_there_makes_it_stale(address, tmp_path):
-    entry = Entry(address=address)
+    entry = BatchEntry(address=address)
     results = result(tmp_path / "results", "1")
     storage.put(entry, results, record_into(results, entry))
     system, root = fsspec.core.url_to_fs(address)
@@ -132,7 +132,7 @@ def test_what_people_change_there_makes_it_stale(address, tmp_path):
 
 def test_results_are_put_back_whole_or_not_at_all(address, tmp_path, monkeypatch):
     """However far the putting came when it was cut off, the former results are there, whole."""
-    entry = Entry(address=address)
+    entry = BatchEntry(address=address)
     first = result(tmp_path / "first", "1")
     storage.put(entry, first, record_into(first, entry))
     second = result(tmp_path / "second", "2")
@@ -163,7 +163,7 @@ def test_results_are_put_back_whole_or_not_at_all(address, tmp_path, monkeypatch
 
 
 def test_results_go_elsewhere_where_that_is_wanted(address, tmp_path):
-    entry = Entry(address=address, results=str(tmp_path / "out" / "one"))
+    entry = BatchEntry(address=address, results=str(tmp_path / "out" / "one"))
     results = result(tmp_path / "results", "1")
     storage.put(entry, results, record_into(results, entry))
     assert storage.look_up(entry, "k") == (ROW, True)
@@ -178,7 +178,7 @@ def test_results_go_elsewhere_where_that_is_wanted(address, tmp_path):
 def test_a_pointer_of_somebody_else_points_nowhere(address, text):
     system, root = fsspec.core.url_to_fs(address)
     system.pipe_file(f"{root}/results.json", text.encode())
-    assert storage.results_of(Entry(address=address)) is None
+    assert storage.results_of(BatchEntry(address=address)) is None
 
 
 def test_storage_that_is_not_there_is_one_sentence(s3):

@@ -17,7 +17,7 @@ from mammometry.calibration.features.lattice import find_dots
 from mammometry.calibration.features.pixels import FoundPoints, grey_bytes, linear_luma
 from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.pdf import target_pdf
-from mammometry.calibration.targets.sheet import Sheet
+from mammometry.calibration.targets.sheet import PrintedSheet
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.calibration.targets.target import TARGETS
 from mammometry.io.results.codecs import from_tree, to_tree
@@ -57,7 +57,9 @@ class ScatteredTarget(Board):
 
     def sheet(self):
         points = self.points_target[:, :2]
-        return Sheet(extent_mm=self.extent_mm, discs=np.column_stack([points, np.full(len(points), self.dot_mm / 2)]))
+        return PrintedSheet(
+            extent_mm=self.extent_mm, discs=np.column_stack([points, np.full(len(points), self.dot_mm / 2)])
+        )
 
 
 @find.register(ScatteredTarget)

@@ -15,7 +15,7 @@ from PIL import Image
 
 from mammometry.base.errors import CaptureError, SettingsError
 from mammometry.capture.camera import BACKENDS, CameraSettings, Devices
-from mammometry.capture.shots import Shot, take
+from mammometry.capture.shots import PendingShot, take
 from mammometry.io.photographs.images import demosaiced, read_photograph
 
 SOFTWARE = CameraSettings(exposure_ms=1.0, trigger="software")
@@ -46,7 +46,7 @@ def basler(monkeypatch):
 
 def test_eight_emulated_basler_cameras_deliver_by_software_trigger(basler, tmp_path):
     for firing in (1, 2):
-        shot = Shot(tmp_path)
+        shot = PendingShot(tmp_path)
         taken = take(basler, NAMES, shot, timeout_s=3.0, features=False)
         assert taken.faults == {}
         assert {one.serial for one in taken.frames.values()} == {f"0815-{n:04d}" for n in range(8)}
@@ -113,7 +113,7 @@ def genicam():
 
 def test_aravis_fake_cameras_deliver_and_an_absent_one_is_named(genicam, tmp_path):
     genicam.settings(CameraSettings(exposure_ms=10.0, trigger="software"))  # the fake ones are black at 1 ms
-    shot = Shot(tmp_path, suffix="png")
+    shot = PendingShot(tmp_path, suffix="png")
     taken = take(genicam, ("a", "b", "c"), shot, timeout_s=5.0, features=False)
     assert set(taken.frames) == {"a", "b"}, {name: str(error) for name, error in taken.faults.items()}
     assert taken.frames["a"].serial == "GV01"
@@ -145,7 +145,7 @@ def test_a_simulated_nikon_delivers_its_own_file_and_an_absent_one_is_named(niko
     assert "Nikon" in rig.health("a").model
     assert "usb:001,077" in rig.health("b").fault
     rig.settings(SOFTWARE)
-    shot = Shot(tmp_path / "s")
+    shot = PendingShot(tmp_path / "s")
     taken = take(rig, ("a", "b"), shot, timeout_s=10.0, features=False)
     assert set(taken.frames) == {"a"}, {name: str(error) for name, error in taken.faults.items()}
     assert taken.frames["a"].path.read_bytes() == content

@@ -230,6 +230,6 @@ def test_two_rigs_on_one_bus_are_told_who_has_the_camera(place):
 
 def test_a_camera_s_own_file_is_kept_byte_for_byte(tmp_path):
     content = b"\xff\xd8\xff" + np.random.default_rng(0).bytes(1000)
-    shot = shots.Shot(tmp_path)
+    shot = shots.PendingShot(tmp_path)
     assert shot.keep(Frame(camera="a", content=content)).read_bytes() == content
     assert shot.finish({}).name == "001"

@@ -14,7 +14,7 @@ from mammometry.cli import main
 from mammometry.cli.acceptance import REJECT, UNDECIDED
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.acceptance_file import DESCRIPTION, position_files, read_test
-from mammometry.io.meshes.scans import Scan, import_scan
+from mammometry.io.meshes.scans import ScanFacts, import_scan
 from mammometry.io.outputs import write_outputs
 from mammometry.simulate.artefacts import DeviceErrors, artefact_mesh, measured_mesh
 from mammometry.study.acceptance.artefacts import POSITIONS, Cast, Sphere
@@ -89,7 +89,7 @@ def test_scans_meshes_and_obj_files_are_read(tmp_path: Path) -> None:
     written(sphere / "01.ply", mesh)
     written(sphere / "2 upper left.obj", mesh)
     (sphere / "material.mtl").write_text("newmtl any\n")
-    made = import_scan(sphere / "01.ply", Scan(scanner="Vectra", units=""), units="mm")
+    made = import_scan(sphere / "01.ply", ScanFacts(scanner="Vectra", units=""), units="mm")
     write_outputs(sphere / "3", made, command="import mesh")
     (tmp_path / "test" / DESCRIPTION).write_text(ABOUT + SPHERE)
     outcome = run_acceptance(tmp_path / "test")

@@ -20,7 +20,7 @@ from mammometry.cli.main import run
 from mammometry.editor.session import Desk
 from mammometry.io.drawn import BOUNDARIES
 from mammometry.io.meshes.measured import ABOUT_MESH, read_measured
-from mammometry.io.meshes.scans import Scan, import_scan
+from mammometry.io.meshes.scans import ScanFacts, import_scan
 from mammometry.io.outputs import write_outputs
 from mammometry.io.results.records import RECORDS
 
@@ -32,7 +32,7 @@ def _fill(folder: Path) -> None:
     given = curves(folder / "b.json", model=RIM / 10)  # in the mesh's own unit
     mesh = export(dome(sink_mm=10.0, rings=30, around=120), folder / "dome.ply", 0.1)
     write_outputs(
-        folder / "imported", import_scan(mesh, Scan(scanner="Vectra", units=""), units="cm"), command="import mesh"
+        folder / "imported", import_scan(mesh, ScanFacts(scanner="Vectra", units=""), units="cm"), command="import mesh"
     )
     curves(folder / "imported" / BOUNDARIES, model=RIM)
     asked = [str(mesh), "--units", "cm", "--boundary", str(given), "--out", str(folder / "measured")]

@@ -18,7 +18,7 @@ from django.utils import timezone
 
 from mammometry.cli import doctor
 from mammometry.clinic import audit, audit_chain
-from mammometry.clinic.audit_entries import COLUMNS, SHOWN, AuditFilter, Entry, entries, title_of, write_audit
+from mammometry.clinic.audit_entries import COLUMNS, SHOWN, AuditFilter, AuditLine, entries, title_of, write_audit
 from mammometry.clinic.config import ClinicConfig, ClinicError
 from mammometry.clinic.maintenance import backups
 from mammometry.clinic.maintenance.patient import erase_patient
@@ -210,10 +210,10 @@ def test_the_export_is_whole_and_no_formula(clinic: object, client_of: Callable[
     assert not [cell for row in table for cell in row if cell.startswith("=")]
 
 
-def rows_on(client: Client, **query: str) -> list[Entry]:
+def rows_on(client: Client, **query: str) -> list[AuditLine]:
     answer = client.get(reverse("audit"), query)
     assert answer.status_code == 200
-    entries: list[Entry] = answer.context["entries"]
+    entries: list[AuditLine] = answer.context["entries"]
     return entries
 
 

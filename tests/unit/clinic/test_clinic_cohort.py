@@ -27,7 +27,7 @@ from mammometry.clinic.models import (
     Volume,
 )  # fmt: skip
 from mammometry.clinic.records import results
-from mammometry.clinic.records.cohort import Row, left_out, pooled, repeats, study_rows, visits_between
+from mammometry.clinic.records.cohort import CohortRow, left_out, pooled, repeats, study_rows, visits_between
 from mammometry.clinic.records.confirmations import CHANGED, confirmation_of
 from mammometry.clinic.roles import Role
 
@@ -99,7 +99,7 @@ def random_clinic(clinic: ClinicConfig) -> None:
                 Drawing.objects.create(visit=visit, item="left", action="drawn")
 
 
-def rows_by_objects(**asked: object) -> list[Row]:
+def rows_by_objects(**asked: object) -> list[CohortRow]:
     """The rows from the results that pages of single visits show."""
     rows = []
     visits = [
@@ -114,7 +114,7 @@ def rows_by_objects(**asked: object) -> list[Row]:
         for side in result.sides:
             low, high = side.interval_cc or (None, None)
             rows.append(
-                Row(
+                CohortRow(
                     pseudonym=visit.patient.pseudonym, day=day, years=results.age(visit.patient.born, day),
                     side=side.side, definition=side.definition, volume_cc=side.volume_cc, low_cc=low, high_cc=high,
                     refused=side.refused, state=CHANGED if visit.is_changed else visit.state,

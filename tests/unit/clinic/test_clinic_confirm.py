@@ -28,7 +28,7 @@ from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views import hospital, results
 from mammometry.clinic.views import study as exports
 from mammometry.editor.messages import Save
-from mammometry.io.drawn import Change, change_drawn, drawn_entries, drawn_entry, entry_digest
+from mammometry.io.drawn import ItemChange, change_drawn, drawn_entries, drawn_entry, entry_digest
 from mammometry.io.write import disk_errors
 
 LEFT, RIGHT = "a" * 64, "b" * 64
@@ -68,7 +68,7 @@ def measured(visit: Visit) -> Visit:
 def draw(visit: Visit, name: str = "sternal_notch") -> None:
     """Draw a landmark as the page does: the file, then the entry."""
     entry = drawn_entry(np.array([[1.0, 2.0, 3.0]]), method="picked by hand", author="A. Nurse")
-    change_drawn(visit.folder, "torso", {("landmarks", name): Change(entry=entry, base=None)})
+    change_drawn(visit.folder, "torso", {("landmarks", name): ItemChange(entry=entry, base=None)})
     Drawing.objects.create(visit=visit, item=f"landmark {name}", action="drawn")
 
 

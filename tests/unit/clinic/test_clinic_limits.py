@@ -11,7 +11,7 @@ from django.conf import settings
 from django.test import Client
 from django.urls import reverse
 
-from mammometry.clinic.config import ClinicConfig, Limits
+from mammometry.clinic.config import ClinicConfig, RateLimits
 from mammometry.clinic.roles import Role
 from mammometry.clinic.web import requests
 from mammometry.clinic.web.access import BODY_BYTES
@@ -65,7 +65,7 @@ def ask(
 
 
 def limited(inner: Inner, per_second: int = 1000, clock: Any = lambda: 0.0) -> Limited:
-    return Limited(inner, Limits(requests_per_second=per_second), clock=clock)
+    return Limited(inner, RateLimits(requests_per_second=per_second), clock=clock)
 
 
 def test_a_body_up_to_the_limit_is_passed_on() -> None:
@@ -151,7 +151,7 @@ def test_a_body_that_does_not_come_is_not_waited_for() -> None:
         sent.append(dict(message))
 
     scope: Message = {"type": "http", "path": "/", "headers": [], "client": ("10.0.0.1", 4711)}
-    application = Limited(inner, Limits(request_s=1))
+    application = Limited(inner, RateLimits(request_s=1))
     begun = time.monotonic()
     asyncio.run(application(scope, receive, send))
     assert sent[0]["status"] == 408
@@ -175,7 +175,7 @@ def test_a_large_body_has_longer_on_a_slow_line(monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setattr(requests, "_granted", lambda path: 1_000_000)
     scope: Message = {"type": "http", "path": "/", "headers": [], "client": ("10.0.0.1", 4711)}
-    asyncio.run(Limited(inner, Limits(request_s=1))(scope, receive, send))
+    asyncio.run(Limited(inner, RateLimits(request_s=1))(scope, receive, send))
     assert inner.bodies == [100_000]
 
 

@@ -18,7 +18,7 @@ from tests.clinic_forms import filled, refused
 
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.models import Consent, Drawing, Measurement, Patient, Person, Rig, Visit, Volume
-from mammometry.clinic.records.charts import Reading, round_levels, time_line
+from mammometry.clinic.records.charts import ChartReading, round_levels, time_line
 from mammometry.clinic.records.results import age
 from mammometry.clinic.roles import Role
 from mammometry.clinic.views import results
@@ -68,7 +68,7 @@ def patient(clinic: ClinicConfig) -> Patient:
 
 def test_the_time_line_keeps_order_scale_and_edges() -> None:
     readings = [
-        Reading(side, NOON + datetime.timedelta(days=days), value, value - 10, value + 15, "words")
+        ChartReading(side, NOON + datetime.timedelta(days=days), value, value - 10, value + 15, "words")
         for side, value in (("left", 400.0), ("right", 450.0))
         for days in (0, 30, 90)
     ]

@@ -13,7 +13,7 @@ import pytest
 from tests.clinic_server import command, served
 
 from mammometry.base.errors import SettingsError
-from mammometry.clinic.config import ClinicConfig, ClinicError, Tls, machine_time_zone, new_clinic, read_config
+from mammometry.clinic.config import ClinicConfig, ClinicError, ServerTls, machine_time_zone, new_clinic, read_config
 from mammometry.clinic.site import configure
 from mammometry.clinic.web.server import require_current, serve
 
@@ -81,7 +81,7 @@ def test_without_tls_other_machines_are_kept_out(tmp_path: Path) -> None:
 
 def test_a_certificate_that_is_not_there_is_named(tmp_path: Path) -> None:
     config = new_clinic(tmp_path / "clinic", name="Clinic")
-    config = config.model_copy(update={"tls": Tls(certificate="/nowhere/cert.pem", key="/nowhere/key.pem")})
+    config = config.model_copy(update={"tls": ServerTls(certificate="/nowhere/cert.pem", key="/nowhere/key.pem")})
     with pytest.raises(ClinicError, match=r"/nowhere/cert\.pem"):
         serve(config)
 

@@ -14,11 +14,11 @@ from mammometry.clinic.deliveries import order_of
 from mammometry.clinic.models import Destination, Patient, Rig, Visit
 from mammometry.clinic.roles import Role
 from mammometry.clinic.views import hospital
-from mammometry.hospital.dicom.worklist import Entry, Worklist
+from mammometry.hospital.dicom.worklist import Worklist, WorklistEntry
+from mammometry.hospital.exported import ExportedPatient as PatientModule
 from mammometry.hospital.exported import Order
-from mammometry.hospital.exported import Patient as PatientModule
 
-ENTRY = Entry(
+ENTRY = WorklistEntry(
     patient=PatientModule(id="KIS-4712", name="Muster^Anna^Maria", born=datetime.date(1971, 5, 4), sex="F"),
     order=Order(accession="A123", study_uid="1.2.3", referring="House^Gregory", procedure="Breast volumes"),
     planned=None,

@@ -11,8 +11,8 @@ from scipy import ndimage
 from mammometry.base.photograph import Photograph
 from mammometry.capture import checks
 from mammometry.capture.checks import KnownCamera, not_only_a_photograph
-from mammometry.clinic.rig_history import Calibrated, Checked, judge
-from mammometry.io.photographs.tags import Exposure, read_exposure
+from mammometry.clinic.rig_history import Calibrated, LatestCheck, judge
+from mammometry.io.photographs.tags import PhotographTags, read_exposure
 
 SIZE_WH = (900, 600)
 
@@ -91,7 +91,7 @@ KNOWN = {
 
 
 def camera_of(camera, serial="", named=None, known=KNOWN):
-    return checks.right_camera(camera, Exposure(serial=serial), named, known)
+    return checks.right_camera(camera, PhotographTags(serial=serial), named, known)
 
 
 def test_the_serial_number_decides_and_the_name_only_without_one():
@@ -178,7 +178,7 @@ def test_damaged_exif_tells_nothing(tmp_path):
     exif = Image.Exif()
     exif.get_ifd(0x8769)[0x9003] = "yesterday"
     (tmp_path / "a.jpg").write_bytes(jpeg(exif))
-    assert read_exposure(tmp_path / "a.jpg") == Exposure()
+    assert read_exposure(tmp_path / "a.jpg") == PhotographTags()
 
 
 @pytest.mark.parametrize(
@@ -216,20 +216,20 @@ def calibrated(on=BEFORE, verdict="pass"):
         (None, None, "no", "calibrated"),
         (calibrated(), None, "care", "checked"),
         (calibrated(TODAY), None, "yes", "calibrated"),
-        (calibrated(), Checked(on=BEFORE, verdict="unmoved"), "care", "checked"),
-        (calibrated(), Checked(on=TODAY, verdict=None), "care", "checked"),
-        (calibrated(), Checked(on=TODAY, verdict="unmoved"), "yes", "camera"),
-        (calibrated(), Checked(on=TODAY, verdict="moved", effect_mm=0.04), "care", "why"),
+        (calibrated(), LatestCheck(on=BEFORE, verdict="unmoved"), "care", "checked"),
+        (calibrated(), LatestCheck(on=TODAY, verdict=None), "care", "checked"),
+        (calibrated(), LatestCheck(on=TODAY, verdict="unmoved"), "yes", "camera"),
+        (calibrated(), LatestCheck(on=TODAY, verdict="moved", effect_mm=0.04), "care", "why"),
         (
             calibrated(),
-            Checked(on=TODAY, verdict="unmoved", unseen=("left_left",)),
+            LatestCheck(on=TODAY, verdict="unmoved", unseen=("left_left",)),
             "care",
             "cameras",
         ),
-        (calibrated(), Checked(on=TODAY, verdict="refuse"), "no", "moved"),
-        (calibrated(), Checked(on=BEFORE, verdict="refuse"), "no", "moved"),
-        (calibrated(verdict="warn"), Checked(on=TODAY, verdict="unmoved"), "care", "why"),
-        (calibrated(TODAY - datetime.timedelta(days=91)), Checked(on=TODAY, verdict="unmoved"), "care", "why"),
+        (calibrated(), LatestCheck(on=TODAY, verdict="refuse"), "no", "moved"),
+        (calibrated(), LatestCheck(on=BEFORE, verdict="refuse"), "no", "moved"),
+        (calibrated(verdict="warn"), LatestCheck(on=TODAY, verdict="unmoved"), "care", "why"),
+        (calibrated(TODAY - datetime.timedelta(days=91)), LatestCheck(on=TODAY, verdict="unmoved"), "care", "why"),
     ],
 )
 def test_may_we_measure_today(calibration, check, verdict, word):

@@ -14,7 +14,7 @@ from mammometry.cli.main import run
 from mammometry.editor.messages import PlaceChange, Save, SentHandle, Sketch, SketchChange
 from mammometry.editor.page import EditorPage
 from mammometry.editor.session import Desk
-from mammometry.io.meshes.scans import Scan, import_scan
+from mammometry.io.meshes.scans import ScanFacts, import_scan
 from mammometry.io.outputs import write_outputs
 from mammometry.measure.volume.attribution import curve_digest
 
@@ -24,7 +24,7 @@ def scan(tmp_path: Path) -> Path:
     """An imported scan of a torso."""
     mesh = scanned(tmp_path / "in", step_mm=2.0)
     folder = tmp_path / "scan"
-    write_outputs(folder, import_scan(mesh, Scan(scanner="Vectra", units=""), units="cm"), command="import mesh")
+    write_outputs(folder, import_scan(mesh, ScanFacts(scanner="Vectra", units=""), units="cm"), command="import mesh")
     return folder
 
 

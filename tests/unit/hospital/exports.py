@@ -15,15 +15,15 @@ from mammometry.hospital.exported import (
     CoveredModel,
     CoveredModels,
     Exported,
-    Model,
-    Operation,
+    ExportedMesh,
+    ExportedOperation,
+    ExportedPatient,
     Order,
-    Patient,
     Quantity,
 )
 from mammometry.report.content import Clinical, Signed
 
-ANNA = Patient(id="KIS-4711", name="Zypernkatze^Quirina", born=datetime.date(1980, 2, 29), sex="F")
+ANNA = ExportedPatient(id="KIS-4711", name="Zypernkatze^Quirina", born=datetime.date(1980, 2, 29), sex="F")
 ORDER = Order(accession="A123", study_uid="1.2.826.0.1.3680043.8.498.1", referring="House^Gregory", procedure_id="P7")
 NAMES = ("KIS-4711", "Zypernkatze", "Quirina", "19800229", "1980-02-29", "P-EXAMPLE", "20260301", "2026-03-01", "House")
 """All that tells who and when."""
@@ -86,7 +86,9 @@ def exported(folder: Path, **changed: Any) -> Exported:
         quantities=quantities(),
         report_pdf=b"%PDF-1.4 not a whole one",
         models=tuple(
-            Model(name=name, title=name, side=side, stl=bytes(80) + number.to_bytes(4, "little") + bytes(50 * number))  # type: ignore[arg-type]
+            ExportedMesh(
+                name=name, title=name, side=side, stl=bytes(80) + number.to_bytes(4, "little") + bytes(50 * number)
+            )  # type: ignore[arg-type]
             for number, (name, side) in enumerate((("left", "left"), ("right", "right"), ("surface", "")), 1)
         ),
         covered=CoveredModels(
@@ -126,7 +128,9 @@ def signed(folder: Path, *, concluded: bool = True) -> Exported:
     """A session that a clinic confirmed, and concluded of, after an operation."""
     clinical = Clinical(confirmed=CONFIRMED, conclusions=(CONCLUDED,) if concluded else ())
     operations = tuple(
-        Operation(kind=kind, title=title, side=side, day=datetime.date(2025, 5, 6), sentence=f"{title}, 2025-05-06")
+        ExportedOperation(
+            kind=kind, title=title, side=side, day=datetime.date(2025, 5, 6), sentence=f"{title}, 2025-05-06"
+        )
         for kind, title, side in (
             ("implant", "Implant inserted", "both"),
             ("conserving", "Breast-conserving surgery", "left"),

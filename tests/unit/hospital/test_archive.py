@@ -24,7 +24,7 @@ from mammometry.hospital.dicom.objects import objects
 from mammometry.hospital.dicom.store import committed, send
 from mammometry.hospital.dicom.stow import stow
 from mammometry.hospital.dicom.worklist import entries, only_entry
-from mammometry.hospital.peers import Peer, Tls, web_address
+from mammometry.hospital.peers import Peer, PeerTls, web_address
 
 pytestmark = [
     pytest.mark.slow,
@@ -264,14 +264,14 @@ def test_an_encrypted_archive_must_be_the_one_whose_certificate_is_trusted(
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(*certificate)
     with archive(lambda event: 0x0000, made, context) as peer:
-        assert send(made, peer, tls=Tls(authorities=certificate[0])).sent == len(made)
+        assert send(made, peer, tls=PeerTls(authorities=certificate[0])).sent == len(made)
         with pytest.raises(ArchiveError, match="TLS"):
-            send(made, peer, tls=Tls())
+            send(made, peer, tls=PeerTls())
 
 
 def test_a_certificate_that_is_none_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match="certificate"):
-        Tls(authorities=tmp_path / "none.pem").context()
+        PeerTls(authorities=tmp_path / "none.pem").context()
 
 
 # --- addresses ---

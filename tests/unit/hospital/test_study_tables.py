@@ -17,7 +17,7 @@ from mammometry.hospital import tables
 from mammometry.hospital.exported import Quantity
 from mammometry.hospital.fhir import Release, bundle
 from mammometry.hospital.gather import confirmed
-from mammometry.measure.volume.attribution import Attribution, Confirmation, curve_digest
+from mammometry.measure.volume.attribution import Attribution, CurveConfirmation, curve_digest
 
 
 def rows(text: str | bytes) -> list[dict[str, str]]:
@@ -207,7 +207,9 @@ def test_a_session_is_confirmed_once_every_measured_boundary_is() -> None:
     measured = [SimpleNamespace(name=name, boundary_world=curve) for name, curve in curves.items()]
     seen = {
         name: Attribution(
-            confirmation=Confirmation(by=f"Eye {name}", at=f"2026-11-2{number}T10:00:00Z", curve=curve_digest(curve))
+            confirmation=CurveConfirmation(
+                by=f"Eye {name}", at=f"2026-11-2{number}T10:00:00Z", curve=curve_digest(curve)
+            )
         )
         for number, (name, curve) in enumerate(curves.items())
     }

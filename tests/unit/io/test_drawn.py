@@ -12,7 +12,7 @@ import pytest
 
 from mammometry.base.errors import SessionError, StorageError
 from mammometry.io.drawn import (
-    Change,
+    ItemChange,
     LateError,
     boundaries_in,
     change_drawn,
@@ -22,7 +22,7 @@ from mammometry.io.drawn import (
     read_boundaries,
     read_landmarks,
 )
-from mammometry.measure.volume.attribution import Confirmation, curve_digest
+from mammometry.measure.volume.attribution import CurveConfirmation, curve_digest
 
 LEFT, RIGHT, NOTCH = ("boundaries", "left"), ("boundaries", "right"), ("landmarks", "sternal_notch")
 CURVE = [[0.1, 0.25, 1 / 3], [10.0, 0.0, 0.0], [10.0, 10.0, 1e-3], [0.0, 10.0, 0.0]]
@@ -105,12 +105,12 @@ def test_only_what_is_changed_changes_and_every_earlier_version_is_kept(tmp_path
     by_hand = {"note": "from the CT", "boundaries": {"left": {"points": CURVE, "key": "of theirs"}}}
     first = put(tmp_path, "boundaries.json", by_hand).read_bytes()
     mark = drawn_entry(np.array([[1.0, 2.0, 3.0]]), method="picked by hand", author="A. Test")
-    (changed,) = change_drawn(tmp_path, "torso", {NOTCH: Change(entry=mark, base=None)})
+    (changed,) = change_drawn(tmp_path, "torso", {NOTCH: ItemChange(entry=mark, base=None)})
     assert changed.name == "landmarks.json"
     assert (tmp_path / "boundaries.json").read_bytes() == first
     assert history(tmp_path) == []
 
-    change_drawn(tmp_path, "torso", {RIGHT: Change(entry=entry(), base=None)})
+    change_drawn(tmp_path, "torso", {RIGHT: ItemChange(entry=entry(), base=None)})
     table = json.loads((tmp_path / "boundaries.json").read_text())
     assert table["note"] == "from the CT"
     assert table["boundaries"]["left"] == by_hand["boundaries"]["left"]  # type: ignore[index]
@@ -119,17 +119,17 @@ def test_only_what_is_changed_changes_and_every_earlier_version_is_kept(tmp_path
     assert kept.read_bytes() == first
 
     again = drawn_entries(tmp_path, "torso")[RIGHT]
-    assert change_drawn(tmp_path, "torso", {RIGHT: Change(entry=again, base="old")}) == ()  # nothing to be late for
+    assert change_drawn(tmp_path, "torso", {RIGHT: ItemChange(entry=again, base="old")}) == ()  # nothing to be late for
     assert len(history(tmp_path)) == 1
 
 
 def test_drawing_one_breast_leaves_the_other_automatic(tmp_path: Path) -> None:
-    change_drawn(tmp_path, "torso", {LEFT: Change(entry=entry(), base=None)})
+    change_drawn(tmp_path, "torso", {LEFT: ItemChange(entry=entry(), base=None)})
     drawn = read_boundaries(tmp_path, "torso")
     assert set(drawn.curves) == {"left"}
     assert drawn.automatic == ("right",)
     there = drawn_entries(tmp_path, "torso")
-    change_drawn(tmp_path, "torso", {LEFT: Change(entry=None, base=entry_digest(there[LEFT]))})
+    change_drawn(tmp_path, "torso", {LEFT: ItemChange(entry=None, base=entry_digest(there[LEFT]))})
     assert not (tmp_path / "boundaries.json").exists()
     (kept,) = history(tmp_path)
     assert set(json.loads(kept.read_text())["boundaries"]) == {"left", "right"}
@@ -138,17 +138,17 @@ def test_drawing_one_breast_leaves_the_other_automatic(tmp_path: Path) -> None:
 def test_a_breast_that_the_file_leaves_out_stays_left_out(tmp_path: Path) -> None:
     put(tmp_path, "boundaries.json", {"boundaries": {"left": {"points": CURVE}}})
     base = entry_digest(drawn_entries(tmp_path, "torso")[LEFT])
-    change_drawn(tmp_path, "torso", {LEFT: Change(entry=entry(1.0), base=base)})
+    change_drawn(tmp_path, "torso", {LEFT: ItemChange(entry=entry(1.0), base=base)})
     assert set(json.loads((tmp_path / "boundaries.json").read_text())["boundaries"]) == {"left"}
 
 
 @pytest.mark.requirement("R-LOSS-12")
 def test_who_comes_late_is_told_and_loses_nothing(tmp_path: Path) -> None:
-    change_drawn(tmp_path, "torso", {LEFT: Change(entry=entry(), base=None)})
+    change_drawn(tmp_path, "torso", {LEFT: ItemChange(entry=entry(), base=None)})
     before = (tmp_path / "boundaries.json").read_bytes()
     mine = entry(2.0, author="B. Late")
     mark = drawn_entry(np.array([[1.0, 2.0, 3.0]]), method="picked by hand", author="B. Late")
-    changes = {LEFT: Change(entry=mine, base=None), NOTCH: Change(entry=mark, base=None)}
+    changes = {LEFT: ItemChange(entry=mine, base=None), NOTCH: ItemChange(entry=mark, base=None)}
     with pytest.raises(LateError, match=r"left: .*A\. Test"):
         change_drawn(tmp_path, "torso", changes)
     assert (tmp_path / "boundaries.json").read_bytes() == before
@@ -166,7 +166,7 @@ def test_changes_of_two_at_once_never_lose_one(tmp_path: Path) -> None:
     def save(name: str) -> None:
         mark = drawn_entry(np.array([[1.0, 2.0, 3.0]]), method="picked by hand", author=name)
         start.wait()
-        change_drawn(tmp_path, "torso", {("landmarks", name): Change(entry=mark, base=None)})
+        change_drawn(tmp_path, "torso", {("landmarks", name): ItemChange(entry=mark, base=None)})
 
     threads = [threading.Thread(target=save, args=(name,)) for name in names]
     for thread in threads:
@@ -180,7 +180,7 @@ def test_changes_of_two_at_once_never_lose_one(tmp_path: Path) -> None:
 def test_a_file_that_cannot_be_read_is_never_replaced(tmp_path: Path) -> None:
     (tmp_path / "boundaries.json").write_text("{")
     with pytest.raises(SessionError, match=r"boundaries.json: .*JSON"):
-        change_drawn(tmp_path, "torso", {LEFT: Change(entry=entry(), base=None)})
+        change_drawn(tmp_path, "torso", {LEFT: ItemChange(entry=entry(), base=None)})
     assert (tmp_path / "boundaries.json").read_text() == "{"
 
 
@@ -190,7 +190,7 @@ def test_how_a_curve_came_to_be_is_told_from_the_last_hand_to_the_first(tmp_path
         {"method": "edited by hand", "author": "A. First", "drawn": "2026-01-02T03:04:05Z"},
     )
     edited = drawn_entry(np.array(CURVE), method="edited by hand", author="B. Second", earlier=earlier)
-    change_drawn(tmp_path, "model", {("boundaries", "model"): Change(entry=edited, base=None)})
+    change_drawn(tmp_path, "model", {("boundaries", "model"): ItemChange(entry=edited, base=None)})
     of_model = read_boundaries(tmp_path, "model").attributions["model"]
     assert of_model.method.split(", from ") == ["edited by hand", "edited by hand", "the automatic boundary"]
     assert of_model.origin is not None
@@ -208,7 +208,7 @@ def test_a_confirmation_holds_for_the_curve_that_was_looked_at(tmp_path: Path) -
     drawn = read_boundaries(tmp_path, "torso")
     assert drawn.curves == {}
     confirmation = drawn.attributions["left"].confirmation
-    assert confirmation == Confirmation(by="C. Eye", at="2026-11-22T10:00:00Z", curve=curve_digest(curve))
+    assert confirmation == CurveConfirmation(by="C. Eye", at="2026-11-22T10:00:00Z", curve=curve_digest(curve))
     assert confirmation.holds(curve + 1e-9)
     assert not confirmation.holds(curve + 0.01)
     assert not confirmation.holds(curve[::-1])
@@ -216,4 +216,4 @@ def test_a_confirmation_holds_for_the_curve_that_was_looked_at(tmp_path: Path) -
 
 def test_a_session_that_cannot_be_written_to_is_an_error_in_words(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match="disk"):
-        change_drawn(tmp_path / "missing", "torso", {LEFT: Change(entry=entry(), base=None)})
+        change_drawn(tmp_path / "missing", "torso", {LEFT: ItemChange(entry=entry(), base=None)})

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from mammometry.base.errors import StorageError
-from mammometry.io.drift import FOLDER, HISTORY, CameraDrift, Entry, append_history, entry_table, read_history
+from mammometry.io.drift import FOLDER, HISTORY, CameraDrift, DriftEntry, append_history, entry_table, read_history
 
 
-def entry(number: int, image_set: str = "monday") -> Entry:
+def entry(number: int, image_set: str = "monday") -> DriftEntry:
     drift = CameraDrift(moved=False, shift_mm=0.5, turn_deg=0.0, shift_px=0.25, sigma=1.0)
-    return Entry(
+    return DriftEntry(
         when=f"2026-11-{number:02}T10:00:00+01:00",
         image_set=image_set,
         calibration="abc",

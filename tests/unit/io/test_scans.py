@@ -20,11 +20,11 @@ from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.io.meshes.foreign import read_foreign
 from mammometry.io.meshes.merged import stored_sources
 from mammometry.io.meshes.own import read_ply
-from mammometry.io.meshes.scans import ABOUT, MESH, MTL, OBJ, Scan, import_scan, is_scan, read_scan, skin_colours
+from mammometry.io.meshes.scans import ABOUT, MESH, MTL, OBJ, ScanFacts, import_scan, is_scan, read_scan, skin_colours
 
 pytestmark = pytest.mark.usefixtures("meshes_in_this_process")
 
-ABOUT_IT = Scan(scanner="Vectra M5", units="", subject="P-1")
+ABOUT_IT = ScanFacts(scanner="Vectra M5", units="", subject="P-1")
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("two")
     for name, mesh in (("first", part(-150.0, 90.0, seed=1)), ("below", part(-90.0, 150.0, seed=2))):
         write_ply(folder / f"{name}.ply", mesh, comments=("units: mm",))
-    about = Scan(scanner="A", units="", head="y", ahead="z")
+    about = ScanFacts(scanner="A", units="", head="y", ahead="z")
     return put(import_scan(folder / "first.ply", about, also=[folder / "below.ply"]), folder / "out")
 
 
@@ -218,12 +218,12 @@ def test_a_picture_that_is_too_large_is_refused_by_its_header(scan: Path, tmp_pa
 def test_what_is_said_of_it_is_checked(scan: Path, changed: dict[str, str]) -> None:
     about = {"scanner": "Artec", "units": "", **changed}
     with pytest.raises(SessionError):
-        import_scan(scan, Scan(**about), units="cm")  # type: ignore[arg-type]
+        import_scan(scan, ScanFacts(**about), units="cm")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("posture", ["", "standing", "leaning", "lying"])
 def test_the_posture_is_kept(scan: Path, tmp_path: Path, posture: str) -> None:
-    made = import_scan(scan, Scan(scanner="Artec", units="", posture=posture), units="cm")
+    made = import_scan(scan, ScanFacts(scanner="Artec", units="", posture=posture), units="cm")
     (tmp_path / ABOUT).write_bytes(made[ABOUT])
     assert read_scan(tmp_path).posture == posture
 

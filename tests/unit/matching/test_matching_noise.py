@@ -4,7 +4,7 @@ import numpy as np
 from scipy import ndimage
 from textured_pair import Texture
 
-from mammometry.matching.dense.least_squares_step import Estimate
+from mammometry.matching.dense.least_squares_step import MatchEstimate
 from mammometry.matching.noise import checkerboard_residual, noise_variance, unexplained
 from mammometry.matching.pyramid import Level, build, decimation
 from mammometry.matching.semiglobal import start
@@ -68,7 +68,7 @@ def test_a_match_is_doubted_by_what_its_noise_does_not_explain() -> None:
     medians = []
     for times in (0.3, 1.0, 3.0, 20.0):
         correlation = np.full(SHAPE, np.sqrt(1 - times * 2 * 0.004**2 / power), dtype=np.float32)
-        match = Estimate(
+        match = MatchEstimate(
             shift=0 * image, step=0 * image, correlation=correlation, variance=0 * image + 1, plausible=level.mask
         )
         medians.append(float(np.median(unexplained(level, match, 2.5)[20:-20, 20:-20])))

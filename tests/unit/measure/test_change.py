@@ -8,11 +8,19 @@ import pytest
 from benchmarks.accuracy.dates import TrueVisit, frame_of, grown, posed, rows, summary, true_visit
 
 from mammometry.base.errors import MeasureError
-from mammometry.measure.change import Change, LengthChange, Visit, compare, fit_trunks, length_changes, trunk_of
+from mammometry.measure.change import (
+    Change,
+    DatedMeasurements,
+    LengthChange,
+    compare,
+    fit_trunks,
+    length_changes,
+    trunk_of,
+)
 from mammometry.measure.settings import CompareSettings
 from mammometry.measure.shape.lengths import LinearMeasure
 from mammometry.measure.volume import volumes
-from mammometry.measure.volume.uncertainty import Evidence
+from mammometry.measure.volume.uncertainty import VolumeEvidence
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.simulate.subjects.torso_shape import torso_shape
@@ -22,16 +30,18 @@ GROWTH = 1.3
 
 
 @cache
-def visit(name: str = NAME, place: int = 2, growth: float = 1.0, lean_deg: float = 0.0) -> tuple[TrueVisit, Visit]:
+def visit(
+    name: str = NAME, place: int = 2, growth: float = 1.0, lean_deg: float = 0.0
+) -> tuple[TrueVisit, DatedMeasurements]:
     """A body with true skin and boundaries; its left breast grown, leaning otherwise."""
     shape = posed(grown(torso_shape(name, 0), {"left": growth}), lean_deg, (0.0, 0.0), 0.0)
     true = true_visit(shape, name, place, edge_mm=3.5)
     surface, boundaries = true.torso.surface, true.torso.boundaries
     measured = tuple(
-        volumes.measure(breast.boundary, chest_wall.fit(breast), evidence=Evidence(surface=surface))
+        volumes.measure(breast.boundary, chest_wall.fit(breast), evidence=VolumeEvidence(surface=surface))
         for breast in open_breasts(boundaries, surface)
     )
-    return true, Visit(surface=surface, measurements=measured, frame=frame_of(true))
+    return true, DatedMeasurements(surface=surface, measurements=measured, frame=frame_of(true))
 
 
 @cache

@@ -7,25 +7,25 @@ import pytest
 
 from mammometry.base.errors import MeasureError
 from mammometry.measure.trunk.head import HeadSigns, check_head, head_signs
-from mammometry.measure.trunk.thorax import Skin, Trunk, find_trunk
+from mammometry.measure.trunk.thorax import SkinSamples, Trunk, find_trunk
 
 TRUNK = Trunk(frame=np.eye(3), origin=np.zeros(3), half_width_mm=130.0)
 OVER = np.diag([-1.0, -1.0, 1.0])
 NOTHING = HeadSigns(arms=0.0, breasts=0.0, flanks=0.0, front=0.0)
 
 
-def skin_of(points: np.ndarray, normals: np.ndarray) -> Skin:
-    return Skin(points_world=points, normals_world=normals / np.linalg.norm(normals, axis=1, keepdims=True))
+def skin_of(points: np.ndarray, normals: np.ndarray) -> SkinSamples:
+    return SkinSamples(points_world=points, normals_world=normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
-def arms(low: float, high: float, count: int = 900) -> Skin:
+def arms(low: float, high: float, count: int = 900) -> SkinSamples:
     """Skin 1.2 to 1.6 half widths aside, evenly from one height to another."""
     rng = np.random.default_rng(0)
     aside, heights = rng.choice([-1, 1], count) * rng.uniform(155, 210, count), rng.uniform(low, high, count)
     return skin_of(np.stack([aside, heights, 0 * aside], axis=1), np.tile([0.0, 0.0, 1.0], (count, 1)))
 
 
-def flanks(low: float, high: float) -> Skin:
+def flanks(low: float, high: float) -> SkinSamples:
     """Skin of the trunk that faces aside."""
     rng = np.random.default_rng(1)
     side = rng.choice([-1.0, 1.0], 1200)
@@ -33,7 +33,7 @@ def flanks(low: float, high: float) -> Skin:
     return skin_of(points, np.stack([side, 0 * side, 0 * side], axis=1))
 
 
-def midline(above: float, below: float, low: float = -200.0, high: float = 200.0) -> Skin:
+def midline(above: float, below: float, low: float = -200.0, high: float = 200.0) -> SkinSamples:
     """A strip that slopes back by these sines: towards the head above, towards the feet below."""
     rng = np.random.default_rng(2)
     y = rng.uniform(low, high, 4000)
@@ -42,8 +42,8 @@ def midline(above: float, below: float, low: float = -200.0, high: float = 200.0
     return skin_of(points, np.stack([0 * y, up, np.sqrt(1 - up**2)], axis=1))
 
 
-def both(*skins: Skin) -> Skin:
-    return Skin(
+def both(*skins: SkinSamples) -> SkinSamples:
+    return SkinSamples(
         points_world=np.concatenate([one.points_world for one in skins]),
         normals_world=np.concatenate([one.normals_world for one in skins]),
     )
@@ -58,7 +58,7 @@ def both(*skins: Skin) -> Skin:
         (midline(0.3, -0.2), "front"),  # a belly that stands out
     ],
 )
-def test_each_sign_shows_the_head_and_turns_with_the_body(skin: Skin, sign: str) -> None:
+def test_each_sign_shows_the_head_and_turns_with_the_body(skin: SkinSamples, sign: str) -> None:
     upright, over = (head_signs(skin, replace(TRUNK, frame=frame), []) for frame in (np.eye(3), OVER))
     assert getattr(upright, sign) > 0.3
     assert getattr(over, sign) == pytest.approx(-getattr(upright, sign), abs=1e-9)

@@ -21,10 +21,10 @@ from mammometry.measure.change import Change, TrunkFit, judged
 from mammometry.measure.landmarks.proposals import propose_nipple
 from mammometry.measure.settings import CompareSettings, LayerSettings
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
-from mammometry.measure.trunk.thorax import Skin, Trunk, find_trunk, fit_thorax
+from mammometry.measure.trunk.thorax import SkinSamples, Trunk, find_trunk, fit_thorax
 from mammometry.measure.volume.measurement import layer_before_muscle_mm
 from mammometry.measure.volume.sources import AXIS
-from mammometry.measure.volume.uncertainty import Evidence, interval
+from mammometry.measure.volume.uncertainty import VolumeEvidence, interval
 from mammometry.measure.wall.chest_wall import ChestWall
 
 FRAME = np.eye(3)
@@ -67,9 +67,9 @@ def skin(theta: np.ndarray, y: np.ndarray, out_mm: np.ndarray | float = 0.0) -> 
     return np.stack([r * np.sin(theta), y, r * np.cos(theta)], axis=-1)
 
 
-def of_a_trunk(points: np.ndarray) -> Skin:
+def of_a_trunk(points: np.ndarray) -> SkinSamples:
     outwards = points * [1, 0, 1]
-    return Skin(points_world=points, normals_world=outwards / np.linalg.norm(outwards, axis=1, keepdims=True))
+    return SkinSamples(points_world=points, normals_world=outwards / np.linalg.norm(outwards, axis=1, keepdims=True))
 
 
 def test_only_skin_within_the_window_describes_the_trunk(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,7 +100,7 @@ def test_the_trunks_end_is_not_its_side() -> None:
     rng = np.random.default_rng(0)
     side = of_a_trunk(skin(rng.uniform(-1.2, 1.2, 4000), rng.uniform(-60, 130, 4000)))
     end = skin(rng.uniform(-1.2, 1.2, 4000), np.full(4000, -60.0), rng.uniform(-60.0, 0.0, 4000))
-    both = Skin(
+    both = SkinSamples(
         points_world=np.concatenate([side.points_world, end]),
         normals_world=np.concatenate([side.normals_world, np.tile([0.0, -1.0, 0.0], (4000, 1))]),
     )
@@ -113,7 +113,7 @@ def test_an_axis_that_leans_too_far_is_not_believed(monkeypatch: pytest.MonkeyPa
     theta, y = np.meshgrid(np.linspace(-2.0, 2.0, 200), np.linspace(-130, 130, 60))
     points = skin(theta.ravel(), y.ravel())
     normals = points * [1, 0, 1] / RADIUS_MM
-    seen = Skin(points_world=lean.apply(points), normals_world=lean.rotate(normals))
+    seen = SkinSamples(points_world=lean.apply(points), normals_world=lean.rotate(normals))
     assert np.allclose(find_trunk(seen, FRAME).frame[1], lean.rotate(np.array([[0.0, 1.0, 0.0]]))[0], atol=1e-6)
     monkeypatch.setattr("mammometry.measure.trunk.thorax._STEEPEST_LEAN_DEG", 20.0)
     assert np.allclose(find_trunk(seen, FRAME).frame[1], [0.0, 1.0, 0.0])
@@ -218,7 +218,7 @@ def test_an_assumed_axis_is_known_as_well_as_is_stated() -> None:
     mesh = ball(50.0, 3)
     boundary = Boundary(name="left", points_world=mesh.vertices[:4], method="")
     wall = ChestWall(kind="cylinder-membrane", definition="", mesh=mesh, skin=mesh, closed=mesh)
-    found = interval(boundary, wall, 400.0, evidence=Evidence(axis_assumed=True))
+    found = interval(boundary, wall, 400.0, evidence=VolumeEvidence(axis_assumed=True))
     assert found.terms_cc[AXIS] == pytest.approx(10.0)
 
 

@@ -9,7 +9,7 @@ from test_uncertainty import RIM, SHEET, wall
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary
-from mammometry.measure.volume.uncertainty import Evidence, Movement, interval, movement_cc, movement_of
+from mammometry.measure.volume.uncertainty import CaptureMotion, VolumeEvidence, interval, movement_cc, movement_of
 from mammometry.surface.motion.motion_detection import Displaced, MotionEstimate
 from mammometry.surface.motion.rigid_motion import MotionParameters, motion_parameters
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
@@ -60,7 +60,7 @@ def _found(covariance: np.ndarray, *, rest_mm: float = 0.0, moved: bool = True) 
 
 
 def _std_cc(mode: np.ndarray, rest_mm: float = 0.0) -> float:
-    movement = Movement(found=_found(np.outer(mode, mode), rest_mm=rest_mm), rig=RIG)
+    movement = CaptureMotion(found=_found(np.outer(mode, mode), rest_mm=rest_mm), rig=RIG)
     shared_cc, own_cc = movement_cc(movement, SHEET, RIM, _surface())
     return float(np.hypot(np.linalg.norm(shared_cc), own_cc))
 
@@ -113,7 +113,7 @@ def test_what_no_motion_explains_is_alike_within_some_distance() -> None:
 def test_the_interval_has_the_term_and_says_so() -> None:
     boundary = Boundary(name="model", points_world=RIM, method="", sigma_mm=0.05)
     mode = _mode(b=(5, 0.2))
-    evidence = Evidence(surface=_surface(), movement=movement_of(_found(np.outer(mode, mode)), RIG))
+    evidence = VolumeEvidence(surface=_surface(), movement=movement_of(_found(np.outer(mode, mode)), RIG))
     found, without = (
         interval(boundary, wall("plane"), 400.0, evidence=each) for each in (evidence, replace(evidence, movement=None))
     )

@@ -7,14 +7,14 @@ from trunks import LEFT, RIGHT, edge_of, radius_mm, trunk_mesh
 
 from mammometry.measure.landmarks.landmarks import Landmark
 from mammometry.measure.shape.anthropometry import Dimensions, dimensions, find_landmarks
-from mammometry.measure.trunk.body import Body
+from mammometry.measure.trunk.body import BodyDirections
 from mammometry.measure.trunk.mirror_plane import MirrorPlane
 from mammometry.measure.volume import volumes
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
 
 FRAME = np.eye(3)
-BODY = Body(frame=FRAME, point_world=np.zeros(3), plane_sigma_mm=None, scatter_mm=None, how="")
+BODY = BodyDirections(frame=FRAME, point_world=np.zeros(3), plane_sigma_mm=None, scatter_mm=None, how="")
 MIDDLE = MirrorPlane(point_world=np.zeros(3), normal_world=FRAME[0], sigma_mm=0.1, scatter_mm=0.5)
 AREOLA_MM = 17.0
 

@@ -11,7 +11,7 @@ from mammometry.base.errors import MeasureError, SettingsError
 from mammometry.measure.solid.patch import Closed
 from mammometry.measure.trunk.body import rig_frame
 from mammometry.measure.volume import volumes
-from mammometry.measure.volume.uncertainty import Evidence
+from mammometry.measure.volume.uncertainty import VolumeEvidence
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.heights import TrunkChart, through
 from mammometry.measure.wall.open_breast import OpenBreast
@@ -56,7 +56,7 @@ def test_a_wall_of_ones_own_is_chosen_measured_drawn_and_named() -> None:
     opened = breast(settings)
     wall, *others = chest_wall.fit_all(opened)
     found = volumes.measure(
-        opened.boundary, wall, settings.measure, alternatives=others, evidence=Evidence(boundary_std_cc=4.0)
+        opened.boundary, wall, settings.measure, alternatives=others, evidence=VolumeEvidence(boundary_std_cc=4.0)
     )
     assert found.wall_kind == "dented"
     assert found.wall_definition == "a cylinder with a dent behind the left breast"

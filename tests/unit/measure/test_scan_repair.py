@@ -15,7 +15,7 @@ from mammometry.measure.boundary.trace import edge_loop
 from mammometry.measure.scan_repair import WIDEST_HOLE_MM, RepairedScan, repair_scan
 from mammometry.measure.scanned import as_scanned, check_cut, check_mesh, finer_scan
 from mammometry.measure.solid.cut import inside_curve, opening_loops
-from mammometry.measure.volume.uncertainty import Evidence
+from mammometry.measure.volume.uncertainty import VolumeEvidence
 from mammometry.measure.volume.volumes import measured_or_refused
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast, open_breasts
@@ -115,7 +115,7 @@ def test_a_casts_hole_is_refused_too() -> None:
 @pytest.mark.slow
 def test_a_closed_holes_uncertainty_is_in_the_interval() -> None:
     whole, mended = (
-        measured_or_refused(open_breasts([CURVES["left"]], surface_of(scan), frame=np.eye(3)), Evidence())[0]
+        measured_or_refused(open_breasts([CURVES["left"]], surface_of(scan), frame=np.eye(3)), VolumeEvidence())[0]
         for scan in (repair_scan(FRONT), repair_scan(holed(FRONT, 24.0)))
     )
     assert not isinstance(whole, MeasureError)

@@ -15,7 +15,7 @@ from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary, outline_torso
 from mammometry.measure.boundary.breasts import _check_base, _sides, _trunk_beside
 from mammometry.measure.boundary.prominence import Middle, Prominence, prominence_within
-from mammometry.measure.trunk.body import Body, Mounting, find_body, lies_across, rig_frame
+from mammometry.measure.trunk.body import BodyDirections, Mounting, find_body, lies_across, rig_frame
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 from mammometry.measure.trunk.thorax import Trunk, seen_skin
 from mammometry.measure.volume.deficit import volume_deficit
@@ -25,7 +25,7 @@ from mammometry.surface.repair.repair import RepairedSurface
 
 TWIN = (-LEFT[0], *LEFT[1:])
 HIGH = (*LEFT[:3], 75.0)  # as round as women's breasts
-MIDDLE = Body(frame=np.eye(3), point_world=np.zeros(3), plane_sigma_mm=0.1, scatter_mm=0.3, how="known")
+MIDDLE = BodyDirections(frame=np.eye(3), point_world=np.zeros(3), plane_sigma_mm=0.1, scatter_mm=0.3, how="known")
 ROLLED = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # cameras on their side
 ASIDE = Rotation.from_euler("y", 55, degrees=True).as_matrix()
 FLAT = 0.72  # depth over width of a body's trunk

@@ -17,7 +17,7 @@ from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import rig_frame
 from mammometry.measure.trunk.thorax import (
     ASSUMED_DEPTH_MM,
-    Skin,
+    SkinSamples,
     Thorax,
     Trunk,
     find_trunk,
@@ -214,7 +214,7 @@ def test_arms_that_show_more_skin_than_the_flanks_are_not_the_sides() -> None:
     side = np.where(np.arange(2 * len(skin.points_world)) % 2, 1.0, -1.0)
     out_mm, y, z = rng.uniform([RADIUS_MM + 90, -70, -70], [RADIUS_MM + 180, 80, -40], (len(side), 3)).T
     arms = np.stack([side * out_mm, y, z], axis=1), np.stack([side, 0 * side, 0 * side], axis=1)
-    both = Skin(
+    both = SkinSamples(
         points_world=np.concatenate([skin.points_world, arms[0]]),
         normals_world=np.concatenate([skin.normals_world, arms[1]]),
     )

@@ -16,7 +16,7 @@ from mammometry.measure.settings import MeasureSettings, ObserverSettings
 from mammometry.measure.volume import boundary_jitter
 from mammometry.measure.volume.boundary_jitter import boundary_std_cc, displacements_mm, drawn_sigma_mm
 from mammometry.measure.volume.sources import WALL_FIT_U95_MM
-from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence, interval
+from mammometry.measure.volume.uncertainty import EarlierErrors, VolumeEvidence, interval
 from mammometry.measure.volume.unseen_space import bounds
 from mammometry.measure.wall.chest_wall import ChestWall, fit
 from mammometry.measure.wall.open_breast import OpenBreast
@@ -71,7 +71,7 @@ def test_the_terms_of_a_torso() -> None:
         Boundary(name="left", points_world=RIM, method=""),
         wall(),
         400.0,
-        evidence=Evidence(
+        evidence=VolumeEvidence(
             surface=skin(origin), earlier=EarlierErrors(scale_std=0.001, point_std_mm=0.03), boundary_std_cc=8.0
         ),
     )
@@ -105,10 +105,10 @@ def test_invented_skin_is_the_less_known_the_farther_it_lies_from_measured_skin(
     monkeypatch.setattr(f"{UNCERTAINTY}.INVENTED_SIGMA_MM", 0.0)
     monkeypatch.setattr(f"{UNCERTAINTY}.UNSEEN_SLOPE", 0.3)
     boundary = Boundary(name="model", points_world=RIM, method="", sigma_mm=0.05)
-    found = interval(boundary, wall("plane"), 400.0, evidence=Evidence(surface=skin(origin)))
+    found = interval(boundary, wall("plane"), 400.0, evidence=VolumeEvidence(surface=skin(origin)))
     assert found.terms_cc["invented surface"] == pytest.approx(1.96 * 0.3 * 125, rel=0.02)
     nothing = interval(
-        boundary, wall("plane"), 400.0, evidence=Evidence(surface=skin(np.full(101 * 101, Provenance.INVENTED)))
+        boundary, wall("plane"), 400.0, evidence=VolumeEvidence(surface=skin(np.full(101 * 101, Provenance.INVENTED)))
     )
     assert "invented surface" not in nothing.terms_cc  # how far it is from measured skin cannot be said
 
@@ -123,7 +123,7 @@ def test_invented_skin_in_a_pit_may_be_off_by_all_of_it(monkeypatch: pytest.Monk
         bent = SHEET.vertices + sign * np.outer(30 * np.clip(1 - away / 20, 0, None), [0.0, 0, 1])
         own = replace(SHEET, vertices=bent)
         surface, closing = replace(skin(origin), mesh=own), replace(wall("plane"), skin=own)
-        found = interval(boundary, closing, 400.0, evidence=Evidence(surface=surface))
+        found = interval(boundary, closing, 400.0, evidence=VolumeEvidence(surface=surface))
         assert found.terms_cc.get("invented surface", 0.0) == pytest.approx(1.96 * expected_cc, rel=0.02)
 
 
@@ -146,7 +146,7 @@ def test_skin_that_could_not_stand_out_unseen_is_known_better(monkeypatch: pytes
     dark[:, :20] = dark[:, -20:] = dark[-20:] = 0
     seen = Foreground(camera="c", coverage=gaussian_filter(dark, 0.7), contour_level=0.5, everything=False)
     views = bounds({"c": seen}, (), Rig(name="r", cameras={"c": camera}, pair_names={}))
-    found = interval(boundary, wall("plane"), 400.0, evidence=Evidence(surface=skin(origin), views=views))
+    found = interval(boundary, wall("plane"), 400.0, evidence=VolumeEvidence(surface=skin(origin), views=views))
     assert found.terms_cc["invented surface"] == pytest.approx(1.96 * 0.3 * (43 * 7 + 7 * 7 / 2) / 10, rel=0.2)
 
 
@@ -156,7 +156,7 @@ def test_a_share_of_the_expected_error_is_common_to_all_measured_skin(monkeypatc
     settings = MeasureSettings(surface_sigma_mm=0.0)
     boundary = Boundary(name="model", points_world=RIM, method="", sigma_mm=0.05)
     seen = skin(np.full(len(SHEET.vertices), Provenance.MEASURED))
-    found = interval(boundary, wall("plane"), 400.0, settings, Evidence(surface=seen))
+    found = interval(boundary, wall("plane"), 400.0, settings, VolumeEvidence(surface=seen))
     assert found.terms_cc["matching"] == pytest.approx(1.96 * 0.4 * 0.5 * 10, rel=0.01)
 
 

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import synthetic
 
-from mammometry.measure.volume.attribution import Attribution, Confirmation, attributed, curve_digest
+from mammometry.measure.volume.attribution import Attribution, CurveConfirmation, attributed, curve_digest
 
 LEFT = replace(
     synthetic.measurement("left"), boundary_method="given: 9 points, edited by hand", boundary_remarks=("given",)
 )
-SEEN = Confirmation(by="C. Eye", at="2026-11-22T10:00:00Z", curve=curve_digest(LEFT.boundary_world))
+SEEN = CurveConfirmation(by="C. Eye", at="2026-11-22T10:00:00Z", curve=curve_digest(LEFT.boundary_world))
 DRAWN = Attribution(
     method="edited by hand", origin="edited by hand by Dr. B on 2026-11-20, from Dr. D's CT", confirmation=SEEN
 )

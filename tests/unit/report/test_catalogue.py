@@ -16,7 +16,7 @@ from mammometry.report import content, figures
 from mammometry.report.documents import html
 from mammometry.report.figures import catalogue, stage_results
 from mammometry.report.first_page import first_page
-from mammometry.report.pictures import Picture, all_encoded
+from mammometry.report.pictures import ReportPicture, all_encoded
 from mammometry.report.words import describe
 
 ADDED = """
@@ -103,7 +103,7 @@ def test_a_registry_finds_the_modules_of_a_package(tmp_path: Path, monkeypatch: 
     assert dict(things) == {"one": 1}
 
 
-def shown(pictures: dict[str, dict[str, Picture]]) -> content.ReportContent:
+def shown(pictures: dict[str, dict[str, ReportPicture]]) -> content.ReportContent:
     measured = [synthetic.measurement("left"), synthetic.measurement("right")]
     return content.ReportContent(
         identity=Identity(name="case"),

@@ -10,7 +10,7 @@ import synthetic
 import test_pdf
 
 from mammometry.base.notices import Notice
-from mammometry.calibration.judge.findings import Doubt, Shot
+from mammometry.calibration.judge.findings import Doubt, PhotographKey
 from mammometry.calibration.judge.quality import assess
 from mammometry.measure.volume.measurement import DefinedVolume, Meaning
 from mammometry.report.figures.thinning import thinned_ranges
@@ -195,7 +195,7 @@ def test_each_fault_has_its_warning(rig) -> None:
 def test_a_poor_photograph_of_the_board_comes_last_and_the_rig_first(rig) -> None:
     calibration = synthetic.calibration(rig)
     view = calibration.observations.detections[0]
-    poor = Doubt("9 of 50 points were left out as outliers", (Shot(view.camera, view.pose),))
+    poor = Doubt("9 of 50 points were left out as outliers", (PhotographKey(view.camera, view.pose),))
     doubts = (poor, Doubt("the target was shown in only 9 % of the space"))
     said = warned(rig, quality=replace(assess(calibration), verdict="warn", doubts=doubts)).splitlines()
     assert said[0] == "Check the calibration. The target was shown in only 9 % of the space."

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.measure.shape.symmetry import Symmetry
-from mammometry.measure.trunk.body import Body
+from mammometry.measure.trunk.body import BodyDirections
 from mammometry.report.figures import canvas, shading, stage_results, surface
 from mammometry.report.figures.canvas import Caption
 from mammometry.report.figures.shading import front_frame, front_of
@@ -59,17 +59,17 @@ def words_on_words(figure: Figure) -> list[tuple[str, str]]:
 @pytest.fixture(autouse=True)
 def no_words_on_words(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every picture that is drawn here is looked at before it is written."""
-    written = canvas.Sheet.png
+    written = canvas.PanelSheet.png
 
-    def looked_at(sheet: canvas.Sheet, title: str, text: str) -> bytes:
+    def looked_at(sheet: canvas.PanelSheet, title: str, text: str) -> bytes:
         assert words_on_words(sheet.figure) == [], title
         return written(sheet, title, text)
 
-    monkeypatch.setattr(canvas.Sheet, "png", looked_at)
+    monkeypatch.setattr(canvas.PanelSheet, "png", looked_at)
 
 
 def test_words_on_words_are_seen() -> None:
-    sheet = canvas.Sheet(1, 1, (200, 100))
+    sheet = canvas.PanelSheet(1, 1, (200, 100))
     axes = sheet.panel(0, "title")
     axes.text(0.5, 0.5, "one")
     assert words_on_words(sheet.figure) == []
@@ -220,7 +220,7 @@ def test_the_wall_is_told_from_the_skin() -> None:
 def test_the_front_view_is_the_bodys_own_where_it_is_known() -> None:
     cameras = synthetic.rig()
     turned = Rotation.from_euler("xyz", (5, -8, 20), degrees=True).as_matrix()
-    body = Body(frame=turned, point_world=np.zeros(3), plane_sigma_mm=0.2, scatter_mm=0.5, how="known")
+    body = BodyDirections(frame=turned, point_world=np.zeros(3), plane_sigma_mm=0.2, scatter_mm=0.5, how="known")
     np.testing.assert_array_equal(front_of(cameras, body), turned)
     np.testing.assert_array_equal(front_of(cameras, None), front_frame(cameras))
     upside_down = front_frame(cameras, mounting=dict.fromkeys(cameras.cameras, "upside-down"))

@@ -149,7 +149,7 @@ def test_pictures_have_sizes_and_words_for_those_who_do_not_see_them(page_conten
         assert len(image["alt"]) > 20
 
 
-def pixels_of(shown: pages.Shown) -> np.ndarray:
+def pixels_of(shown: pages.EmbeddedPicture) -> np.ndarray:
     kind, data = shown.source.split(";base64,")
     assert kind == "data:image/webp"
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB")).astype(int)

@@ -21,7 +21,7 @@ from mammometry.report.documents import paper
 from mammometry.report.documents.letters import shaping
 from mammometry.report.documents.letters.direction import is_right_to_left, levels, reordered
 from mammometry.report.documents.letters.lines import in_order, pieces
-from mammometry.study.tables import Table
+from mammometry.study.tables import TextTable
 
 NAMES = {
     "Kanji": "山田 花子",
@@ -88,7 +88,7 @@ def test_another_reader_reads_the_same(tmp_path: Path) -> None:
 
 def test_every_place_of_a_document_prints_them() -> None:
     arabic, kanji = RIGHT_TO_LEFT["Arabic"], NAMES["Kanji"]
-    table = Table(title="", columns=("a", arabic), rows=((kanji, "1"), (arabic, "2")))
+    table = TextTable(title="", columns=("a", arabic), rows=((kanji, "1"), (arabic, "2")))
     document = paper.document(
         arabic, kanji, lambda width: [*paper.facts([Fact("By", kanji), Fact("By", arabic)]), paper.table(table, width)]
     )

@@ -7,13 +7,13 @@ from tests.unit.measure.solids import dome
 
 from mammometry.report.documents.study_pages import observers_files, observers_names
 from mammometry.report.figures.canvas import caption_of
-from mammometry.study.observers import Drawing, DrawnSurface, observer_study
+from mammometry.study.observers import DrawnSurface, ObservedCurve, observer_study
 
 
-def drawing(observer: str, repeat: int, radius_mm: float, cc: float) -> Drawing:
+def drawing(observer: str, repeat: int, radius_mm: float, cc: float) -> ObservedCurve:
     t = 2 * np.pi * np.arange(90) / 90
     curve = np.stack([radius_mm * np.cos(t), radius_mm * np.sin(t), 0 * t + (60**2 - radius_mm**2) ** 0.5], axis=1)
-    return Drawing(
+    return ObservedCurve(
         breast="a<b>, left", observer=observer, repeat=str(repeat), volume_cc=cc, base_cm2=90.0, lateral_up_mm=curve
     )
 

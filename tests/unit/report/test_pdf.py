@@ -17,7 +17,7 @@ from mammometry.report import content
 from mammometry.report.content import Clinical, ReportContent, Signed
 from mammometry.report.documents import pdf
 from mammometry.report.figures import stage_results
-from mammometry.report.figures.canvas import Sheet
+from mammometry.report.figures.canvas import PanelSheet
 from mammometry.report.figures.catalogue import PREVIEWS
 from mammometry.report.figures.matching import disparity
 from mammometry.report.figures.stage_results import MatchingResult
@@ -27,9 +27,9 @@ from mammometry.report.words import describe
 from mammometry.report.words.anthropometry import comparison, difference_number
 from mammometry.report.words.notices import words_of
 from mammometry.settings import Settings
-from mammometry.study.tables import Table
+from mammometry.study.tables import TextTable
 
-LENGTHS = Table(
+LENGTHS = TextTable(
     title="Lengths",
     columns=("Lengths in mm, ± 95 %", "Left", "Right", "Left minus right"),
     rows=(("Sternal notch to nipple", "212.3 ± 4.1", "208.0 ± 4.0", "+4 ± 6"),),
@@ -220,6 +220,6 @@ def test_the_same_content_gives_the_same_bytes() -> None:
 
 def test_the_views_of_an_open_surface_are_on_paper() -> None:
     """Where a breast was measured, its own pictures are."""
-    png = Sheet(1, 1, (60, 40)).png("Views", "From the front.")
+    png = PanelSheet(1, 1, (60, 40)).png("Views", "From the front.")
     assert all_encoded({"surface": {"views": png}})["surface"]["views"].jpeg
     assert not all_encoded({"surface": {"views": png}, "measure": {"sections": png}})["surface"]["views"].jpeg

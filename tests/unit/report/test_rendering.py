@@ -11,7 +11,7 @@ import test_pdf
 from mammometry.api.stored_report import packed, unpacked
 from mammometry.base.errors import StorageError
 from mammometry.base.notices import Notice
-from mammometry.measure.volume.attribution import Attribution, Confirmation
+from mammometry.measure.volume.attribution import Attribution, CurveConfirmation
 from mammometry.report.content import Clinical, Fact, ReportContent, Signed, StageReport
 from mammometry.report.documents.rendering import attributed_content, render
 from mammometry.report.first_page import first_page
@@ -74,7 +74,7 @@ def test_a_boundary_that_nobody_confirmed_is_warned_of() -> None:
         Notice(code="cameras-imported"),
     )
     seen = Attribution(
-        confirmation=Confirmation(by="C. Eye", at="2026-11-22T10:00:00Z", curve=content.breasts[0].curve)
+        confirmation=CurveConfirmation(by="C. Eye", at="2026-11-22T10:00:00Z", curve=content.breasts[0].curve)
     )
     told = attributed_content(content, {"left": seen}, None, named=True)
     assert re.fullmatch(r"Automatic: the fold; .*C\. Eye on 2026-11-22\.", told.breasts[0].boundary)
@@ -97,7 +97,7 @@ def test_a_clinics_confirmation_stands_for_all_boundaries_and_names_no_command()
 
 def test_the_first_page_tells_whose_boundary_is_confirmed() -> None:
     content = automatic()
-    seen = Confirmation(by="C. Eye", at="2026-11-22T10:00:00Z", curve=content.breasts[0].curve)
+    seen = CurveConfirmation(by="C. Eye", at="2026-11-22T10:00:00Z", curve=content.breasts[0].curve)
     one = {"left": Attribution(confirmation=seen)}
     both = {**one, "right": Attribution(confirmation=replace(seen, curve=content.breasts[1].curve))}
 

@@ -15,7 +15,7 @@ from mammometry.measure.shape.lengths import LinearMeasure
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.report.figures.shading import front_frame
 from mammometry.report.models import thinned, viewer_scene, with_lengths
-from mammometry.report.scene import Layer, Model, ViewerScene, to_json
+from mammometry.report.scene import Layer, ViewedSurface, ViewerScene, to_json
 from mammometry.surface.repair.repair import Provenance
 
 
@@ -36,7 +36,7 @@ def test_a_model_survives_the_journey() -> None:
     ball = synthetic.ball(4)
     values = np.linspace(-1.0, 1.0, len(ball.vertices)).astype(np.float32)
     values[7] = np.nan
-    model = Model(
+    model = ViewedSurface(
         name="ball",
         title="A <ball>",
         mesh=ball,
@@ -134,7 +134,7 @@ def test_a_layer_that_cannot_be_drawn_is_refused(change: dict[str, Any], message
 
 def test_a_comparison_of_models_that_are_not_there_is_refused() -> None:
     ball = synthetic.ball(2)
-    model = Model(name="ball", title="Ball", mesh=ball, normals=ball.vertices)
+    model = ViewedSurface(name="ball", title="Ball", mesh=ball, normals=ball.vertices)
     with pytest.raises(ValueError, match="comparison"):
         ViewerScene(models=(model,), world_from_view=Transform.identity(), comparisons=(("Both", "ball", "bell"),))
 

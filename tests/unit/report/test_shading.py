@@ -9,8 +9,8 @@ from embreex.rtcore_scene import EmbreeScene
 
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.report.figures.shading import (
-    Scene,
-    View,
+    ShadedMesh,
+    ViewDirection,
     front_frame,
     join_segments,
     picture_wh,
@@ -30,12 +30,12 @@ def ball() -> TriangleMesh:
 
 
 @pytest.fixture(scope="module")
-def view(ball: TriangleMesh) -> View:
-    return View(name="front", view_from_world=FRONT, centre_world=np.zeros(3), span_mm=(160.0, 160.0))
+def view(ball: TriangleMesh) -> ViewDirection:
+    return ViewDirection(name="front", view_from_world=FRONT, centre_world=np.zeros(3), span_mm=(160.0, 160.0))
 
 
-def test_a_ball_fills_its_disc_and_bulges_to_its_radius(ball: TriangleMesh, view: View) -> None:
-    cast = Scene(ball).cast(view, 320)
+def test_a_ball_fills_its_disc_and_bulges_to_its_radius(ball: TriangleMesh, view: ViewDirection) -> None:
+    cast = ShadedMesh(ball).cast(view, 320)
     disc_mm2 = cast.hit.mean() * 160.0**2
     # inscribed polyhedron of edge 4 mm: radius short by at most 0.1 mm of 60; the raster adds less than .1 %
     assert disc_mm2 == pytest.approx(np.pi * synthetic.RADIUS_MM**2, rel=0.005)
@@ -49,17 +49,17 @@ def test_a_ball_fills_its_disc_and_bulges_to_its_radius(ball: TriangleMesh, view
     assert np.abs(cast.towards_mm[cast.hit] - bulge)[inner].max() < 0.5
 
 
-def test_the_picture_is_not_mirrored(view: View) -> None:
+def test_the_picture_is_not_mirrored(view: ViewDirection) -> None:
     """A small ball to the right of and above the middle appears there: world +x is right, world −y is up."""
     mesh = synthetic.ball(2)
     moved = TriangleMesh(vertices=mesh.vertices * 0.1 + (40.0, -30.0, 0.0), faces=mesh.faces)
-    row, column = np.nonzero(Scene(moved).render(view, size_px=160)[..., 3])
+    row, column = np.nonzero(ShadedMesh(moved).render(view, size_px=160)[..., 3])
     assert column.mean() == pytest.approx(80 + 40, abs=1)
     assert row.mean() == pytest.approx(80 - 30, abs=1)
 
 
-def test_light_falls_off_away_from_the_lamps_and_edges_are_smooth(ball: TriangleMesh, view: View) -> None:
-    picture = Scene(ball).render(view, size_px=200)
+def test_light_falls_off_away_from_the_lamps_and_edges_are_smooth(ball: TriangleMesh, view: ViewDirection) -> None:
+    picture = ShadedMesh(ball).render(view, size_px=200)
     grey = picture[..., :3].mean(axis=2)
     assert grey[100, 100] > 1.5 * grey[100, 30]
     alpha = picture[..., 3]
@@ -68,15 +68,15 @@ def test_light_falls_off_away_from_the_lamps_and_edges_are_smooth(ball: Triangle
     assert alpha[100, 100] == 255
 
 
-def test_colours_of_vertices_and_faces_arrive_unlit_as_they_are(ball: TriangleMesh, view: View) -> None:
+def test_colours_of_vertices_and_faces_arrive_unlit_as_they_are(ball: TriangleMesh, view: ViewDirection) -> None:
     blue = np.tile(np.array([10, 20, 200], dtype=np.uint8), (len(ball.vertices), 1))
-    picture = Scene(ball).render(view, size_px=100, colours=blue, lit=False)
+    picture = ShadedMesh(ball).render(view, size_px=100, colours=blue, lit=False)
     np.testing.assert_array_equal(picture[50, 50], (10, 20, 200, 255))
     half = np.where((ball.corners()[:, :, 0].mean(axis=1) > 0)[:, None], np.float32([1, 0, 0]), np.float32([0, 1, 0]))
-    picture = Scene(ball).render(view, size_px=100, face_colours=half, lit=False)
+    picture = ShadedMesh(ball).render(view, size_px=100, face_colours=half, lit=False)
     assert tuple(picture[50, 70, :3]) == (255, 0, 0)
     assert tuple(picture[50, 30, :3]) == (0, 255, 0)
-    both = Scene(ball).render(view, size_px=100, colours=blue, face_colours=half, lit=False)
+    both = ShadedMesh(ball).render(view, size_px=100, colours=blue, face_colours=half, lit=False)
     np.testing.assert_array_equal(both, picture)
 
 
@@ -94,9 +94,9 @@ def _shaded_twin(seen, weights, faces, colours, by_face, normals, lit, lights, a
 
 
 @pytest.mark.parametrize(("by_face", "lit"), [(False, 0.0), (False, 0.5), (True, 1.0)])
-def test_shading_is_its_plain_twins(ball: TriangleMesh, view: View, by_face: bool, lit: float) -> None:
+def test_shading_is_its_plain_twins(ball: TriangleMesh, view: ViewDirection, by_face: bool, lit: float) -> None:
     rng = np.random.default_rng(5)
-    cast = Scene(ball).cast(view, 120)
+    cast = ShadedMesh(ball).cast(view, 120)
     colours = rng.random((len(ball.faces if by_face else ball.vertices), 3), dtype=np.float32)
     normals = ball.vertex_normals().astype(np.float32) @ FRONT.T.astype(np.float32)
     lights = rng.normal(0, 0.4, (3, 3)).astype(np.float32)
@@ -107,9 +107,9 @@ def test_shading_is_its_plain_twins(ball: TriangleMesh, view: View, by_face: boo
     assert (made == np.floor(twin)).mean() > 0.999
 
 
-def test_points_are_seen_in_front_and_hidden_behind(ball: TriangleMesh, view: View) -> None:
+def test_points_are_seen_in_front_and_hidden_behind(ball: TriangleMesh, view: ViewDirection) -> None:
     points = np.array([[0, 0, -synthetic.RADIUS_MM], [0, 0, synthetic.RADIUS_MM], [70.0, 0.0, 0.0]])
-    np.testing.assert_array_equal(visible(points, view, Scene(ball).cast(view, 200)), [True, False, True])
+    np.testing.assert_array_equal(visible(points, view, ShadedMesh(ball).cast(view, 200)), [True, False, True])
 
 
 def test_each_pixel_shows_what_a_ray_through_it_meets(ball: TriangleMesh) -> None:
@@ -120,8 +120,10 @@ def test_each_pixel_shows_what_a_ray_through_it_meets(ball: TriangleMesh) -> Non
     )
     frame, _ = np.linalg.qr(np.array([[0.9, 0.2, -0.1], [0.3, 0.8, 0.4], [-0.2, 0.3, 0.9]]))
     frame *= np.sign(np.linalg.det(frame))
-    view = View(name="oblique", view_from_world=frame, centre_world=np.array([5.0, 3.0, 1.0]), span_mm=(150.0, 120.0))
-    cast = Scene(both).cast(view, 200)
+    view = ViewDirection(
+        name="oblique", view_from_world=frame, centre_world=np.array([5.0, 3.0, 1.0]), span_mm=(150.0, 120.0)
+    )
+    cast = ShadedMesh(both).cast(view, 200)
     right, up, towards = frame
     width, height = picture_wh(view, 200)
     across, down = (np.arange(width) + 0.5) * 150 / width - 75, 60 - (np.arange(height) + 0.5) * 120 / height
@@ -140,9 +142,9 @@ def test_each_pixel_shows_what_a_ray_through_it_meets(ball: TriangleMesh) -> Non
     assert np.abs(points - plane[cast.hit] - cast.towards_mm[cast.hit][:, None] * towards).max() < 1e-4
 
 
-def test_an_empty_mesh_is_an_empty_picture(view: View) -> None:
+def test_an_empty_mesh_is_an_empty_picture(view: ViewDirection) -> None:
     empty = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int32))
-    assert not Scene(empty).render(view, size_px=40).any()
+    assert not ShadedMesh(empty).render(view, size_px=40).any()
 
 
 def test_a_section_of_a_ball_is_a_circle(ball: TriangleMesh) -> None:
@@ -195,7 +197,7 @@ def test_standard_views_share_one_scale_and_turn_as_named() -> None:
 
 
 def test_pictures_have_even_sides_in_the_views_proportion() -> None:
-    view = View(name="", view_from_world=np.eye(3), centre_world=np.zeros(3), span_mm=(100.0, 37.0))
+    view = ViewDirection(name="", view_from_world=np.eye(3), centre_world=np.zeros(3), span_mm=(100.0, 37.0))
     width, height = picture_wh(view, 301)
     assert width % 2 == height % 2 == 0
     assert height / width == pytest.approx(0.37, abs=0.01)

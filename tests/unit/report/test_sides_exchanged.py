@@ -7,7 +7,7 @@ import pytest
 from synthetic import measurement
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.measure.trunk.body import Body
+from mammometry.measure.trunk.body import BodyDirections
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.warnings import mesh_warnings
 
@@ -22,9 +22,9 @@ def pyramid(name: str, tip_y_mm: float) -> VolumeMeasurement:
     return replace(measurement(name), closed=closed, skin_faces=4, boundary_world=BASE)
 
 
-def body(up: float) -> Body:
+def body(up: float) -> BodyDirections:
     frame = np.array([[up, 0, 0], [0, up, 0], [0, 0, 1.0]])
-    return Body(frame=frame, point_world=np.zeros(3), plane_sigma_mm=None, scatter_mm=None, how="drawn")
+    return BodyDirections(frame=frame, point_world=np.zeros(3), plane_sigma_mm=None, scatter_mm=None, how="drawn")
 
 
 def said(tip_y_mm: float, up: float, names: tuple[str, ...] = ("left", "right")) -> bool:

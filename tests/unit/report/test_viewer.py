@@ -23,7 +23,7 @@ from mammometry.report.documents import html
 from mammometry.report.figures.shading import front_frame
 from mammometry.report.first_page import first_page
 from mammometry.report.models import viewer_scene
-from mammometry.report.scene import Model, to_json
+from mammometry.report.scene import ViewedSurface, to_json
 from mammometry.report.words import describe
 from mammometry.settings import Settings
 
@@ -62,7 +62,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
         for across in range(-36, 37, 6)
     )
     shown = replace(scene.models[0], lengths=crowded)
-    other = Model(name="furrowed", title="Furrowed", mesh=FURROWED, normals=FURROWED.vertex_normals())
+    other = ViewedSurface(name="furrowed", title="Furrowed", mesh=FURROWED, normals=FURROWED.vertex_normals())
     page_content = content.ReportContent(
         identity=Identity(name="Case"),
         created="2024-01-01 00:00 UTC",

@@ -10,40 +10,40 @@ from scipy.spatial.transform import Rotation
 
 from mammometry.simulate.disturbances.about import Surroundings
 from mammometry.simulate.disturbances.draw import OF_OTHER_CAPTURES, draw, is_held_out
-from mammometry.simulate.disturbances.exposure import Exposure, plain_exposure, shifted
+from mammometry.simulate.disturbances.exposure import CaptureConditions, plain_exposure, shifted
 from mammometry.simulate.disturbances.registry import DISTURBANCES, Word, check, disturbed
 from mammometry.simulate.disturbances.surfaces import ball, bar, box, merged, straight
 from mammometry.simulate.recipe import parse_situation
 from mammometry.simulate.rendering.develop import magnified
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.render import render_subject
-from mammometry.simulate.rendering.scene import Motion, Room, light_scene, moved
-from mammometry.simulate.rendering.skin import SKINS, Skin
+from mammometry.simulate.rendering.scene import Room, SubjectMotion, light_scene, moved
+from mammometry.simulate.rendering.skin import SKINS, SkinReflectance
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig_file import make_rig
-from mammometry.simulate.subjects.body import Body
+from mammometry.simulate.subjects.body import TrunkField
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.shapes import sphere
-from mammometry.simulate.subjects.solid import Solid, rig_from_solid
+from mammometry.simulate.subjects.solid import SubjectSolid, rig_from_solid
 from mammometry.simulate.subjects.torso_shape import torso_shape
 
 _NAMES = tuple(DISTURBANCES)
 
 
 @functools.cache
-def operated(text: str, name: str = "torso_3") -> Solid:
+def operated(text: str, name: str = "torso_3") -> SubjectSolid:
     situation = parse_situation(text)
     reshape = functools.partial(disturbed, stage="patient", situation=situation, seed=7)
     return make_subject(name, 7, edge_mm=4.0, reshape=reshape)
 
 
-def exposed(text: str, rig: str = "reference", scale: float = 0.05) -> Exposure:
+def exposed(text: str, rig: str = "reference", scale: float = 0.05) -> CaptureConditions:
     plain = plain_exposure(make_rig(rig, scale, 3), flashes(), Film())
-    found: Exposure = disturbed(plain, "shoot", parse_situation(text), 5)
+    found: CaptureConditions = disturbed(plain, "shoot", parse_situation(text), 5)
     return found
 
 
-def manifold_cc(solid: Solid, side: str) -> float:
+def manifold_cc(solid: SubjectSolid, side: str) -> float:
     mesh = solid.closed_breast(side)
     body = manifold3d.Manifold(
         manifold3d.Mesh64(vert_properties=np.array(mesh.vertices), tri_verts=np.array(mesh.faces, dtype=np.uint64))
@@ -79,7 +79,7 @@ def test_scar_and_loose_skin_lift_and_colour_the_skin():
     assert marked.tint is not None
     assert marked.tint[:, 1].min() < 0.75  # green: the scar is red
     assert (marked.tint[:, 1] < 0.9).mean() < 0.05
-    away = Body(torso_shape("torso_3", 7).body)(marked.mesh.vertices)  # mm over the trunk without breasts, about
+    away = TrunkField(torso_shape("torso_3", 7).body)(marked.mesh.vertices)  # mm over the trunk without breasts, about
     right = (marked.mesh.vertices[:, 0] < -10.0) & (marked.mesh.vertices[:, 2] > 20.0)
     assert 3.0 < away[right].max() < 12.0  # the dog ear of 6 mm, and a fold of 2.7 mm, on edges of 8 mm
     assert away[right].min() < -0.7  # the scar's groove, and the drains' marks
@@ -215,11 +215,13 @@ def test_pairs_see_the_chest_at_other_moments_of_a_breath():
 
 def test_motion_turns_as_a_rotation_does():
     turn = np.array([0.001, -0.002, 0.0015])
-    motion = Motion(sway_mm_s=np.array([1.0, 2.0, 3.0]), turn_rad_s=turn, breath_mm_s=np.zeros(3), chest=np.zeros(3))
+    motion = SubjectMotion(
+        sway_mm_s=np.array([1.0, 2.0, 3.0]), turn_rad_s=turn, breath_mm_s=np.zeros(3), chest=np.zeros(3)
+    )
     points = np.random.default_rng(2).uniform(-200.0, 200.0, (50, 3))
     expected = Rotation.from_rotvec(0.5 * turn).apply(points) + 0.5 * np.array([1.0, 2.0, 3.0])
     assert motion.at(points, 0.5) == pytest.approx(expected, abs=350.0 * (0.5 * 0.0027) ** 2)  # second order
-    breathing = Motion(
+    breathing = SubjectMotion(
         sway_mm_s=np.zeros(3), turn_rad_s=np.zeros(3), breath_mm_s=np.array([0.0, 0.0, 8.0]), chest=np.zeros(3)
     )
     far = np.array([[0.0, 0.0, 0.0], [0.0, -400.0, 0.0]])
@@ -228,10 +230,10 @@ def test_motion_turns_as_a_rotation_does():
 
 def test_a_moved_subject_takes_its_paint_along():
     camera = make_rig("reference:front", 0.06, 3).cameras["front_left"]
-    skin = Skin(contrast=0.12)
+    skin = SkinReflectance(contrast=0.12)
     scene = light_scene(sphere(60.0, 2.0), rig_from_solid(sphere(60.0, 20.0), 1), flashes(), skin=skin)
     shift = np.array([2.5, -1.0, 0.0])
-    motion = Motion(sway_mm_s=10.0 * shift, turn_rad_s=np.zeros(3), breath_mm_s=np.zeros(3), chest=np.zeros(3))
+    motion = SubjectMotion(sway_mm_s=10.0 * shift, turn_rad_s=np.zeros(3), breath_mm_s=np.zeros(3), chest=np.zeros(3))
     there = render_subject(moved(scene, motion, 0.1), camera, skin, seed=4)
     # A camera that moves the other way sees the same, but for the light: 2.5 mm of 900 mm.
     same = render_subject(scene, shifted(camera, -shift), skin, seed=4)

@@ -12,7 +12,7 @@ from mammometry.simulate.rendering import mitsuba_renderer
 from mammometry.simulate.rendering.mitsuba_renderer import _quartered, render_by_mitsuba
 from mammometry.simulate.rendering.render import render_subject
 from mammometry.simulate.rendering.scene import light_scene
-from mammometry.simulate.rendering.skin import Skin
+from mammometry.simulate.rendering.skin import SkinReflectance
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.studio import Studio
@@ -58,7 +58,7 @@ def test_mitsubas_surface_lies_under_the_same_pixels():
     camera = make_rig("reference:front", 0.25, 3).cameras["front_right"]
     scene = light_scene(sphere(40.0, 3.0), Transform.identity(), flashes())
     mi.set_variant("scalar_rgb")
-    world = mitsuba_renderer._world(scene, Skin(), 5)
+    world = mitsuba_renderer._world(scene, SkinReflectance(), 5)
     rng = np.random.default_rng(0)
     uv = camera.project(np.zeros((1, 3))) + rng.uniform(-110.0, 110.0, (600, 2))
     directions = camera.rays_world(uv)
@@ -84,7 +84,7 @@ def test_mitsubas_surface_lies_under_the_same_pixels():
 def test_renderers_agree_in_the_place_of_the_paint_to_two_hundredths_of_a_pixel():
     camera = make_rig("reference:front", 0.1, 3).cameras["front_left"]
     # Strong paint, so that the paths' noise does not count.
-    skin = Skin(base_rgb=(0.15, 0.15, 0.15), contrast=0.35, colour_contrast=0.0, specular=0.0, wrap=0.0)
+    skin = SkinReflectance(base_rgb=(0.15, 0.15, 0.15), contrast=0.35, colour_contrast=0.0, specular=0.0, wrap=0.0)
     scene = light_scene(sphere(40.0, 0.6), Transform.identity(), flashes(), skin=skin)
     built_in = render_subject(scene, camera, skin, seed=5)[..., 1].astype(float)
     physical = render_by_mitsuba(scene, camera, skin, seed=5)[..., 1].astype(float)
@@ -106,7 +106,7 @@ def test_renderers_agree_in_the_place_of_the_paint_to_two_hundredths_of_a_pixel(
 @pytest.mark.skipif(importlib.util.find_spec("mitsuba") is None, reason="the extra sim is not installed")
 def test_renderers_agree_in_the_place_of_the_outline_to_two_hundredths_of_a_pixel():
     camera = make_rig("reference:front", 0.1, 3).cameras["front_left"]
-    skin = Skin(contrast=0.0, colour_contrast=0.0, specular=0.0, wrap=0.0)
+    skin = SkinReflectance(contrast=0.0, colour_contrast=0.0, specular=0.0, wrap=0.0)
     # Without flashes the limb is lit alike all round: how the renderers' limbs darken can move no outline sideways.
     dark = np.array([[0.0, 0.0, 900.0, 0.0]])
     scene = light_scene(sphere(25.0, 0.6), Transform.identity(), dark, skin=skin)

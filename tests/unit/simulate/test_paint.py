@@ -10,11 +10,11 @@ from mammometry.simulate.rendering import shading
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.render import render_subject
 from mammometry.simulate.rendering.scene import LIGHTS, SCATTER, Room, light_scene
-from mammometry.simulate.rendering.skin import SKINS, Skin, make_skin
+from mammometry.simulate.rendering.skin import SKINS, SkinReflectance, make_skin
 from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.subjects.shapes import sphere
 
-_PLAIN = Skin(contrast=0.0, colour_contrast=0.0, specular=0.0)
+_PLAIN = SkinReflectance(contrast=0.0, colour_contrast=0.0, specular=0.0)
 _WORD = 1 << 64
 
 
@@ -193,11 +193,11 @@ def test_sheen_moves_with_the_camera_and_paint_does_not():
 
 
 def test_presets_and_words():
-    assert make_skin("plaster") == Skin()
+    assert make_skin("plaster") == SkinReflectance()
     assert make_skin("skin", contrast=0.01, hair_per_cm2=2.0).contrast == 0.01
     with pytest.raises(ValueError, match="plaster"):
         make_skin("leather")
     with pytest.raises(ValueError, match=r"pores .*0 .*1"):
-        Skin(pores=1.5)
+        SkinReflectance(pores=1.5)
     with pytest.raises(ValueError, match="jpeg_quality"):
         Film(jpeg_quality=0)

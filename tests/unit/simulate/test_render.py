@@ -13,17 +13,17 @@ from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering import kernels, render
 from mammometry.simulate.rendering.render import blocks, render_subject, subject_coverage
 from mammometry.simulate.rendering.sampling import PINHOLE, lens_parameters, net_offsets
-from mammometry.simulate.rendering.scene import Room, Scene, light_scene
-from mammometry.simulate.rendering.skin import SKINS, Skin
+from mammometry.simulate.rendering.scene import Room, StudioScene, light_scene
+from mammometry.simulate.rendering.skin import SKINS, SkinReflectance
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.subjects.plaster import PlasterShape, plaster
 from mammometry.simulate.subjects.shapes import sphere
-from mammometry.simulate.subjects.solid import Solid
+from mammometry.simulate.subjects.solid import SubjectSolid
 
 _RADIUS_MM = 60.0
 _SCALE = 0.12
-_PLAIN = Skin(contrast=0.0, colour_contrast=0.0, specular=0.0)
+_PLAIN = SkinReflectance(contrast=0.0, colour_contrast=0.0, specular=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def camera() -> Camera:
 
 
 @pytest.fixture(scope="module")
-def ball() -> Scene:
+def ball() -> StudioScene:
     # Facets of 0.5 mm on a radius of 60 mm lie at most 0.0005 mm inside the sphere.
     solid = sphere(_RADIUS_MM, 1.0)
     return light_scene(solid, Transform.identity(), flashes())
@@ -156,7 +156,7 @@ def test_a_boxs_sides_are_pieces_of_their_own():
     assert len(np.unique(sides)) == 240 * 6
 
 
-def _ridged(solid: Solid) -> Scene:
+def _ridged(solid: SubjectSolid) -> StudioScene:
     return light_scene(solid, Transform.identity(), flashes())
 
 
@@ -164,7 +164,7 @@ def test_both_cameras_of_a_pair_see_the_same_paint():
     rig = make_rig("reference:front", 0.25, 3)
     scene = _ridged(sphere(40.0, 1.0))
     left, right = rig.pair("front").left, rig.pair("front").right
-    skin = Skin(specular=0.0)
+    skin = SkinReflectance(specular=0.0)
     luma = {c.name: render_subject(scene, c, skin, seed=5)[..., 1] for c in (left, right)}
     # Points that face both cameras.
     x, y = np.meshgrid(np.linspace(-15, 15, 60), np.linspace(-15, 15, 60))
@@ -181,7 +181,7 @@ def test_mottling_reaches_down_to_the_pixel_at_every_scale():
     for scale in (0.1, 0.4):
         camera = make_rig("reference:front", scale, 3).cameras["front_left"]
         scene = _ridged(sphere(20.0, 1.0))
-        luma = render_subject(scene, camera, Skin(specular=0.0), seed=5)[..., 1]
+        luma = render_subject(scene, camera, SkinReflectance(specular=0.0), seed=5)[..., 1]
         column, row = np.round(camera.project(np.array([[0.0, 0.0, 20.0]]))[0]).astype(int)
         half = int(8.0 / (780.0 / camera.matrix[0, 0]))
         patch = luma[row - half : row + half, column - half : column + half]
@@ -193,7 +193,7 @@ def test_contrast_can_be_nearly_nothing(camera):
     scene = _ridged(sphere(40.0, 4.0))
     spreads = []
     for contrast in (0.005, 0.045):
-        skin = Skin(contrast=contrast, colour_contrast=0.0, specular=0.0)
+        skin = SkinReflectance(contrast=contrast, colour_contrast=0.0, specular=0.0)
         ratio = render_subject(scene, camera, skin, seed=5) / np.maximum(
             render_subject(scene, camera, _PLAIN, seed=5), 1e-6
         )

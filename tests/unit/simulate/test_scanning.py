@@ -13,16 +13,16 @@ from mammometry.simulate.disturbances.registry import disturbed
 from mammometry.simulate.recipe import parse_situation
 from mammometry.simulate.scan import QUALITIES, ScanQuality, add_picture, clean_front, scan
 from mammometry.simulate.subjects.registry import make_subject
-from mammometry.simulate.subjects.solid import Solid
+from mammometry.simulate.subjects.solid import SubjectSolid
 from mammometry.simulate.subjects.torso_shape import torso_shape
 
 RADIUS_MM = 100.0
 SMALL = ScanQuality(noise_mm=1.0, cube_mm=8.0, width_px=96)
 
 
-def ball() -> Solid:
+def ball() -> SubjectSolid:
     sphere = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS_MM)
-    return Solid(
+    return SubjectSolid(
         name="ball",
         subject_kind="torso",
         mesh=TriangleMesh(vertices=np.array(sphere.vertices), faces=np.array(sphere.faces, dtype=np.int32)),
@@ -38,7 +38,7 @@ def radii(mesh: TriangleMesh) -> np.ndarray:
     return np.linalg.norm(mesh.vertices, axis=1)
 
 
-def torso(situation: str) -> Solid:
+def torso(situation: str) -> SubjectSolid:
     reshape = partial(disturbed, stage="patient", situation=parse_situation(situation), seed=3)
     return make_subject("torso_3", 0, edge_mm=6.0, reshape=reshape)
 

@@ -19,7 +19,7 @@ from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.render import render_subject, subject_coverage
 from mammometry.simulate.rendering.sampling import PINHOLE, Aperture, disc_offsets, lens_rays, net_offsets
 from mammometry.simulate.rendering.scene import light_scene
-from mammometry.simulate.rendering.skin import Skin
+from mammometry.simulate.rendering.skin import SkinReflectance
 from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.subjects.shapes import sphere
@@ -153,7 +153,7 @@ def test_dots_of_a_cylinder_are_where_the_model_says(monkeypatch):
 def test_unsharpness_leaves_the_silhouette_in_place():
     camera = make_rig("reference:front", 0.1, 3).cameras["front_left"]
     scene = light_scene(sphere(60.0, 2.0), Transform.identity(), np.array([[*camera.centre_world, 700.0**2]]))
-    flat = Skin(contrast=0.0, colour_contrast=0.0, specular=0.0)
+    flat = SkinReflectance(contrast=0.0, colour_contrast=0.0, specular=0.0)
     truth = subject_coverage(scene, camera, 16)
     middle = camera.project(np.zeros((1, 3)))[0]
     row, column = np.mgrid[: truth.shape[0], : truth.shape[1]]

@@ -10,9 +10,9 @@ from embreex.mesh_construction import TriangleMesh as EmbreeMesh
 from embreex.rtcore_scene import EmbreeScene
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.simulate.subjects.body import Body
+from mammometry.simulate.subjects.body import TrunkField
 from mammometry.simulate.subjects.registry import make_subject
-from mammometry.simulate.subjects.solid import Solid, rig_from_solid
+from mammometry.simulate.subjects.solid import SubjectSolid, rig_from_solid
 from mammometry.simulate.subjects.torso import torso
 from mammometry.simulate.subjects.torso_shape import torso_shape
 
@@ -20,11 +20,11 @@ SIDES = ("left", "right")
 
 
 @functools.cache
-def made(name: str, seed: int = 1) -> Solid:
+def made(name: str, seed: int = 1) -> SubjectSolid:
     return make_subject(name, seed, edge_mm=3.0)
 
 
-def wall_of(solid: Solid) -> TriangleMesh:
+def wall_of(solid: SubjectSolid) -> TriangleMesh:
     assert solid.wall_vertices is not None
     return TriangleMesh(vertices=solid.wall_vertices, faces=solid.mesh.faces)
 
@@ -92,7 +92,7 @@ def test_skin_crosses_neither_itself_nor_the_wall(name):
     assert solid.wall_vertices is not None
     mesh = solid.mesh
     moved = np.linalg.norm(mesh.vertices - solid.wall_vertices, axis=1) > 0
-    field = Body(torso_shape(name, 1).body)(mesh.vertices[moved])
+    field = TrunkField(torso_shape(name, 1).body)(mesh.vertices[moved])
     assert field.min() > -0.01  # mm: nowhere inside the chest
     scene = EmbreeScene()
     EmbreeMesh(scene, mesh.vertices.astype(np.float32), mesh.faces)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.simulate.subjects.solid import Solid
+from mammometry.simulate.subjects.solid import SubjectSolid
 from mammometry.simulate.subjects.woman import Woman, woman_named
 from mammometry.simulate.subjects.woman_shape import (
     FLAT_CC,
@@ -103,7 +103,7 @@ def made(name: str) -> Woman:
 @pytest.mark.parametrize("name", ["woman_1", "leaning-woman_3"])
 def test_a_woman_is_closed_and_her_volumes_are_exact(name: str) -> None:
     woman = made(name)
-    solid: Solid = woman.solid
+    solid: SubjectSolid = woman.solid
     assert solid.mesh.is_watertight()
     assert solid.mesh.volume_mm3() > 0
     for side in SIDES:

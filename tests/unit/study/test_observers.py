@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mammometry.study.icc import intraclass_correlations
-from mammometry.study.observers import WHOLE, Drawing, distances_by_region_mm, observer_study, scatter_of
+from mammometry.study.observers import WHOLE, ObservedCurve, distances_by_region_mm, observer_study, scatter_of
 
 # Shrout and Fleiss 1979, Table 2: four judges, six targets.
 SHROUT_FLEISS = [[9, 2, 5, 8], [6, 1, 3, 2], [8, 4, 6, 8], [7, 1, 2, 6], [10, 5, 6, 9], [6, 2, 4, 7]]
@@ -20,8 +20,8 @@ def circle(radius_mm: float = 60.0, middle_mm: tuple[float, float] = (0.0, 0.0))
 CIRCLE = circle(1.0)  # so small that its distances take no time
 
 
-def drawing(breast: str, observer: str, repeat: int, cc: float, curve: np.ndarray | None = None) -> Drawing:
-    return Drawing(
+def drawing(breast: str, observer: str, repeat: int, cc: float, curve: np.ndarray | None = None) -> ObservedCurve:
+    return ObservedCurve(
         breast=breast,
         observer=observer,
         repeat=str(repeat),
@@ -138,7 +138,7 @@ def test_a_curve_that_reaches_further_towards_the_armpit_differs_there() -> None
         [drawing("a", "anna", 1, 300.0), drawing("a", "anna", 1, 310.0)],
     ],
 )
-def test_what_tells_nothing_is_refused(drawings: list[Drawing]) -> None:
+def test_what_tells_nothing_is_refused(drawings: list[ObservedCurve]) -> None:
     with pytest.raises(ValueError, match=r"twice|two"):
         observer_study(drawings)
 

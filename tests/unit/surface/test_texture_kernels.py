@@ -7,7 +7,7 @@ from spheres import camera_towards, sphere_mesh
 
 from mammometry.surface.fusion.camera_records import view_row
 from mammometry.surface.texture import texture_kernels
-from mammometry.surface.texture.texture import Picture
+from mammometry.surface.texture.texture import PhotographLevels
 
 
 def test_weights_and_places_are_those_of_the_camera():
@@ -48,7 +48,7 @@ def test_colours_are_linear_between_pixels_and_the_borders_beside_them(kind, cha
     rng = np.random.default_rng(5)
     levels = rng.integers(0, np.iinfo(kind).max, (20, 30, channels), dtype=kind)
     uv = rng.uniform(-3, 33, (500, 2))
-    found = Picture(levels=levels, full_scale=float(np.iinfo(kind).max)).colours_at(uv)
+    found = PhotographLevels(levels=levels, full_scale=float(np.iinfo(kind).max)).colours_at(uv)
     for channel in range(3):
         plain = levels[..., min(channel, channels - 1)] / np.iinfo(kind).max
         exact = ndimage.map_coordinates(plain, uv[:, ::-1].T, order=1, mode="nearest")

@@ -18,7 +18,7 @@ from mammometry.calibration.adjust.left_out import leave_poses_out
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA, Network, State, residuals, tie_of
 from mammometry.calibration.adjust.projection import INTRINSIC_NAMES, CameraPrior
 from mammometry.calibration.adjust.robust import (
-    Solved,
+    RobustResult,
     adjusted,
     bad_views,
     clustered_covariance,
@@ -39,7 +39,7 @@ _PARAMETERS = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class View:
+class UsedDetection:
     """One detection that is used, and its source."""
 
     camera: str
@@ -56,16 +56,16 @@ class View:
         return f"{self.camera}/{self.pose}" if self.own else self.pose
 
 
-def all_views(observations: Observations, own: Mapping[str, Observations], initial: InitialRig) -> list[View]:
+def all_views(observations: Observations, own: Mapping[str, Observations], initial: InitialRig) -> list[UsedDetection]:
     """All views with an initial placement, shared poses before the cameras' own."""
     views = [
-        View(camera=detection.camera, pose=detection.pose, detection=detection, index=i, own=False)
+        UsedDetection(camera=detection.camera, pose=detection.pose, detection=detection, index=i, own=False)
         for i, detection in enumerate(observations.detections)
         if detection.pose in initial.world_from_target and len(detection.ids)
     ]
     for separate in own.values():
         views += [
-            View(camera=detection.camera, pose=detection.pose, detection=detection, index=i, own=True)
+            UsedDetection(camera=detection.camera, pose=detection.pose, detection=detection, index=i, own=True)
             for i, detection in enumerate(separate.detections)
             if (detection.camera, detection.pose) in initial.own_camera_from_target
         ]
@@ -73,7 +73,7 @@ def all_views(observations: Observations, own: Mapping[str, Observations], initi
 
 
 def network_of(
-    views: Sequence[View],
+    views: Sequence[UsedDetection],
     observations: Observations,
     own: Mapping[str, Observations],
     initial: InitialRig,
@@ -145,7 +145,7 @@ def _shape_prior_mm(target: Target, settings: BundleSettings) -> tuple[float, fl
     return across_x, across_y, target.flatness_mm or depth
 
 
-def _start(network: Network, views: Sequence[View], initial: InitialRig, settings: BundleSettings) -> State:
+def _start(network: Network, views: Sequence[UsedDetection], initial: InitialRig, settings: BundleSettings) -> State:
     intrinsics = np.stack([initial.intrinsics[camera] for camera in network.cameras])
     if settings.model == "paper":
         intrinsics[:, :2] = intrinsics[:, :2].mean(axis=1, keepdims=True)
@@ -261,7 +261,9 @@ def _check_pairs(pair_names: Mapping[str, tuple[str, str]], observations: Observ
                 )
 
 
-def _require_every_camera(views: Sequence[View], observations: Observations, set_aside: Sequence[SetAside]) -> None:
+def _require_every_camera(
+    views: Sequence[UsedDetection], observations: Observations, set_aside: Sequence[SetAside]
+) -> None:
     left = Counter(view.camera for view in views if not view.own)
     aside = {camera: [view.pose for view in set_aside if view.camera == camera] for camera in observations.sizes_wh}
     wrong = [camera for camera, poses in aside.items() if len(poses) > left[camera]]
@@ -276,7 +278,7 @@ def _require_every_camera(views: Sequence[View], observations: Observations, set
     require_connected([(view.camera, view.pose) for view in views if not view.own])
 
 
-def _with_needed_k3(solved: Solved, priors: Mapping[str, CameraPrior], settings: BundleSettings) -> Solved:
+def _with_needed_k3(solved: RobustResult, priors: Mapping[str, CameraPrior], settings: BundleSettings) -> RobustResult:
     """Adjust k3 too for cameras that need it.
 
     It must differ from zero by its standard deviation from the scatter between photographs. With independent residuals
@@ -305,8 +307,8 @@ def _with_needed_k3(solved: Solved, priors: Mapping[str, CameraPrior], settings:
 
 
 def _as_calibration(
-    solved: Solved,
-    views: Sequence[View],
+    solved: RobustResult,
+    views: Sequence[UsedDetection],
     observations: Observations,
     own: Mapping[str, Observations],
     pair_names: Mapping[str, tuple[str, str]],
@@ -381,7 +383,7 @@ def _as_calibration(
     )
 
 
-def _independent(solved: Solved) -> Float64[Array, "p p"]:
+def _independent(solved: RobustResult) -> Float64[Array, "p p"]:
     try:
         return independent_covariance(solved)
     except SingularNormalEquationsError as error:

@@ -17,7 +17,7 @@ import numpy as np
 from mammometry.calibration.adjust.adjustment import Adjustment
 from mammometry.calibration.adjust.least_squares import DAMPING_LEAST, NormalEquations, damped_step, minimise
 from mammometry.calibration.adjust.network import State, residuals
-from mammometry.calibration.adjust.robust import GROUPS, Solved
+from mammometry.calibration.adjust.robust import GROUPS, RobustResult
 from mammometry.geometry.arrays import Array, Int64
 
 _FOLDS = 12
@@ -58,7 +58,7 @@ class LeftOut:
         return self.ratio / self.chance_ratio
 
 
-def leave_poses_out(solved: Solved) -> LeftOut | None:
+def leave_poses_out(solved: RobustResult) -> LeftOut | None:
     """Leave out each shared pose in turn, in groups if there are many.
 
     If no shared pose can be spared, as with one exposure of a surveyed target, the cameras' separate photographs are
@@ -74,17 +74,17 @@ def leave_poses_out(solved: Solved) -> LeftOut | None:
     return None
 
 
-def _with_drawn_signs(solved: Solved) -> Solved:
+def _with_drawn_signs(solved: RobustResult) -> RobustResult:
     """Simulate independent errors of the same sizes, and minimise."""
     problem, state = solved.problem, solved.state
     residual_px, _ = residuals(problem.network, state)
     signs = np.random.default_rng(_SEED).choice([-1.0, 1.0], size=(len(residual_px), 1))
     uv = problem.network.uv + residual_px - signs * residual_px
     drawn = replace(problem, network=replace(problem.network, uv=uv))
-    return Solved(problem=drawn, minimum=minimise(drawn, state, max_iterations=_STEPS, tolerance=_NEAR))
+    return RobustResult(problem=drawn, minimum=minimise(drawn, state, max_iterations=_STEPS, tolerance=_NEAR))
 
 
-def _left_out(solved: Solved, group: int) -> tuple[int, float, float] | None:
+def _left_out(solved: RobustResult, group: int) -> tuple[int, float, float] | None:
     """Number of a group's poses that could be left out, and their RMS residuals used and left out, px."""
     problem, state = solved.problem, solved.state
     network = problem.network

@@ -45,7 +45,7 @@ _REJECT_ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Solved:
+class RobustResult:
     """A problem without outliers, and its minimum."""
 
     problem: Adjustment
@@ -57,7 +57,7 @@ class Solved:
         return self.minimum.state
 
 
-def adjusted(network: Network, held: Bool[Array, " p"], start: State) -> Solved:
+def adjusted(network: Network, held: Bool[Array, " p"], start: State) -> RobustResult:
     """Adjust while estimating the noise, then without outliers."""
     problem = Adjustment(
         network=network, active=np.ones(len(network.uv), bool), held=held, group_sigma=np.ones(GROUPS), huber=HUBER_MAD
@@ -75,7 +75,7 @@ def adjusted(network: Network, held: Bool[Array, " p"], start: State) -> Solved:
         problem = replace(problem, active=active)
         start = minimise(problem, start, max_iterations=_MAX_ITERATIONS, tolerance=_ROUGH).state
         problem = _with_sigma(problem, start)
-    return Solved(problem=problem, minimum=minimise(problem, start, max_iterations=_MAX_ITERATIONS))
+    return RobustResult(problem=problem, minimum=minimise(problem, start, max_iterations=_MAX_ITERATIONS))
 
 
 def bad_views(network: Network, state: State, ratio: float, least_px: float) -> dict[int, float]:
@@ -115,7 +115,7 @@ _LEAST_SHARE = 1e-12
 """Smallest share used as a divisor, against rounding."""
 
 
-def independent_covariance(solved: Solved) -> Float64[Array, "p p"]:
+def independent_covariance(solved: RobustResult) -> Float64[Array, "p p"]:
     """Inverse normal matrix of cameras and stations, times the residuals' variance factor. Zero if held.
 
     Raises:
@@ -134,7 +134,7 @@ def independent_covariance(solved: Solved) -> Float64[Array, "p p"]:
     return covariance * (2 * problem.cost(solved.state) / redundancy)
 
 
-def clustered_covariance(solved: Solved, independent: Float64[Array, "p p"]) -> Float64[Array, "p p"]:
+def clustered_covariance(solved: RobustResult, independent: Float64[Array, "p p"]) -> Float64[Array, "p p"]:
     """Covariance of errors shared by the points of a view.
 
     It is nowhere below the independent covariance. There are fewer views than parameters, so some directions would seem
@@ -151,7 +151,7 @@ def clustered_covariance(solved: Solved, independent: Float64[Array, "p p"]) -> 
     return covariance
 
 
-def _shifts(solved: Solved) -> Float64[Array, "v p"]:
+def _shifts(solved: RobustResult) -> Float64[Array, "v p"]:
     """Newton step due to each view's residuals, corrected for leverage."""
     problem, state = solved.problem, solved.state
     equations = problem.normal_equations(state)

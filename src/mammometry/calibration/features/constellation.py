@@ -76,7 +76,7 @@ class TargetCamera:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Reading:
+class DotAssignment:
     """One assignment of an image's dots to points of the target."""
 
     camera: TargetCamera
@@ -87,7 +87,7 @@ class Reading:
 
 def read_constellation(
     points: Float64[Array, "n 3"], uv: Float64[Array, "m 2"], size_wh: tuple[int, int]
-) -> tuple[Reading, ...]:
+) -> tuple[DotAssignment, ...]:
     """Assign the dots of an image to points of a target.
 
     Args:
@@ -121,7 +121,7 @@ def _readings(
     spacing: Float64[Array, " m"],
     tree: cKDTree,
     size_wh: tuple[int, int],
-) -> Iterator[Reading]:
+) -> Iterator[DotAssignment]:
     """All consistent readings, grown from several triples of neighbouring dots."""
     middle = np.median(uv, axis=0)
     seeds = np.argsort(np.linalg.norm(uv - middle, axis=1))
@@ -202,7 +202,7 @@ def _grow(
     spacing: Float64[Array, " m"],
     tree: cKDTree,
     size_wh: tuple[int, int],
-) -> Iterator[Reading]:
+) -> Iterator[DotAssignment]:
     """Perspective cameras grown from an orthographic one: match around the triple, adjust, match farther."""
     scale = float(np.linalg.norm(start[0, :3]))
     u, _, vt = np.linalg.svd(start[:, :3])
@@ -234,7 +234,7 @@ def _grow(
             off = np.linalg.norm(camera.image(points[ids]) - uv[dots], axis=1) / spacing[dots]
             spatial = _thickness(points[ids]) > _FLAT or _thickness(points) < _FLAT
             if spatial and float(np.median(off)) < _FITTING and _explains(camera, points, uv, dots):
-                yield Reading(camera=camera, ids=ids, dots=dots)
+                yield DotAssignment(camera=camera, ids=ids, dots=dots)
 
 
 def _match(
@@ -328,7 +328,7 @@ def _explains(
     return bool(len(dots) >= _LEAST_SHARE * inside.sum())
 
 
-def _common(a: Reading, b: Reading) -> int:
+def _common(a: DotAssignment, b: DotAssignment) -> int:
     """Number of dots that both assign to the same point."""
     return len(
         set(zip(a.ids.tolist(), a.dots.tolist(), strict=True)) & set(zip(b.ids.tolist(), b.dots.tolist(), strict=True))

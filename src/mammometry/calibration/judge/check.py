@@ -23,7 +23,7 @@ from mammometry.calibration.adjust.linear_model import FREE
 from mammometry.calibration.adjust.projection import intrinsics_of
 from mammometry.calibration.detection.detect import Detection, Observations
 from mammometry.calibration.judge.camera_names import check_board_names
-from mammometry.calibration.judge.moved_cameras import Agreement, Motion
+from mammometry.calibration.judge.moved_cameras import CameraMotion, MotionProblem
 from mammometry.calibration.judge.reconstruction import MovedPair, moved_pair
 from mammometry.calibration.judge.sighting import Sighting, disagreement, sight, sightings
 from mammometry.calibration.settings import CheckSettings
@@ -92,7 +92,7 @@ class CameraCheck:
 
     camera: str
     moved: bool
-    motion: Motion
+    motion: CameraMotion
     shift_px: float
     """RMS displacement of the target in its picture, px."""
     rms_px: float
@@ -158,7 +158,9 @@ def check(reference: Reference, observations: Observations, settings: CheckSetti
     seen = _sightings(reference, observations)
     cameras = tuple(name for name in reference.rig.cameras if any(sighting.camera == name for sighting in seen))
     inflation = max(reference.inflation, _LEAST_INFLATION)
-    about = partial(Agreement.about, seen=seen, cameras=cameras, calibrated=reference.covariance, inflation=inflation)
+    about = partial(
+        MotionProblem.about, seen=seen, cameras=cameras, calibrated=reference.covariance, inflation=inflation
+    )
     agreement = about(_nearest_to_all(seen))
     candidates = agreement.explanations(_CHANCE)
     for _ in range(_ROUNDS):  # motions add up only when they are small: again from where the still cameras see it
@@ -269,7 +271,7 @@ def _nearest_to_all(seen: Sequence[Sighting]) -> dict[str, Transform]:
     return placed
 
 
-def _camera_check(agreement: Agreement, camera: Camera, chosen: Sequence[str]) -> CameraCheck:
+def _camera_check(agreement: MotionProblem, camera: Camera, chosen: Sequence[str]) -> CameraCheck:
     mine = [sighting for sighting in agreement.seen if sighting.camera == camera.name]
     motion = agreement.motion(camera, chosen, _CHANCE)
     return CameraCheck(
@@ -281,7 +283,9 @@ def _camera_check(agreement: Agreement, camera: Camera, chosen: Sequence[str]) -
     )
 
 
-def _moved_pairs(reference: Reference, agreement: Agreement, checks: Mapping[str, CameraCheck]) -> dict[str, MovedPair]:
+def _moved_pairs(
+    reference: Reference, agreement: MotionProblem, checks: Mapping[str, CameraCheck]
+) -> dict[str, MovedPair]:
     volume = reference.volume_world
     if not len(volume):
         volume = np.concatenate([placed.apply(reference.target_points) for placed in agreement.placed.values()])
@@ -326,7 +330,7 @@ def _about_moves(
         )
 
 
-def motion_words(motion: Motion) -> str:
+def motion_words(motion: CameraMotion) -> str:
     """A motion in millimetres and degrees."""
     if motion.kind == "either":
         return f"{motion.alone_mm:.3f} mm if it slid, or {np.degrees(motion.alone_rad):.4f}° if it turned"

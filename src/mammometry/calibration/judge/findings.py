@@ -13,7 +13,7 @@ from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.adjust.initialise import LEAST_POINTS
 from mammometry.calibration.detection.detect import Detection
 from mammometry.calibration.features.pixels import Cause
-from mammometry.calibration.judge.pose_motion import Movement
+from mammometry.calibration.judge.pose_motion import MovedCameras
 from mammometry.calibration.judge.reconstruction import PairQuality, ViewQuality, sees_badly
 from mammometry.calibration.judge.scale import calibrated_sizes
 from mammometry.calibration.settings import QualitySettings
@@ -27,14 +27,14 @@ _FITS_PX = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Shot:
+class PhotographKey:
     """Camera and pose of one photograph."""
 
     camera: str
     pose: str
 
 
-def true_shot(calibration: Calibration, detection: Detection) -> Shot | None:
+def true_shot(calibration: Calibration, detection: Detection) -> PhotographKey | None:
     """Find the camera and pose that a misfitting view really shows. None if none is known."""
     least, found = np.inf, None
     for pose, placed in calibration.world_from_target.items():
@@ -44,7 +44,7 @@ def true_shot(calibration: Calibration, detection: Detection) -> Shot | None:
                 offset = np.linalg.norm(camera.project(points) - detection.uv, axis=1)
                 off_px = float(np.nanmedian(offset)) if np.isfinite(offset).any() else np.inf
                 if off_px < least:
-                    least, found = off_px, Shot(name, pose)
+                    least, found = off_px, PhotographKey(name, pose)
     return found if least < max(_FITS_NOISES * calibration.rms_px, _FITS_PX) else None
 
 
@@ -89,7 +89,7 @@ _REJECTED_WARN = 0.15
 board's rim, or out of focus, err more than their σ."""
 
 Verdict: TypeAlias = Literal["pass", "warn", "refuse"]
-Finding: TypeAlias = tuple[Verdict, str, *tuple[Shot, ...]]
+Finding: TypeAlias = tuple[Verdict, str, *tuple[PhotographKey, ...]]
 """Verdict, sentence, and the photographs that it is about."""
 
 
@@ -98,7 +98,7 @@ class Doubt:
     """A finding that deserves a look."""
 
     sentence: str
-    shots: tuple[Shot, ...] = ()
+    shots: tuple[PhotographKey, ...] = ()
     """The photographs that it is about. Empty: it is about the whole calibration."""
 
 
@@ -120,21 +120,21 @@ def about_names(calibration: Calibration) -> Iterator[Finding]:
                 "warn",
                 f"pose {pose}: the picture of {camera} does not fit the others (off by {residual_px:.2g} px) and was "
                 "set aside. Check that it is the right file, and was exposed together with the others",
-                Shot(camera, pose),
+                PhotographKey(camera, pose),
             )
-        elif truly.get((other.camera, other.pose)) == Shot(camera, pose):
+        elif truly.get((other.camera, other.pose)) == PhotographKey(camera, pose):
             if (other.camera, other.pose) not in reported:
                 reported.add((camera, pose))
                 where = f"pose {pose}" if other.pose == pose else f"poses {pose} and {other.pose}"
                 names = f"{camera} and {other.camera}" if other.camera != camera else camera
                 sentence = f"{where}: the pictures of {names} are exchanged. They were set aside"
-                yield "warn", sentence, Shot(camera, pose), other
+                yield "warn", sentence, PhotographKey(camera, pose), other
         else:
             yield (
                 "warn",
                 f"pose {pose}: the picture of {camera} does not fit the others. It is the one of {other.camera} in "
                 f"pose {other.pose}. It was set aside",
-                Shot(camera, pose),
+                PhotographKey(camera, pose),
                 other,
             )
 
@@ -146,7 +146,7 @@ def about_missed(calibration: Calibration) -> Iterator[Finding]:
     """
     for view in calibration.observations.missed:
         if view.remedy and not sees_badly(calibration, view.camera, view.pose):
-            yield "warn", str(view), Shot(view.camera, view.pose)
+            yield "warn", str(view), PhotographKey(view.camera, view.pose)
 
 
 def about_inverse(calibration: Calibration) -> Iterator[Finding]:
@@ -161,7 +161,7 @@ def about_inverse(calibration: Calibration) -> Iterator[Finding]:
         )
 
 
-def about_movements(movements: Sequence[Movement]) -> Iterator[Finding]:
+def about_movements(movements: Sequence[MovedCameras]) -> Iterator[Finding]:
     """Report cameras that moved during the calibration."""
     for movement in movements:
         size = f"{np.linalg.norm(movement.shift_mm):.3f} mm and {np.degrees(np.linalg.norm(movement.turn_rad)):.4f}°"
@@ -177,7 +177,7 @@ def about_movements(movements: Sequence[Movement]) -> Iterator[Finding]:
             sentence += (
                 f"Poses before and after do not belong together. Points would be {movement.effect_mm:.2f} mm off"
             )
-        shots = (Shot(camera, movement.first) for camera in movement.cameras)
+        shots = (PhotographKey(camera, movement.first) for camera in movement.cameras)
         yield "refuse" if movement.effect_mm > _MOVED_REFUSE_MM else "warn", sentence, *shots
 
 
@@ -193,14 +193,14 @@ def about_fit(calibration: Calibration, views: Sequence[ViewQuality]) -> Iterato
             yield (
                 "warn",
                 f"pose {view.pose}: {view.rejected} of {view.points} points of {view.camera} were left out as outliers",
-                Shot(view.camera, view.pose),
+                PhotographKey(view.camera, view.pose),
             )
         if view.rms_px > _BLURRED_RATIO * typical:
             yield (
                 "warn",
                 f"pose {view.pose}: points of {view.camera} are measured only to {view.rms_px:.2f} px, others to "
                 f"{typical:.2f} px. Is the picture blurred, shaken or badly lit?",
-                Shot(view.camera, view.pose),
+                PhotographKey(view.camera, view.pose),
             )
 
 
@@ -213,7 +213,7 @@ def about_bias(calibration: Calibration, views: Sequence[ViewQuality]) -> Iterat
                 "refuse" if view.bias > BIAS_REFUSE else "warn",
                 f"pose {view.pose}: all points that {view.camera} saw are shifted together by {view.bias:.0f} standard "
                 f"errors (limit {BIAS_REFUSE:.0f}). A camera or the target moved, or the target bent",
-                Shot(view.camera, view.pose),
+                PhotographKey(view.camera, view.pose),
             )
 
 

@@ -28,7 +28,7 @@ _SAME = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Motion:
+class CameraMotion:
     """Motion of a camera against those that stood still, world frame."""
 
     motion: Transform
@@ -52,7 +52,7 @@ class Motion:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Agreement:
+class MotionProblem:
     """Sightings and the motions that would make them agree. Linear about the placements."""
 
     seen: tuple[Sighting, ...]
@@ -70,7 +70,7 @@ class Agreement:
         cameras: Sequence[str],
         calibrated: ParameterCovariance | None,
         inflation: float,
-    ) -> Agreement:
+    ) -> MotionProblem:
         """Linearise about placements of the target.
 
         Args:
@@ -111,7 +111,7 @@ class Agreement:
             pose: as_motion(twist) @ place for twist, (pose, place) in zip(twists, self.placed.items(), strict=False)
         }
 
-    def motion(self, camera: Camera, moved: Sequence[str], chance: float) -> Motion:
+    def motion(self, camera: Camera, moved: Sequence[str], chance: float) -> CameraMotion:
         """Motion of a camera against those that stood still. The camera itself is not counted among them."""
         fit, own = self._fit({*moved, camera.name}), self._of_camera(camera.name)
         motion = as_motion(-fit.motions[own]).inverse()  # exact for one exposure, however far it moved
@@ -131,7 +131,7 @@ class Agreement:
         best = min(fits, key=lambda pure: pure.misfit) if fits else None
         value, spread = (both, covariance) if best is None else (best.motions, best.covariance)
         kind: Kind = "both" if best is None else "either" if len(fits) > 1 else "turn" if best is turn else "shift"
-        return Motion(
+        return CameraMotion(
             motion=as_motion(value, about=centre),
             shift_mm=value[3:],
             turn_rad=value[:3],

@@ -35,7 +35,7 @@ _LEAST_FREEDOM = 0.05
 
 
 @value(eq=False)
-class Movement:
+class MovedCameras:
     """One or two cameras that moved relative to the others. From one pose on, or in one pose only."""
 
     cameras: tuple[str, ...]
@@ -64,7 +64,7 @@ class _Suspicion:
     views: tuple[int, ...]
 
 
-def movements(calibration: Calibration, seen: Sequence[Sighting], least_sigma: float) -> tuple[Movement, ...]:
+def movements(calibration: Calibration, seen: Sequence[Sighting], least_sigma: float) -> tuple[MovedCameras, ...]:
     """Find all movements that stand out, the most certain first.
 
     Args:
@@ -85,7 +85,7 @@ def movements(calibration: Calibration, seen: Sequence[Sighting], least_sigma: f
     parts = [slice(start, start + 6) for start in range(6 * own.shape[1], len(std), 6)]
     twists = np.array([sighting.twist_from(calibration.world_from_target[sighting.pose]) for sighting in seen])
     information = np.array([sighting.information for sighting in seen])
-    found: list[Movement] = []
+    found: list[MovedCameras] = []
     fit = model.fit(std)
     while len(found) < _MOST_MOVEMENTS:
         left = twists - moves @ fit.motions.reshape(-1, 6)
@@ -130,7 +130,7 @@ def _gain(model: LinearModel, fit: Fit, part: slice) -> float:
 
 def _movement(
     calibration: Calibration, seen: Sequence[Sighting], suspicion: _Suspicion, twist: Float64[Array, 6], sigma: float
-) -> Movement:
+) -> MovedCameras:
     camera = calibration.rig.cameras[suspicion.cameras[0]]
     motion = as_motion(twist)
     centre = camera.centre_world
@@ -147,7 +147,7 @@ def _movement(
             effect = moved_pair(pair, left, right, volume)
             effects += [] if effect is None else [effect.displacement_mm]
     poses = sum(sighting.camera == camera.name for sighting in seen)
-    return Movement(
+    return MovedCameras(
         cameras=suspicion.cameras,
         first=suspicion.first,
         only=suspicion.only,

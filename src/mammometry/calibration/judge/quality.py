@@ -33,7 +33,7 @@ from mammometry.calibration.judge.findings import (
     about_scale,
     about_target,
 )
-from mammometry.calibration.judge.pose_motion import Movement, movements
+from mammometry.calibration.judge.pose_motion import MovedCameras, movements
 from mammometry.calibration.judge.reconstruction import (
     PairQuality,
     ViewQuality,
@@ -82,7 +82,7 @@ class CalibrationQuality:
     views: tuple[ViewQuality, ...]
     """In the order of the detections."""
     pairs: tuple[PairQuality, ...]
-    movements: tuple[Movement, ...]
+    movements: tuple[MovedCameras, ...]
     """What moved while the rig was calibrated, the most certain first."""
 
 

@@ -10,7 +10,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from mammometry.calibration.targets.sheet import Body, Hits, Pattern, Sheet
+from mammometry.calibration.targets.sheet import ConvexBody, PrintedSheet, SheetPattern, TargetHits
 from mammometry.calibration.targets.target import Target, require_grid, require_measured, require_positive
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 
@@ -19,7 +19,7 @@ BORDER_MM = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FlatBody(Body):
+class FlatBody(ConvexBody):
     """A board on its white paper. Only the printed side is seen."""
 
     attitude: ClassVar[Literal["facing", "upright", "any"]] = "facing"
@@ -52,7 +52,7 @@ class FlatBody(Body):
         return self.board.looks_alike_turned
 
     @property
-    def pattern(self) -> Pattern | None:
+    def pattern(self) -> SheetPattern | None:
         """Delegates to the board.
 
         Raises:
@@ -66,7 +66,7 @@ class FlatBody(Body):
         """Whether everything printed is in the image, unless the board may be cropped."""
         return self.board.may_be_cropped or bool(seen.all() and in_picture(_corners(self.board.extent_mm)).all())
 
-    def meet(self, origins: Float64[Array, "n 3"], directions: Float64[Array, "n 3"]) -> Hits:
+    def meet(self, origins: Float64[Array, "n 3"], directions: Float64[Array, "n 3"]) -> TargetHits:
         """Intersect rays with the plane z = 0 from its printed side."""
         with np.errstate(divide="ignore", invalid="ignore"):
             along = -origins[:, 2] / directions[:, 2]
@@ -76,7 +76,7 @@ class FlatBody(Body):
         on_paper = (along > 0) & (directions[:, 2] > 0) & ((xy >= left_top) & (xy <= right_bottom)).all(axis=1)
         white = np.full(len(points), np.nan)
         white[on_paper] = np.where(self.board.sheet().is_dark(xy[on_paper]), 0.0, 1.0)
-        return Hits(points=points, normals=np.broadcast_to([0.0, 0.0, -1.0], points.shape), white=white)
+        return TargetHits(points=points, normals=np.broadcast_to([0.0, 0.0, -1.0], points.shape), white=white)
 
 
 def _corners(extent_mm: Float64[Array, "2 2"]) -> Float64[Array, "4 3"]:
@@ -128,7 +128,7 @@ class Board(Target):
         return False
 
     @property
-    def pattern(self) -> Pattern | None:
+    def pattern(self) -> SheetPattern | None:
         """The printed pattern, if it is a regular one. Otherwise None.
 
         Raises:
@@ -137,7 +137,7 @@ class Board(Target):
         return None
 
     @property
-    def body(self) -> Body:
+    def body(self) -> ConvexBody:
         """The board on its paper."""
         return FlatBody(board=self)
 
@@ -185,20 +185,20 @@ class SquaresBoard(Board):
 
     @property
     @abstractmethod
-    def pattern(self) -> Pattern:
+    def pattern(self) -> SheetPattern:
         """The pattern printed in the squares.
 
         Raises:
             SessionError: unknown marker dictionary.
         """
 
-    def sheet(self) -> Sheet:
+    def sheet(self) -> PrintedSheet:
         """Return the dark squares and marker cells.
 
         Raises:
             SessionError: unknown marker dictionary.
         """
-        return Sheet(extent_mm=self.extent_mm, rectangles=self.pattern.rectangles())
+        return PrintedSheet(extent_mm=self.extent_mm, rectangles=self.pattern.rectangles())
 
 
 @cache

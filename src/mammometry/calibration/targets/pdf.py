@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from mammometry.base.errors import SettingsError
-from mammometry.calibration.targets.sheet import Sheet
+from mammometry.calibration.targets.sheet import PrintedSheet
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Float64
 
@@ -88,7 +88,7 @@ def speckle_pdf(*, page: str = "A4", dot_mm: float = 1.5, margin_mm: float = 10.
     return _draw(sheet, caption, (width_mm, height_mm), (margin_mm, margin_mm), margin_mm)
 
 
-def speckles(size_mm: tuple[float, float], dot_mm: float, seed: int) -> Sheet:
+def speckles(size_mm: tuple[float, float], dot_mm: float, seed: int) -> PrintedSheet:
     """Discs at random places that do not touch one another."""
     rng = np.random.default_rng(seed)
     pitch = _SPECKLE_PITCH * dot_mm
@@ -98,7 +98,7 @@ def speckles(size_mm: tuple[float, float], dot_mm: float, seed: int) -> Sheet:
     places += rng.uniform(-_SPECKLE_SHIFT, _SPECKLE_SHIFT, places.shape)
     largest = (1.0 - 2 * _SPECKLE_SHIFT) * pitch / 2
     radii = np.minimum(dot_mm / 2 * rng.uniform(1 - _SPECKLE_SIZE, 1 + _SPECKLE_SIZE, len(places)), largest)
-    return Sheet(
+    return PrintedSheet(
         extent_mm=np.array([[0.0, 0.0], [columns * pitch, rows * pitch]]),
         discs=np.column_stack([places * pitch, radii]),
     )
@@ -123,7 +123,9 @@ def _page(page: str, needed_mm: tuple[float, float]) -> tuple[float, float]:
     )
 
 
-def _draw(sheet: Sheet, caption: str, page_mm: tuple[float, float], corner_mm: Corner, margin_mm: float) -> bytes:
+def _draw(
+    sheet: PrintedSheet, caption: str, page_mm: tuple[float, float], corner_mm: Corner, margin_mm: float
+) -> bytes:
     import matplotlib
     from matplotlib.backends.backend_pdf import FigureCanvasPdf
     from matplotlib.figure import Figure
@@ -146,7 +148,7 @@ def _draw(sheet: Sheet, caption: str, page_mm: tuple[float, float], corner_mm: C
     return content.getvalue()
 
 
-def _outline(sheet: Sheet, corner_mm: Corner) -> Path:
+def _outline(sheet: PrintedSheet, corner_mm: Corner) -> Path:
     """All dark shapes in one path. Otherwise viewers draw hairlines between adjacent shapes."""
     from matplotlib.path import Path
 
@@ -174,7 +176,7 @@ def _ruler(axes: Axes, left_mm: float, foot_mm: float) -> None:
     axes.text(left_mm + _RULER_MM / 2, foot_mm - 3.0, text, ha="center", va="top", fontsize=_FONT_POINTS)
 
 
-def _cuts(axes: Axes, sheet: Sheet, corner_mm: Corner) -> None:
+def _cuts(axes: Axes, sheet: PrintedSheet, corner_mm: Corner) -> None:
     """Cutting marks at the left and right edge of the sheet, which meet if columns go all the way around."""
     width_mm, height_mm = sheet.extent_mm[1] - sheet.extent_mm[0]
     for x in (corner_mm[0], corner_mm[0] + width_mm):

@@ -15,7 +15,7 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Bool, Float64, UInt8
 
 DARK, WHITE, MARKER = 0, 1, 2
-"""Content of a square of a `Pattern`."""
+"""Content of a square of a `SheetPattern`."""
 
 
 def _none(columns: int) -> np.ndarray:
@@ -23,7 +23,7 @@ def _none(columns: int) -> np.ndarray:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Sheet:
+class PrintedSheet:
     """Dark shapes in millimetres, x right and y down. A board's sheet is in the board's frame."""
 
     extent_mm: Float64[Array, "2 2"]
@@ -47,7 +47,7 @@ class Sheet:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Pattern:
+class SheetPattern:
     """A regular pattern on a board. The simulation's kernel draws it with exact edges."""
 
     grid: Literal["squares", "circles", "staggered"]
@@ -81,7 +81,7 @@ class Pattern:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Hits:
+class TargetHits:
     """First intersections of rays with a target, target frame."""
 
     points: Float64[Array, "n 3"]
@@ -91,7 +91,7 @@ class Hits:
     """1 on paper, 0 on ink, NaN if the ray misses the target."""
 
 
-class Body(ABC):
+class ConvexBody(ABC):
     """A convex body with the target's points on its surface."""
 
     __slots__ = ()
@@ -122,7 +122,7 @@ class Body(ABC):
         return False
 
     @property
-    def pattern(self) -> Pattern | None:
+    def pattern(self) -> SheetPattern | None:
         """The regular pattern of a flat body. Otherwise None."""
         return None
 
@@ -138,5 +138,5 @@ class Body(ABC):
         """
 
     @abstractmethod
-    def meet(self, origins: Float64[Array, "n 3"], directions: Float64[Array, "n 3"]) -> Hits:
+    def meet(self, origins: Float64[Array, "n 3"], directions: Float64[Array, "n 3"]) -> TargetHits:
         """Find the rays' first intersections with the surface, and what is printed there."""

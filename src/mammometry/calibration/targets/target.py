@@ -15,7 +15,7 @@ import numpy as np
 
 from mammometry.base.errors import SettingsError
 from mammometry.base.registry import Registry
-from mammometry.calibration.targets.sheet import Body, Sheet
+from mammometry.calibration.targets.sheet import ConvexBody, PrintedSheet
 from mammometry.geometry.arrays import Array, Float64
 
 TARGETS: Registry[type[Target]] = Registry("calibration target", package="mammometry.calibration.targets.kinds")
@@ -83,7 +83,7 @@ class Target(ABC):
         """Describe the print in one line."""
         return self.kind
 
-    def sheet(self) -> Sheet:
+    def sheet(self) -> PrintedSheet:
         """Return the printed sheet.
 
         Raises:
@@ -102,7 +102,7 @@ class Target(ABC):
 
     @property
     @abstractmethod
-    def body(self) -> Body:
+    def body(self) -> ConvexBody:
         """The target as a solid object for the simulation."""
 
 

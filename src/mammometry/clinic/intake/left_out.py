@@ -38,7 +38,7 @@ class BoardPhotograph:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Doubt:
+class PhotographWarning:
     """A warning of a calibration, and the photographs that it names."""
 
     sentence: str
@@ -56,7 +56,7 @@ def board_photographs(calibration: Calibration) -> dict[str, BoardPhotograph]:
     return {photograph.key: photograph for photograph in found}
 
 
-def doubts_of(calibration: Calibration) -> list[Doubt]:
+def doubts_of(calibration: Calibration) -> list[PhotographWarning]:
     """Warnings of a calibration that name photographs of the board, the worst first."""
     photographs = board_photographs(calibration)
     figures = calibration.figures
@@ -69,7 +69,7 @@ def doubts_of(calibration: Calibration) -> list[Doubt]:
             else (doubt["sentence"], [photographs[key] for key in doubt["photographs"] if key in photographs])
         )
         if named:
-            doubts.append(Doubt(sentence=sentence(words), photographs=named))
+            doubts.append(PhotographWarning(sentence=sentence(words), photographs=named))
     return doubts
 
 

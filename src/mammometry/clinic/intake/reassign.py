@@ -14,7 +14,7 @@ from mammometry.clinic.intake.photographs import known_cameras
 from mammometry.clinic.intake.places import Target, UploadError, folder_of, place_of, pose_of, uploads_of
 from mammometry.clinic.models import DailyCheck, Upload
 from mammometry.io.photographs.images import read_header
-from mammometry.io.photographs.tags import Exposure
+from mammometry.io.photographs.tags import PhotographTags
 from mammometry.io.write import disk_errors, sync_folder
 
 
@@ -57,7 +57,7 @@ def _require_fitting(target: Target, camera: str, row: Upload, folder: Path) -> 
     header = read_header(folder / row.name, "The photograph")
     serial = row.checks[0].get("serial", "") if row.checks else ""
     for finding in (
-        checks.right_camera(camera, Exposure(serial=serial), None, known),
+        checks.right_camera(camera, PhotographTags(serial=serial), None, known),
         checks.right_size(camera, header.stored_wh, header.orientation, known),
     ):
         if finding.level == "refuse":

@@ -23,7 +23,7 @@ from mammometry.capture.checks import NO_PHOTOGRAPH, not_only_a_photograph
 from mammometry.clinic.intake.places import UploadError
 from mammometry.clinic.site import the_clinic
 from mammometry.geometry.mesh_files.mesh_file import KINDS, SUFFIXES
-from mammometry.io.meshes.scans import Scan, import_scan
+from mammometry.io.meshes.scans import ScanFacts, import_scan
 from mammometry.io.write import disk_errors
 
 _PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
@@ -36,7 +36,7 @@ _MB = 10**6  # bytes
 
 def taken_in(
     files: Sequence[UploadedFile[Any]],
-    about: Scan,
+    about: ScanFacts,
     *,
     units: str | None,
     texture: bool,

@@ -70,7 +70,7 @@ def newest() -> dict[str, dict[str, Any]]:
     return {table["id"]: table for table in tables(list(jobs))}
 
 
-class Board:
+class JobNews:
     """News of the jobs for listeners. One for each event loop."""
 
     def __init__(self) -> None:
@@ -110,15 +110,15 @@ def _look() -> dict[str, dict[str, Any]]:
     return newest()
 
 
-_boards: dict[int, Board] = {}
+_boards: dict[int, JobNews] = {}
 
 
-def board() -> Board:
+def board() -> JobNews:
     """The board of this event loop."""
     loop = asyncio.get_running_loop()
     if (known := _boards.get(id(loop))) is None:
         _boards.clear()  # a closed loop has no listeners
-        known = _boards[id(loop)] = Board()
+        known = _boards[id(loop)] = JobNews()
     return known
 
 

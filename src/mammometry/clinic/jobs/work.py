@@ -20,7 +20,7 @@ import mammometry
 from mammometry.api.job import open_session
 from mammometry.base.errors import SessionError
 from mammometry.base.progress import StageProgress
-from mammometry.batch.record import Entry
+from mammometry.batch.record import BatchEntry
 from mammometry.batch.session import measure_entry, watched
 from mammometry.calibration.judge.quality import assess
 from mammometry.capture.checks import KnownCamera, clocks
@@ -72,7 +72,7 @@ def measure(progress: StageProgress, session: str, calibration: str, settings: s
     share_calibration(Path(calibration), Path(session))
     job = open_session(session, chosen)
     take_over(job, open_session(calibration, chosen))
-    measured = measure_entry(progress, Entry(address=session), settings)
+    measured = measure_entry(progress, BatchEntry(address=session), settings)
     job = open_session(session, chosen)
     measurements = job.measure()
     rows = volume_rows(measurements, job.no_breast())

@@ -17,7 +17,7 @@ _DATE_PX = 78.0  # of a date's words
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class ChartReading:
     """One number with its interval, at one date."""
 
     series: str
@@ -75,7 +75,7 @@ class Way:
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
+class ChartEvent:
     """An event on a day, such as an operation."""
 
     at: datetime.datetime
@@ -83,7 +83,7 @@ class Event:
 
 
 @dataclass(frozen=True, slots=True)
-class Mark:
+class ChartMark:
     """An event on the chart: an upright line with a number, which a list below explains."""
 
     number: int
@@ -105,11 +105,11 @@ class TimeLine:
     levels: tuple[Tick, ...]
     dates: tuple[Tick, ...]
     top: float
-    marks: tuple[Mark, ...] = ()
+    marks: tuple[ChartMark, ...] = ()
 
 
 def time_line(
-    readings: Sequence[Reading], *, width: float, height: float, events: Sequence[Event] = ()
+    readings: Sequence[ChartReading], *, width: float, height: float, events: Sequence[ChartEvent] = ()
 ) -> TimeLine | None:
     """Lay out readings over their dates.
 
@@ -175,7 +175,7 @@ def time_line(
         dates=tuple(_date_ticks(sorted({reading.at for reading in readings}), x_of)),
         top=_TOP,
         marks=tuple(
-            Mark(number, x_of(event.at), event.words)
+            ChartMark(number, x_of(event.at), event.words)
             for number, event in enumerate(sorted(shown, key=lambda event: event.at), start=1)
         ),
     )

@@ -41,7 +41,7 @@ _SIDE_ORDER = {side: number for number, side in enumerate(SIDES)}
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class CohortRow:
     """One breast at one visit, without a name."""
 
     pseudonym: str
@@ -203,7 +203,7 @@ def left_out(visits: QuerySet[Visit]) -> tuple[int, int]:
     return counts["visits"], counts["patients"]
 
 
-def study_rows(visits: QuerySet[Visit], reference: Basis | None = None) -> Iterator[Row]:
+def study_rows(visits: QuerySet[Visit], reference: Basis | None = None) -> Iterator[CohortRow]:
     """Rows of the newest measurement of each visit, read some visits at a time.
 
     Args:
@@ -229,7 +229,7 @@ def study_rows(visits: QuerySet[Visit], reference: Basis | None = None) -> Itera
                 rests_on = basis(posture, how, side, definition)
                 if changed or low_cc is None or high_cc is None:
                     low_cc = high_cc = None
-                yield Row(
+                yield CohortRow(
                     pseudonym=pseudonym, day=day, years=age(born, day), side=side, definition=definition,
                     volume_cc=None if changed else volume_cc, low_cc=low_cc, high_cc=high_cc,
                     refused=CHANGED if changed else refused, state=CHANGED if changed else state,

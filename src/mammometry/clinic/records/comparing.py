@@ -20,7 +20,7 @@ _BREASTS = ("left", "right")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
+class ComparisonVerdict:
     """A comparison as pages show it."""
 
     before: Visit
@@ -75,38 +75,40 @@ def may_compare(before: Visit, after: Visit) -> bool:
     return all(visit.state in _MEASURED for visit in (before, after)) and not _apart(before, after)
 
 
-def verdict(before: Visit, after: Visit) -> Verdict:
+def verdict(before: Visit, after: Visit) -> ComparisonVerdict:
     """State of the comparison of two visits, and its verdict."""
     return _verdict(before, after, Comparison.objects.filter(before=before, after=after).first())
 
 
-def changes(visits: Iterable[Visit]) -> list[Verdict]:
+def changes(visits: Iterable[Visit]) -> list[ComparisonVerdict]:
     """Verdicts from each comparable visit of a patient to the next, newest first."""
     pairs = list(itertools.pairwise(comparable(visits)))
     rows = {(row.before_id, row.after_id): row for row in Comparison.objects.filter(after__in=[b for _, b in pairs])}
     return [_verdict(before, after, rows.get((before.pk, after.pk))) for before, after in reversed(pairs)]
 
 
-def _verdict(before: Visit, after: Visit, row: Comparison | None) -> Verdict:
+def _verdict(before: Visit, after: Visit, row: Comparison | None) -> ComparisonVerdict:
     if row is not None:
         row.before, row.after = before, after  # with their measurements
     day = date_words(timezone.localdate(before.taken_at))
     if apart := _apart(before, after):
         sentence = f"Not compared with {day}: {apart}. {NOT_TO_BE_COMPARED}."
-        return Verdict(before=before, after=after, state="apart", sentences=(sentence,))
+        return ComparisonVerdict(before=before, after=after, state="apart", sentences=(sentence,))
     changed = before.is_changed or after.is_changed
     if row is not None and is_current(row) and not changed:
         if row.state == Comparison.State.REFUSED:
             why = f"It cannot be compared with {day}. {row.message[:1].upper()}{row.message[1:]}"
             cautions = _posture_cautions(before, after)
-            return Verdict(before=before, after=after, state="refused", sentences=(why,), cautions=cautions)
-        return Verdict(before=before, after=after, state="done", sentences=_sentences(row), cautions=_cautions(row))
+            return ComparisonVerdict(before=before, after=after, state="refused", sentences=(why,), cautions=cautions)
+        return ComparisonVerdict(
+            before=before, after=after, state="done", sentences=_sentences(row), cautions=_cautions(row)
+        )
     if not may_compare(before, after):
         sentence = f"Not yet compared with {day}: one of the visits has unmeasured changes."
-        return Verdict(before=before, after=after, state="waiting", sentences=(sentence,))
+        return ComparisonVerdict(before=before, after=after, state="waiting", sentences=(sentence,))
     queued = row is not None and row.state == Comparison.State.QUEUED
     sentence = f"Not yet compared with {day}{': it is being compared' if queued else ''}."
-    return Verdict(before=before, after=after, state="busy", sentences=(sentence,))
+    return ComparisonVerdict(before=before, after=after, state="busy", sentences=(sentence,))
 
 
 def verdicts(visit: Visit) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from django.utils import timezone
 
 from mammometry.clinic.models import Comparison, Operation, Visit
-from mammometry.clinic.records.charts import Event
+from mammometry.clinic.records.charts import ChartEvent
 from mammometry.clinic.records.comparability import is_between, why_apart
 from mammometry.clinic.records.comparing import is_current
 from mammometry.clinic.records.results import SideResult, VisitResult
@@ -45,13 +45,13 @@ def phase_of(visit: Visit, operations: Sequence[Operation]) -> str:
     return f"after the {which}{_PHASES[Operation.Kind(last.kind)]}"
 
 
-def events(operations: Sequence[Operation]) -> list[Event]:
+def events(operations: Sequence[Operation]) -> list[ChartEvent]:
     """Operations as marks of the time line, one per day, earliest first."""
     by_day: dict[datetime.date, list[Operation]] = {}
     for operation in sorted(operations, key=lambda operation: operation.day):
         by_day.setdefault(operation.day, []).append(operation)
     return [
-        Event(
+        ChartEvent(
             timezone.make_aware(datetime.datetime.combine(day, datetime.time(12))),
             f"{day.day} {day:%b %Y}: {'; '.join(_short(operation) for operation in rows)}",
         )

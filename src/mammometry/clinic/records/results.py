@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from mammometry.api.results import FOLDER
 from mammometry.base.errors import SessionError
 from mammometry.clinic.models import Measurement, Visit, Volume
-from mammometry.clinic.records.charts import Reading
+from mammometry.clinic.records.charts import ChartReading
 from mammometry.clinic.records.clinical import clinical_of
 from mammometry.clinic.records.comparability import Basis, basis_of, why_apart
 from mammometry.clinic.records.confirmations import CHANGED
@@ -102,7 +102,7 @@ def visit_result(visit: Visit, measurement: Measurement) -> VisitResult:
     )
 
 
-def readings(results: Iterable[VisitResult]) -> list[Reading]:
+def readings(results: Iterable[VisitResult]) -> list[ChartReading]:
     """Volumes for the time line.
 
     One that is not comparable with the newest of its side is separate, with the reason, and not joined to the others.
@@ -120,7 +120,7 @@ def readings(results: Iterable[VisitResult]) -> list[Reading]:
         if apart:
             words += f". Not comparable with the newest: {apart}"
         made.append(
-            Reading(
+            ChartReading(
                 side.side, visit.taken_at, side.volume_cc, low, high, words, line=repr(side.basis), is_apart=bool(apart)
             )
         )

@@ -19,7 +19,7 @@ _NEWEST = 8  # patients that are offered before anything is typed
 
 
 @dataclass(frozen=True, slots=True)
-class Match:
+class PatientMatch:
     """A patient who matches a search."""
 
     patient: Patient
@@ -49,7 +49,7 @@ def search(text: str) -> QuerySet[Patient]:
     return patients
 
 
-def matches(text: str, *, leave_out: Patient | None = None) -> list[Match]:
+def matches(text: str, *, leave_out: Patient | None = None) -> list[PatientMatch]:
     """The first matches by name, at most one more than `MANY`.
 
     Args:
@@ -59,7 +59,7 @@ def matches(text: str, *, leave_out: Patient | None = None) -> list[Match]:
     return _with_visits(_without(search(text), leave_out)[: MANY + 1])
 
 
-def newest(*, leave_out: Patient | None = None) -> list[Match]:
+def newest(*, leave_out: Patient | None = None) -> list[PatientMatch]:
     """The patients who were entered last, shown before a search."""
     return _with_visits(_without(Patient.objects.order_by("-created"), leave_out)[:_NEWEST])
 
@@ -68,14 +68,14 @@ def _without(patients: QuerySet[Patient], leave_out: Patient | None) -> QuerySet
     return patients if leave_out is None else patients.exclude(pk=leave_out.pk)
 
 
-def _with_visits(patients: Iterable[Patient]) -> list[Match]:
+def _with_visits(patients: Iterable[Patient]) -> list[PatientMatch]:
     rows = list(patients)
     visits = Visit.objects.filter(patient__in=rows).order_by().values("patient")
     counted = {
         row["patient"]: (row["number"], row["last"])
         for row in visits.annotate(number=Count("pk"), last=Max("taken_at"))
     }
-    return [Match(row, *counted.get(row.pk, (0, None))) for row in rows]
+    return [PatientMatch(row, *counted.get(row.pk, (0, None))) for row in rows]
 
 
 def _on(days: Iterable[datetime.date]) -> Q:

@@ -20,8 +20,8 @@ from mammometry.clinic.intake.photographs import thumbnail_path
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Patient, Upload, Visit
 from mammometry.clinic.records import comparing
-from mammometry.clinic.records.charts import Event, Reading, time_line
-from mammometry.clinic.records.comparing import Verdict
+from mammometry.clinic.records.charts import ChartEvent, ChartReading, time_line
+from mammometry.clinic.records.comparing import ComparisonVerdict
 from mammometry.clinic.records.confirmations import CHANGED
 from mammometry.clinic.records.operations import sides_of
 from mammometry.clinic.records.results import VisitResult, age
@@ -87,14 +87,14 @@ def whole_percent(value: float) -> str:
 
 
 @register.simple_tag
-def change_since_the_visit_before(visit: Visit) -> Verdict | None:
+def change_since_the_visit_before(visit: Visit) -> ComparisonVerdict | None:
     """The verdict against the previous visit. None: there is none."""
     pair = next((pair for pair in comparing.neighbours(visit) if pair[1] == visit), None)
     return None if pair is None else queued(comparing.verdict(*pair))
 
 
 @register.simple_tag
-def changes_of(patient: Patient) -> list[Verdict]:
+def changes_of(patient: Patient) -> list[ComparisonVerdict]:
     """The verdicts from visit to visit, newest first."""
     visits = Visit.objects.filter(patient=patient).prefetch_related("measurements__volumes")
     return [queued(verdict) for verdict in comparing.changes(visits)]
@@ -113,7 +113,7 @@ def length_alone(length: dict[str, Any], date: str) -> str:
     return at_95(length[f"{date}_mm"], length["sigma_mm"], alone=True)
 
 
-def queued(verdict: Verdict) -> Verdict:
+def queued(verdict: ComparisonVerdict) -> ComparisonVerdict:
     """Queue a verdict's comparison if it is due, and return the verdict."""
     if verdict.state != "busy":
         return verdict
@@ -319,7 +319,7 @@ def moment(at: datetime.datetime | None) -> str:
 
 
 @register.inclusion_tag("clinic/time_line.html")
-def volumes_over_time(readings: list[Reading], events: list[Event], words: str) -> dict[str, Any]:
+def volumes_over_time(readings: list[ChartReading], events: list[ChartEvent], words: str) -> dict[str, Any]:
     """Volumes with their intervals over dates, for narrow and for wide screens."""
     charts = [
         ("narrow", time_line(readings, width=340, height=250, events=events)),

@@ -29,7 +29,7 @@ from mammometry.clinic.views.responses import form_page, person_of
 from mammometry.hospital.peers import Peer, web_address
 
 if TYPE_CHECKING:
-    from mammometry.hospital.dicom.worklist import Entry, Worklist
+    from mammometry.hospital.dicom.worklist import Worklist, WorklistEntry
 
 
 _SHOWN = 100  # newest deliveries
@@ -166,11 +166,11 @@ def _key(text: str) -> uuid.UUID:
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class WorklistLine:
     """One entry as the page shows it."""
 
     worklist: Destination
-    entry: Entry
+    entry: WorklistEntry
     name: str
     """Family name, given name."""
 
@@ -188,7 +188,7 @@ def worklist(request: HttpRequest) -> HttpResponse:
             continue
         for refusal in answer.refused:
             messages.error(request, str(refusal))
-        lines += [Line(source, entry, ", ".join(_names(entry))) for entry in answer.entries]
+        lines += [WorklistLine(source, entry, ", ".join(_names(entry))) for entry in answer.entries]
     context = {"lines": lines, "sources": _sources(), "rigs": Rig.objects.filter(active=True)}
     return render(request, "clinic/worklist.html", context)
 
@@ -252,7 +252,7 @@ def _begun(request: HttpRequest) -> HttpResponse:
     return redirect("visit", visit=visit.pk)
 
 
-def _patient(entry: Entry) -> Patient:
+def _patient(entry: WorklistEntry) -> Patient:
     """The entry's patient, not saved yet."""
     family, given = _names(entry)
     listed = entry.patient
@@ -265,7 +265,7 @@ def _is_same(known: Patient, listed: Patient) -> bool:
     return same_day and plain_name(known.family_name) == plain_name(listed.family_name)
 
 
-def _names(entry: Entry) -> tuple[str, str]:
+def _names(entry: WorklistEntry) -> tuple[str, str]:
     group = next(filter(None, entry.patient.name.split("=")), "")  # the others write the same name in other letters
     family, _, others = group.partition("^")
     return family.strip(), others.partition("^")[0].strip()

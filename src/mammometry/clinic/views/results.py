@@ -29,7 +29,7 @@ from mammometry.clinic.rig_history import may_queue
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.templatetags.pages import isolated, queued
 from mammometry.clinic.views.responses import download, not_now, person_of, sealed_page, visit_or_404
-from mammometry.editor.messages import Base, Breast, Message
+from mammometry.editor.messages import Base, Breast, EditorMessage
 from mammometry.editor.page import EditorPage, read, refusal
 from mammometry.io.drawn import Group, drawn_entries, entry_digest
 from mammometry.job.inputs import SubjectKind
@@ -39,7 +39,7 @@ _LOG = logging.getLogger(__name__)
 _KEPT = 4  # surfaces in memory, about 300 MB each
 
 
-class ShownItems(Message):
+class ShownItems(EditorMessage):
     """Versions of all items on the page.
 
     Name → digest (`entry_digest`), or None if not in the session.
@@ -49,7 +49,7 @@ class ShownItems(Message):
     landmarks: dict[str, Base]
 
 
-class FinishMessage(Message):
+class FinishMessage(EditorMessage):
     """Confirmation of all items on the page, in one step."""
 
     curves: dict[Breast, str]

@@ -24,8 +24,7 @@ from mammometry.clinic.site import the_clinic
 from mammometry.clinic.templatetags.pages import on_pages
 from mammometry.clinic.views.patients import chosen_patient, is_part, search_context
 from mammometry.clinic.views.responses import person_of
-from mammometry.io.meshes.scans import ABOUT, AXES, MTL, confirm_sides, read_scan
-from mammometry.io.meshes.scans import Scan as ScanFacts
+from mammometry.io.meshes.scans import ABOUT, AXES, MTL, ScanFacts, confirm_sides, read_scan
 from mammometry.io.outputs import write_outputs
 
 BODY_BYTES = 520 * 10**6

@@ -19,7 +19,7 @@ from django.http import FileResponse, HttpResponseBase, StreamingHttpResponse
 from django.http.cookie import parse_cookie
 from django.urls import Resolver404, resolve, set_script_prefix
 
-from mammometry.clinic.config import Limits
+from mammometry.clinic.config import RateLimits
 from mammometry.clinic.web.access import BODY_BYTES
 
 Scope = MutableMapping[str, Any]
@@ -51,7 +51,7 @@ class Limited:
         clock: seconds.
     """
 
-    def __init__(self, application: Any, limits: Limits, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, application: Any, limits: RateLimits, clock: Callable[[], float] = time.monotonic) -> None:
         self._application = application
         self._rate = float(limits.requests_per_second)
         self._request_s = float(limits.request_s)

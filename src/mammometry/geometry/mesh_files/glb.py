@@ -19,7 +19,7 @@ from mammometry.base.errors import SessionError
 from mammometry.base.parse import json_value
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
 from mammometry.geometry.mesh_files.colours import eight_bit
-from mammometry.geometry.mesh_files.scene import ANIMATED, GREY, HIDDEN, MIRRORED, Scene, ScenePart
+from mammometry.geometry.mesh_files.scene import ANIMATED, GREY, HIDDEN, MIRRORED, SceneContent, ScenePart
 
 _MAGIC, _VERSION = b"glTF", 2
 _JSON, _BIN = 0x4E4F534A, 0x004E4942  # kinds of chunks (specification, "Binary glTF Layout")
@@ -39,7 +39,7 @@ _LIGHT_ALONE = "KHR_materials_"  # extensions that affect the appearance only, n
 _ENDINGS = ((b"\xff\xd8", ".jpg"), (b"\x89PNG", ".png"), (b"RIFF", ".webp"))
 
 
-def read_glb(content: bytes, name: str) -> Scene:
+def read_glb(content: bytes, name: str) -> SceneContent:
     """Read the meshes of a GLB.
 
     Args:
@@ -85,7 +85,7 @@ class _Reader:
     pictures: dict[str, bytes] = field(default_factory=dict)
     remarks: list[str] = field(default_factory=list)
 
-    def scene(self) -> Scene:
+    def scene(self) -> SceneContent:
         self._check()
         drawn = list(self._drawn())
         count = sum(self._triangle_count(part) * len(places) for _, part, places in drawn)
@@ -94,7 +94,7 @@ class _Reader:
         parts = [self._part(node, part, place) for node, part, places in drawn for place in places]
         if self.table.get("animations"):
             self.remarks.append(ANIMATED)
-        return Scene(
+        return SceneContent(
             parts=tuple(parts), pictures=self.pictures, metres_per_unit=1.0,
             remarks=tuple(dict.fromkeys(self.remarks)),
         )  # fmt: skip

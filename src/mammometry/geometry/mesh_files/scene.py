@@ -36,7 +36,7 @@ class ScenePart:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Scene:
+class SceneContent:
     """Content of a GLB or USDZ."""
 
     parts: tuple[ScenePart, ...]

@@ -17,14 +17,14 @@ from mammometry.base.extras import require
 from mammometry.base.parse import error_text, require_file
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
 from mammometry.geometry.mesh_files.in_child import read_in_child
-from mammometry.geometry.mesh_files.scene import ANIMATED, GREY, HIDDEN, MIRRORED, SUBDIVIDED, Scene, ScenePart
+from mammometry.geometry.mesh_files.scene import ANIMATED, GREY, HIDDEN, MIRRORED, SUBDIVIDED, SceneContent, ScenePart
 
 _LAYERS = (".usd", ".usda", ".usdc")
 _PICTURES = (".png", ".jpg", ".jpeg")
 _NO_SURFACE = ("Points", "BasisCurves", "NurbsCurves", "HermiteCurves")  # nothing to be measured
 
 
-def read_usdz(path: Path, *, shape: bool = True) -> Scene:
+def read_usdz(path: Path, *, shape: bool = True) -> SceneContent:
     """Read the meshes of a USDZ in a child process.
 
     Args:
@@ -38,7 +38,7 @@ def read_usdz(path: Path, *, shape: bool = True) -> Scene:
     return read_in_child(parse_usdz, path, shape=shape)
 
 
-def parse_usdz(path: Path, *, shape: bool = True) -> Scene:
+def parse_usdz(path: Path, *, shape: bool = True) -> SceneContent:
     """Read the meshes of a USDZ in this process, as `read_usdz`: a damaged one may end it or hang it."""
     require_file(path, str(path), "a USDZ")
     require("usdz", "pxr")
@@ -52,7 +52,7 @@ def parse_usdz(path: Path, *, shape: bool = True) -> Scene:
     return read
 
 
-def _opened(path: Path, *, shape: bool) -> Scene | str:
+def _opened(path: Path, *, shape: bool) -> SceneContent | str:
     from pxr import Sdf, Usd, UsdGeom
 
     with tempfile.TemporaryDirectory(prefix="mammometry-") as unpacked:
@@ -77,7 +77,7 @@ def _opened(path: Path, *, shape: bool) -> Scene | str:
         remarks: list[str] = []
         if shape and (unread := _unread(stage)):
             return unread
-        return Scene(
+        return SceneContent(
             parts=tuple(_parts(stage, folder, pictures, remarks)) if shape else (),
             pictures=pictures,
             metres_per_unit=float(UsdGeom.GetStageMetersPerUnit(stage)) if stated else None,

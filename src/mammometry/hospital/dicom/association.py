@@ -8,7 +8,7 @@ from pydicom import Dataset
 from pynetdicom import AE, evt
 
 from mammometry.base.errors import ArchiveError, NotOfferedError
-from mammometry.hospital.peers import Peer, Tls
+from mammometry.hospital.peers import Peer, PeerTls
 
 OWN_TITLE = "MAMMOMETRY"
 _CONNECT_S = 10.0  # for the connection and its negotiation
@@ -22,7 +22,7 @@ def associated(
     contexts: Sequence[tuple[str, Sequence[str] | None]],
     *,
     own_title: str = OWN_TITLE,
-    tls: Tls | None = None,
+    tls: PeerTls | None = None,
     handlers: Sequence[Any] = (),
 ) -> Iterator[Any]:
     """Open an association, and release it at the end.
@@ -97,7 +97,7 @@ def lost(peer: Peer, when: str) -> ArchiveError:
     return ArchiveError(str(peer), found=f"a connection that ended {when}", expected="an answer", remedy=remedy)
 
 
-def echo(peer: Peer, *, own_title: str = OWN_TITLE, tls: Tls | None = None) -> None:
+def echo(peer: Peer, *, own_title: str = OWN_TITLE, tls: PeerTls | None = None) -> None:
     """Check that a DICOM application answers (C-ECHO).
 
     Raises:

@@ -11,7 +11,7 @@ from pydicom.sequence import Sequence
 from pydicom.uid import UID, ExplicitVRLittleEndian
 
 from mammometry.hospital.codes import Coded, uid
-from mammometry.hospital.exported import Exported, Order, Patient
+from mammometry.hospital.exported import Exported, ExportedPatient, Order
 
 _IMPLEMENTATION = uid("mammometry", "implementation")
 _NO_DAY = "19000101"  # if DICOM requires a date and none may be given
@@ -24,7 +24,7 @@ class Study:
     """One study: patient, order, and exported content."""
 
     exported: Exported
-    patient: Patient
+    patient: ExportedPatient
     order: Order
 
     @property

@@ -26,7 +26,7 @@ from mammometry.base.photograph import Photograph
 from mammometry.hospital.codes import BREAST, UNITS, Coded, uid
 from mammometry.hospital.dicom import structured
 from mammometry.hospital.dicom.frame import Study, begun, coded, encoded, finished
-from mammometry.hospital.exported import Exported, Order, Patient, Side, as_patient_id, person_name
+from mammometry.hospital.exported import Exported, ExportedPatient, Order, Side, as_patient_id, person_name
 from mammometry.io.photographs.tags import Jpeg, without_tags
 
 
@@ -277,7 +277,7 @@ def _named(target: Dataset, name: str) -> Dataset:
     return item
 
 
-def objects(exported: Exported, patient: Patient = Patient(), order: Order = Order()) -> list[Dataset]:
+def objects(exported: Exported, patient: ExportedPatient = ExportedPatient(), order: Order = Order()) -> list[Dataset]:
     """Make the objects of a session, one series per kind.
 
     The same session, patient and order give the same bytes.
@@ -288,9 +288,9 @@ def objects(exported: Exported, patient: Patient = Patient(), order: Order = Ord
         order: the order.
     """
     if exported.deidentified:
-        patient, order = Patient(id=f"anonymous-{exported.source[:12]}", name="Anonymous^"), Order()
+        patient, order = ExportedPatient(id=f"anonymous-{exported.source[:12]}", name="Anonymous^"), Order()
     elif not patient.id:
-        patient = Patient(
+        patient = ExportedPatient(
             id=as_patient_id(exported.subject),
             name=patient.name or person_name(exported.subject)[:64],
             born=patient.born,

@@ -16,7 +16,7 @@ from mammometry.base.errors import ArchiveError, NotOfferedError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.hospital.codes import uid
 from mammometry.hospital.dicom.association import OWN_TITLE, accepts, associated, comment, found_by, lost
-from mammometry.hospital.peers import Peer, Tls
+from mammometry.hospital.peers import Peer, PeerTls
 
 _FULL = range(0xA700, 0xA800)  # PS3.4, B.2.3: out of resources
 _WARNINGS = range(0xB000, 0xC000)  # stored, with a warning
@@ -39,7 +39,7 @@ def send(
     peer: Peer,
     *,
     own_title: str = OWN_TITLE,
-    tls: Tls | None = None,
+    tls: PeerTls | None = None,
     progress: Progress = no_progress,
 ) -> Sent:
     """Send objects of one study.
@@ -135,7 +135,7 @@ def committed(
     peer: Peer,
     *,
     own_title: str = OWN_TITLE,
-    tls: Tls | None = None,
+    tls: PeerTls | None = None,
     listen: int | None = None,
     answer_s: float = _ANSWER_S,
 ) -> bool | None:
@@ -209,7 +209,7 @@ def _question(made: Sequence[Dataset], transaction: str) -> Dataset:
     return question
 
 
-def _listening(port: int, own_title: str, tls: Tls | None, handlers: list[Any]) -> Any:
+def _listening(port: int, own_title: str, tls: PeerTls | None, handlers: list[Any]) -> Any:
     """A server for the archive's answer, which comes on a separate connection."""
     import ssl
 

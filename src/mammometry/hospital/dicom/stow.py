@@ -15,7 +15,7 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.hospital.codes import uid
 from mammometry.hospital.dicom.frame import encoded
 from mammometry.hospital.dicom.store import Sent
-from mammometry.hospital.peers import AUTHORIZATION, Tls, require_encrypted, web_address
+from mammometry.hospital.peers import AUTHORIZATION, PeerTls, require_encrypted, web_address
 
 _ANSWER_S = 120.0  # wait for an answer, s; long enough for archives that index before they answer
 _MOST_ANSWER = 16 << 20  # bytes of an answer
@@ -27,7 +27,7 @@ def stow(
     made: Sequence[Dataset],
     url: str,
     *,
-    tls: Tls | None = None,
+    tls: PeerTls | None = None,
     authorization: str | None = None,
     progress: Progress = no_progress,
 ) -> Sent:
@@ -53,7 +53,7 @@ def stow(
     return Sent(sent=len(missing), stored=len(made) - len(missing))
 
 
-def answers(url: str, *, tls: Tls | None = None, authorization: str | None = None) -> None:
+def answers(url: str, *, tls: PeerTls | None = None, authorization: str | None = None) -> None:
     """Check that a DICOMweb service answers, by a search that finds nothing.
 
     Raises:
@@ -72,7 +72,7 @@ class _Service:
     authorization: str | None
 
 
-def _service(url: str, tls: Tls | None, authorization: str | None) -> _Service:
+def _service(url: str, tls: PeerTls | None, authorization: str | None) -> _Service:
     base = web_address(url)
     if authorization:
         require_encrypted(base)

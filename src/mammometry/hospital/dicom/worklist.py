@@ -13,18 +13,18 @@ from pynetdicom.sop_class import ModalityWorklistInformationFind  # type: ignore
 from mammometry.base.errors import ArchiveError, SettingsError
 from mammometry.hospital.codes import text_fault
 from mammometry.hospital.dicom.association import OWN_TITLE, associated, found_by
-from mammometry.hospital.exported import Order, Patient, Sex
-from mammometry.hospital.peers import Peer, Tls
+from mammometry.hospital.exported import ExportedPatient, Order, Sex
+from mammometry.hospital.peers import Peer, PeerTls
 
 _DESCRIPTION = 64  # letters that DICOM allows in a procedure's description; the rest is cut off
 _SEXES: dict[str, Sex] = {"F": "F", "M": "M", "O": "O"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Entry:
+class WorklistEntry:
     """One line of a worklist."""
 
-    patient: Patient
+    patient: ExportedPatient
     order: Order
     planned: datetime.date | None
     """Planned day."""
@@ -34,7 +34,7 @@ class Entry:
 class Worklist:
     """Entries of a worklist, and unusable ones with the reason."""
 
-    entries: tuple[Entry, ...]
+    entries: tuple[WorklistEntry, ...]
     refused: tuple[ArchiveError, ...] = ()
     """One per entry with text that DICOM does not allow, such as an id with a backslash."""
 
@@ -47,7 +47,7 @@ def entries(
     day: datetime.date | None = None,
     modality: str = "",
     own_title: str = OWN_TITLE,
-    tls: Tls | None = None,
+    tls: PeerTls | None = None,
 ) -> Worklist:
     """Query a worklist. Empty arguments match everything.
 
@@ -81,7 +81,7 @@ def entries(
 
 def read_answers(answers: Sequence[Dataset], peer: Peer) -> Worklist:
     """Read answers of a worklist, and separate those that cannot be used."""
-    usable: list[Entry] = []
+    usable: list[WorklistEntry] = []
     refused: list[ArchiveError] = []
     for answer in answers:
         try:
@@ -96,7 +96,7 @@ def read_answers(answers: Sequence[Dataset], peer: Peer) -> Worklist:
     return Worklist(entries=tuple(usable), refused=tuple(refused))
 
 
-def only_entry(worklist: Worklist, peer: Peer, query: str) -> Entry:
+def only_entry(worklist: Worklist, peer: Peer, query: str) -> WorklistEntry:
     """Return the only entry of a worklist's answer.
 
     Raises:
@@ -114,14 +114,14 @@ def only_entry(worklist: Worklist, peer: Peer, query: str) -> Entry:
     return worklist.entries[0]
 
 
-def entry(answer: Dataset) -> Entry:
+def entry(answer: Dataset) -> WorklistEntry:
     """Read one answer. Missing values and invalid dates are empty.
 
     Raises:
         SettingsError: text that DICOM does not allow.
     """
     steps = answer.get("ScheduledProcedureStepSequence") or [Dataset()]
-    patient = Patient(
+    patient = ExportedPatient(
         id=_text(answer, "PatientID"),
         name=_text(answer, "PatientName"),
         born=_day(_text(answer, "PatientBirthDate")),
@@ -136,7 +136,7 @@ def entry(answer: Dataset) -> Entry:
             _text(answer, "RequestedProcedureDescription") or _text(steps[0], "ScheduledProcedureStepDescription")
         )[:_DESCRIPTION],
     )
-    return Entry(patient=patient, order=order, planned=_day(_text(steps[0], "ScheduledProcedureStepStartDate")))
+    return WorklistEntry(patient=patient, order=order, planned=_day(_text(steps[0], "ScheduledProcedureStepStartDate")))
 
 
 def _text(dataset: Dataset, name: str) -> str:

@@ -19,7 +19,7 @@ from mammometry.base.parse import read_text, toml_table
 from mammometry.base.value import value
 from mammometry.io.drawn import BOUNDARIES, LANDMARK_FILE
 from mammometry.io.manifest import MANIFEST
-from mammometry.io.meshes.scans import MESH, RESULTS, Scan, is_scan, read_scan
+from mammometry.io.meshes.scans import MESH, RESULTS, ScanFacts, is_scan, read_scan
 from mammometry.io.outputs import write_output
 from mammometry.io.write import disk_errors, file_digest, write_text
 
@@ -69,7 +69,7 @@ class MeshFiles:
     """``standing``, ``leaning`` or ``lying``. Empty: that of the scan's folder."""
     sides_checked: bool = False
     """Whether a person has confirmed that left and right of the mesh are the patient's."""
-    scan: Scan | None = None
+    scan: ScanFacts | None = None
     """Description of an imported scan. None: the mesh was not imported."""
     also: tuple[Path, ...] = ()
     """Further scans of the same visit and posture, in the same unit, which are merged with `mesh`."""

@@ -61,7 +61,7 @@ _MARK_BYTES = 4  # length of the longest mark
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scan:
+class ScanFacts:
     """Metadata of a scan."""
 
     scanner: str
@@ -88,7 +88,7 @@ class Scan:
 
 def import_scan(
     mesh: Path,
-    about: Scan,
+    about: ScanFacts,
     *,
     units: str | None = None,
     texture: bool = True,
@@ -147,7 +147,7 @@ def _read(
     return files, foreign
 
 
-def scan_text(scan: Scan) -> str:
+def scan_text(scan: ScanFacts) -> str:
     """Content of scan.toml."""
     made = {
         "format": 1, "scanner": scan.scanner.strip(), "units": scan.units, "head": scan.head, "ahead": scan.ahead,
@@ -191,7 +191,7 @@ def _check_written(mesh: Path, files: Mapping[str, bytes], foreign: ForeignMesh)
 
 
 def skin_colours(
-    folder: Path, scan: Scan, points_mm: Float64[Array, "n 3"], otherwise: UInt8[Array, "n 3"]
+    folder: Path, scan: ScanFacts, points_mm: Float64[Array, "n 3"], otherwise: UInt8[Array, "n 3"]
 ) -> UInt8[Array, "n 3"]:
     """Colours of a scan's pictures at points of its skin, more detailed than those of its vertices.
 
@@ -217,7 +217,7 @@ def is_scan(folder: Path) -> bool:
     return (folder / ABOUT).is_file() and (folder / MESH).is_file()
 
 
-def read_scan(folder: Path) -> Scan:
+def read_scan(folder: Path) -> ScanFacts:
     """Metadata from a scan's folder.
 
     Raises:
@@ -240,7 +240,7 @@ def read_scan(folder: Path) -> Scan:
             str(path), found="invalid tables under also", expected="a table for each further scan, as import writes it",
             remedy="Import the meshes again: mammometry import mesh --also",
         )  # fmt: skip
-    made = Scan(**read, remarks=tuple(map(str, remarks)) if isinstance(remarks, list) else (), also=also)
+    made = ScanFacts(**read, remarks=tuple(map(str, remarks)) if isinstance(remarks, list) else (), also=also)
     _check(made)
     return made
 
@@ -255,7 +255,7 @@ def confirm_sides(folder: Path) -> None:
     write_text(folder / ABOUT, scan_text(replace(read_scan(folder), sides=_CHECKED)))
 
 
-def _check(about: Scan) -> None:
+def _check(about: ScanFacts) -> None:
     name = about.scanner.strip()
     if not name or len(name) > _LONGEST or not name.isprintable():
         raise SessionError(

@@ -16,7 +16,7 @@ from mammometry.geometry import Array, Float64, TriangleMesh, UInt8
 from mammometry.geometry.mesh_files.glb import read_glb
 from mammometry.geometry.mesh_files.in_child import read_in_child
 from mammometry.geometry.mesh_files.obj import ObjFile, ObjPart, obj_text, parse_obj
-from mammometry.geometry.mesh_files.scene import Scene, ScenePart
+from mammometry.geometry.mesh_files.scene import SceneContent, ScenePart
 from mammometry.geometry.mesh_files.usdz import read_usdz
 
 _MOST_MIB = 1024  # largest OBJ: ten million triangles as text; scanners write a hundredth
@@ -164,7 +164,7 @@ def covered_parts(path: Path, folder: Path, limits: LimitSettings) -> Path | Non
     return folder / "a.obj"
 
 
-def _parse_glb(path: Path) -> Scene:
+def _parse_glb(path: Path) -> SceneContent:
     content = read_bytes(path, path.name, "a GLB", most_mib=_MOST_MIB_OF_GLB)
     try:
         return read_glb(content, path.name)

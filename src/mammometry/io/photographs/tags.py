@@ -18,7 +18,7 @@ _LONGEST = 64  # most characters of a text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Exposure:
+class PhotographTags:
     """Camera and time of a photograph, from its metadata."""
 
     serial: str = ""
@@ -29,7 +29,7 @@ class Exposure:
     """Time by the camera's clock, seconds since 1970; in UTC only if the camera records its time zone."""
 
 
-def read_exposure(path: Path) -> Exposure:
+def read_exposure(path: Path) -> PhotographTags:
     """Read the camera and time of a photograph. Missing or damaged tags are left empty.
 
     Raises:
@@ -43,8 +43,8 @@ def read_exposure(path: Path) -> Exposure:
     except OSError:
         raise
     except Exception:  # damaged tags may raise any exception
-        return Exposure()
-    return Exposure(
+        return PhotographTags()
+    return PhotographTags(
         serial=_text(about.get(_SERIAL)),
         model=" ".join(filter(None, words)),
         taken_s=_moment(_text(about.get(_TAKEN)), _text(about.get(_FRACTION)), _text(about.get(_OFFSET))),

@@ -49,7 +49,7 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "matching.match:DisparityMap": "mammometry.matching.dense.match:DisparityMap",
         "matching.subjects:Subjects": "mammometry.matching.foreground.all_cameras:Subjects",
         "measure.anthropometry:Dimensions": "mammometry.measure.shape.anthropometry:Dimensions",
-        "measure.body:Body": "mammometry.measure.trunk.body:Body",
+        "measure.body:Body": "mammometry.measure.trunk.body:BodyDirections",
         "measure.boundary:Boundary": "mammometry.measure.boundary.boundary:Boundary",
         "measure.boundary:NoBreast": "mammometry.measure.boundary.breasts:NoBreast",
         "measure.boundary:Standing": "mammometry.measure.boundary.prominence:Prominence",

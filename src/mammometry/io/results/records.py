@@ -50,7 +50,7 @@ class FileRecord(BaseModel):
     sha256: Digest
 
 
-class Record(BaseModel):
+class ProductRecord(BaseModel):
     """Inputs of a product, and its files."""
 
     model_config = _STRICT
@@ -77,7 +77,7 @@ class Ready(BaseModel):
 
     stage: Stage
     product: ProductName
-    record: Record
+    record: ProductRecord
 
     @model_validator(mode="after")
     def _key_fits(self) -> Self:
@@ -101,7 +101,7 @@ class Ready(BaseModel):
 class StageRecords(NamedTuple):
     """Content of a stage's provenance.json."""
 
-    records: dict[str, Record]
+    records: dict[str, ProductRecord]
     """Product → record, of all valid ones."""
     invalid: list[str]
     """Names of invalid ones; ``provenance.json`` itself if it cannot be read or was changed."""
@@ -120,7 +120,7 @@ def read_records(folder: Path) -> StageRecords:
         products = dict(table["products"])
     except _UNREADABLE:
         return StageRecords({}, [RECORDS], has_digest=False)
-    records: dict[str, Record] = {}
+    records: dict[str, ProductRecord] = {}
     invalid: list[str] = []
     for name, entry in products.items():
         try:
@@ -132,7 +132,7 @@ def read_records(folder: Path) -> StageRecords:
     return StageRecords(records, invalid, has_digest)
 
 
-def write_records(stage: str, records: dict[str, Record]) -> bytes:
+def write_records(stage: str, records: dict[str, ProductRecord]) -> bytes:
     """Content of a stage's provenance.json."""
     products = {name: record.model_dump() for name, record in sorted(records.items())}
     return sealed({"format": _FORMAT, "stage": stage, "products": products})

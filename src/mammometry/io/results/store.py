@@ -32,8 +32,8 @@ from mammometry.io.results.records import (
     READY_RECORD,
     RECORDS,
     FileRecord,
+    ProductRecord,
     Ready,
-    Record,
     file_of,
     is_link,
     is_own_folder,
@@ -76,7 +76,7 @@ class Store:
         self._lock = RunLock(folder)
         self._depth = 0
         self._mutex = threading.RLock()
-        self._records: dict[str, dict[str, Record]] = {}
+        self._records: dict[str, dict[str, ProductRecord]] = {}
         self._digests: dict[Path, tuple[_Identity, str]] = {}
 
     @property
@@ -187,7 +187,7 @@ class Store:
         """Whether all products are current, so that nothing has to be written."""
         return all(state == "current" for state in self.states(keys))
 
-    def record(self, key: Key) -> Record | None:
+    def record(self, key: Key) -> ProductRecord | None:
         """A product's record in provenance.json. None without a valid one."""
         return self._stage_records(key.stage).get(key.product)
 
@@ -284,7 +284,7 @@ class Store:
                     for path in sorted(stage.rglob("*"))
                     if path.is_file()
                 }
-                record = Record(
+                record = ProductRecord(
                     key=key.digest,
                     subject=self.subject,
                     version=key.version,
@@ -343,13 +343,13 @@ class Store:
             sync_folder(folder.parent)
         return folder
 
-    def _remove_superseded(self, stage: str, old: Record | None, kept: set[str]) -> None:
+    def _remove_superseded(self, stage: str, old: ProductRecord | None, kept: set[str]) -> None:
         """Remove files of the product's earlier version that were not replaced, unless they were changed since."""
         for name, written in {} if old is None else old.files.items():
             if name not in kept and self._is_as_written(self.folder, stage, name, written):
                 (self.folder / stage / name).unlink()
 
-    def _stage_records(self, stage: str) -> dict[str, Record]:
+    def _stage_records(self, stage: str) -> dict[str, ProductRecord]:
         with self._mutex:
             if stage not in self._records:
                 self._records[stage], invalid, _ = read_records(self.folder / stage)
@@ -388,7 +388,7 @@ def _identity(status: os.stat_result) -> _Identity:
     return status.st_size, status.st_mtime_ns, status.st_ino, status.st_ctime_ns
 
 
-def _names(records: dict[str, Record]) -> set[str]:
+def _names(records: dict[str, ProductRecord]) -> set[str]:
     return {name for record in records.values() for name in record.files}
 
 

@@ -22,9 +22,9 @@ if TYPE_CHECKING:  # the stages import compilers and image libraries, which a pl
     from mammometry.measure.shape.anthropometry import Dimensions
     from mammometry.measure.shape.body_size import BodySize
     from mammometry.measure.shape.symmetry import Symmetry
-    from mammometry.measure.trunk.body import Body
+    from mammometry.measure.trunk.body import BodyDirections
     from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
-    from mammometry.measure.volume.uncertainty import Evidence
+    from mammometry.measure.volume.uncertainty import VolumeEvidence
     from mammometry.measure.volume.unseen_space import Bound
     from mammometry.measure.wall.open_breast import OpenBreast
     from mammometry.surface.motion.motion_detection import MotionEstimate
@@ -39,7 +39,7 @@ def are_breasts_sought(inputs: Inputs, settings: Settings) -> bool:
     return inputs.subject_kind == "torso" and settings.measure.boundary != "landmarks" and bool(wanted)
 
 
-def _frame(cameras: CameraSet, job: Context, body: Body | None = None) -> Float64[Array, "3 3"]:
+def _frame(cameras: CameraSet, job: Context, body: BodyDirections | None = None) -> Float64[Array, "3 3"]:
     """Unit vectors (rows): left, up, ahead. The body's own, or the cameras'."""
     from mammometry.measure.trunk.body import rig_frame
 
@@ -121,7 +121,7 @@ def body(
     boundaries: tuple[Boundary, ...],
     *,
     job: Context,
-) -> Body:
+) -> BodyDirections:
     """Axes (left, up, ahead) and mid-sagittal plane of a torso, determined without the breasts."""
     from mammometry.measure.trunk.body import find_body
 
@@ -133,7 +133,7 @@ def body(
 
 @product("measure", large=True)
 def breasts(
-    repaired: RepairedSurface, boundaries: tuple[Boundary, ...], body: Body | None, *, job: Context
+    repaired: RepairedSurface, boundaries: tuple[Boundary, ...], body: BodyDirections | None, *, job: Context
 ) -> tuple[OpenBreast, ...]:
     """Each breast, cut out along its boundary and still open at the back."""
     from mammometry.measure.wall.open_breast import open_breasts
@@ -143,7 +143,7 @@ def breasts(
 
 
 @product("measure", version=1, settings="measure", threads=1)
-def size(repaired: RepairedSurface, breasts: tuple[OpenBreast, ...], body: Body, *, job: Context) -> BodySize:
+def size(repaired: RepairedSurface, breasts: tuple[OpenBreast, ...], body: BodyDirections, *, job: Context) -> BodySize:
     """Lengths of a torso that reveal a wrong scale."""
     from mammometry.measure.shape.body_lengths import find_body_size
 
@@ -177,13 +177,13 @@ def evidence(
     walk_motion: WalkMotion | None,
     *,
     job: Context,
-) -> Evidence:
+) -> VolumeEvidence:
     """Results of earlier stages that determine the errors of a volume.
 
     Views are used for casts only, which are round where they are not seen. A patient's folds are closed too far
     outside, and no view shows how deep the skin is (docs/decisions/0043).
     """
-    from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence, movement_of
+    from mammometry.measure.volume.uncertainty import EarlierErrors, VolumeEvidence, movement_of
 
     scale_std, walk = job.inputs.scale_std, job.inputs.walk
     if walk is not None:
@@ -193,7 +193,7 @@ def evidence(
         earlier = EarlierErrors(scale_std=scale_std)
     else:
         earlier = earlier_errors(calibration)
-    return Evidence(
+    return VolumeEvidence(
         views=views or (),
         earlier=earlier,
         movement=None if stillness is None else movement_of(stillness, corrected_cameras.rig),
@@ -211,7 +211,7 @@ def measurements(
     breasts: tuple[OpenBreast, ...],
     size: BodySize | None,
     overlaps: tuple[Overlap, ...] | None,
-    evidence: Evidence,
+    evidence: VolumeEvidence,
     *,
     job: Context,
 ) -> tuple[VolumeMeasurement, ...]:
@@ -257,7 +257,7 @@ def absent(
     repaired: RepairedSurface,
     sides: TorsoSides | None,
     breasts: tuple[OpenBreast, ...],
-    body: Body,
+    body: BodyDirections,
     measurements: tuple[VolumeMeasurement, ...],
     overlaps: tuple[Overlap, ...],
     *,
@@ -279,7 +279,7 @@ def absent(
 
 @product("measure", version=4, settings="measure", threads=1)
 def lacking(
-    repaired: RepairedSurface, measurements: tuple[VolumeMeasurement, ...], body: Body, *, job: Context
+    repaired: RepairedSurface, measurements: tuple[VolumeMeasurement, ...], body: BodyDirections, *, job: Context
 ) -> tuple[VolumeDeficit, ...]:
     """Volume by which the smaller breast of a torso is smaller than the mirrored larger one."""
     from mammometry.measure.volume.deficit import volume_deficit
@@ -296,7 +296,7 @@ def landmarks(
     mesh: FinishedSurface,
     boundaries: tuple[Boundary, ...],
     measurements: tuple[VolumeMeasurement, ...],
-    body: Body | None,
+    body: BodyDirections | None,
     *,
     job: Context,
 ) -> tuple[Landmark, ...]:
@@ -312,7 +312,7 @@ def symmetry(
     corrected_cameras: CameraSet,
     mesh: FinishedSurface,
     measurements: tuple[VolumeMeasurement, ...],
-    body: Body | None,
+    body: BodyDirections | None,
     *,
     job: Context,
 ) -> Symmetry | None:
@@ -332,7 +332,7 @@ def dimensions(
     corrected_cameras: CameraSet,
     mesh: FinishedSurface,
     measurements: tuple[VolumeMeasurement, ...],
-    body: Body | None,
+    body: BodyDirections | None,
     landmarks: tuple[Landmark, ...],
     boundaries: tuple[Boundary, ...],
     *,

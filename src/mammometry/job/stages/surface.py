@@ -16,7 +16,7 @@ if TYPE_CHECKING:  # the stages import compilers and image libraries, which a pl
     from mammometry.matching.dense.match import DisparityMap
     from mammometry.matching.foreground.all_cameras import Subjects
     from mammometry.matching.foreground.foreground import Foreground
-    from mammometry.surface.fusion.fuse import Solid
+    from mammometry.surface.fusion.fuse import FusedField
     from mammometry.surface.motion.agreement import RowErrors
     from mammometry.surface.motion.motion_detection import MotionEstimate
     from mammometry.surface.occlusion import Occlusion
@@ -185,7 +185,7 @@ def solid(
     subjects: Subjects | None,
     *,
     job: Context,
-) -> Solid | None:
+) -> FusedField | None:
     """Solid from range data and silhouettes (paper 2.5). None for an open surface."""
     from mammometry.matching.foreground.outlines_first import outlines_first
     from mammometry.surface import occlusion
@@ -204,7 +204,7 @@ def _extraction(job: Context) -> object:
 
 
 @product("surface", version=10, name="first", settings=_extraction, inputs=("subject",), large=True)
-def initial_surface(valid_patches: ValidPatches, solid: Solid | None, *, job: Context) -> TriangleMesh:
+def initial_surface(valid_patches: ValidPatches, solid: FusedField | None, *, job: Context) -> TriangleMesh:
     """The first surface: the zero level of the views' averaged signed distances. Paper 2.5."""
     from mammometry.surface.fusion import fuse as extract
 

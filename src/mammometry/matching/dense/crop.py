@@ -4,8 +4,8 @@ import numpy as np
 from scipy import ndimage
 
 from mammometry.geometry.arrays import Array, Bool
-from mammometry.matching.dense.least_squares import Solved
-from mammometry.matching.dense.least_squares_step import DOUBTED_DEVIATION_PX, Both, Estimate
+from mammometry.matching.dense.least_squares import LevelResult
+from mammometry.matching.dense.least_squares_step import DOUBTED_DEVIATION_PX, Both, MatchEstimate
 from mammometry.matching.foreground.block_segmentation import large_parts
 from mammometry.matching.pyramid import Level, finer_mask
 
@@ -17,7 +17,9 @@ Window = tuple[slice, slice]
 """Rows and columns."""
 
 
-def worth_matching(matches: Both[Estimate], masks: Both[Bool[Array, "h w"]]) -> tuple[Both[Bool[Array, "h w"]], Window]:
+def worth_matching(
+    matches: Both[MatchEstimate], masks: Both[Bool[Array, "h w"]]
+) -> tuple[Both[Bool[Array, "h w"]], Window]:
     """Masks of the coarsest level that are kept for finer levels, and their rows and columns.
 
     If both images show one subject, these are the masks themselves. In a cluttered scene most pixels have no match;
@@ -76,15 +78,15 @@ def _cut(level: Level, mask: Bool[Array, "h w"], part: Window) -> Level:
     return Level(image=np.ascontiguousarray(level.image[part]), mask=np.ascontiguousarray((level.mask & mask)[part]))
 
 
-def cut_solved(solved: Solved, window: Window, level: int) -> Solved:
+def cut_solved(solved: LevelResult, window: Window, level: int) -> LevelResult:
     """A level's results within a window. Both images are cropped alike, so shifts are unchanged."""
 
-    def one(match: Estimate) -> Estimate:
-        return Estimate(
-            **{name: np.ascontiguousarray(getattr(match, name)[window]) for name in Estimate.__dataclass_fields__}
+    def one(match: MatchEstimate) -> MatchEstimate:
+        return MatchEstimate(
+            **{name: np.ascontiguousarray(getattr(match, name)[window]) for name in MatchEstimate.__dataclass_fields__}
         )
 
-    return Solved(
+    return LevelResult(
         matches=(one(solved.matches[0]), one(solved.matches[1])),
         shifts=(np.ascontiguousarray(solved.shifts[0][window]), np.ascontiguousarray(solved.shifts[1][window])),
         vertical=solved.vertical.cut(window, level),

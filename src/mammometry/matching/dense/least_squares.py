@@ -19,7 +19,7 @@ from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.matching.dense.least_squares_step import (
     LARGEST_VARIANCE_PX2,
     Both,
-    Estimate,
+    MatchEstimate,
     Side,
     agreeing,
     compete,
@@ -151,10 +151,10 @@ class LevelStart:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Solved:
+class LevelResult:
     """Result of a level."""
 
-    matches: Both[Estimate]
+    matches: Both[MatchEstimate]
     """Matches of the last step."""
     shifts: Both[Float32[Array, "h w"]]
     """Smoothed. On the finest level: the start of the last step."""
@@ -174,7 +174,7 @@ def solve_level(
     vertical: Vertical,
     settings: MatchSettings,
     pool: Executor,
-) -> Solved:
+) -> LevelResult:
     """Improve both directions' shifts on one level, with smoothing.
 
     The last level has one more step with wide windows, followed by `finally_smoothed`.
@@ -185,7 +185,9 @@ def solve_level(
     shifts = (known[0].shift, known[1].shift)
     scale = LAST_SMOOTHING_PX if work.last else _COARSE_SMOOTHING_PX
 
-    def smoothed(found: Estimate, mask: Bool[Array, "h w"], before: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
+    def smoothed(
+        found: MatchEstimate, mask: Bool[Array, "h w"], before: Float32[Array, "h w"]
+    ) -> Float32[Array, "h w"]:
         return smooth(found.shift, smoothing_weights(found.variance, found.plausible, mask), scale, before)
 
     for index in range(work.steps):
@@ -202,7 +204,7 @@ def solve_level(
             del matches  # freed before the next ones are computed: they are large
     if work.last:
         matches = _stepped((left, right), shifts, known, settings, pool, widely=True)
-    return Solved(matches=matches, shifts=shifts, vertical=vertical)
+    return LevelResult(matches=matches, shifts=shifts, vertical=vertical)
 
 
 def initial(shifts: Both[Float32[Array, "h w"]], masks: Both[Bool[Array, "h w"]]) -> Both[LevelStart]:
@@ -221,7 +223,7 @@ def initial(shifts: Both[Float32[Array, "h w"]], masks: Both[Bool[Array, "h w"]]
     return one(0), one(1)
 
 
-def upsampled(solved: Solved, agreement_px: float, shape_hw: tuple[int, int]) -> Both[LevelStart]:
+def upsampled(solved: LevelResult, agreement_px: float, shape_hw: tuple[int, int]) -> Both[LevelStart]:
     """A level's result for the next finer level: smoothed fields, their uncertainty, accepted matches."""
     (left, right), (ours, theirs) = solved.matches, solved.shifts
     return (
@@ -231,7 +233,7 @@ def upsampled(solved: Solved, agreement_px: float, shape_hw: tuple[int, int]) ->
 
 
 def upsampled_start(
-    matches: Estimate, shift: Float32[Array, "h w"], agrees: Bool[Array, "h w"], shape_hw: tuple[int, int]
+    matches: MatchEstimate, shift: Float32[Array, "h w"], agrees: Bool[Array, "h w"], shape_hw: tuple[int, int]
 ) -> LevelStart:
     """One direction's result for the next finer level. `agrees`: the other one confirms `shift`."""
     return LevelStart(
@@ -251,11 +253,11 @@ def _stepped(
     pool: Executor,
     *,
     widely: bool,
-) -> Both[Estimate]:
+) -> Both[MatchEstimate]:
     """One least-squares step of both directions. Failed matches are replaced by known ones."""
     sigma = settings.window_sigma_px
 
-    def one(here: Side, there: Side, shift: Float32[Array, "h w"]) -> Estimate:
+    def one(here: Side, there: Side, shift: Float32[Array, "h w"]) -> MatchEstimate:
         return step(here, there, shift, sigma, widely=widely)
 
     found = both(pool, one, sides, (sides[1], sides[0]), shifts)
@@ -265,7 +267,7 @@ def _stepped(
     return both(pool, judged, found, agree, known)
 
 
-def judged(ours: Estimate, agrees: Bool[Array, "h w"], known: LevelStart) -> Estimate:
+def judged(ours: MatchEstimate, agrees: Bool[Array, "h w"], known: LevelStart) -> MatchEstimate:
     """Replace failed or disagreeing matches by known ones. The arrays are changed in place."""
     plausible = np.logical_and(ours.plausible, agrees, out=agrees)
     fine = (ours.shift, ours.step, ours.correlation, ours.variance, plausible)
@@ -274,7 +276,7 @@ def judged(ours: Estimate, agrees: Bool[Array, "h w"], known: LevelStart) -> Est
 
 
 def finally_smoothed(
-    found: Estimate, mask: Bool[Array, "h w"], before: Float32[Array, "h w"], settings: MatchSettings
+    found: MatchEstimate, mask: Bool[Array, "h w"], before: Float32[Array, "h w"], settings: MatchSettings
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
     """A direction's smoothed shifts and their expected variances.
 

@@ -137,7 +137,7 @@ class Side:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Estimate:
+class MatchEstimate:
     """Matches of one direction, before smoothing."""
 
     shift: Float32[Array, "h w"]
@@ -174,7 +174,7 @@ def prepare_side(level: Level, sigma_px: float) -> Side:
     return Side(image=image, coefficients=coefficients, mask=level.mask)
 
 
-def step(here: Side, there: Side, shift: Float32[Array, "h w"], sigma_px: float, *, widely: bool) -> Estimate:
+def step(here: Side, there: Side, shift: Float32[Array, "h w"], sigma_px: float, *, widely: bool) -> MatchEstimate:
     """Improve a direction's shifts by one least-squares step.
 
     Near depth jumps only neighbours on the pixel's own layer are used. With `widely`, a window of twice the width is
@@ -188,7 +188,7 @@ def step(here: Side, there: Side, shift: Float32[Array, "h w"], sigma_px: float,
         ratio=slope_ratio(here.coefficients, here.mask, there.coefficients, there.mask, shift),
         beside=beside_jump(shift, here.mask, len(gaussian_taps(sigma_px)) // 2),
     )
-    result = Estimate(
+    result = MatchEstimate(
         shift=np.empty((height, width), dtype=np.float32),
         step=np.empty((height, width), dtype=np.float32),
         correlation=np.empty((height, width), dtype=np.float32),
@@ -198,12 +198,12 @@ def step(here: Side, there: Side, shift: Float32[Array, "h w"], sigma_px: float,
     for top in range(0, height, _BAND_ROWS):
         band = slice(top, min(top + _BAND_ROWS, height))
         found = _step_of_band(warp, band, sigma_px, widely=widely)
-        for name in Estimate.__dataclass_fields__:
+        for name in MatchEstimate.__dataclass_fields__:
             getattr(result, name)[band] = getattr(found, name)
     return result
 
 
-def _step_of_band(warp: _Warp, band: slice, sigma_px: float, *, widely: bool) -> Estimate:
+def _step_of_band(warp: _Warp, band: slice, sigma_px: float, *, widely: bool) -> MatchEstimate:
     """`step` for the rows of a band."""
     here, there, shift = warp.here, warp.there, warp.shift
     taps, wide_taps = gaussian_taps(sigma_px), gaussian_taps(_WIDER * sigma_px)
@@ -218,7 +218,7 @@ def _step_of_band(warp: _Warp, band: slice, sigma_px: float, *, widely: bool) ->
     seen *= here.mask[read]
     images = (here.image[read], value, slope, seen)
 
-    def estimate(solved: Any, where: Any) -> Estimate:
+    def estimate(solved: Any, where: Any) -> MatchEstimate:
         change, correlation, mass, variance = solved
         plausible = (
             subject[where]
@@ -227,7 +227,7 @@ def _step_of_band(warp: _Warp, band: slice, sigma_px: float, *, widely: bool) ->
             & (np.abs(change) < LARGEST_STEP_PX)
         )
         np.clip(change, -LARGEST_STEP_PX, LARGEST_STEP_PX, out=change)
-        return Estimate(
+        return MatchEstimate(
             shift=shift[band][where] + change,
             step=change,
             correlation=correlation,
@@ -254,9 +254,9 @@ def _pixels(where: Bool[Array, "h w"]) -> tuple[Int64[Array, " n"], Int64[Array,
     return rows, np.ascontiguousarray(columns)
 
 
-def _take_better(found: Estimate, wide: Estimate, where: Any) -> None:
+def _take_better(found: MatchEstimate, wide: MatchEstimate, where: Any) -> None:
     """Replace ordinary matches by the wide window's where they fail or are much less certain."""
     better = wide.plausible & (~found.plausible[where] | (_WIDE_YIELDS_AT**2 * wide.variance < found.variance[where]))
     chosen = tuple(index[better] for index in where)
-    for name in Estimate.__dataclass_fields__:
+    for name in MatchEstimate.__dataclass_fields__:
         getattr(found, name)[chosen] = getattr(wide, name)[better]

@@ -43,7 +43,7 @@ from mammometry.matching.dense.least_squares_step import (
     LARGEST_STEP_PX,
     LEAST_CORRELATION,
     Both,
-    Estimate,
+    MatchEstimate,
     Side,
     agreeing,
     prepare_side,
@@ -114,7 +114,7 @@ class DisparityMap:
 class Refined:
     """The left image's matches on one level, and the right image's to check them."""
 
-    matches: Estimate
+    matches: MatchEstimate
     """Matches of the last step."""
     shift: Float32[Array, "h w"]
     """After the final smoothing, pixels of the level."""
@@ -297,7 +297,7 @@ def refined(
     known = upsampled_start(coarse.matches, coarse.shift, agreeing(coarse.shift, coarse.other, limit), shape)
     here, there = both(pool, prepare_side, (images[0], aligned(vertical, images[1], level)), (sigma, sigma))
     fine = Refined(
-        matches=Estimate(
+        matches=MatchEstimate(
             **{name: np.empty(shape, dtype=np.float32) for name in ("shift", "step", "correlation", "variance")},
             plausible=np.empty(shape, dtype=bool),
         ),
@@ -314,7 +314,7 @@ def refined(
         part = _rows(known, read)
         ours, theirs, other = _side(here, read), _side(there, read), fine.other[read]
 
-        def stepped(shift: Float32[Array, "h w"], *, widely: bool) -> Estimate:
+        def stepped(shift: Float32[Array, "h w"], *, widely: bool) -> MatchEstimate:
             found = step(ours, theirs, shift, sigma, widely=widely)
             return judged(found, agreeing(found.shift, other, apart), part)
 
@@ -324,7 +324,7 @@ def refined(
         found = stepped(before, widely=True)
         shift, variance = finally_smoothed(found, ours.mask, before, settings)
         inner = slice(top - read.start, bottom - read.start)
-        for name in Estimate.__dataclass_fields__:
+        for name in MatchEstimate.__dataclass_fields__:
             getattr(fine.matches, name)[top:bottom] = getattr(found, name)[inner]
         fine.shift[top:bottom], fine.variance[top:bottom] = shift[inner], variance[inner]
 

@@ -32,7 +32,7 @@ from mammometry.matching.dense.least_squares_step import (
     LARGEST_STEP_PX,
     LEAST_MASS,
     Both,
-    Estimate,
+    MatchEstimate,
     Side,
     smoothing_weights,
 )
@@ -60,7 +60,7 @@ class LevelState:
     """Halvings of the rectified images."""
     sides: Both[Side]
     """The right image aligned by the vertical disparity known so far."""
-    matches: Both[Estimate]
+    matches: Both[MatchEstimate]
     """Matches of the last step."""
     shifts: Both[Float32[Array, "h w"]]
     """Smoothed, pixels of the level."""

@@ -142,7 +142,7 @@ _REACH = 0.7  # half the grid's side, relative to the images' height at the subj
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Checked:
+class CheckedSilhouettes:
     """Silhouettes that agree with one another, and those that do not."""
 
     masks: Mapping[str, Bool[Array, "h w"]]
@@ -157,7 +157,7 @@ def check_masks(
     steps: Mapping[str, int],
     seen: Sequence[tuple[Set[str], Float64[Array, "n 3"]]],
     middle_world: Float64[Array, 3],
-) -> Checked:
+) -> CheckedSilhouettes:
     """Compare the cameras' silhouettes.
 
     Args:
@@ -181,7 +181,7 @@ def check_masks(
         worst = max(left, key=lambda name: _least(_filled({k: v for k, v in left.items() if k != name}, places)))
         share = 100 * left.pop(worst).mean()
         doubts[worst] = f"its silhouette of {share:.0f} % of the picture does not fit the other cameras'"
-    return Checked(masks=left, doubts=doubts)
+    return CheckedSilhouettes(masks=left, doubts=doubts)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -29,11 +29,11 @@ from mammometry.measure.boundary.prominence import (
     prominence_within,
 )
 from mammometry.measure.solid.untangle import signed_area_mm2
-from mammometry.measure.trunk.body import Body, find_body, lies_across
+from mammometry.measure.trunk.body import BodyDirections, find_body, lies_across
 from mammometry.measure.trunk.head import HeadPlace, check_head, head_signs
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief, dense_samples, lay_flat
 from mammometry.measure.trunk.thorax import (
-    Skin,
+    SkinSamples,
     Thorax,
     Trunk,
     find_trunk,
@@ -113,7 +113,7 @@ class Breasts:
     """The patient's right side."""
     thorax: Thorax
     """The trunk without the breasts."""
-    body: Body
+    body: BodyDirections
     """The body frame used for the search."""
     head: HeadPlace
     """Direction of the head."""
@@ -168,7 +168,7 @@ def breasts_per_mm(surface: RepairedSurface, frame: Float64[Array, "3 3"]) -> fl
     return 0.0 if thorax.trunk.assumed else sum(domes)
 
 
-def _lie_level(surface: RepairedSurface, skin: Skin, frame: Float64[Array, "3 3"]) -> bool:
+def _lie_level(surface: RepairedSurface, skin: SkinSamples, frame: Float64[Array, "3 3"]) -> bool:
     """Whether two breasts are side by side in the frame, not one above the other.
 
     If a gown covers the trunk's sides, only the breasts show the trunk's direction.
@@ -188,7 +188,7 @@ class _Side:
 
 
 def _trunk_beside(
-    surface: RepairedSurface, skin: Skin, body: Body
+    surface: RepairedSurface, skin: SkinSamples, body: BodyDirections
 ) -> tuple[Thorax, Relief, dict[SideName, Middle | None]]:
     """The trunk and the breasts' middles, found iteratively, each from the other."""
     samples = dense_samples(surface.mesh.submesh(seen_faces(surface)))

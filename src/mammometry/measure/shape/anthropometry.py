@@ -20,7 +20,7 @@ from mammometry.measure.landmarks.landmarks import PICKED_SIGMA_MM, Landmark, pi
 from mammometry.measure.landmarks.proposals import EndSigmas, propose_ends, propose_nipple, propose_on_midline
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.shape.lengths import LinearMeasure, Ptosis, by_name, linear_measures, ptosis
-from mammometry.measure.trunk.body import Body
+from mammometry.measure.trunk.body import BodyDirections
 from mammometry.measure.trunk.mirror_plane import MirrorPlane
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.surface.repair.repair import RepairedSurface
@@ -179,7 +179,7 @@ def find_landmarks(
     colours: UInt8[Array, "n 3"],
     measurements: Sequence[VolumeMeasurement],
     picked: Mapping[str, Float64[Array, "k 3"]],
-    body: Body | None,
+    body: BodyDirections | None,
     settings: MeasureSettings = MeasureSettings(),
     *,
     boundaries: Sequence[Boundary] = (),
@@ -227,7 +227,7 @@ def find_landmarks(
 def _of_torso(
     surface: RepairedSurface,
     measurements: Sequence[VolumeMeasurement],
-    body: Body,
+    body: BodyDirections,
     settings: MeasureSettings,
     boundaries: Sequence[Boundary],
 ) -> Iterator[Landmark]:

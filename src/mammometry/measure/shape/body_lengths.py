@@ -12,7 +12,7 @@ from mammometry.geometry import Array, Float64
 from mammometry.measure.landmarks.proposals import propose_nipple, propose_on_midline
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.shape.body_size import BodySize
-from mammometry.measure.trunk.body import Body
+from mammometry.measure.trunk.body import BodyDirections
 from mammometry.measure.trunk.thorax import seen_skin, trunk_breadth_mm
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.surface.repair.repair import RepairedSurface
@@ -33,7 +33,7 @@ def size_remarked(surface: RepairedSurface, frame: Float64[Array, "3 3"]) -> Ite
 def find_body_size(
     surface: RepairedSurface,
     breasts: Sequence[OpenBreast],
-    body: Body,
+    body: BodyDirections,
     settings: MeasureSettings = MeasureSettings(),
 ) -> BodySize:
     """Breadth of the trunk, distance of the nipples, and distance of the notch from a nipple, if visible.
@@ -84,7 +84,9 @@ def _nipples(breasts: Sequence[OpenBreast], settings: MeasureSettings) -> dict[s
     return found
 
 
-def _notch(surface: RepairedSurface, curves: Sequence[Float64[Array, "_ 3"]], body: Body) -> Float64[Array, 3] | None:
+def _notch(
+    surface: RepairedSurface, curves: Sequence[Float64[Array, "_ 3"]], body: BodyDirections
+) -> Float64[Array, 3] | None:
     if body.plane is None or not curves:
         return None
     heights = (np.concatenate(curves) - body.point_world) @ body.up

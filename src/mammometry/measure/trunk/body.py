@@ -19,7 +19,7 @@ from mammometry.measure.trunk.thorax import (
     HEIGHT_WINDOW_MM,
     TRUNK_SAMPLES,
     WIDEST_DEG,
-    Skin,
+    SkinSamples,
     Trunk,
     find_trunk,
     level_axis,
@@ -46,7 +46,7 @@ _FACING_ROUNDS = 3  # iterations of axis and straight ahead; not critical
 
 
 @value(eq=False)
-class Body:
+class BodyDirections:
     """The patient's own directions, and the mid-sagittal plane."""
 
     frame: Float64[Array, "3 3"]
@@ -108,9 +108,9 @@ def find_body(
     rough: Float64[Array, "3 3"],
     *,
     boundaries: Sequence[Float64[Array, "_ 3"]] = (),
-    skin: Skin | None = None,
+    skin: SkinSamples | None = None,
     stated: bool = False,
-) -> Body:
+) -> BodyDirections:
     """Body frame from the trunk's axis and mid-sagittal plane, or else from the breasts or the cameras.
 
     Args:
@@ -146,14 +146,14 @@ def find_body(
         left_as = "roughly as given"
         if len(boundaries) == 2:
             frame, left_as = _level_with(boundaries, frame), "as the breasts lie"
-        return Body(
+        return BodyDirections(
             frame=frame,
             point_world=point,
             plane_sigma_mm=None,
             scatter_mm=None,
             how=f"Left and ahead are {left_as}, because the trunk shows no plane of symmetry ({error.found})",
         )
-    return Body(
+    return BodyDirections(
         frame=_frame(plane.normal_world, trunk.frame[1], trunk.frame[2]),
         point_world=plane.point_world,
         plane_sigma_mm=plane.sigma_mm,
@@ -163,7 +163,7 @@ def find_body(
     )
 
 
-def _facing_ahead(skin: Skin, first: Trunk, middle: Float64[Array, 3] | None) -> Trunk:
+def _facing_ahead(skin: SkinSamples, first: Trunk, middle: Float64[Array, 3] | None) -> Trunk:
     """The trunk turned about its axis to the direction of greatest symmetry.
 
     Several initial turns are tried, because the turn determines which skin counts as the trunk's sides.
@@ -188,7 +188,7 @@ def _facing_ahead(skin: Skin, first: Trunk, middle: Float64[Array, 3] | None) ->
     return best[2]
 
 
-def _least_asymmetry(skin: Skin, trunk: Trunk) -> tuple[float, float]:
+def _least_asymmetry(skin: SkinSamples, trunk: Trunk) -> tuple[float, float]:
     """Least asymmetry of the trunk's radius (mean of capped misfits), mm, and its angle about the axis, rad."""
     cylindrical = trunk.cylindrical(skin.about(TRUNK_SAMPLES).points_world)
     theta = np.rad2deg(cylindrical[:, 0] / trunk.half_width_mm)
@@ -219,7 +219,7 @@ def _least_asymmetry(skin: Skin, trunk: Trunk) -> tuple[float, float]:
     return float(unlike[best]), float(np.deg2rad((shifts[best] / 2 - middle) * _CELL_DEG))
 
 
-def lies_across(skin: Skin, frame: Float64[Array, "3 3"]) -> bool:
+def lies_across(skin: SkinSamples, frame: Float64[Array, "3 3"]) -> bool:
     """Whether the trunk's axis is along the frame's left, because the cameras are rolled by 90°.
 
     The axis is the direction to which most of the skin is parallel, of those found
@@ -244,7 +244,7 @@ def _level_with(curves: Sequence[Float64[Array, "_ 3"]], frame: Float64[Array, "
 
 
 def _plane(
-    skin: Skin, trunk: Trunk, boundaries: Sequence[Float64[Array, "_ 3"]], middle: Float64[Array, 3] | None
+    skin: SkinSamples, trunk: Trunk, boundaries: Sequence[Float64[Array, "_ 3"]], middle: Float64[Array, 3] | None
 ) -> MirrorPlane:
     """The trunk's mid-sagittal plane. Raises a MeasureError if the trunk is not symmetric about one near the middle."""
     some = skin.about(TRUNK_SAMPLES)

@@ -13,7 +13,7 @@ import numpy as np
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.measure.trunk.thorax import ARM, Skin, Trunk
+from mammometry.measure.trunk.thorax import ARM, SkinSamples, Trunk
 
 _SHOULDERS = (ARM, 1.7)  # distances from the axis at which arms leave the trunk, in half widths; not critical
 _FEWEST = 200  # fewest samples of skin for a sign
@@ -83,7 +83,7 @@ class HeadPlace:
     mounting."""
 
 
-def head_signs(skin: Skin, trunk: Trunk, fuller_below: Sequence[float]) -> HeadSigns:
+def head_signs(skin: SkinSamples, trunk: Trunk, fuller_below: Sequence[float]) -> HeadSigns:
     """Signs of the head's direction on the body.
 
     Args:

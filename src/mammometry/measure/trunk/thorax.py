@@ -120,7 +120,7 @@ class Thorax:
 
 
 @value(eq=False)
-class Skin:
+class SkinSamples:
     """Samples of the visible skin."""
 
     points_world: Float64[Array, "n 3"]
@@ -128,11 +128,11 @@ class Skin:
     normals_world: Float64[Array, "n 3"]
     """Their unit outward normals."""
 
-    def chosen(self, which: Bool[Array, " n"] | slice) -> Skin:
+    def chosen(self, which: Bool[Array, " n"] | slice) -> SkinSamples:
         """Part of the samples."""
-        return Skin(points_world=self.points_world[which], normals_world=self.normals_world[which])
+        return SkinSamples(points_world=self.points_world[which], normals_world=self.normals_world[which])
 
-    def about(self, count: int) -> Skin:
+    def about(self, count: int) -> SkinSamples:
         """Evenly chosen samples, at least `count` of them, or all."""
         return self.chosen(slice(None, None, max(1, len(self.points_world) // count)))
 
@@ -144,7 +144,7 @@ def seen_faces(surface: RepairedSurface) -> Int64[Array, " k"]:
 
 
 @lru_cache(maxsize=1)  # the steps of a measurement need it for the same surface
-def seen_skin(surface: RepairedSurface) -> Skin:
+def seen_skin(surface: RepairedSurface) -> SkinSamples:
     """Samples of the visible faces, evenly by area.
 
     Their order follows a space-filling curve, so that every n-th of them is an even sample as well, whatever the
@@ -158,7 +158,7 @@ def seen_skin(surface: RepairedSurface) -> Skin:
     count = min(_SEEN_SAMPLES, _COPIES * len(chosen))
     even = np.searchsorted(reached, (np.arange(count) + 0.5) / count * reached[-1])
     points = surface.mesh.vertices[surface.mesh.faces[chosen[even]]].mean(axis=1)
-    return Skin(points_world=points, normals_world=normals[even] / np.maximum(area_mm2[even, None], 1e-12))
+    return SkinSamples(points_world=points, normals_world=normals[even] / np.maximum(area_mm2[even, None], 1e-12))
 
 
 def _place_on_curve(points: Float64[Array, "n 3"]) -> Int64[Array, " n"]:
@@ -173,7 +173,9 @@ def _place_on_curve(points: Float64[Array, "n 3"]) -> Int64[Array, " n"]:
     return place
 
 
-def frame_from_sides(left: Float64[Array, "n 3"], right: Float64[Array, "m 3"], skin: Skin) -> Float64[Array, "3 3"]:
+def frame_from_sides(
+    left: Float64[Array, "n 3"], right: Float64[Array, "m 3"], skin: SkinSamples
+) -> Float64[Array, "3 3"]:
     """Patient's left, head and straight ahead (rows), from both boundary curves, mm."""
     across = left.mean(axis=0) - right.mean(axis=0)
     near = np.linalg.norm(skin.points_world - (left.mean(axis=0) + right.mean(axis=0)) / 2, axis=1)
@@ -182,7 +184,7 @@ def frame_from_sides(left: Float64[Array, "n 3"], right: Float64[Array, "m 3"], 
 
 
 def find_trunk(
-    skin: Skin,
+    skin: SkinSamples,
     frame: Float64[Array, "3 3"],
     *,
     height_of: Float64[Array, 3] | None = None,
@@ -246,7 +248,7 @@ class _Front:
 
 
 def _front(
-    skin: Skin,
+    skin: SkinSamples,
     frame: Float64[Array, "3 3"],
     height_of: Float64[Array, 3] | None,
     middle_of: Float64[Array, 3] | None,
@@ -322,7 +324,7 @@ def _side_skin(front: _Front, scale: float = 1.0) -> tuple[Float64[Array, "n 3"]
 
 
 def trunk_breadth_mm(
-    skin: Skin, frame: Float64[Array, "3 3"], *, height_of: Float64[Array, 3] | None = None
+    skin: SkinSamples, frame: Float64[Array, "3 3"], *, height_of: Float64[Array, 3] | None = None
 ) -> float | None:
     """Distance between the trunk's sides at the breasts' height, mm. None if they are not visible.
 
@@ -372,7 +374,7 @@ def _behind_breastbone(front: _Front, frame: Float64[Array, "3 3"]) -> Trunk:
 
 
 def fit_thorax(
-    trunk: Trunk, skin: Skin, *, breasts_left_out: bool = True, breastbone_mm: float | None = None
+    trunk: Trunk, skin: SkinSamples, *, breasts_left_out: bool = True, breastbone_mm: float | None = None
 ) -> Thorax:
     """Smooth radius r(θ, y) of the trunk, fitted robustly to the skin.
 
@@ -429,7 +431,7 @@ def fit_thorax(
     return Thorax(trunk=trunk, coefficients=coefficients, rms_mm=scale)
 
 
-def _facing_out(skin: Skin, trunk: Trunk) -> Float64[Array, " n"]:
+def _facing_out(skin: SkinSamples, trunk: Trunk) -> Float64[Array, " n"]:
     """Component of each unit normal away from the trunk's axis."""
     aside, _, ahead = ((skin.points_world - trunk.origin) @ trunk.frame.T).T
     to_left, _, to_front = (skin.normals_world @ trunk.frame.T).T

@@ -20,7 +20,7 @@ _DIGITS = 3  # decimals of mm: differences below a micrometre between machines d
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Confirmation:
+class CurveConfirmation:
     """Confirmation of one curve by a person who looked at it."""
 
     by: str
@@ -43,7 +43,7 @@ class Attribution:
     """How it was drawn, without names. None if unknown or found automatically."""
     origin: str | None = None
     """The same, with names and dates."""
-    confirmation: Confirmation | None = None
+    confirmation: CurveConfirmation | None = None
 
 
 def curve_digest(curve_world: Float64[Array, "n 3"]) -> str:
@@ -92,7 +92,7 @@ def attributed_words(
 
 
 def attributed_remarks(
-    remarks: Sequence[BoundaryRemark], curve: str, confirmation: Confirmation | None
+    remarks: Sequence[BoundaryRemark], curve: str, confirmation: CurveConfirmation | None
 ) -> tuple[BoundaryRemark, ...]:
     """The remarks, with the latest confirmation if it is of this curve."""
     kept = tuple(code for code in remarks if code != "to-be-confirmed")
@@ -102,7 +102,7 @@ def attributed_remarks(
 def confirmed_words(
     method: str,
     curve: str,
-    confirmation: Confirmation | None,
+    confirmation: CurveConfirmation | None,
     remarks: Sequence[BoundaryRemark] = (),
     *,
     named: bool = True,

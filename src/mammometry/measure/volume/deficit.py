@@ -18,7 +18,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
-from mammometry.measure.trunk.body import Body
+from mammometry.measure.trunk.body import BodyDirections
 from mammometry.measure.trunk.mirror_plane import MirrorPlane
 from mammometry.measure.trunk.thorax import Trunk
 from mammometry.measure.volume.boundary_jitter import ORDERS
@@ -36,7 +36,7 @@ _NEAREST_MM = 25.0  # largest distance of the mirrored curve from the skin of th
 def volume_deficit(
     surface: RepairedSurface,
     measurements: Sequence[VolumeMeasurement],
-    body: Body,
+    body: BodyDirections,
     settings: MeasureSettings = MeasureSettings(),
 ) -> VolumeDeficit | None:
     """Volume deficit of the smaller side. None without a measured breast or a mid-sagittal plane.

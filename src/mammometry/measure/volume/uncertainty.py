@@ -43,7 +43,7 @@ _ALIKE_MM = 40.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Movement:
+class CaptureMotion:
     """Motion of cameras or body, and the rig with its corrected cameras."""
 
     found: MotionEstimate
@@ -51,13 +51,13 @@ class Movement:
     """The corrected cameras."""
 
 
-def movement_of(found: MotionEstimate, rig: Rig) -> Movement | None:
+def movement_of(found: MotionEstimate, rig: Rig) -> CaptureMotion | None:
     """Motion between calibration and exposures. None if nothing moved."""
-    return Movement(found=found, rig=rig) if found.moved else None
+    return CaptureMotion(found=found, rig=rig) if found.moved else None
 
 
 def movement_cc(
-    movement: Movement, skin: TriangleMesh, boundary_world: Float64[Array, "n 3"], surface: RepairedSurface
+    movement: CaptureMotion, skin: TriangleMesh, boundary_world: Float64[Array, "n 3"], surface: RepairedSurface
 ) -> tuple[Float64[Array, " p"], float]:
     """Uncertainty of a volume after motions, cc.
 
@@ -94,7 +94,7 @@ def movement_cc(
 
 
 def _displacements(
-    movement: Movement, points: Float64[Array, "n 3"], surface: RepairedSurface
+    movement: CaptureMotion, points: Float64[Array, "n 3"], surface: RepairedSurface
 ) -> Float64[Array, "n 3 p"]:
     """Displacement of surface points by a unit of each motion parameter: mean of the pairs that measured there."""
     bits = _measured_by(points, surface)
@@ -153,7 +153,7 @@ class EarlierErrors:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Evidence:
+class VolumeEvidence:
     """Results of earlier stages about the errors of a volume, each of which may be unknown."""
 
     surface: RepairedSurface | None = None
@@ -164,7 +164,7 @@ class Evidence:
     """Errors of the calibration."""
     boundary_std_cc: float | None = None
     """Standard deviation of the volume by boundary jitter (`boundary_jitter`), cc. None: 0.025 cc per mm and cm²."""
-    movement: Movement | None = None
+    movement: CaptureMotion | None = None
     """Motion between calibration and exposures. None: none or unknown."""
     axis_assumed: bool = False
     """Whether the depth of the trunk's axis is assumed, because its sides are not visible."""
@@ -192,7 +192,7 @@ def interval(
     wall: ChestWall,
     volume_cc: float,
     settings: MeasureSettings = MeasureSettings(),
-    evidence: Evidence = Evidence(),
+    evidence: VolumeEvidence = VolumeEvidence(),
 ) -> Uncertainty:
     """Interval of a volume from the known sources, taken as independent (root of the sum of squares).
 

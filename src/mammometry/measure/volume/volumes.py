@@ -15,7 +15,7 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.measure.boundary.boundary import Boundary, TorsoSides
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.settings import MeasureSettings
-from mammometry.measure.trunk.body import Body
+from mammometry.measure.trunk.body import BodyDirections
 from mammometry.measure.volume import boundary_jitter
 from mammometry.measure.volume.measurement import (
     MUSCLE_WALL,
@@ -26,7 +26,7 @@ from mammometry.measure.volume.measurement import (
     other_terms_cc,
 )
 from mammometry.measure.volume.sources import WALL, WALL_FIT_U95_MM
-from mammometry.measure.volume.uncertainty import Evidence, Uncertainty, interval
+from mammometry.measure.volume.uncertainty import Uncertainty, VolumeEvidence, interval
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.chest_wall import ChestWall
 from mammometry.measure.wall.open_breast import OpenBreast
@@ -42,7 +42,7 @@ def measure(
     settings: MeasureSettings = MeasureSettings(),
     *,
     alternatives: Sequence[ChestWall] = (),
-    evidence: Evidence = Evidence(),
+    evidence: VolumeEvidence = VolumeEvidence(),
 ) -> VolumeMeasurement:
     """Measurement of the solid between skin and wall, exact for the mesh (divergence theorem).
 
@@ -144,7 +144,7 @@ def _definitions(
 
 
 def measure_volumes(
-    breasts: Sequence[OpenBreast], evidence: Evidence = Evidence(), *, progress: Progress = no_progress
+    breasts: Sequence[OpenBreast], evidence: VolumeEvidence = VolumeEvidence(), *, progress: Progress = no_progress
 ) -> tuple[VolumeMeasurement, ...]:
     """Measurements of all breasts, each with every wall that fits.
 
@@ -164,7 +164,7 @@ def measure_volumes(
 
 
 def measured_or_refused(
-    breasts: Sequence[OpenBreast], evidence: Evidence = Evidence(), *, progress: Progress = no_progress
+    breasts: Sequence[OpenBreast], evidence: VolumeEvidence = VolumeEvidence(), *, progress: Progress = no_progress
 ) -> list[VolumeMeasurement | MeasureError]:
     """For each breast its measurement or the error that refused it (see `measure_volumes`)."""
 
@@ -181,7 +181,7 @@ def measured_or_refused(
     return [future.result() for future in waiting]
 
 
-def measure_volume(breast: OpenBreast, evidence: Evidence = Evidence()) -> VolumeMeasurement:
+def measure_volume(breast: OpenBreast, evidence: VolumeEvidence = VolumeEvidence()) -> VolumeMeasurement:
     """Measurement of one breast, with every wall that fits.
 
     Raises:
@@ -253,7 +253,7 @@ def wanted_boundaries(sides: TorsoSides, removed: Sequence[str], *, required: bo
     )
 
 
-def removed_side(name: Literal["left", "right"], body: Body, surface: RepairedSurface) -> NoBreast:
+def removed_side(name: Literal["left", "right"], body: BodyDirections, surface: RepairedSurface) -> NoBreast:
     """A side whose breast is recorded as removed."""
     aside = body.left if name == "left" else -body.left
     vertices = surface.mesh.vertices

@@ -17,7 +17,15 @@ from mammometry.measure.boundary.cast_base import Base, BaseKind, base_through
 from mammometry.measure.boundary.trace import check_beside_holes, edge_loop
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.solid.cut import OpenPart, above, check_above_base, check_whole, inside_curve
-from mammometry.measure.trunk.thorax import Skin, Thorax, Trunk, find_trunk, fit_thorax, frame_from_sides, seen_skin
+from mammometry.measure.trunk.thorax import (
+    SkinSamples,
+    Thorax,
+    Trunk,
+    find_trunk,
+    fit_thorax,
+    frame_from_sides,
+    seen_skin,
+)
 from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS, WallModel
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
@@ -40,7 +48,7 @@ class OpenBreast:
     left and right boundaries."""
     back: TriangleMesh | None = None
     """Separately measured wall (wall.ply), mm, world frame; then the default."""
-    seen: Skin | None = None
+    seen: SkinSamples | None = None
     """Visible skin, if already known."""
     cut: OpenPart | None = None
     """Its skin cut out of the surface, if already known."""
@@ -98,7 +106,7 @@ class OpenBreast:
         return base_through(points, skin.mean(axis=0) - points.mean(axis=0), kind=kind)
 
     @cached_property
-    def skin(self) -> Skin:
+    def skin(self) -> SkinSamples:
         """Visible skin of the whole subject."""
         return seen_skin(self.surface) if self.seen is None else self.seen
 
@@ -136,7 +144,7 @@ class OpenBreast:
         return self._skin_beside.points_world
 
     @cached_property
-    def _skin_beside(self) -> Skin:
+    def _skin_beside(self) -> SkinSamples:
         return self.skin.chosen(_outside(self.skin.points_world, self._all_boundaries(), self.trunk))
 
     @cached_property

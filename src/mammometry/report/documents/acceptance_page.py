@@ -9,7 +9,7 @@ from typing import Any
 import mammometry
 from mammometry.report.content import DISCLAIMER, Fact
 from mammometry.report.documents import paper
-from mammometry.report.documents.pages import Shown, embed, render
+from mammometry.report.documents.pages import EmbeddedPicture, embed, render
 from mammometry.report.figures.acceptance import control_chart, deviations, positions
 from mammometry.report.pictures import encoded
 from mammometry.study.acceptance.artefacts import KINDS, POSITIONS, TITLES, Kind
@@ -23,7 +23,7 @@ from mammometry.study.acceptance.tables import (
     missing_sentences,
     reference_words,
 )
-from mammometry.study.tables import Table
+from mammometry.study.tables import TextTable
 
 PAGE, DOCUMENT, PROTOCOL = "acceptance.html", "acceptance.pdf", "protocol.html"
 _PICTURE_HEIGHT = 300  # of a picture in the document at most, points
@@ -56,8 +56,8 @@ class Part:
     title: str
     sentences: Sequence[str] = ()
     ticks: Sequence[str] = ()
-    pictures: Sequence[Shown] = ()
-    tables: Sequence[Table] = field(default_factory=tuple)
+    pictures: Sequence[EmbeddedPicture] = ()
+    tables: Sequence[TextTable] = field(default_factory=tuple)
 
 
 def acceptance_page_files(outcome: Outcome, history: Sequence[PastTest]) -> dict[str, bytes]:

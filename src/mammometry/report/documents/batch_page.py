@@ -19,7 +19,7 @@ from mammometry.report.figures.observers import bland_altman, scatter
 from mammometry.report.words.notices import words_of
 from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements, agreement
 from mammometry.study.agreement_tables import agreement_tables, summary
-from mammometry.study.tables import Table, number
+from mammometry.study.tables import TextTable, number
 
 FILES = ("batch.html", "batch.csv", "batch.parquet")
 _NAMES = {"model": "model", "left": "left breast", "right": "right breast"}
@@ -92,7 +92,7 @@ def _page(title: str, lines: Sequence[BatchLine]) -> str:
     paired = _paired(lines)
     figures = None if paired is None else agreement(paired)
     pictures: list[object] = []
-    tables: list[Table] = []
+    tables: list[TextTable] = []
     paragraphs: list[str] = []
     if paired is not None and figures is not None:
         pictures = [embed(bland_altman(paired, figures)), embed(scatter(paired))]

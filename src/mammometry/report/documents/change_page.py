@@ -24,7 +24,7 @@ from mammometry.report.scene import SCENE, to_json
 from mammometry.report.words.describe import versions
 from mammometry.report.words.notices import words_at
 from mammometry.report.words.volumes import change_sentence, measured_words, span_words, term_words
-from mammometry.study.tables import Table
+from mammometry.study.tables import TextTable
 
 PAGE, DOCUMENT, NUMBERS = "compare.html", "compare.pdf", "compare.json"
 FILES = (PAGE, DOCUMENT, NUMBERS, SCENE, "change.png", "sections.png")
@@ -227,7 +227,7 @@ def trunk_facts(change: Change) -> tuple[Fact, ...]:
     )
 
 
-def length_tables(lengths: Sequence[LengthChange]) -> tuple[Table, ...]:
+def length_tables(lengths: Sequence[LengthChange]) -> tuple[TextTable, ...]:
     """Lengths known at both dates. None without landmarks."""
     if not lengths:
         return ()
@@ -242,7 +242,7 @@ def length_tables(lengths: Sequence[LengthChange]) -> tuple[Table, ...]:
         for length in lengths
     )
     columns = ("from, to", "path", "before, mm", "after, mm", "change, mm, ± 95 %", "larger than the error")
-    return (Table(title="Lengths between landmarks", columns=columns, rows=rows),)
+    return (TextTable(title="Lengths between landmarks", columns=columns, rows=rows),)
 
 
 def definitions(change: Change) -> tuple[Fact, ...]:

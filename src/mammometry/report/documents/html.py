@@ -6,7 +6,7 @@ Pictures, style and 3D viewer are embedded. It needs no network.
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
-from mammometry.report.content import DISCLAIMER, Picture, ReportContent
+from mammometry.report.content import DISCLAIMER, ReportContent, ReportPicture
 from mammometry.report.documents import pages
 from mammometry.report.documents.pages import breast_pictures, stage_pictures, whole_pictures
 from mammometry.report.first_page import FirstPage, signature
@@ -55,5 +55,5 @@ def _arranged(content: ReportContent, first: FirstPage) -> Mapping[str, object]:
     }
 
 
-def _embedded(pictures: Sequence[Picture]) -> list[pages.Shown]:
+def _embedded(pictures: Sequence[ReportPicture]) -> list[pages.EmbeddedPicture]:
     return [pages.shown(picture) for picture in pictures]

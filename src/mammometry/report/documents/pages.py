@@ -9,7 +9,7 @@ from typing import Any
 
 from mammometry.base.errors import MammometryError, StorageError
 from mammometry.base.identity import Identity
-from mammometry.report.content import Fact, Picture, ReportContent, sentence
+from mammometry.report.content import Fact, ReportContent, ReportPicture, sentence
 from mammometry.report.figures.catalogue import in_order, is_on_paper
 from mammometry.report.first_page import FIRST_PICTURES
 from mammometry.report.pictures import encoded
@@ -21,7 +21,7 @@ _COMMAND = re.compile("`([^`]+)`")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shown:
+class EmbeddedPicture:
     """A picture embedded in a page."""
 
     source: str
@@ -69,14 +69,14 @@ def tied(value: object) -> object:
     return _TORN.sub("\u00a0", value)
 
 
-def embed(png: bytes) -> Shown:
+def embed(png: bytes) -> EmbeddedPicture:
     """A picture as a WebP data URI."""
     return shown(encoded(png, on_paper=False))
 
 
-def shown(picture: Picture) -> Shown:
+def shown(picture: ReportPicture) -> EmbeddedPicture:
     """A picture of a report as a WebP data URI."""
-    return Shown(
+    return EmbeddedPicture(
         source=f"data:image/webp;base64,{base64.b64encode(picture.webp).decode('ascii')}",
         width=picture.width,
         height=picture.height,
@@ -104,7 +104,7 @@ def viewer_program() -> str:
 _MEASURE = "measure"
 
 
-def whole_pictures(content: ReportContent) -> list[Picture]:
+def whole_pictures(content: ReportContent) -> list[ReportPicture]:
     """Pictures of the whole measurement, without those of the first page."""
     of_breasts = {name for breast in content.breasts for name in _of_breast(content, breast.name)}
     measure = _drawn(content, _MEASURE)
@@ -112,22 +112,22 @@ def whole_pictures(content: ReportContent) -> list[Picture]:
     return [measure[name] for name in in_order(_MEASURE, measure) if name not in left_out]
 
 
-def breast_pictures(content: ReportContent, breast: str) -> list[Picture]:
+def breast_pictures(content: ReportContent, breast: str) -> list[ReportPicture]:
     """Pictures of one breast."""
     return [_drawn(content, _MEASURE)[name] for name in _of_breast(content, breast)]
 
 
-def stage_pictures(content: ReportContent, stage: str) -> list[Picture]:
+def stage_pictures(content: ReportContent, stage: str) -> list[ReportPicture]:
     """Pictures of one stage for the technician. Those of the measurement are with the breasts."""
     return [picture for _, picture in _of_stage(content, stage)]
 
 
-def paper_pictures(content: ReportContent, stages: Sequence[str]) -> list[Picture]:
+def paper_pictures(content: ReportContent, stages: Sequence[str]) -> list[ReportPicture]:
     """Pictures of these stages for the PDF."""
     return [picture for stage in stages for name, picture in _of_stage(content, stage) if is_on_paper(name)]
 
 
-def _of_stage(content: ReportContent, stage: str) -> list[tuple[str, Picture]]:
+def _of_stage(content: ReportContent, stage: str) -> list[tuple[str, ReportPicture]]:
     drawn = {} if stage == _MEASURE else _drawn(content, stage)
     return [(name, drawn[name]) for name in in_order(stage, drawn)]
 
@@ -136,7 +136,7 @@ def _of_breast(content: ReportContent, breast: str) -> list[str]:
     return in_order(_MEASURE, (name for name in _drawn(content, _MEASURE) if name.endswith(f"-{breast}")))
 
 
-def _drawn(content: ReportContent, stage: str) -> dict[str, Picture]:
+def _drawn(content: ReportContent, stage: str) -> dict[str, ReportPicture]:
     return dict(content.pictures.get(stage, {}))
 
 

@@ -10,9 +10,9 @@ from xml.sax.saxutils import escape
 from PIL import Image
 
 from mammometry.base.letters import isolated
-from mammometry.report.content import DISCLAIMER, Fact, Picture
+from mammometry.report.content import DISCLAIMER, Fact, ReportPicture
 from mammometry.report.figures.canvas import INK
-from mammometry.study.tables import Table
+from mammometry.study.tables import TextTable
 
 _MARGIN_MM = 14.0  # of the page; chosen by eye
 _FOOTER_SIZE = 6.0  # points; smaller than all text above it
@@ -134,7 +134,7 @@ def facts(lines: Sequence[Fact], size: float = 8.0) -> Iterator[Any]:
         yield paragraph(_marked(fact.value), style, label=f"{fact.label}: ", label_markup=markup)
 
 
-def table(data: Table, width: float, *, size: float = 6.5, first: float | None = None) -> Any:
+def table(data: TextTable, width: float, *, size: float = 6.5, first: float | None = None) -> Any:
     """A table with the given width, points.
 
     Args:
@@ -211,7 +211,7 @@ def box(words: Sequence[Any], width: float) -> Any:
     return _grid([[list(words)]], [width], 5, ground, edge, ("LEFTPADDING", (0, 0), (-1, -1), 9))
 
 
-def pictures(shown: Sequence[Picture], width: float, height: float) -> Iterator[Any]:
+def pictures(shown: Sequence[ReportPicture], width: float, height: float) -> Iterator[Any]:
     """Pictures in rows of two, each under its title."""
     half = 0.5 * width - 4
     for start in range(0, len(shown), 2):

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
-from mammometry.report.content import Fact, LargeNumber, Picture, ReportContent
+from mammometry.report.content import Fact, LargeNumber, ReportContent, ReportPicture
 from mammometry.report.documents import paper
 from mammometry.report.documents.pages import breast_pictures, paper_pictures, whole_pictures
 from mammometry.report.documents.paper import (
@@ -27,7 +27,7 @@ from mammometry.report.figures.canvas import INK
 from mammometry.report.first_page import FirstPage, signature
 from mammometry.report.words.notices import words_of
 from mammometry.report.words.volumes import MEANINGS_INTRODUCTION
-from mammometry.study.tables import Table
+from mammometry.study.tables import TextTable
 
 DOCUMENT = "report.pdf"
 _MOST_PAGES = 5
@@ -115,7 +115,7 @@ def _views(first: FirstPage, width: float, height: float) -> Any:
     return paper.columns(cells, [wide, ratio * small], gap=_GAP)
 
 
-def _view_name(picture: Picture) -> Any:
+def _view_name(picture: ReportPicture) -> Any:
     return text(picture.title, size=8, colour=FAINT, leading=_VIEW_NAME - 1.2)
 
 
@@ -206,5 +206,5 @@ def _for_the_technician(content: ReportContent, width: float, height: float) -> 
     yield from facts(last, size=7.5)
 
 
-def _title(data: Table) -> Any:
+def _title(data: TextTable) -> Any:
     return text(data.title, size=7.5, bold=True, before=3)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from mammometry.base.notices import Notice
-from mammometry.measure.volume.attribution import Attribution, Confirmation, attributed_remarks, attributed_words
+from mammometry.measure.volume.attribution import Attribution, CurveConfirmation, attributed_remarks, attributed_words
 from mammometry.report.content import BreastReport, Clinical, ReportContent, StageReport, sentence
 from mammometry.report.first_page import first_page
 from mammometry.report.words.describe import posture_fact
@@ -67,7 +67,7 @@ def attributed_content(
         if clinical is not None:
             signed = clinical.confirmed
             at = "" if signed is None else signed.at.isoformat()
-            seen = None if signed is None else Confirmation(by=signed.by, at=at, curve=breast.curve)
+            seen = None if signed is None else CurveConfirmation(by=signed.by, at=at, curve=breast.curve)
             attribution = replace(attribution, confirmation=seen)
         if not breast.unmeasured:
             remarks, curve = breast.boundary_remarks, breast.curve

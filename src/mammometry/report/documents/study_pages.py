@@ -10,14 +10,14 @@ from mammometry.report.words.notices import in_json, lines_of
 from mammometry.study.agreement import Agreement, CheckedFigure, PairedMeasurements
 from mammometry.study.agreement_tables import agreement_json, agreement_tables, summary
 from mammometry.study.observers import (
-    Drawing,
     DrawnSurface,
+    ObservedCurve,
     ObserverStudy,
     observers_json,
     observers_summary,
     observers_tables,
 )
-from mammometry.study.tables import Table
+from mammometry.study.tables import TextTable
 
 FILES = ("report.html", "agreement.json", "bland-altman.png", "scatter.png")
 
@@ -28,7 +28,7 @@ def agreement_files(
     figures: Agreement,
     checked: Sequence[CheckedFigure] = (),
     *,
-    more: Sequence[Table] = (),
+    more: Sequence[TextTable] = (),
     remarks: Sequence[str] = (),
 ) -> dict[str, bytes]:
     """The page, its figures and its numbers: file name → content.
@@ -78,7 +78,7 @@ def observers_names(surfaces: int) -> tuple[str, ...]:
 
 
 def observers_files(
-    title: str, surfaces: Sequence[DrawnSurface], drawings: Sequence[Drawing], study: ObserverStudy
+    title: str, surfaces: Sequence[DrawnSurface], drawings: Sequence[ObservedCurve], study: ObserverStudy
 ) -> dict[str, bytes]:
     """The page, its pictures and its numbers: file name → content.
 

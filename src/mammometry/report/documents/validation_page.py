@@ -5,7 +5,7 @@ import json
 from mammometry.report.documents.pages import embed, render
 from mammometry.report.figures.observers import bland_altman
 from mammometry.report.figures.validation import definitions_side_by_side
-from mammometry.study.tables import Table
+from mammometry.study.tables import TextTable
 from mammometry.study.validation.study import ValidationStudy
 from mammometry.study.validation.tables import (
     validation_json,
@@ -48,6 +48,6 @@ def validation_files(title: str, found: ValidationStudy) -> dict[str, bytes]:
     }
 
 
-def _csv(table: Table) -> str:
+def _csv(table: TextTable) -> str:
     rows = (table.columns, *table.rows)
     return "\n".join(",".join(f'"{cell.replace("–", "")}"' for cell in row) for row in rows) + "\n"

@@ -10,7 +10,7 @@ import numpy as np
 
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.report.figures import canvas
-from mammometry.report.figures.canvas import Sheet
+from mammometry.report.figures.canvas import PanelSheet
 from mammometry.study.acceptance.artefacts import POSITIONS, QUANTITIES, TITLES, VOLUME_MM, Kind, Position
 from mammometry.study.acceptance.evaluate import PositionResult
 from mammometry.study.acceptance.patches import Patch, PlanePatch, SpherePatch
@@ -35,7 +35,7 @@ def positions(kind: Kind, measured: Collection[str] = ()) -> bytes:
     """
     places = POSITIONS[kind]
     columns, rows = canvas.grid(len(places), _COLUMNS)
-    sheet = Sheet(columns, rows, _PANEL, header=26)
+    sheet = PanelSheet(columns, rows, _PANEL, header=26)
     legend = [(canvas.FAINT, "working volume, the device in front")]
     legend += [(canvas.GREEN, "measured"), (canvas.VERMILION, "missing")] if measured else []
     sheet.legend(legend)
@@ -97,7 +97,7 @@ def deviations(kind: Kind, results: Sequence[PositionResult]) -> bytes:
         results: of this artefact.
     """
     columns, rows = canvas.grid(len(results), _COLUMNS)
-    sheet = Sheet(columns, rows, _PANEL, bars=True)
+    sheet = PanelSheet(columns, rows, _PANEL, bars=True)
     found = np.concatenate([patch.deviations_mm for result in results for patch in result.patches])
     scale = canvas.diverging_scale(canvas.rounded_up(max(float(np.quantile(np.abs(found), 0.99)), _LEAST_SCALE_MM)))
     for index, result in enumerate(results):
@@ -147,7 +147,7 @@ def control_chart(history: Sequence[PastTest]) -> bytes:
         if any(f"{kind}/{quantity}" in past.worst for past in history)
     ]
     columns = min(2, len(names))
-    sheet = Sheet(columns, -(-len(names) // columns), _CHART, axes_room=_ROOM, header=26)
+    sheet = PanelSheet(columns, -(-len(names) // columns), _CHART, axes_room=_ROOM, header=26)
     sheet.legend([(canvas.BLUE, "error ± 95 %"), (canvas.VERMILION, "limit")])
     first, last = (edge(past.date for past in history) for edge in (min, max))
     room = datetime.timedelta(days=max(3, (last - first).days // 12))

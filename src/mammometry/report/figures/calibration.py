@@ -13,7 +13,7 @@ from mammometry.calibration.judge import expected_error as judge
 from mammometry.calibration.judge.expected_error import middle_world
 from mammometry.geometry import Array, Camera, Float64, Rig
 from mammometry.report.figures import canvas
-from mammometry.report.figures.canvas import Sheet
+from mammometry.report.figures.canvas import PanelSheet
 from mammometry.report.figures.catalogue import preview
 from mammometry.report.figures.shading import front_frame
 from mammometry.report.figures.stage_results import CalibrationResult
@@ -22,7 +22,7 @@ from mammometry.study.tables import thousands
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from mammometry.io.drift import Entry
+    from mammometry.io.drift import DriftEntry
 
 
 _PANEL_PX = 290  # width of a panel, px; chosen by eye
@@ -44,7 +44,7 @@ def detections(result: CalibrationResult) -> bytes | None:
     typical_px = float(np.nanquantile(np.concatenate(lengths), 0.95)) if lengths else 1.0
     key_px = canvas.round_length(max(typical_px, 1e-4) * 1.5)
     columns, rows = canvas.grid(len(shown))
-    sheet = Sheet(columns, rows, _panel_wh(calibration.rig), header=26)
+    sheet = PanelSheet(columns, rows, _panel_wh(calibration.rig), header=26)
     sheet.legend(
         [(canvas.SKY, "detected point"), (canvas.ORANGE, "residual, enlarged"), (canvas.VERMILION, "left out")]
     )
@@ -78,7 +78,7 @@ def residuals(result: CalibrationResult) -> bytes | None:
     everything = np.concatenate(used) if used else np.empty((0, 2))
     cameras = {name: _rms_where(seen, used, camera=name) for name in calibration.observations.cameras}
     poses = {name: _rms_where(seen, used, pose=name) for name in calibration.observations.poses}
-    sheet = Sheet(3, 1, (300, 290), axes_room=(96, 40))
+    sheet = PanelSheet(3, 1, (300, 290), axes_room=(96, 40))
     axes = sheet.panel(0, f"{thousands(len(everything))} residuals", plain=False)
     limit = 1.15 * float(np.quantile(np.abs(everything), 0.999)) if len(everything) else 1.0
     axes.hexbin(
@@ -112,7 +112,7 @@ def residual_field(result: CalibrationResult) -> bytes | None:
     lengths = np.concatenate([np.linalg.norm(mean, axis=1) for _, mean, _ in fields.values()])
     key_px = canvas.round_length(max(float(np.quantile(lengths, 0.9)), 1e-4) * 1.5) if len(lengths) else 1.0
     columns, rows = canvas.grid(len(cameras))
-    sheet = Sheet(columns, rows, _panel_wh(calibration.rig), bars=True)
+    sheet = PanelSheet(columns, rows, _panel_wh(calibration.rig), bars=True)
     drawn = None
     most = max([int(counts.max()) for _, _, counts in fields.values()], default=1)
     for index, (name, (centres, mean, counts)) in enumerate(fields.items()):
@@ -150,7 +150,7 @@ def expected_error(result: CalibrationResult) -> bytes | None:
         return None
     expected = judge.expected_error(result.calibration)
     count = len(expected.std_mm)
-    sheet = Sheet(3, count, (250, 210), axes_room=(60, 40), bars=True)
+    sheet = PanelSheet(3, count, (250, 210), axes_room=(60, 40), bars=True)
     grid = expected.volume.grid_world
     everything = np.stack(list(expected.std_mm.values())) if count else np.empty(0)
     most = float(np.nanquantile(everything, 0.95)) if np.isfinite(everything).any() else 1.0
@@ -200,7 +200,7 @@ def rig_views(result: CalibrationResult) -> bytes:
     origin = middle_world(rig)
     centred = np.stack([*points, origin, *(corner for target in targets for corner in target)]) - origin
     reach = float(np.abs(centred @ frame.T).max()) * 1.18
-    sheet = Sheet(3, 1, (330, 330), axes_room=(52, 40), header=26)
+    sheet = PanelSheet(3, 1, (330, 330), axes_room=(52, 40), header=26)
     colours = dict(zip(rig.pair_names, ([*canvas.CYCLE] * 8), strict=False))
     sheet.legend([(colours[name], f"pair {name}") for name in list(rig.pair_names)[:8]])
     for index, (title, axis_x, axis_y, names) in enumerate(
@@ -353,7 +353,7 @@ _COLOURS = {"unmoved": canvas.BLUE, "moved": canvas.ORANGE, "refuse": canvas.VER
 _MOST_LABELS = 8  # checks whose dates fit below the plot
 
 
-def drift(entries: Sequence[Entry], limit_mm: float) -> bytes:
+def drift(entries: Sequence[DriftEntry], limit_mm: float) -> bytes:
     """Camera displacement in each check, and the resulting measurement errors.
 
     Args:
@@ -362,7 +362,7 @@ def drift(entries: Sequence[Entry], limit_mm: float) -> bytes:
     """
     cameras = list(dict.fromkeys(name for entry in entries for name in entry.cameras))
     colours = [*canvas.CYCLE] * (1 + len(cameras) // len(canvas.CYCLE))
-    sheet = Sheet(2, 1, (430, 280), axes_room=(52, 52), header=26)
+    sheet = PanelSheet(2, 1, (430, 280), axes_room=(52, 52), header=26)
     sheet.legend(list(zip(colours, cameras, strict=False)))
     axes = sheet.panel(0, "Target displaced in each camera's picture", plain=False)
     for colour, name in zip(colours, cameras, strict=False):
@@ -399,7 +399,7 @@ def drift(entries: Sequence[Entry], limit_mm: float) -> bytes:
     )
 
 
-def _checks(axes: Axes, entries: Sequence[Entry]) -> None:
+def _checks(axes: Axes, entries: Sequence[DriftEntry]) -> None:
     """An axis of checks by date, with lines at new calibrations."""
     every = max(1, -(-len(entries) // _MOST_LABELS))
     shown = range(0, len(entries), every)

@@ -53,7 +53,7 @@ class Caption:
     text: str
 
 
-class Sheet:
+class PanelSheet:
     """Panels of equal size in rows and columns, each with a title.
 
     Args:

@@ -18,7 +18,7 @@ from mammometry.settings import Settings
 
 if TYPE_CHECKING:
     from mammometry.job.products import Stage
-    from mammometry.report.figures.canvas import Sheet
+    from mammometry.report.figures.canvas import PanelSheet
 
 
 Draw: TypeAlias = Callable[..., "bytes | None"]
@@ -26,7 +26,7 @@ Draw: TypeAlias = Callable[..., "bytes | None"]
 
 None if there is nothing to show, such as residuals of given cameras.
 """
-DrawPaper: TypeAlias = "Callable[[Source], Sheet]"
+DrawPaper: TypeAlias = "Callable[[Source], PanelSheet]"
 _Figure = TypeVar("_Figure", bound=Callable[..., Any])
 
 

@@ -12,10 +12,10 @@ from mammometry.geometry import Array, Float64, Transform, TriangleMesh
 from mammometry.measure.change import Change
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures import canvas
-from mammometry.report.figures.canvas import Sheet
+from mammometry.report.figures.canvas import PanelSheet
 from mammometry.report.figures.measure import curve
 from mammometry.report.figures.names import NAMES
-from mammometry.report.figures.shading import Scene, join_segments, picture_wh, section, views_of
+from mammometry.report.figures.shading import ShadedMesh, join_segments, picture_wh, section, views_of
 from mammometry.report.figures.surface import show
 from mammometry.surface.repair.repair import RepairedSurface
 from mammometry.surface.texture.texture import TexturedMesh
@@ -68,7 +68,7 @@ def change_map(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], change:
     views = views_of(_around_breasts(dates), frames, margin=1.0)
     limit = limit_mm(change)
     scale = canvas.diverging_scale(limit)
-    sheet = Sheet(3, 3, picture_wh(views[0], _PANEL_PX), bars=True, header=26)
+    sheet = PanelSheet(3, 3, picture_wh(views[0], _PANEL_PX), bars=True, header=26)
     sheet.legend(
         [
             (canvas.DIVERGING[-2], "more than before"),
@@ -77,7 +77,7 @@ def change_map(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], change:
         ]
     )
     for row, date in enumerate((*dates, dates[1])):
-        scene = Scene(date.repaired.mesh)
+        scene = ShadedMesh(date.repaired.mesh)
         mapped = row == 2
         photographed = shown_colours(date.textured.colours, date.repaired)
         colours = canvas.coloured(change.after_mm, scale) if mapped else photographed
@@ -115,7 +115,7 @@ def change_sections(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], ch
     labels = {0: "to the patient's left, mm", 1: "up, mm", 2: "towards the cameras, mm"}
     near = _around_breasts(dates).vertices
     reach = float(np.abs((near - centre) @ frame.T).max()) * 1.02
-    sheet = Sheet(len(cuts), 1, (330, 330), axes_room=(56, 42), header=26)
+    sheet = PanelSheet(len(cuts), 1, (330, 330), axes_room=(56, 42), header=26)
     sheet.legend([(BEFORE_LINE, dates[0].title), (AFTER_LINE, dates[1].title)])
     for index, (title, normal, (across, upwards), place) in enumerate(cuts):
         axes = sheet.panel(index, title, plain=False)

@@ -11,7 +11,7 @@ from mammometry.base.photograph import Photograph
 from mammometry.geometry import Array, Camera, Float32, UInt8
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.report.figures import canvas
-from mammometry.report.figures.canvas import Sheet
+from mammometry.report.figures.canvas import PanelSheet
 from mammometry.report.figures.catalogue import preview
 from mammometry.report.figures.stage_results import MatchingResult
 from mammometry.report.figures.thinning import source_grid
@@ -32,7 +32,7 @@ def foreground(result: MatchingResult) -> bytes:
     foregrounds = result.foregrounds
     shapes = [known.coverage.shape for known in foregrounds.values()]
     columns, rows = canvas.grid(len(foregrounds))
-    sheet = Sheet(columns, rows, canvas.fitting(shapes, _PANEL_PX))
+    sheet = PanelSheet(columns, rows, canvas.fitting(shapes, _PANEL_PX))
     for index, (camera, known) in enumerate(foregrounds.items()):
         height, width = known.coverage.shape
         axes = sheet.panel(index, camera)
@@ -58,7 +58,7 @@ def rectified(result: MatchingResult) -> bytes:
     rig, disparities = result.rig, result.disparities
     columns, rows = canvas.grid(2 * len(disparities))
     panel = canvas.fitting([disparity.valid.shape for disparity in disparities.values()], _PANEL_PX)
-    sheet = Sheet(columns, rows, panel)
+    sheet = PanelSheet(columns, rows, panel)
     for number, (pair, disparity) in enumerate(disparities.items()):
         for side, (name, ideal) in enumerate(zip(rig.pair_names[pair], (disparity.left, disparity.right), strict=True)):
             axes = sheet.panel(2 * number + side, f"{pair}: {name}")
@@ -130,7 +130,7 @@ def _two_maps(
     text: str,
 ) -> bytes:
     columns, bands = canvas.grid(len(disparities))
-    sheet = Sheet(
+    sheet = PanelSheet(
         columns, 2 * bands, canvas.fitting([one_map.valid.shape for one_map in disparities.values()], 260), bars=True
     )
     for half, (values_of, label, colours, limits) in enumerate((upper, lower)):

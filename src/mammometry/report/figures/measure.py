@@ -12,12 +12,12 @@ from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures import canvas
-from mammometry.report.figures.canvas import Sheet
+from mammometry.report.figures.canvas import PanelSheet
 from mammometry.report.figures.catalogue import preview
 from mammometry.report.figures.names import NAMES
 from mammometry.report.figures.shading import (
-    Scene,
-    View,
+    ShadedMesh,
+    ViewDirection,
     even_curve,
     join_segments,
     picture_wh,
@@ -52,7 +52,7 @@ def overview(result: MeasureResult) -> bytes | None:
         boundary.name: boundary.evidence_world for boundary in result.boundaries if len(boundary.evidence_world)
     }
     views = result.views
-    sheet = Sheet(2, 2, picture_wh(views[0], _OVERVIEW_PX), header=26)
+    sheet = PanelSheet(2, 2, picture_wh(views[0], _OVERVIEW_PX), header=26)
     entries = [(canvas.CYCLE[k], f"boundary, {NAMES[measured.name]}") for k, measured in enumerate(measurements)]
     mirrored = [deficit for deficit in result.lacking if deficit.curves == 1]
     entries += [(_MIRRORED, f"the same, mirrored to the {deficit.name}") for deficit in mirrored]
@@ -112,7 +112,7 @@ def _near(result: MeasureResult, index: int, size_px: int) -> bytes | None:
     painted = result.textured
     colours = painted.colours if result.repaired is None else shown_colours(painted.colours, result.repaired)
     width, height = picture_wh(view, size_px)
-    sheet = Sheet(1, 1, (width, height), bare=True)
+    sheet = PanelSheet(1, 1, (width, height), bare=True)
     axes = sheet.panel(0)
     show(axes, scene.render(view, size_px=size_px, colours=colours, lit=False), view, bar=not index)
     for k, measured in enumerate(result.measurements):
@@ -125,7 +125,7 @@ def _near(result: MeasureResult, index: int, size_px: int) -> bytes | None:
     return sheet.png(name, f"The boundary is dashed where it is hidden. {WORDS}.")
 
 
-def _close_views(result: MeasureResult) -> tuple[View, ...]:
+def _close_views(result: MeasureResult) -> tuple[ViewDirection, ...]:
     """Front and both oblique views, close to the breasts, all at one scale."""
     whole = result.views[:3]
     points = np.concatenate(
@@ -151,7 +151,7 @@ def closed(result: MeasureResult, measured: VolumeMeasurement) -> bytes:
     turned = _turn(np.deg2rad(70.0)) @ frame
     behind = np.stack([-frame[0], frame[1], -frame[2]])
     views = views_of(measured.closed, {"front": frame, "from the side": turned, "from behind: the wall": behind})
-    sheet = Sheet(3, 1, picture_wh(views[0], _PANEL_PX), header=26)
+    sheet = PanelSheet(3, 1, picture_wh(views[0], _PANEL_PX), header=26)
     sheet.legend(
         [
             (canvas.hexadecimal(_SKIN), "skin"),
@@ -159,7 +159,7 @@ def closed(result: MeasureResult, measured: VolumeMeasurement) -> bytes:
             (canvas.INK, "boundary"),
         ]
     )
-    scene = Scene(measured.closed)
+    scene = ShadedMesh(measured.closed)
     colours = np.where(wall_faces(measured)[:, None], np.array(_WALL), np.array(_SKIN)).astype(np.float32)
     for index, view in enumerate(views):
         axes = sheet.panel(index, view.name)
@@ -182,7 +182,7 @@ def sections(result: MeasureResult, measured: VolumeMeasurement) -> bytes:
     across = "right, mm" if result.body is None else "towards the patient's left, mm"
     labels = {0: across, 1: "up, mm", 2: "towards the cameras, mm"}
     reach = float(np.abs((measured.closed.vertices - point) @ frame.T).max()) * 1.08
-    sheet = Sheet(2, 1, (380, 380), axes_room=(56, 42), header=26)
+    sheet = PanelSheet(2, 1, (380, 380), axes_room=(56, 42), header=26)
     sheet.legend([(_SKIN_LINE, "skin"), (_WALL_LINE, f"wall: {measured.wall_kind}")])
     for index, (title, normal, (axis_x, axis_y)) in enumerate(cuts):
         axes = sheet.panel(index, title, plain=False)
@@ -200,8 +200,8 @@ def sections(result: MeasureResult, measured: VolumeMeasurement) -> bytes:
 
 def curve(
     axes: Any,
-    scene: Scene,
-    view: View,
+    scene: ShadedMesh,
+    view: ViewDirection,
     points_world: Float64[Array, "n 3"],
     colour: str,
     *,
@@ -263,7 +263,7 @@ def symmetry_map(result: MeasureResult) -> bytes | None:
         ("right breast, mirrored", _skin(right).mapped(symmetry.mirrored).turned_over(), symmetry.right_mm, edge),
     )
     views = views_of(skins[0][1], frames, margin=1.12)  # both lie on one another: the same views for both
-    sheet = Sheet(4, 1, picture_wh(views[0], _SYMMETRY_PANEL_PX), bars=True, header=26)
+    sheet = PanelSheet(4, 1, picture_wh(views[0], _SYMMETRY_PANEL_PX), bars=True, header=26)
     sheet.legend(
         [
             (canvas.DIVERGING[-2], "fuller than the other one"),
@@ -272,7 +272,7 @@ def symmetry_map(result: MeasureResult) -> bytes | None:
         ]
     )
     for side, (title, skin, out_mm, boundary) in enumerate(skins):
-        scene = Scene(skin)
+        scene = ShadedMesh(skin)
         colours = canvas.coloured(out_mm, scale)
         for column, view in enumerate(views):
             axes = sheet.panel(2 * column + side, f"{title}, {view.name}")

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from mammometry.report.figures import canvas
-from mammometry.report.figures.canvas import Sheet
+from mammometry.report.figures.canvas import PanelSheet
 from mammometry.report.figures.catalogue import preview
 from mammometry.report.figures.shading import picture_wh, standard_views
 from mammometry.report.figures.stage_results import MeasureResult
@@ -40,7 +40,7 @@ def merged(result: MeasureResult) -> bytes | None:
     colours = np.tile(np.array(canvas.rgb(_SEVERAL), dtype=np.float32), (len(mesh.vertices), 1))
     for bit, (colour, _) in zip(bits, single, strict=True):
         colours[result.sources == bit] = canvas.rgb(colour)
-    sheet = Sheet(2, 1, picture_wh(views[0], _PANEL_PX), header=26)
+    sheet = PanelSheet(2, 1, picture_wh(views[0], _PANEL_PX), header=26)
     sheet.legend([*single, (_SEVERAL, "several scans")])
     for index, (view, name) in enumerate(zip(views, ("front", "from below"), strict=True)):
         show(sheet.panel(index, name), result.scene.render(view, size_px=_PANEL_PX, colours=colours), view)

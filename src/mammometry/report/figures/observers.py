@@ -8,12 +8,12 @@ import numpy as np
 
 from mammometry.geometry.arrays import Array
 from mammometry.report.figures import canvas
-from mammometry.report.figures.canvas import Sheet
+from mammometry.report.figures.canvas import PanelSheet
 from mammometry.report.figures.measure import curve
-from mammometry.report.figures.shading import Scene, picture_wh, standard_views
+from mammometry.report.figures.shading import ShadedMesh, picture_wh, standard_views
 from mammometry.report.figures.surface import show
-from mammometry.study.agreement import Agreement, Estimate, PairedMeasurements
-from mammometry.study.observers import WHOLE, Apart, Drawing, DrawnSurface, ObserverStudy
+from mammometry.study.agreement import Agreement, IntervalEstimate, PairedMeasurements
+from mammometry.study.observers import WHOLE, Apart, DrawnSurface, ObservedCurve, ObserverStudy
 
 _VIEW_PX = 380  # longer side of a view; chosen by eye
 _PLOT = (560, 300)  # size of a plot, px; chosen by eye
@@ -25,11 +25,11 @@ _BAR = 0.38  # width of a bar, of a region's place
 def curves_on(surface: DrawnSurface, observers: Sequence[str]) -> bytes:
     """All curves on a surface, a colour a person."""
     views = [view for view in standard_views(surface.mesh, surface.frame, of_patient=True) if "below" not in view.name]
-    sheet = Sheet(len(views), 1, picture_wh(views[0], _VIEW_PX), header=26)
+    sheet = PanelSheet(len(views), 1, picture_wh(views[0], _VIEW_PX), header=26)
     colours = _colours(observers)
     names = {name for name, _ in surface.curves}
     sheet.legend([(colours[name], name) for name in observers if name in names])
-    scene = Scene(surface.mesh)
+    scene = ShadedMesh(surface.mesh)
     for index, view in enumerate(views):
         axes = sheet.panel(index, view.name)
         show(axes, scene.render(view, size_px=_VIEW_PX), view)
@@ -41,9 +41,9 @@ def curves_on(surface: DrawnSurface, observers: Sequence[str]) -> bytes:
     )
 
 
-def volumes(drawings: Sequence[Drawing], study: ObserverStudy) -> bytes:
+def volumes(drawings: Sequence[ObservedCurve], study: ObserverStudy) -> bytes:
     """Each drawing's volume less the mean of its breast."""
-    sheet = Sheet(1, 1, _PLOT, axes_room=_ROOM, header=26)
+    sheet = PanelSheet(1, 1, _PLOT, axes_room=_ROOM, header=26)
     colours = _colours(study.observers)
     sheet.legend([(colours[name], name) for name in study.observers])
     axes = sheet.panel(0, plain=False)
@@ -71,7 +71,7 @@ def volumes(drawings: Sequence[Drawing], study: ObserverStudy) -> bytes:
 
 def regions(study: ObserverStudy) -> bytes:
     """Mean distance between curves by region."""
-    sheet = Sheet(1, 1, _PLOT, axes_room=_ROOM, header=26)
+    sheet = PanelSheet(1, 1, _PLOT, axes_room=_ROOM, header=26)
     shown = [
         (apart, colour, words)
         for apart, colour, words in (
@@ -114,13 +114,13 @@ def bland_altman(data: PairedMeasurements, figures: Agreement) -> bytes:
 
     It shows bias, limits of agreement, their 95 % intervals and the proportional bias.
     """
-    sheet = Sheet(1, 1, _PANEL, axes_room=_ROOM, header=26)
+    sheet = PanelSheet(1, 1, _PANEL, axes_room=_ROOM, header=26)
     sheet.legend(
         [(canvas.BLUE, "bias"), (canvas.VERMILION, "limits of agreement"), (canvas.GREEN, "proportional bias")]
     )
     axes = sheet.panel(0, plain=False)
     low, high = _stretched(data.means, 0.04)
-    levels: tuple[tuple[Estimate, str, str], ...] = (
+    levels: tuple[tuple[IntervalEstimate, str, str], ...] = (
         (figures.mean_difference, canvas.BLUE, "bias"),
         (figures.lower_limit, canvas.VERMILION, "−1.96 SD"),
         (figures.upper_limit, canvas.VERMILION, "+1.96 SD"),
@@ -156,7 +156,7 @@ def bland_altman(data: PairedMeasurements, figures: Agreement) -> bytes:
 
 def scatter(data: PairedMeasurements) -> bytes:
     """One method against the other, with the line of equality."""
-    sheet = Sheet(1, 1, (400, 400), axes_room=_ROOM, header=26)
+    sheet = PanelSheet(1, 1, (400, 400), axes_room=_ROOM, header=26)
     sheet.legend([(canvas.FAINT, "equality"), (canvas.BLUE, "pairs")])
     axes = sheet.panel(0, plain=False)
     limits = _stretched(np.concatenate([data.reference, data.measured]), 0.05)

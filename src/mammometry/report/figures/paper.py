@@ -14,12 +14,12 @@ from mammometry.geometry import Array, Bool, Float64, TriangleMesh, UInt8
 from mammometry.job.graph import Plan
 from mammometry.job.stages import calibrate, match, surface
 from mammometry.report.figures import canvas
-from mammometry.report.figures.canvas import Sheet
+from mammometry.report.figures.canvas import PanelSheet
 from mammometry.report.figures.catalogue import Source, find_paper_figure, paper_figure
 from mammometry.report.figures.matching import resampled
 from mammometry.report.figures.shading import (
-    Scene,
-    View,
+    ShadedMesh,
+    ViewDirection,
     front_frame,
     join_segments,
     picture_wh,
@@ -61,12 +61,12 @@ def write_figure(number: int, source: Source, path: Path, subject: str | None = 
 
 
 @paper_figure(1)
-def stereo_and_matching(source: Source) -> Sheet:
+def stereo_and_matching(source: Source) -> PanelSheet:
     """Fig. 1: stereo pair, disparities, confidence and range image. One row a pair."""
     plan, inputs, _ = source
     rig = plan[calibrate.cameras]().rig
     disparities = {pair: product() for pair, product in plan[match.disparity].items()}
-    sheet = Sheet(
+    sheet = PanelSheet(
         6, len(disparities), canvas.fitting([disparity.valid.shape for disparity in disparities.values()], _PANEL_PX)
     )
     for row, (pair, disparity) in enumerate(disparities.items()):
@@ -90,7 +90,7 @@ def stereo_and_matching(source: Source) -> Sheet:
 
 
 @paper_figure(2)
-def meshes_of_each_pair(source: Source) -> Sheet:
+def meshes_of_each_pair(source: Source) -> PanelSheet:
     """Fig. 2: mesh of each range image, with dents at depth discontinuities."""
     from mammometry.surface.fusion.fuse import extract_open
 
@@ -99,15 +99,15 @@ def meshes_of_each_pair(source: Source) -> Sheet:
     meshes = [extract_open([image]) for image in images]
     views = [_side(mesh, image) for mesh, image in zip(meshes, images, strict=True)]
     columns, rows = canvas.grid(len(meshes))
-    sheet = Sheet(columns, rows, (_PANEL_PX, _PANEL_PX))
+    sheet = PanelSheet(columns, rows, (_PANEL_PX, _PANEL_PX))
     for index, (mesh, image, view) in enumerate(zip(meshes, images, views, strict=True)):
         axes = sheet.panel(index, image.name)
-        show(axes, Scene(mesh).render(view, size_px=_PRINT_PX), view)
+        show(axes, ShadedMesh(mesh).render(view, size_px=_PRINT_PX), view)
     return sheet
 
 
 @paper_figure(3)
-def depth_discontinuity(source: Source) -> Sheet:
+def depth_discontinuity(source: Source) -> PanelSheet:
     """Fig. 3: section through two range images where they disagree.
 
     It shows the directions to both perspective centres.
@@ -122,7 +122,7 @@ def depth_discontinuity(source: Source) -> Sheet:
     a, b, *_ = sorted(images, key=lambda image: -int(dropped[image.name].sum()))
     lost = a.points_world()[dropped[a.name]]
     middle = np.median(lost, axis=0) if len(lost) else repaired.vertices.mean(axis=0)
-    sheet = Sheet(1, 1, (620, 420), axes_room=(64, 42), header=26)
+    sheet = PanelSheet(1, 1, (620, 420), axes_room=(64, 42), header=26)
     sheet.legend(
         [
             (canvas.BLUE, f"{a.name}, kept"),
@@ -155,13 +155,13 @@ def depth_discontinuity(source: Source) -> Sheet:
 
 
 @paper_figure(4)
-def range_images(source: Source) -> Sheet:
+def range_images(source: Source) -> PanelSheet:
     """Fig. 4: all range images at one scale, darker where nearer."""
     plan, _, _ = source
     images = [product() for product in plan[surface.range_image].values()]
     low, high = canvas.robust_range(np.concatenate([image.range_mm[image.valid] for image in images]), 0.002)
     columns, rows = canvas.grid(len(images))
-    sheet = Sheet(columns, rows, canvas.fitting([image.valid.shape for image in images], _PANEL_PX), bars=True)
+    sheet = PanelSheet(columns, rows, canvas.fitting([image.valid.shape for image in images], _PANEL_PX), bars=True)
     drawn = None
     for index, image in enumerate(images):
         axes = sheet.panel(index, image.name)
@@ -173,7 +173,7 @@ def range_images(source: Source) -> Sheet:
 
 
 @paper_figure(5)
-def decompositions(source: Source) -> Sheet:
+def decompositions(source: Source) -> PanelSheet:
     """Fig. 5: one range image decomposed against another.
 
     Shown for several tolerances ε and thresholding angles.
@@ -185,14 +185,14 @@ def decompositions(source: Source) -> Sheet:
 
 
 @paper_figure(6)
-def first_surface(source: Source) -> Sheet:
+def first_surface(source: Source) -> PanelSheet:
     """Fig. 6: the surface that the cubes give, before the elastic repair."""
     plan, _, _ = source
     return _surface(plan, plan[surface.initial_surface]())
 
 
 @paper_figure(7)
-def repaired_surface(source: Source) -> Sheet:
+def repaired_surface(source: Source) -> PanelSheet:
     """Fig. 7: the surface after the elastic repair."""
     plan, _, _ = source
     return _surface(plan, plan[surface.repaired]().mesh)
@@ -209,7 +209,7 @@ def _at_least_two(plan: Plan, number: int) -> list[RangeImage]:
     return images
 
 
-def _surface(plan: Plan, mesh: TriangleMesh) -> Sheet:
+def _surface(plan: Plan, mesh: TriangleMesh) -> PanelSheet:
     cameras = plan.value(calibrate.cameras) or plan[surface.corrected_cameras]()  # a scan has its viewer alone
     frame = front_frame(cameras.rig)
     half = np.sqrt(0.5)
@@ -219,14 +219,14 @@ def _surface(plan: Plan, mesh: TriangleMesh) -> Sheet:
         "45° from below": np.array([[1, 0, 0], [0, half, half], [0, -half, half]]),
     }
     views = views_of(mesh, {name: turn @ frame for name, turn in turns.items()})
-    sheet = Sheet(3, 1, picture_wh(views[0], _PANEL_PX))
-    scene = Scene(mesh)
+    sheet = PanelSheet(3, 1, picture_wh(views[0], _PANEL_PX))
+    scene = ShadedMesh(mesh)
     for index, view in enumerate(views):
         show(sheet.panel(index, view.name), scene.render(view, size_px=_PRINT_PX), view)
     return sheet
 
 
-def _side(mesh: TriangleMesh, image: RangeImage) -> View:
+def _side(mesh: TriangleMesh, image: RangeImage) -> ViewDirection:
     """Look at a pair's mesh 50° off its camera's axis. There dents are visible."""
     rows = image.camera.camera_from_world.rotation
     frame = np.stack([rows[0], -rows[1], -rows[2]])
@@ -245,7 +245,7 @@ _MEANINGS = {
 }
 
 
-def draw_dent_grid(grid: DentGrid) -> Sheet:
+def draw_dent_grid(grid: DentGrid) -> PanelSheet:
     """Draw angle thresholds as rows and ε as columns (Fig. 5).
 
     Greys are the paper's. Removed data are black.
@@ -253,7 +253,7 @@ def draw_dent_grid(grid: DentGrid) -> Sheet:
     rows, columns = np.flatnonzero(grid.valid.any(axis=1)), np.flatnonzero(grid.valid.any(axis=0))
     window = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)) if len(rows) else (slice(None),) * 2
     shape = grid.valid[window].shape
-    sheet = Sheet(len(grid.epsilons_mm), len(grid.angles_deg), canvas.fitting([shape], _DENT_PANEL_PX), header=26)
+    sheet = PanelSheet(len(grid.epsilons_mm), len(grid.angles_deg), canvas.fitting([shape], _DENT_PANEL_PX), header=26)
     entries = [(canvas.hexadecimal((grey,) * 3), _MEANINGS[label]) for label, grey in _GREYS.items()]
     sheet.legend([*entries, ("#000000", "removed"), (canvas.hexadecimal(canvas.MISSING), "no datum")])
     count = max(int(grid.valid.sum()), 1)

@@ -13,10 +13,10 @@ from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.job.inputs import FinishedSurface
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.report.figures import canvas
-from mammometry.report.figures.canvas import Sheet
+from mammometry.report.figures.canvas import PanelSheet
 from mammometry.report.figures.measure import curve
 from mammometry.report.figures.names import NAMES
-from mammometry.report.figures.shading import Scene, picture_wh, standard_views, views_of
+from mammometry.report.figures.shading import ShadedMesh, picture_wh, standard_views, views_of
 from mammometry.report.figures.surface import show
 from mammometry.surface.texture.unmeasured import WORDS, shown_colours
 
@@ -36,7 +36,7 @@ def photographs_seen(
     """
     small = {camera: canvas.reduced(photographs[camera], _PHOTOGRAPH_PX) for camera in photographs}
     columns, rows = canvas.grid(len(small))
-    sheet = Sheet(columns, rows, canvas.fitting([picture.shape for picture in small.values()], _PHOTOGRAPH_PX))
+    sheet = PanelSheet(columns, rows, canvas.fitting([picture.shape for picture in small.values()], _PHOTOGRAPH_PX))
     for index, (camera, pixels) in enumerate(small.items()):
         axes = sheet.panel(index, camera)
         axes.imshow(pixels, interpolation="antialiased")
@@ -76,7 +76,7 @@ def targets_seen(
         photograph = photographs[key]
         small.append((photograph.size_wh, canvas.reduced(photograph, _PHOTOGRAPH_PX)))
     columns, rows = canvas.grid(len(small))
-    sheet = Sheet(columns, rows, canvas.fitting([picture.shape for _, picture in small], _PHOTOGRAPH_PX))
+    sheet = PanelSheet(columns, rows, canvas.fitting([picture.shape for _, picture in small], _PHOTOGRAPH_PX))
     for index, (key, (size_wh, pixels)) in enumerate(zip(shown, small, strict=True)):
         uv = points.get(key)
         seen = "no target found" if uv is None else f"{len(uv)} points"
@@ -102,10 +102,10 @@ def surface_seen(
     """
     repaired = finished.repaired
     views = standard_views(repaired.mesh, frame, of_patient=of_patient)
-    sheet = Sheet(2, 2, picture_wh(views[0], _VIEW_PX), header=26 if boundaries else 0)
+    sheet = PanelSheet(2, 2, picture_wh(views[0], _VIEW_PX), header=26 if boundaries else 0)
     if boundaries:
         sheet.legend([(canvas.CYCLE[k], f"boundary, {NAMES[boundary.name]}") for k, boundary in enumerate(boundaries)])
-    scene, colours = Scene(repaired.mesh), shown_colours(finished.textured.colours, repaired)
+    scene, colours = ShadedMesh(repaired.mesh), shown_colours(finished.textured.colours, repaired)
     for index, view in enumerate(views):
         axes = sheet.panel(index, view.name)
         show(axes, scene.render(view, size_px=_VIEW_PX, colours=colours, lit=False), view)
@@ -124,7 +124,7 @@ def directions_seen(mesh: TriangleMesh, fronts: Mapping[str, Float64[Array, "3 3
     """
     views = views_of(mesh, dict(fronts))
     columns, rows = canvas.grid(len(views))
-    sheet, scene = Sheet(columns, rows, picture_wh(views[0], _VIEW_PX)), Scene(mesh)
+    sheet, scene = PanelSheet(columns, rows, picture_wh(views[0], _VIEW_PX)), ShadedMesh(mesh)
     for index, view in enumerate(views):
         show(sheet.panel(index, view.name), scene.render(view, size_px=_VIEW_PX), view)
     text = "Measure again with the option above the picture that shows the patient upright and from the front."

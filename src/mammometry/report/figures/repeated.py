@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mammometry.report.figures import canvas
-from mammometry.report.figures.canvas import Sheet
+from mammometry.report.figures.canvas import PanelSheet
 from mammometry.study.repeatability.design import SUBJECT, Reading
 from mammometry.study.repeatability.study import RepeatabilityStudy
 
@@ -31,7 +31,7 @@ def capture_differences(readings: Sequence[Reading], found: RepeatabilityStudy) 
             mean = (first.volume_cc + second.volume_cc) / 2
             pairs.append((who, mean, second.volume_cc - first.volume_cc))
     names = tuple(dict.fromkeys(who for who, *_ in pairs))
-    sheet = Sheet(1, 1, _PANEL, axes_room=_ROOM, header=26)
+    sheet = PanelSheet(1, 1, _PANEL, axes_room=_ROOM, header=26)
     colours = {name: canvas.CYCLE[place % len(canvas.CYCLE)] for place, name in enumerate(names)}
     sheet.legend([*((colours[name], name) for name in names[:_MOST_NAMES] if name), (canvas.VERMILION, "± SDC")])
     axes = sheet.panel(0, plain=False)
@@ -60,7 +60,7 @@ def one_of(reading: Reading) -> str:
 def variances(found: RepeatabilityStudy) -> bytes:
     """Standard deviation of each effect that is an error, with its interval."""
     shown = [one for one in found.components if one.name not in SUBJECT]
-    sheet = Sheet(1, 1, (_PANEL[0] - _NAMES_ROOM, max(_ROW * len(shown), 60)), axes_room=(_NAMES_ROOM, _ROOM[1]))
+    sheet = PanelSheet(1, 1, (_PANEL[0] - _NAMES_ROOM, max(_ROW * len(shown), 60)), axes_room=(_NAMES_ROOM, _ROOM[1]))
     axes = sheet.panel(0, plain=False)
     at = np.arange(len(shown))[::-1]
     axes.barh(at, [one.sd_cc.value for one in shown], 0.55, color=canvas.SKY)

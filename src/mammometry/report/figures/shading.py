@@ -18,7 +18,7 @@ from mammometry.geometry import Array, Bool, Float32, Float64, Int32, Int64, Rig
 from mammometry.geometry.curves import closed_length_mm, evenly_spaced
 from mammometry.geometry.mesh_kernels import nearest_faces
 from mammometry.geometry.nearest import closest_on_mesh
-from mammometry.measure.trunk.body import Body, Mounting, camera_up
+from mammometry.measure.trunk.body import BodyDirections, Mounting, camera_up
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures.shading_kernels import shaded
 
@@ -36,7 +36,7 @@ _PLASTER = (0.86, 0.84, 0.80)  # colour, red green blue, 0 to 1; chosen by eye
 
 
 @value(eq=False)
-class View:
+class ViewDirection:
     """A direction to look from, without perspective."""
 
     name: str
@@ -76,19 +76,19 @@ class Cast:
         return self.faces >= 0
 
 
-class Scene:
+class ShadedMesh:
     """A mesh to be looked at from any number of views."""
 
     def __init__(self, mesh: TriangleMesh) -> None:
         self.mesh = mesh
-        self._casts: dict[tuple[View, int], Cast] = {}
+        self._casts: dict[tuple[ViewDirection, int], Cast] = {}
 
     @cached_property
     def normals(self) -> Float32[Array, "n 3"]:
         """Unit vertex normals."""
         return self.mesh.vertex_normals().astype(np.float32)
 
-    def cast(self, view: View, size_px: int) -> Cast:
+    def cast(self, view: ViewDirection, size_px: int) -> Cast:
         """Find what is seen in the middle of each pixel.
 
         The picture's longer side has `size_px` pixels. What was found is kept, so that one view can be coloured in
@@ -99,7 +99,7 @@ class Scene:
             self._casts[key] = self._cast(view, size_px)
         return self._casts[key]
 
-    def _cast(self, view: View, size_px: int) -> Cast:
+    def _cast(self, view: ViewDirection, size_px: int) -> Cast:
         width, height = picture_wh(view, size_px)
         left_mm, right_mm, bottom_mm, top_mm = view.extent_mm
         corners = view.project(self.mesh.vertices)
@@ -110,7 +110,7 @@ class Scene:
 
     def render(
         self,
-        view: View,
+        view: ViewDirection,
         *,
         size_px: int = 600,
         colours: Float32[Array, "n 3"] | UInt8[Array, "n 3"] | None = None,
@@ -139,14 +139,16 @@ class Scene:
         )
 
 
-def picture_wh(view: View, size_px: int) -> tuple[int, int]:
+def picture_wh(view: ViewDirection, size_px: int) -> tuple[int, int]:
     """Even width and height of a picture with longer side `size_px`."""
     scale = size_px / max(view.span_mm)
     width, height = (max(2, 2 * round(span * scale / 2)) for span in view.span_mm)
     return width, height
 
 
-def standard_views(mesh: TriangleMesh, frame: Float64[Array, "3 3"], *, of_patient: bool = False) -> tuple[View, ...]:
+def standard_views(
+    mesh: TriangleMesh, frame: Float64[Array, "3 3"], *, of_patient: bool = False
+) -> tuple[ViewDirection, ...]:
     """Four standard views: front, 45° from either side, from below. All have one scale and centre.
 
     Args:
@@ -165,7 +167,9 @@ def standard_views(mesh: TriangleMesh, frame: Float64[Array, "3 3"], *, of_patie
     return views_of(mesh, {name: turn @ frame for name, turn in turns.items()})
 
 
-def views_of(mesh: TriangleMesh, frames: dict[str, Float64[Array, "3 3"]], *, margin: float = 1.06) -> tuple[View, ...]:
+def views_of(
+    mesh: TriangleMesh, frames: dict[str, Float64[Array, "3 3"]], *, margin: float = 1.06
+) -> tuple[ViewDirection, ...]:
     """Views of a mesh from given directions, at one scale. Below each is a strip for the scale bar."""
     low, high = bounds(mesh.vertices)
     centre = (low + high) / 2
@@ -177,7 +181,7 @@ def views_of(mesh: TriangleMesh, frames: dict[str, Float64[Array, "3 3"]], *, ma
     foot = _FOOT * height
     span = max(width * margin, 1e-3), max(height * margin + foot, 1e-3)
     return tuple(
-        View(
+        ViewDirection(
             name=name,
             view_from_world=frame,
             centre_world=centre + ((placed[name][0] + placed[name][1]) / 2 * (1, 1, 0) - (0, foot / 2, 0)) @ frame,
@@ -212,7 +216,7 @@ def front_frame(
     return np.stack([np.cross(up, towards), up, towards])
 
 
-def front_of(rig: Rig, body: Body | None) -> Float64[Array, "3 3"]:
+def front_of(rig: Rig, body: BodyDirections | None) -> Float64[Array, "3 3"]:
     """Axes of the front view: the body's own, else the cameras'. Rows: right, up and towards the viewer.
 
     Args:
@@ -242,7 +246,9 @@ def section(
     return np.stack(ends, axis=1), crossed.astype(np.int64)
 
 
-def visible(points_world: Float64[Array, "n 3"], view: View, cast: Cast, *, slack_mm: float = 1.5) -> Bool[Array, " n"]:
+def visible(
+    points_world: Float64[Array, "n 3"], view: ViewDirection, cast: Cast, *, slack_mm: float = 1.5
+) -> Bool[Array, " n"]:
     """Mask of the points on or near the mesh that are visible in a view."""
     x, y, towards = view.project(points_world).T
     height, width = cast.faces.shape

@@ -21,11 +21,11 @@ from mammometry.matching.quality import MatchQuality
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.shape.symmetry import Symmetry
-from mammometry.measure.trunk.body import Body, Mounting
+from mammometry.measure.trunk.body import BodyDirections, Mounting
 from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
 from mammometry.report.figures import canvas
 from mammometry.report.figures.catalogue import previews_of
-from mammometry.report.figures.shading import Scene, View, front_frame, front_of, standard_views
+from mammometry.report.figures.shading import ShadedMesh, ViewDirection, front_frame, front_of, standard_views
 from mammometry.report.figures.thinning import (
     LARGEST_WIDTH_PX,
     ThinnedRange,
@@ -107,12 +107,12 @@ class SurfaceResult:
     """Camera → how it is mounted. Cameras not listed are upright."""
 
     @cached_property
-    def scene(self) -> Scene:
+    def scene(self) -> ShadedMesh:
         """The repaired mesh, ready to be rendered."""
-        return Scene(self.repaired.mesh)
+        return ShadedMesh(self.repaired.mesh)
 
     @cached_property
-    def views(self) -> tuple[View, ...]:
+    def views(self) -> tuple[ViewDirection, ...]:
         """Standard views of the repaired mesh."""
         return standard_views(self.repaired.mesh, front_frame(self.rig, mounting=self.mounting))
 
@@ -133,7 +133,7 @@ class MeasureResult:
     boundaries: Sequence[Boundary] = ()
     """For the points that each boundary was found from. Optional."""
     symmetry: Symmetry | None = None
-    body: Body | None = None
+    body: BodyDirections | None = None
     """The patient's own directions. None for a cast."""
     absent: Sequence[NoBreast] = ()
     """Sides without a breast."""
@@ -143,12 +143,12 @@ class MeasureResult:
     """Scans that show each vertex, as bits, if several were merged."""
 
     @cached_property
-    def scene(self) -> Scene:
+    def scene(self) -> ShadedMesh:
         """The whole surface, ready to be rendered."""
-        return Scene(self.textured.mesh)
+        return ShadedMesh(self.textured.mesh)
 
     @cached_property
-    def views(self) -> tuple[View, ...]:
+    def views(self) -> tuple[ViewDirection, ...]:
         """Standard views of the whole surface."""
         return standard_views(self.textured.mesh, self.frame, of_patient=self.body is not None)
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from mammometry.geometry import Array, Float32, Float64, Rig, TriangleMesh, UInt8
 from mammometry.report.figures import canvas
-from mammometry.report.figures.canvas import Sheet
+from mammometry.report.figures.canvas import PanelSheet
 from mammometry.report.figures.catalogue import preview
-from mammometry.report.figures.shading import Scene, View, front_frame, picture_wh, standard_views
+from mammometry.report.figures.shading import ShadedMesh, ViewDirection, front_frame, picture_wh, standard_views
 from mammometry.report.figures.stage_results import SurfaceResult
 from mammometry.study.accuracy import ErrorMap
 from mammometry.study.tables import thousands
@@ -83,7 +83,7 @@ def repair(result: SurfaceResult) -> bytes:
     """The first mesh above, the repaired one below, from the same views."""
     views = result.views
     sheet = _view_sheet(views, rows=2)
-    for row, (title, drawn) in enumerate((("first mesh", Scene(result.first)), ("repaired", result.scene))):
+    for row, (title, drawn) in enumerate((("first mesh", ShadedMesh(result.first)), ("repaired", result.scene))):
         for column, view in enumerate(views):
             axes = sheet.panel(row * len(views) + column, f"{title}, {view.name}")
             show(axes, drawn.render(view, size_px=_PANEL_PX), view)
@@ -143,7 +143,7 @@ def textured(result: SurfaceResult) -> bytes:
 def convergence(result: SurfaceResult) -> bytes:
     """Displacement of the vertices in each round of the repair."""
     repaired = result.repaired
-    sheet = Sheet(1, 1, (420, 220), axes_room=(64, 42))
+    sheet = PanelSheet(1, 1, (420, 220), axes_room=(64, 42))
     axes = sheet.panel(0, "elastic repair", plain=False)
     rounds = np.arange(1, len(repaired.convergence) + 1)
     axes.plot(rounds, repaired.convergence, "o-", color=canvas.BLUE, linewidth=1.4, markersize=5)
@@ -171,7 +171,7 @@ def provenance_shares(repaired: RepairedSurface) -> dict[Provenance, float]:
     return {kind: float(weights[kind] / max(areas.sum(), 1e-12)) for kind in Provenance}
 
 
-def show(axes: Any, picture: UInt8[Array, "h w 4"], view: View, *, bar: bool = True) -> None:
+def show(axes: Any, picture: UInt8[Array, "h w 4"], view: ViewDirection, *, bar: bool = True) -> None:
     """Put a rendered mesh into a panel in mm with scale bar."""
     axes.set_axis_off()
     axes.imshow(picture, extent=view.extent_mm, interpolation="antialiased")
@@ -180,13 +180,13 @@ def show(axes: Any, picture: UInt8[Array, "h w 4"], view: View, *, bar: bool = T
         canvas.scale_bar(axes, view.extent_mm)
 
 
-def _view_sheet(views: Sequence[View], *, rows: int, bars: bool = False, header: int = 0) -> Sheet:
-    return Sheet(len(views), rows, picture_wh(views[0], _PANEL_PX), bars=bars, header=header)
+def _view_sheet(views: Sequence[ViewDirection], *, rows: int, bars: bool = False, header: int = 0) -> PanelSheet:
+    return PanelSheet(len(views), rows, picture_wh(views[0], _PANEL_PX), bars=bars, header=header)
 
 
-def _map_sheet(shapes: Sequence[tuple[int, ...]], *, bars: bool = False, header: int = 0) -> Sheet:
+def _map_sheet(shapes: Sequence[tuple[int, ...]], *, bars: bool = False, header: int = 0) -> PanelSheet:
     columns, rows = canvas.grid(len(shapes))
-    return Sheet(columns, rows, canvas.fitting(shapes, 270), bars=bars, header=header)
+    return PanelSheet(columns, rows, canvas.fitting(shapes, 270), bars=bars, header=header)
 
 
 _ERROR_PANEL_PX = 330  # width of a panel, px; chosen by eye
@@ -223,8 +223,8 @@ def error_map(
         np.float32
     )
     colours[~errors.judged] = _NOT_JUDGED
-    scene = Scene(mesh)
-    sheet = Sheet(2, 2, picture_wh(views[0], _ERROR_PANEL_PX), bars=True, header=26)
+    scene = ShadedMesh(mesh)
+    sheet = PanelSheet(2, 2, picture_wh(views[0], _ERROR_PANEL_PX), bars=True, header=26)
     sheet.legend(
         [
             (canvas.hexadecimal(scale.to_rgba(0.8 * limit_mm)[:3]), "outside the true surface"),

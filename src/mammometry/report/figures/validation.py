@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mammometry.report.figures import canvas
-from mammometry.report.figures.canvas import Sheet
+from mammometry.report.figures.canvas import PanelSheet
 from mammometry.study.validation.study import ValidationStudy
 
 _PANEL = (620, 420)  # size of the plot, px; the pages' width
@@ -17,7 +17,7 @@ _MARGIN = 0.06  # of the range, around the points
 def definitions_side_by_side(found: ValidationStudy) -> bytes:
     """Each definition's volumes over the truth, with the line of equality and Deming's lines."""
     shown = found.definitions[: len(_MARKS)]
-    sheet = Sheet(1, 1, _PANEL, axes_room=_ROOM, header=26)
+    sheet = PanelSheet(1, 1, _PANEL, axes_room=_ROOM, header=26)
     colours = {one.definition: canvas.CYCLE[place % len(canvas.CYCLE)] for place, one in enumerate(shown)}
     sheet.legend([(canvas.FAINT, "equality"), *((colours[one.definition], one.definition) for one in shown)])
     axes = sheet.panel(0, plain=False)

@@ -17,7 +17,7 @@ from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasureme
 from mammometry.report.content import Fact, LargeNumber, sentence
 from mammometry.report.figures.names import NAMES
 from mammometry.report.words.volumes import measured_words, span_words, verdict_words, volume_words
-from mammometry.study.tables import Table, signed
+from mammometry.study.tables import TextTable, signed
 
 _SIDES = ("left", "right")
 
@@ -221,7 +221,7 @@ def difference_number(measurements: Sequence[VolumeMeasurement]) -> LargeNumber 
     )
 
 
-def planning_lengths(dimensions: Dimensions | None, landmarks: Sequence[Landmark] = ()) -> tuple[Table | None, str]:
+def planning_lengths(dimensions: Dimensions | None, landmarks: Sequence[Landmark] = ()) -> tuple[TextTable | None, str]:
     """Surgical lengths, the missing ones, and their landmarks.
 
     Args:
@@ -238,7 +238,7 @@ def planning_lengths(dimensions: Dimensions | None, landmarks: Sequence[Landmark
     grades = {ptosis.name: " or ".join(ptosis.likely) for ptosis in dimensions.ptosis}
     if grades:
         rows.append(("Ptosis, grade after Regnault", grades.get("left", "–"), grades.get("right", "–"), ""))
-    table = Table(
+    table = TextTable(
         title="Lengths", columns=("Lengths in mm, ± 95 %", "Left", "Right", "Left minus right"), rows=tuple(rows)
     )
     lacking = [row.title[0].lower() + row.title[1:] for row in laid_out.rows if row.sides == (None, None)]
@@ -298,11 +298,11 @@ def symmetry_facts(symmetry: Symmetry | None) -> tuple[Fact, ...]:
     )
 
 
-def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark] = ()) -> tuple[Table, ...]:
+def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark] = ()) -> tuple[TextTable, ...]:
     """Lengths, shape and ptosis as tables, without empty ones."""
     if dimensions is None:
         return ()
-    lengths = Table(
+    lengths = TextTable(
         title="Lengths, ± 95 %",
         columns=("from, to", "straight, mm", "along the skin, mm"),
         rows=tuple(
@@ -314,7 +314,7 @@ def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark
             for length in dimensions.lengths
         ),
     )
-    shapes = Table(
+    shapes = TextTable(
         title="Shape, ± 95 %",
         columns=("breast", "boundary, width × height, mm", "projection, mm", "upper pole, cc", "lower pole, cc"),
         rows=tuple(
@@ -329,7 +329,7 @@ def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark
         ),
     )
     names = tuple(dict.fromkeys(name for shape in dimensions.shapes for name in shape.quadrants_cc))
-    quadrants = Table(
+    quadrants = TextTable(
         title="Volume of the quadrants around the nipple, cc",
         columns=("breast", *names),
         rows=tuple(
@@ -341,7 +341,7 @@ def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark
             if shape.quadrants_cc
         ),
     )
-    sunk = Table(
+    sunk = TextTable(
         title="Ptosis (Regnault)",
         columns=("breast", "grade", "grades within 95 %", "nipple below the fold, mm, ± 95 %"),
         rows=tuple(
@@ -354,7 +354,7 @@ def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark
             for ptosis in dimensions.ptosis
         ),
     )
-    marks = Table(
+    marks = TextTable(
         title="Landmarks",
         columns=("landmark", "how it was found", "σ, mm", "probability"),
         rows=tuple(

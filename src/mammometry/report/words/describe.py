@@ -38,7 +38,7 @@ from mammometry.report.words.volumes import (
     volume_words,
 )
 from mammometry.settings import Settings, as_table
-from mammometry.study.tables import Table, number, signed, thousands
+from mammometry.study.tables import TextTable, number, signed, thousands
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "scikit-image", "trimesh", "manifold3d")
@@ -137,14 +137,14 @@ def wall_label(measured: VolumeMeasurement) -> str:
     return "Chest wall" if measured.name != "model" else "Base"
 
 
-def _breast_tables(measured: VolumeMeasurement) -> tuple[Table, ...]:
+def _breast_tables(measured: VolumeMeasurement) -> tuple[TextTable, ...]:
     wall, half = wall_label(measured).lower(), half_width(measured.interval_cc)
-    terms = Table(
+    terms = TextTable(
         title="Where the error comes from",
         columns=("source of error", "± cc (95 %)"),
         rows=tuple((name, term_words(value)) for name, value in measured.interval_terms_cc.items()),
     )
-    walls = Table(
+    walls = TextTable(
         title=f"Volume with other {'chest walls' if measured.name != 'model' else 'bases'}",
         columns=(wall, "cc", f"difference from {measured.wall_kind}, cc"),
         rows=tuple(
@@ -180,7 +180,7 @@ def calibration_report(rig: Rig, calibration: Calibration | None, quality: Calib
         Fact("Points", f"{thousands(used)} used, {thousands(total - used)} left out"),
         Fact("Reprojection error (RMS)", f"{calibration.rms_px:.3f} px, {quality.rms_mm:.3f} mm at the target"),
     )
-    pairs = Table(
+    pairs = TextTable(
         title="How well each pair measures the target",
         columns=("pair", "poses seen by both", "scale error, ppm", "shape error, mm", "flatness, mm"),
         rows=tuple(
@@ -216,7 +216,7 @@ def matching_report(
                 f"{number(judged.d_v_median_px, '+.3f')} ± {judged.d_v_spread_px:.3f}",
             )
         )
-    table = Table(
+    table = TextTable(
         title="Pairs",
         columns=(
             "pair",
@@ -278,7 +278,7 @@ def surface_report(
         )
         for image in ranges
     ]
-    table = Table(
+    table = TextTable(
         title="Range images",
         columns=("pair", "points", "dropped, %", "distance, mm", "σ (median), mm"),
         rows=tuple(rows),
@@ -361,7 +361,7 @@ def _with_unit(name: str, value: str) -> str:
     return f"{name.removesuffix('_mm').replace('_', ' ')} {value}{' mm' if name.endswith('_mm') else ''}"
 
 
-def _camera_table(rig: Rig, quality: CalibrationQuality | None) -> Table:
+def _camera_table(rig: Rig, quality: CalibrationQuality | None) -> TextTable:
     rows = []
     for name, camera in rig.cameras.items():
         row: tuple[str, ...] = (
@@ -380,7 +380,7 @@ def _camera_table(rig: Rig, quality: CalibrationQuality | None) -> Table:
         rows.append(row)
     judged = () if quality is None else ("RMS, px", "σ of focal length, ppm", "picture covered, %")
     columns = ("camera", "size, px", "focal length, px", "principal point, px", "k1, k2", *judged)
-    return Table(title="Cameras", columns=columns, rows=tuple(rows))
+    return TextTable(title="Cameras", columns=columns, rows=tuple(rows))
 
 
 def _range_words(values: Float32[Array, " n"]) -> str:

@@ -39,7 +39,7 @@ Facts: TypeAlias = MatchingFacts | StageReport | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shown:
+class DrawnStages:
     """Pictures of all stages, and their facts."""
 
     pictures: Mapping[str, Mapping[str, bytes]]

@@ -11,8 +11,8 @@ from mammometry.geometry.transform import Transform
 from mammometry.simulate.disturbances.surfaces import Outside
 from mammometry.simulate.rendering.props import Props
 from mammometry.simulate.rendering.scene import Prop
-from mammometry.simulate.rendering.skin import Skin
-from mammometry.simulate.subjects.solid import Solid
+from mammometry.simulate.rendering.skin import SkinReflectance
+from mammometry.simulate.subjects.solid import SubjectSolid
 
 Colour = tuple[float, float, float]
 
@@ -21,10 +21,10 @@ Colour = tuple[float, float, float]
 class Surroundings:
     """A placed subject and the objects around it."""
 
-    solid: Solid
+    solid: SubjectSolid
     """The subject, in its own frame."""
     rig_from_solid: Transform
-    skin: Skin
+    skin: SkinReflectance
     """Appearance of its skin."""
     things: tuple[Prop, ...] = ()
     """Rig frame, mm."""

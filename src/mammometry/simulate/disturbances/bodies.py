@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from mammometry.simulate.disturbances.registry import Number, Word, disturbance
-from mammometry.simulate.subjects.marks import Mark, Point
-from mammometry.simulate.subjects.torso_shape import SIDES, BreastShape, TorsoShape
+from mammometry.simulate.subjects.marks import Point, SkinMark
+from mammometry.simulate.subjects.torso_shape import SIDES, BreastDesign, TorsoShape
 
 _SCAR = (0.92, 0.70, 0.68)  # colour of a healed scar relative to the skin's: redder
 
@@ -30,14 +30,18 @@ def _removed(shape: TorsoShape, side: str, rng: np.random.Generator) -> TorsoSha
     order=4,
 )
 def _scar(shape: TorsoShape, width_mm: float, rng: np.random.Generator) -> TorsoShape:
-    marks: list[Mark] = []
+    marks: list[SkinMark] = []
     for side in operated(shape):
         line = _across(shape.breasts[side], rng)
         marks.append(
-            Mark(side=side, line_mm=line, half_width_mm=0.5 * width_mm + 1.0, colour=_SCAR, height_mm=-0.5 * width_mm)
+            SkinMark(
+                side=side, line_mm=line, half_width_mm=0.5 * width_mm + 1.0, colour=_SCAR, height_mm=-0.5 * width_mm
+            )
         )
         for place in ((line[-1][0] - 6.0, line[-1][1] - 34.0), (line[-1][0] + 8.0, line[-1][1] - 40.0)):
-            marks.append(Mark(side=side, line_mm=(place,), half_width_mm=4.0, colour=_SCAR, height_mm=-0.8))  # drains
+            marks.append(
+                SkinMark(side=side, line_mm=(place,), half_width_mm=4.0, colour=_SCAR, height_mm=-0.8)
+            )  # drains
     return replace(shape, marks=(*shape.marks, *marks))
 
 
@@ -49,16 +53,20 @@ def _scar(shape: TorsoShape, width_mm: float, rng: np.random.Generator) -> Torso
     order=4,
 )
 def _loose_skin(shape: TorsoShape, height_mm: float, rng: np.random.Generator) -> TorsoShape:
-    marks: list[Mark] = []
+    marks: list[SkinMark] = []
     for side, breast in shape.breasts.items():
         if not breast.removed:
             continue
         line = _across(breast, rng)
         for shift in (-14.0, 13.0):
             beside = tuple((x, y + shift + 4.0 * math.sin(0.05 * x)) for x, y in line)
-            marks.append(Mark(side=side, line_mm=beside, half_width_mm=3.0, height_mm=0.45 * height_mm, slope_mm=5.0))
+            marks.append(
+                SkinMark(side=side, line_mm=beside, half_width_mm=3.0, height_mm=0.45 * height_mm, slope_mm=5.0)
+            )
         end = (line[-1][0] + 6.0, line[-1][1])
-        marks.append(Mark(side=side, line_mm=(end,), half_width_mm=3.0, height_mm=height_mm, slope_mm=12.0))  # dog ear
+        marks.append(
+            SkinMark(side=side, line_mm=(end,), half_width_mm=3.0, height_mm=height_mm, slope_mm=12.0)
+        )  # dog ear
     return replace(shape, marks=(*shape.marks, *marks))
 
 
@@ -107,8 +115,8 @@ def _flap(shape: TorsoShape, side: str, rng: np.random.Generator) -> TorsoShape:
     x, y = x * math.cos(turn) - y * math.sin(turn), x * math.sin(turn) + y * math.cos(turn) - 0.1 * lower
     outline: tuple[Point, ...] = tuple((float(a), float(b)) for a, b in zip(x, y, strict=True))
     shade = float(rng.uniform(1.08, 1.25))
-    paddle = Mark(side=side, line_mm=outline, half_width_mm=1.0, colour=(shade, shade, 0.98 * shade), filled=True)
-    seam = Mark(
+    paddle = SkinMark(side=side, line_mm=outline, half_width_mm=1.0, colour=(shade, shade, 0.98 * shade), filled=True)
+    seam = SkinMark(
         side=side, line_mm=(*outline, outline[0]), half_width_mm=1.5, colour=_SCAR, height_mm=-1.0, slope_mm=3.0
     )
     changed = replace(breast, bare=True, fullness=0.8 * breast.fullness, hang_mm=0.6 * breast.hang_mm)
@@ -186,7 +194,7 @@ def _hanging(shape: TorsoShape, below_mm: float, rng: np.random.Generator) -> To
     return shape
 
 
-def _grown(shape: TorsoShape, breast: BreastShape, volume_cc: float) -> BreastShape:
+def _grown(shape: TorsoShape, breast: BreastDesign, volume_cc: float) -> BreastDesign:
     """The same breast with another volume, as far as the chest has room for its base."""
     grown = (volume_cc / breast.volume_cc) ** (1.0 / 3.0)
     limits = (breast.apex_mm[0] - 3.0, shape.body.half_width_mm + 4.0 - breast.apex_mm[0], 94.0 - breast.apex_mm[1])
@@ -259,11 +267,11 @@ def _one_side(shape: TorsoShape, rng: np.random.Generator) -> str:
     return next((side for side in SIDES if shape.breasts[side].removed), drawn)
 
 
-def _with(shape: TorsoShape, side: str, breast: BreastShape) -> TorsoShape:
+def _with(shape: TorsoShape, side: str, breast: BreastDesign) -> TorsoShape:
     return replace(shape, breasts={name: breast if name == side else old for name, old in shape.breasts.items()})
 
 
-def _across(breast: BreastShape, rng: np.random.Generator) -> tuple[Point, ...]:
+def _across(breast: BreastDesign, rng: np.random.Generator) -> tuple[Point, ...]:
     """Line of a mastectomy's scar, slightly bent, from near the breastbone to below the armpit."""
     inner, outer, upper, _ = breast.radii_mm
     bend, rise = rng.uniform(-8.0, 2.0), rng.uniform(0.05, 0.35) * upper

@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from mammometry.geometry import Array, Camera, Float64, Rig, Transform
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.scene import Motion
+from mammometry.simulate.rendering.scene import SubjectMotion
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Exposure:
+class CaptureConditions:
     """Cameras, films, flashes and moments of a session, rig frame, mm."""
 
     rig: Rig
@@ -27,10 +27,10 @@ class Exposure:
     """Camera → its lens and sensor."""
     seconds: Mapping[str, float]
     """Camera → time of its capture relative to the mean of all, s."""
-    motion: Motion | None = None
+    motion: SubjectMotion | None = None
     """Motion of the subject meanwhile."""
 
-    def with_films(self, change: Callable[[Film], Film]) -> Exposure:
+    def with_films(self, change: Callable[[Film], Film]) -> CaptureConditions:
         """The exposure with the films of all cameras changed."""
         return replace(self, films={name: change(film) for name, film in self.films.items()})
 
@@ -42,9 +42,9 @@ class Exposure:
         return moved
 
 
-def plain_exposure(rig: Rig, lights: Float64[Array, "l 4"], film: Film) -> Exposure:
+def plain_exposure(rig: Rig, lights: Float64[Array, "l 4"], film: Film) -> CaptureConditions:
     """Ideal exposure: nothing moves, and equal cameras fire together."""
-    return Exposure(
+    return CaptureConditions(
         rig=rig,
         capture_rig=rig,
         lights=lights,

@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from mammometry.simulate.disturbances.registry import Number, Word, disturbance
-from mammometry.simulate.rendering.skin import SKINS, Skin
-from mammometry.simulate.subjects.marks import Mark
+from mammometry.simulate.rendering.skin import SKINS, SkinReflectance
+from mammometry.simulate.subjects.marks import SkinMark
 from mammometry.simulate.subjects.torso_shape import SIDES, TorsoShape
 
 _LIVING = ("skin", "dark-skin", "pale-skin", "sweat")
@@ -20,7 +20,7 @@ _INK = (0.22, 0.26, 0.34)  # colour of a tattoo's lines relative to the skin's
 
 
 @disturbance("skin", "skin", "the skin of a living person in place of the usual one", Word(usual="skin", words=_LIVING))
-def _skin(skin: Skin, name: str, rng: np.random.Generator) -> Skin:
+def _skin(skin: SkinReflectance, name: str, rng: np.random.Generator) -> SkinReflectance:
     return replace(SKINS[name], hair_per_cm2=skin.hair_per_cm2)
 
 
@@ -31,7 +31,7 @@ def _skin(skin: Skin, name: str, rng: np.random.Generator) -> Skin:
     Number(usual=1.0, within=(0.0, 3.0), likely=(0.3, 1.5)),
     order=1,
 )
-def _older(skin: Skin, more: float, rng: np.random.Generator) -> Skin:
+def _older(skin: SkinReflectance, more: float, rng: np.random.Generator) -> SkinReflectance:
     return replace(
         skin,
         contrast=skin.contrast * (1.0 + 0.8 * more),
@@ -49,7 +49,7 @@ def _older(skin: Skin, more: float, rng: np.random.Generator) -> Skin:
     Number(usual=0.10, within=(0.0, 0.5), likely=(0.04, 0.16)),
     order=1,
 )
-def _wet(skin: Skin, specular: float, rng: np.random.Generator) -> Skin:
+def _wet(skin: SkinReflectance, specular: float, rng: np.random.Generator) -> SkinReflectance:
     return replace(skin, specular=specular, exponent=70.0, sheen_patches=0.8, roughness=0.18)
 
 
@@ -60,7 +60,7 @@ def _wet(skin: Skin, specular: float, rng: np.random.Generator) -> Skin:
     Number(usual=1.0, within=(0.0, 20.0), likely=(0.2, 3.0)),
     order=1,
 )
-def _hairy(skin: Skin, per_cm2: float, rng: np.random.Generator) -> Skin:
+def _hairy(skin: SkinReflectance, per_cm2: float, rng: np.random.Generator) -> SkinReflectance:
     return replace(skin, hair_per_cm2=per_cm2)
 
 
@@ -73,5 +73,5 @@ def _tattoo(shape: TorsoShape, side: str, rng: np.random.Generator) -> TorsoShap
         angle = 2.0 * math.pi * petal / 6.0 + 0.9 * (share - 0.5)
         reach = 22.0 * np.sin(math.pi * share)
         line = tuple(zip((x + reach * np.cos(angle)).tolist(), (y + reach * np.sin(angle)).tolist(), strict=True))
-        marks.append(Mark(side=side, line_mm=line, half_width_mm=1.5, colour=_INK))
+        marks.append(SkinMark(side=side, line_mm=line, half_width_mm=1.5, colour=_INK))
     return replace(shape, marks=(*shape.marks, *marks))

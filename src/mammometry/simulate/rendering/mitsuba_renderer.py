@@ -20,9 +20,9 @@ from mammometry.geometry import Array, Camera, Float32, Float64, Int32, Triangle
 from mammometry.simulate.rendering.registry import add_renderer
 from mammometry.simulate.rendering.render import AMBIENT, blocks, paint_seed, sample_rays
 from mammometry.simulate.rendering.sampling import PINHOLE, Aperture
-from mammometry.simulate.rendering.scene import LIGHTS, SOFT_BOX_RADIUS_MM, Scene
+from mammometry.simulate.rendering.scene import LIGHTS, SOFT_BOX_RADIUS_MM, StudioScene
 from mammometry.simulate.rendering.shading import paint_at
-from mammometry.simulate.rendering.skin import Skin
+from mammometry.simulate.rendering.skin import SkinReflectance
 
 _VARIANT = "scalar_rgb"
 _BOUNCES = 4  # reflections of light between surfaces: skin of reflectance 0.6 keeps a tenth
@@ -48,7 +48,13 @@ def require_mitsuba() -> None:
 
 @add_renderer("mitsuba", require=require_mitsuba)
 def render_by_mitsuba(
-    scene: Scene, camera: Camera, skin: Skin, *, seed: int, aperture: Aperture = PINHOLE, background: float = 0.0
+    scene: StudioScene,
+    camera: Camera,
+    skin: SkinReflectance,
+    *,
+    seed: int,
+    aperture: Aperture = PINHOLE,
+    background: float = 0.0,
 ) -> Float32[Array, "h w 3"]:
     """Radiance of the scene at the camera by path tracing, like `render.render_subject`.
 
@@ -99,7 +105,7 @@ def render_by_mitsuba(
 
 
 @lru_cache(maxsize=1)
-def _world(scene: Scene, skin: Skin, seed: int) -> Any:
+def _world(scene: StudioScene, skin: SkinReflectance, seed: int) -> Any:
     """The scene in Mitsuba's form."""
     import mitsuba as mi
 
@@ -141,7 +147,7 @@ def _world(scene: Scene, skin: Skin, seed: int) -> Any:
     return mi.load_dict(described)
 
 
-def _painted_subject(scene: Scene, skin: Skin, seed: int, bsdf: Any) -> Any:
+def _painted_subject(scene: StudioScene, skin: SkinReflectance, seed: int, bsdf: Any) -> Any:
     """The subject with each face divided into four and colours at the vertices. The surface does not change."""
     mesh = TriangleMesh(
         vertices=scene.mesh.vertices[: scene.subject_vertices], faces=scene.mesh.faces[: scene.subject_faces]

@@ -11,8 +11,8 @@ from mammometry.base.registry import Registry
 if TYPE_CHECKING:
     from mammometry.geometry import Array, Camera, Float32
     from mammometry.simulate.rendering.sampling import Aperture
-    from mammometry.simulate.rendering.scene import Scene
-    from mammometry.simulate.rendering.skin import Skin
+    from mammometry.simulate.rendering.scene import StudioScene
+    from mammometry.simulate.rendering.skin import SkinReflectance
 
 BUILT_IN = "built-in"
 """The renderer that needs no optional package."""
@@ -22,7 +22,14 @@ class Render(Protocol):
     """A function that renders a picture."""
 
     def __call__(
-        self, scene: Scene, camera: Camera, skin: Skin, *, seed: int, aperture: Aperture, background: float
+        self,
+        scene: StudioScene,
+        camera: Camera,
+        skin: SkinReflectance,
+        *,
+        seed: int,
+        aperture: Aperture,
+        background: float,
     ) -> Float32[Array, "h w 3"]:
         """Radiance seen by a camera: linear RGB, full scale 1, without blur.
 

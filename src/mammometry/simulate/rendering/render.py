@@ -21,8 +21,8 @@ from mammometry.simulate.rendering.sampling import (
     net_offsets,
     picture_window,
 )
-from mammometry.simulate.rendering.scene import Scene
-from mammometry.simulate.rendering.skin import Skin
+from mammometry.simulate.rendering.scene import StudioScene
+from mammometry.simulate.rendering.skin import SkinReflectance
 
 _NOTHING = -1  # face number of a ray without a hit
 _PLAIN_SAMPLES = 4  # rays per pixel within the subject, through a pinhole
@@ -38,7 +38,13 @@ _JUMP = 0.004  # relative difference of range between neighbouring pixels from w
 
 @add_renderer(BUILT_IN)
 def render_subject(
-    scene: Scene, camera: Camera, skin: Skin, *, seed: int, aperture: Aperture = PINHOLE, background: float = 0.0
+    scene: StudioScene,
+    camera: Camera,
+    skin: SkinReflectance,
+    *,
+    seed: int,
+    aperture: Aperture = PINHOLE,
+    background: float = 0.0,
 ) -> Float32[Array, "h w 3"]:
     """Radiance of the scene at the camera before the lens's blur: linear RGB, full scale 1.
 
@@ -57,7 +63,7 @@ def render_subject(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Block:
+class PixelBlock:
     """Some pixels that are not empty."""
 
     row: Int64[Array, " n"]
@@ -72,7 +78,7 @@ class Block:
     """Barycentric weight of its third vertex."""
 
 
-def blocks(scene: Scene, camera: Camera, aperture: Aperture) -> Iterator[Block]:
+def blocks(scene: StudioScene, camera: Camera, aperture: Aperture) -> Iterator[PixelBlock]:
     """Yield all pixels that are not empty, in blocks."""
     top, bottom, left, right = _frame(scene, camera)
     if left >= right:
@@ -95,7 +101,7 @@ def blocks(scene: Scene, camera: Camera, aperture: Aperture) -> Iterator[Block]:
             row, column = np.nonzero(mask)
             place = row * (right - left) + column
             if len(row):
-                yield Block(
+                yield PixelBlock(
                     row=row + rows.start,
                     column=column + left,
                     is_edge=is_edge,
@@ -119,7 +125,7 @@ def paint_seed(seed: int) -> np.uint64:
     return np.uint64(np.random.default_rng([seed, 21]).integers(1 << 63, dtype=np.uint64))
 
 
-def subject_coverage(scene: Scene, camera: Camera, samples: int = 64) -> Float32[Array, "h w"]:
+def subject_coverage(scene: StudioScene, camera: Camera, samples: int = 64) -> Float32[Array, "h w"]:
     """Share of every pixel's square that the subject fills, by counting rays: the true silhouette."""
     coverage = np.zeros(camera.shape_hw, dtype=np.float32)
     top, bottom, left, right = _frame(scene, camera)
@@ -132,14 +138,14 @@ def subject_coverage(scene: Scene, camera: Camera, samples: int = 64) -> Float32
     return coverage
 
 
-def _frame(scene: Scene, camera: Camera) -> tuple[int, int, int, int]:
+def _frame(scene: StudioScene, camera: Camera) -> tuple[int, int, int, int]:
     """Rows and columns (from, to) in which the scene can be. Uses every tenth vertex of the subject."""
     vertices = scene.mesh.vertices
     few = np.concatenate([vertices[: scene.subject_vertices : 10], vertices[scene.subject_vertices :]])
     return picture_window(camera, few, margin_px=8)
 
 
-def _unsharp_px(scene: Scene, camera: Camera, aperture: Aperture) -> float:
+def _unsharp_px(scene: StudioScene, camera: Camera, aperture: Aperture) -> float:
     """Radius of the largest defocus disc of the subject's points, px."""
     depth_mm = camera.camera_from_world.apply(scene.mesh.vertices[: scene.subject_vertices : 10])[:, 2]
     vergence = np.abs(1.0 / np.maximum(depth_mm, 1.0) - 1.0 / aperture.focus_mm)
@@ -155,14 +161,14 @@ def _rays(
     return lens_rays(camera, directions, aperture, places)
 
 
-def _cast(scene: Scene, camera: Camera, uv: Array) -> tuple[Array, dict[str, Array]]:
+def _cast(scene: StudioScene, camera: Camera, uv: Array) -> tuple[Array, dict[str, Array]]:
     """First face along each pixel position's ray (−1: none), and embree's record of the hit."""
     hit = scene.rays.run(*_rays(camera, uv, PINHOLE, np.zeros((len(uv), 2))), output=True)
     return hit["primID"], hit
 
 
 def _edges(
-    scene: Scene, camera: Camera, window: tuple[int, int, int, int]
+    scene: StudioScene, camera: Camera, window: tuple[int, int, int, int]
 ) -> tuple[Bool[Array, "h w"], dict[str, Array]]:
     """Pixels that a silhouette, fold or rim may cross, and the hit of each pixel's centre."""
     top, bottom, left, right = window
@@ -176,7 +182,7 @@ def _edges(
     return edge, hit
 
 
-def _hairs(scene: Scene, camera: Camera, window: tuple[int, int, int, int]) -> Bool[Array, "h w"]:
+def _hairs(scene: StudioScene, camera: Camera, window: tuple[int, int, int, int]) -> Bool[Array, "h w"]:
     """Pixels that a hair may cross. Hairs are too thin for the rays through the pixels' centres."""
     top, bottom, left, right = window
     mask = np.zeros((bottom - top, right - left), dtype=bool)
@@ -193,7 +199,13 @@ def _hairs(scene: Scene, camera: Camera, window: tuple[int, int, int, int]) -> B
 
 
 def _sampled(
-    scene: Scene, camera: Camera, skin: Skin, block: Block, seed: int, aperture: Aperture, background: float
+    scene: StudioScene,
+    camera: Camera,
+    skin: SkinReflectance,
+    block: PixelBlock,
+    seed: int,
+    aperture: Aperture,
+    background: float,
 ) -> Float32[Array, "n 3"]:
     """Mean radiance over the squares of some pixels."""
     if aperture.diameter_mm:

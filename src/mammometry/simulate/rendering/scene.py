@@ -19,12 +19,12 @@ from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Float32, Float64, Int32, Transform, TriangleMesh, UInt8
 from mammometry.simulate.rendering import props
 from mammometry.simulate.rendering.props import Props
-from mammometry.simulate.rendering.skin import Skin
-from mammometry.simulate.subjects.solid import Solid
+from mammometry.simulate.rendering.skin import SkinReflectance
+from mammometry.simulate.subjects.solid import SubjectSolid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Motion:
+class SubjectMotion:
     """Velocities of the subject, rig frame. Sway and breath do not reverse within a fifth of a second."""
 
     sway_mm_s: Float64[Array, 3]
@@ -71,7 +71,7 @@ _LIFT_MM = 0.05  # height above the skin at which a ray starts, so that it does 
 BACKDROP_GAP_MM = 0.8
 """Distance of the board behind a flat back."""
 SCATTER, LIGHTS = 5, 8
-"""First columns of `Scene.attributes` with scattered light, and with shares of lights."""
+"""First columns of `StudioScene.attributes` with scattered light, and with shares of lights."""
 _BACKDROP_REFLECTANCE = 0.022  # reflectance of the dark board
 _HAIR_RGB = (0.045, 0.03, 0.02)  # reflectance
 _ROOM_LIGHT = 2.2
@@ -79,7 +79,7 @@ _ROOM_LIGHT = 2.2
 
 
 @value(eq=False)
-class Scene:
+class StudioScene:
     """A lit subject in a room, with hair and perhaps a backdrop, rig frame, mm."""
 
     mesh: TriangleMesh
@@ -131,14 +131,14 @@ class Room:
 
 
 def light_scene(
-    solid: Solid,
+    solid: SubjectSolid,
     rig_from_solid: Transform,
     lights: Float64[Array, "l 4"],
     room: Room = Room(),
     *,
-    skin: Skin = Skin(),
+    skin: SkinReflectance = SkinReflectance(),
     seed: int = 0,
-) -> Scene:
+) -> StudioScene:
     """Place a solid in the rig and compute the light.
 
     Args:
@@ -220,7 +220,7 @@ def light_scene(
         tint = np.ones((len(vertices), 3), dtype=np.float32)
         tint[: len(placed)] = solid.tint
         looks = np.concatenate([looks, tint], axis=1)
-    return Scene(
+    return StudioScene(
         mesh=TriangleMesh(vertices=vertices.astype(np.float64), faces=all_faces),
         subject_faces=len(solid.mesh.faces),
         subject_vertices=len(placed),
@@ -237,7 +237,7 @@ def light_scene(
     )
 
 
-def moved(scene: Scene, motion: Motion, seconds: float) -> Scene:
+def moved(scene: StudioScene, motion: SubjectMotion, seconds: float) -> StudioScene:
     """The scene at another time, with moved colours and light.
 
     The light is not computed again: within some millimetres flashes and shadows do not change.
@@ -286,7 +286,7 @@ def _scattered(
     normals: Float64[Array, "n 3"],
     lights: Float64[Array, "l 4"],
     seen: Float32[Array, "n l"],
-    skin: Skin,
+    skin: SkinReflectance,
 ) -> Float64[Array, "n 3"]:
     """Irradiance change at each vertex by light below the surface, RGB.
 
@@ -313,7 +313,7 @@ def _scattered(
     return gained
 
 
-def _smooth_normals(solid: Solid, rig_from_solid: Transform) -> Float64[Array, "n 3"]:
+def _smooth_normals(solid: SubjectSolid, rig_from_solid: Transform) -> Float64[Array, "n 3"]:
     """Normals for shading. The rim has the front's normals, since that side is visible."""
     mesh = solid.mesh
     normals = mesh.vertex_normals()

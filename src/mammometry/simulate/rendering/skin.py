@@ -23,7 +23,7 @@ _COLOUR = np.array([1.0, 0.8, 0.9, 0.8, 0.6])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Skin:
+class SkinReflectance:
     """Reflectance of painted plaster or skin, linear light."""
 
     base_rgb: tuple[float, float, float] = (0.56, 0.39, 0.32)
@@ -90,7 +90,7 @@ def _require(name: str, value: float, low: float, high: float) -> None:
         raise UnknownWordError(f"{name} must be between {low:g} and {high:g}", value)
 
 
-_LIVING = Skin(
+_LIVING = SkinReflectance(
     base_rgb=(0.58, 0.37, 0.28),
     areola_rgb=(0.34, 0.17, 0.14),
     contrast=0.022,
@@ -104,10 +104,10 @@ _LIVING = Skin(
     moles=14.0,
     veins=0.10,
 )
-SKINS: Mapping[str, Skin] = MappingProxyType(
+SKINS: Mapping[str, SkinReflectance] = MappingProxyType(
     {
-        "plaster": Skin(),
-        "plain": Skin(contrast=0.005, colour_contrast=0.003),
+        "plaster": SkinReflectance(),
+        "plain": SkinReflectance(contrast=0.005, colour_contrast=0.003),
         "skin": _LIVING,
         "dark-skin": replace(
             _LIVING, base_rgb=(0.19, 0.105, 0.07), areola_rgb=(0.09, 0.045, 0.035), specular=0.03, veins=0.0
@@ -121,7 +121,7 @@ SKINS: Mapping[str, Skin] = MappingProxyType(
 """Name on the command line → appearance: painted plaster, nearly textureless plaster, four skins."""
 
 
-def make_skin(name: str, *, contrast: float | None = None, hair_per_cm2: float = 0.0) -> Skin:
+def make_skin(name: str, *, contrast: float | None = None, hair_per_cm2: float = 0.0) -> SkinReflectance:
     """An appearance from `SKINS`, with optional contrast and hair.
 
     Raises:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 
 from mammometry.calibration.targets.board import FlatBody
-from mammometry.calibration.targets.sheet import Pattern
+from mammometry.calibration.targets.sheet import SheetPattern
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry import Array, Camera, Float32, Float64, Transform
 from mammometry.simulate.rendering import kernels
@@ -36,7 +36,7 @@ def render_board(
     camera: Camera,
     rig_from_board: Transform,
     body: FlatBody,
-    pattern: Pattern,
+    pattern: SheetPattern,
     lights: Float64[Array, "l 4"],
     *,
     aperture: Aperture = PINHOLE,

@@ -71,7 +71,7 @@ class BodyShape:
     """Seed of the unevenness."""
 
 
-class Body:
+class TrunkField:
     """The trunk's field: negative inside, positive outside, approximately in millimetres near the skin."""
 
     def __init__(self, shape: BodyShape) -> None:

@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from mammometry.geometry import Array, Bool, Float64, TriangleMesh
 from mammometry.geometry.mesh import joined
-from mammometry.simulate.subjects.solid import Solid
+from mammometry.simulate.subjects.solid import SubjectSolid
 
 HAND_MM = 25.0
 """Thickness of a hand at its palm, mm: adults have 22 to 30."""
@@ -29,13 +29,13 @@ _WRIST_MM, _THICKENING_MM = -60.0, 80.0  # where the forearm starts to become tw
 
 
 def with_hand(
-    solid: Solid,
+    solid: SubjectSolid,
     side: Literal["left", "right"],
     *,
     fingers_deg: float,
     shift_mm: tuple[float, float] = (0.0, 0.0),
     thick_mm: float = HAND_MM,
-) -> Solid:
+) -> SubjectSolid:
     """Place a hand on a breast.
 
     Args:

@@ -21,7 +21,7 @@ Point = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Mark:
+class SkinMark:
     """One mark: a line with a width, a spot (a line of one point), or a field (a closed line)."""
 
     side: str
@@ -50,7 +50,7 @@ class Marked:
     """Factors on the skin's colour."""
 
 
-def mark(marks: Sequence[Mark], places_mm: Mapping[str, Float64[Array, "n 2"]]) -> Marked | None:
+def mark(marks: Sequence[SkinMark], places_mm: Mapping[str, Float64[Array, "n 2"]]) -> Marked | None:
     """Sum of marks on vertices with positions in each breast's plane. None without marks."""
     if not marks:
         return None

@@ -11,7 +11,7 @@ import numpy as np
 from mammometry.geometry import Array, Float64, TriangleMesh
 from mammometry.simulate.subjects.registry import SubjectRequest, add_subject, numbered
 from mammometry.simulate.subjects.shapes import back_faces, disc
-from mammometry.simulate.subjects.solid import Solid, rounded_mesh, smoothstep, waves
+from mammometry.simulate.subjects.solid import SubjectSolid, rounded_mesh, smoothstep, waves
 
 TABLE_1_WATER_CC = (364.6, 434.7, 579.0, 231.1, 433.4, 591.6, 596.6, 100.4, 863.1)
 """Volumes of the paper's nine plaster models by water displacement (Table 1), cc."""
@@ -110,7 +110,7 @@ def plaster_shape(name: str, seed: int) -> PlasterShape:
     )
 
 
-def plaster(shape: PlasterShape, *, name: str = "plaster", seed: int = 0, edge_mm: float = 0.7) -> Solid:
+def plaster(shape: PlasterShape, *, name: str = "plaster", seed: int = 0, edge_mm: float = 0.7) -> SubjectSolid:
     """Make an uneven half ellipsoid that sags over an undercut fold, with nipple and areola.
 
     Args:
@@ -156,7 +156,7 @@ def plaster(shape: PlasterShape, *, name: str = "plaster", seed: int = 0, edge_m
     vertices = mesh.vertices
     boundary = vertices[: len(front)][rho == 1.0]
     overhang_mm = boundary[:, 1].min() - vertices[: len(front), 1].min()
-    return Solid(
+    return SubjectSolid(
         name=name,
         subject_kind="model",
         mesh=mesh,
@@ -175,7 +175,7 @@ def plaster(shape: PlasterShape, *, name: str = "plaster", seed: int = 0, edge_m
 
 
 @add_subject("plaster", has=numbered("plaster"), choices="plaster, plaster_1 … plaster_9, plaster_60cc")
-def _plaster(wanted: SubjectRequest) -> Solid:
+def _plaster(wanted: SubjectRequest) -> SubjectSolid:
     shape = plaster_shape(wanted.name, wanted.seed)
     return plaster(shape, name=wanted.name, seed=wanted.seed, edge_mm=wanted.edge_mm)
 

@@ -10,7 +10,7 @@ from mammometry.base.errors import UnknownWordError
 from mammometry.base.registry import Registry
 
 if TYPE_CHECKING:
-    from mammometry.simulate.subjects.solid import Solid
+    from mammometry.simulate.subjects.solid import SubjectSolid
     from mammometry.simulate.subjects.user_mesh import MeshFile
 
 
@@ -30,7 +30,7 @@ class SubjectRequest:
     """Change of a random shape before it is made: an operation. Only torsos can be reshaped."""
 
 
-MakeSubject: TypeAlias = "Callable[[SubjectRequest], Solid]"
+MakeSubject: TypeAlias = "Callable[[SubjectRequest], SubjectSolid]"
 """Function that makes a subject. A ValueError means that the name is wrong, such as ``plaster_12``."""
 
 
@@ -98,7 +98,7 @@ def make_subject(
     edge_mm: float = 0.7,
     mesh_file: MeshFile | None = None,
     reshape: Callable[[Any], Any] | None = None,
-) -> Solid:
+) -> SubjectSolid:
     """Make a subject by name.
 
     Args:

@@ -9,12 +9,12 @@ import numpy as np
 
 from mammometry.geometry.arrays import Array, Int32
 from mammometry.simulate.subjects.registry import SubjectRequest, add_subject
-from mammometry.simulate.subjects.solid import Solid, rounded_mesh
+from mammometry.simulate.subjects.solid import SubjectSolid, rounded_mesh
 
 _FIGURE_MM, _FIGURE_EDGE_MM = 52.0, 0.4  # height of the small head on a table, and its longest edge, mm
 
 
-def sphere(radius_mm: float = 60.0, edge_mm: float = 0.7) -> Solid:
+def sphere(radius_mm: float = 60.0, edge_mm: float = 0.7) -> SubjectSolid:
     """A ball."""
     rings = max(8, math.ceil(0.5 * math.pi * radius_mm * 1.1 / edge_mm))
     rho, theta, faces, _ = disc(rings)
@@ -25,7 +25,7 @@ def sphere(radius_mm: float = 60.0, edge_mm: float = 0.7) -> Solid:
     return _plain_solid("sphere", front, back, faces, rho, {"radius_mm": radius_mm})
 
 
-def cylinder(radius_mm: float = 57.15, length_mm: float = 150.0, edge_mm: float = 0.7) -> Solid:
+def cylinder(radius_mm: float = 57.15, length_mm: float = 150.0, edge_mm: float = 0.7) -> SubjectSolid:
     """A round bar with its axis along y."""
     around = math.ceil(2 * math.pi * radius_mm / edge_mm)
     along = math.ceil(length_mm / edge_mm)
@@ -51,7 +51,7 @@ def cylinder(radius_mm: float = 57.15, length_mm: float = 150.0, edge_mm: float 
     return _whole_solid("cylinder", vertices, faces, facts)
 
 
-def head(seed: int, height_mm: float = 265.0, edge_mm: float = 0.7) -> Solid:
+def head(seed: int, height_mm: float = 265.0, edge_mm: float = 0.7) -> SubjectSolid:
     """A head with neck, nose, brows, eyes and chin, random by seed, that looks along z."""
     rng = np.random.default_rng([seed, 74])
     ball = sphere(100.0, edge_mm=edge_mm * 265.0 / height_mm)
@@ -82,7 +82,9 @@ def head(seed: int, height_mm: float = 265.0, edge_mm: float = 0.7) -> Solid:
     return replace(_whole_solid("head", vertices, ball.mesh.faces, facts), lean_rad=0.0)
 
 
-def plate(width_mm: float = 220.0, height_mm: float = 160.0, thickness_mm: float = 6.0, edge_mm: float = 2.0) -> Solid:
+def plate(
+    width_mm: float = 220.0, height_mm: float = 160.0, thickness_mm: float = 6.0, edge_mm: float = 2.0
+) -> SubjectSolid:
     """A flat plate for the paper's depth check, with its front at z = thickness / 2."""
     columns, rows = math.ceil(width_mm / edge_mm), math.ceil(height_mm / edge_mm)
     x, y = np.meshgrid(
@@ -110,27 +112,27 @@ def plate(width_mm: float = 220.0, height_mm: float = 160.0, thickness_mm: float
 
 
 @add_subject("sphere")
-def _sphere(wanted: SubjectRequest) -> Solid:
+def _sphere(wanted: SubjectRequest) -> SubjectSolid:
     return sphere(edge_mm=wanted.edge_mm)
 
 
 @add_subject("cylinder")
-def _cylinder(wanted: SubjectRequest) -> Solid:
+def _cylinder(wanted: SubjectRequest) -> SubjectSolid:
     return cylinder(edge_mm=wanted.edge_mm)
 
 
 @add_subject("head")
-def _head(wanted: SubjectRequest) -> Solid:
+def _head(wanted: SubjectRequest) -> SubjectSolid:
     return head(wanted.seed, edge_mm=wanted.edge_mm)
 
 
 @add_subject("figure")
-def _figure(wanted: SubjectRequest) -> Solid:
+def _figure(wanted: SubjectRequest) -> SubjectSolid:
     return head(wanted.seed, height_mm=_FIGURE_MM, edge_mm=min(wanted.edge_mm, _FIGURE_EDGE_MM))
 
 
 @add_subject("plate")
-def _plate(wanted: SubjectRequest) -> Solid:
+def _plate(wanted: SubjectRequest) -> SubjectSolid:
     return plate()
 
 
@@ -165,14 +167,16 @@ def back_faces(faces: Int32[Array, "m 3"], front: int, rim: int) -> Int32[Array,
     return index[faces[:, ::-1]].astype(np.int32)
 
 
-def _plain_solid(name: str, front: Array, back: Array, faces: Array, rho: Array, facts: dict[str, object]) -> Solid:
+def _plain_solid(
+    name: str, front: Array, back: Array, faces: Array, rho: Array, facts: dict[str, object]
+) -> SubjectSolid:
     rim = int((rho == 1.0).sum())
     every = np.concatenate([faces, back_faces(faces, len(front), rim)])
     return _whole_solid(name, np.concatenate([front, back]), every, {"kind": name, **facts})
 
 
-def _whole_solid(name: str, vertices: Array, faces: Array, facts: dict[str, object]) -> Solid:
-    return Solid(
+def _whole_solid(name: str, vertices: Array, faces: Array, facts: dict[str, object]) -> SubjectSolid:
+    return SubjectSolid(
         name=name,
         subject_kind="surface",
         mesh=rounded_mesh(vertices, faces),

@@ -51,7 +51,7 @@ class Breast:
 
 
 @value(eq=False)
-class Solid:
+class SubjectSolid:
     """A body, closed unless its facts say otherwise."""
 
     name: str
@@ -109,7 +109,7 @@ class Solid:
         )
         return both.submesh(np.arange(len(both.faces)))
 
-    def placed(self, rig_from_solid: Transform) -> Solid:
+    def placed(self, rig_from_solid: Transform) -> SubjectSolid:
         """The solid in the rig's frame, with coordinates rounded to float32 again."""
         return replace(
             self,
@@ -126,7 +126,7 @@ class Solid:
         return self.wall_vertices
 
 
-def rig_from_solid(solid: Solid, seed: int) -> Transform:
+def rig_from_solid(solid: SubjectSolid, seed: int) -> Transform:
     """Pose of a solid in the rig, leaning forward over the floor pair, with small random errors by seed."""
     rng = np.random.default_rng([seed, 73])
     turn = Transform.from_rotation_vector(

@@ -14,11 +14,11 @@ import numpy as np
 
 from mammometry.geometry.arrays import Array, Bool, Float64, Int32
 from mammometry.geometry.mesh import TriangleMesh, edge_table, split_edges
-from mammometry.simulate.subjects.body import NOTCH_Y_MM, Body
+from mammometry.simulate.subjects.body import NOTCH_Y_MM, TrunkField
 from mammometry.simulate.subjects.marks import mark
 from mammometry.simulate.subjects.registry import SubjectRequest, add_subject, numbered
-from mammometry.simulate.subjects.solid import Breast, Solid, rounded_mesh, sagged, smoothstep, waves
-from mammometry.simulate.subjects.torso_shape import SIDES, BreastShape, TorsoShape, torso_shape
+from mammometry.simulate.subjects.solid import Breast, SubjectSolid, rounded_mesh, sagged, smoothstep, waves
+from mammometry.simulate.subjects.torso_shape import SIDES, BreastDesign, TorsoShape, torso_shape
 
 _COARSE_MM = 7.0  # edges of the body before it is refined
 _DEEPEST_MM, _HIGHEST_MM = 110.0, 45.0  # range of the chest wall's height relative to a breast's tangent plane
@@ -34,7 +34,7 @@ _SLACK = 0.6  # pull down the chest relative to gravity, as stretched skin yield
 class _Mound:
     """One breast as a mapping from chest wall to skin."""
 
-    def __init__(self, body: Body, shape: BreastShape, side: str, lean_rad: float, seed: int) -> None:
+    def __init__(self, body: TrunkField, shape: BreastDesign, side: str, lean_rad: float, seed: int) -> None:
         self.shape, self.sign, self._seed = shape, 1.0 if side == "left" else -1.0, seed
         aside, height = shape.apex_mm
         self.foot = body.on_front(np.array([self.sign * aside]), np.array([height]))[0]
@@ -96,7 +96,7 @@ class _Mound:
         )
         return share
 
-    def on_boundary(self, angle_rad: float, body: Body) -> Float64[Array, 3]:
+    def on_boundary(self, angle_rad: float, body: TrunkField) -> Float64[Array, 3]:
         """Point of the boundary in a direction: 0 lateral, π/2 up."""
         middle, outer, upper, lower = self.shape.radii_mm
         u, v = math.cos(angle_rad), math.sin(angle_rad)
@@ -151,7 +151,7 @@ class _Mound:
         )
 
 
-def torso(shape: TorsoShape, *, name: str = "torso", seed: int = 0, edge_mm: float = 0.7) -> Solid:
+def torso(shape: TorsoShape, *, name: str = "torso", seed: int = 0, edge_mm: float = 0.7) -> SubjectSolid:
     """Make a torso.
 
     Args:
@@ -164,7 +164,7 @@ def torso(shape: TorsoShape, *, name: str = "torso", seed: int = 0, edge_mm: flo
     Raises:
         ValueError: the measures are inconsistent: a breast extends beyond the front of the chest.
     """
-    body = Body(shape.body)
+    body = TrunkField(shape.body)
     coarse = body.coarse_mesh(_COARSE_MM)
     mounds: dict[str, _Mound] = {}
     for index, side in enumerate(SIDES):
@@ -187,7 +187,7 @@ def torso(shape: TorsoShape, *, name: str = "torso", seed: int = 0, edge_mm: flo
     rho = {side: mound.rho(wall) for side, mound in standing.items()}
     breasts = {side: _breast(faces, rho[side], wall, mound) for side, mound in standing.items()}
     feet = [mounds[side].apex for side in SIDES]
-    solid = Solid(
+    solid = SubjectSolid(
         name=name,
         subject_kind="torso",
         mesh=mesh,
@@ -221,7 +221,7 @@ def torso(shape: TorsoShape, *, name: str = "torso", seed: int = 0, edge_mm: flo
 
 
 @add_subject("torso", has=numbered("torso"), choices="torso, torso_1, torso_2 …", has_patients=True)
-def _torso(wanted: SubjectRequest) -> Solid:
+def _torso(wanted: SubjectRequest) -> SubjectSolid:
     shape = torso_shape(wanted.name, wanted.seed)
     if wanted.reshape is not None:
         shape = wanted.reshape(shape)
@@ -231,7 +231,9 @@ def _torso(wanted: SubjectRequest) -> Solid:
     return solid
 
 
-def _sized(body: Body, coarse: TriangleMesh, shape: BreastShape, side: str, lean_rad: float, seed: int) -> _Mound:
+def _sized(
+    body: TrunkField, coarse: TriangleMesh, shape: BreastDesign, side: str, lean_rad: float, seed: int
+) -> _Mound:
     """The breast scaled to its volume, to a few per cent."""
     mound = _hung(body, shape, side, lean_rad, seed)
     near = (mound.rho(coarse.vertices) < 1.2)[coarse.faces].any(axis=1)
@@ -249,7 +251,7 @@ def _sized(body: Body, coarse: TriangleMesh, shape: BreastShape, side: str, lean
     return mound
 
 
-def _hung(body: Body, shape: BreastShape, side: str, lean_rad: float, seed: int) -> _Mound:
+def _hung(body: TrunkField, shape: BreastDesign, side: str, lean_rad: float, seed: int) -> _Mound:
     """The breast pulled down until its nipple has the wanted distance below the fold."""
     mound = _Mound(body, shape, side, lean_rad, seed)
     for _ in range(_HANG_ROUNDS if shape.below_fold_mm is not None else 0):
@@ -266,7 +268,7 @@ def _cone_mm3(vertices: Array, faces: Array) -> float:
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
 
-def _halved(body: Body, vertices: Array, faces: Array) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:
+def _halved(body: TrunkField, vertices: Array, faces: Array) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:
     edges, of_face = edge_table(faces)
     middle = vertices[edges].mean(axis=1)
     middle = body.onto(middle, body.gradient(middle))
@@ -275,7 +277,7 @@ def _halved(body: Body, vertices: Array, faces: Array) -> tuple[Float64[Array, "
 
 
 def _refined(
-    body: Body, coarse: TriangleMesh, mounds: Mapping[str, _Mound], edge_mm: float
+    body: TrunkField, coarse: TriangleMesh, mounds: Mapping[str, _Mound], edge_mm: float
 ) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:
     """The chest wall, refined until the skin's edges are short."""
     wall, faces = coarse.vertices, coarse.faces
@@ -320,7 +322,7 @@ def _edge_limit(wall: Array, skin: Array, mounds: Mapping[str, _Mound], edge_mm:
 
 
 def _cut_along_boundary(
-    body: Body, wall: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], mound: _Mound
+    body: TrunkField, wall: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], mound: _Mound
 ) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:
     """Make edges along the boundary ρ = 1 by moving vertices and splitting edges."""
     wall = wall.copy()
@@ -344,7 +346,7 @@ def _cut_along_boundary(
     return np.concatenate([wall, middle]), split_edges(faces, of_face, split, len(wall))
 
 
-def _onto_boundary(body: Body, start: Array, end: Array, mound: _Mound) -> Float64[Array, "n 3"]:
+def _onto_boundary(body: TrunkField, start: Array, end: Array, mound: _Mound) -> Float64[Array, "n 3"]:
     """Crossing of a segment with the boundary (bisection in ρ)."""
     if not len(start):
         return start
@@ -371,7 +373,7 @@ def _breast(faces: Array, rho: Float64[Array, " n"], wall: Array, mound: _Mound)
 
 
 def _landmarks(
-    body: Body, mounds: Mapping[str, _Mound], mesh: TriangleMesh, wall: Float64[Array, "n 3"]
+    body: TrunkField, mounds: Mapping[str, _Mound], mesh: TriangleMesh, wall: Float64[Array, "n 3"]
 ) -> dict[str, Float64[Array, "k 3"]]:
     """Points on the skin, named as in a protocol of anthropometry."""
     zero = np.zeros(1)

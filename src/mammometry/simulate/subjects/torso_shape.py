@@ -13,13 +13,13 @@ import numpy as np
 
 from mammometry.base.errors import UnknownWordError
 from mammometry.simulate.subjects.body import BodyShape
-from mammometry.simulate.subjects.marks import Mark
+from mammometry.simulate.subjects.marks import SkinMark
 
 SIDES = ("left", "right")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BreastShape:
+class BreastDesign:
     """Measures of one breast seen along its axis, mm along the chest."""
 
     volume_cc: float = 400.0
@@ -61,11 +61,11 @@ class TorsoShape:
     """A trunk, its breasts and its pose."""
 
     body: BodyShape
-    breasts: Mapping[str, BreastShape]
+    breasts: Mapping[str, BreastDesign]
     """"left" and "right", the patient's own."""
     lean_rad: float = math.radians(35.0)
     """Lean forward: 0 standing, −π/2 lying on the back."""
-    marks: tuple[Mark, ...] = ()
+    marks: tuple[SkinMark, ...] = ()
     """Scars, folds, tattoos and other marks on its skin."""
 
 
@@ -107,7 +107,7 @@ def torso_shape(name: str, seed: int) -> TorsoShape:
     fullness = min(rng.uniform(0.6, 1.0) + 0.25 * heaviness, 1.0)
     gap = rng.uniform(5.0, 12.0)
     areola, nipple = rng.uniform(0.25, 0.36), rng.uniform(3.0, 7.0)
-    breasts: dict[str, BreastShape] = {}
+    breasts: dict[str, BreastDesign] = {}
     for side, share in zip(SIDES, (math.sqrt(ratio), 1.0 / math.sqrt(ratio)), strict=True):
         volume_cc = float(np.clip(mean_cc * share, 103.0, 1160.0))
         radius = (volume_cc * 1000.0 / (0.45 * math.pi * slimness)) ** (1.0 / 3.0)
@@ -116,7 +116,7 @@ def torso_shape(name: str, seed: int) -> TorsoShape:
         # The base ends before flank and armpit, where the chest would no longer be a height map.
         outer = min(radius * rng.uniform(0.96, 1.06), body.half_width_mm + 4.0 - apex[0])
         upper = min(radius * rng.uniform(1.15, 1.4), 94.0 - apex[1])
-        breasts[side] = BreastShape(
+        breasts[side] = BreastDesign(
             volume_cc=volume_cc,
             apex_mm=apex,
             radii_mm=(inner, outer, upper, radius * rng.uniform(0.82, 0.92)),

@@ -15,7 +15,7 @@ from mammometry.geometry.arrays import Array, Float64, Int32
 from mammometry.geometry.mesh import TriangleMesh, edge_table, split_edges
 from mammometry.geometry.mesh_files.mesh_file import read_mesh_file
 from mammometry.simulate.subjects.registry import SubjectRequest, add_subject
-from mammometry.simulate.subjects.solid import Solid, rounded_mesh
+from mammometry.simulate.subjects.solid import SubjectSolid, rounded_mesh
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl")
 _SMALLEST_MM, _LARGEST_MM = 5.0, 3000.0  # longest side of a subject that fits a rig
@@ -37,7 +37,7 @@ def names_a_mesh(name: str) -> bool:
     return Path(name).suffix.lower() in MESH_SUFFIXES
 
 
-def read_user_mesh(path: Path, how: MeshFile, *, edge_mm: float = 0.7) -> Solid:
+def read_user_mesh(path: Path, how: MeshFile, *, edge_mm: float = 0.7) -> SubjectSolid:
     """Read a mesh as a subject.
 
     Colours and texture of the file are not used. A closed mesh has a volume; it is turned outwards if necessary. An
@@ -75,7 +75,7 @@ def read_user_mesh(path: Path, how: MeshFile, *, edge_mm: float = 0.7) -> Solid:
     if inwards:
         faces = faces[:, ::-1].copy()
     vertices, faces = _finer(vertices, faces, 3.0 * edge_mm)
-    return Solid(
+    return SubjectSolid(
         name=path.stem,
         subject_kind="model" if closed else "surface",
         mesh=rounded_mesh(vertices, faces),
@@ -87,7 +87,7 @@ def read_user_mesh(path: Path, how: MeshFile, *, edge_mm: float = 0.7) -> Solid:
 
 
 @add_subject("user-mesh", has=names_a_mesh, choices="a PLY, OBJ or STL file")
-def _user_mesh(wanted: SubjectRequest) -> Solid:
+def _user_mesh(wanted: SubjectRequest) -> SubjectSolid:
     return read_user_mesh(Path(wanted.name), wanted.mesh_file or MeshFile(), edge_mm=wanted.edge_mm)
 
 

@@ -16,7 +16,7 @@ from scipy.spatial import Delaunay, cKDTree
 from mammometry.base.errors import UnknownWordError
 from mammometry.geometry import Array, Bool, Float64, Int32, TriangleMesh
 from mammometry.simulate.subjects.registry import SubjectRequest, add_subject
-from mammometry.simulate.subjects.solid import Breast, Solid, rounded_mesh, smoothstep, waves
+from mammometry.simulate.subjects.solid import Breast, SubjectSolid, rounded_mesh, smoothstep, waves
 from mammometry.simulate.subjects.woman_shape import (
     MUSCLE_ASIDE_MM,
     SIDES,
@@ -43,7 +43,7 @@ _SHOW_MM = 2.5  # length of edges away from the breasts, relative to those on th
 class Woman:
     """A solid and the anatomy behind its breasts."""
 
-    solid: Solid
+    solid: SubjectSolid
     """The closed body. Its walls are the flat chest."""
     muscle_vertices: Float64[Array, "n 3"]
     """Points of the muscle straight behind the solid's front vertices, mm."""
@@ -78,7 +78,7 @@ class Woman:
         return front_of(self.solid, self.shape.cut_mm)
 
 
-def front_of(solid: Solid, cut_mm: float) -> TriangleMesh:
+def front_of(solid: SubjectSolid, cut_mm: float) -> TriangleMesh:
     """Front skin within `cut_mm` of the foremost point, and at least as far back as the boundaries."""
     vertices = solid.mesh.vertices
     behind = min(float(vertices[breast.boundary, 2].min()) for breast in solid.breasts.values()) - _BEYOND_MM
@@ -283,7 +283,7 @@ def woman(shape: WomanShape, *, name: str = "woman", edge_mm: float = 2.0) -> Wo
     heights = np.arange(130.0, -131.0, -5.0)
     landmarks["midline"] = chest.skin(np.stack([np.zeros_like(heights), heights], axis=1))[0]
     landmarks["sternal_notch"] = landmarks["midline"][:1]
-    solid = Solid(
+    solid = SubjectSolid(
         name=name,
         subject_kind="torso",
         mesh=mesh,
@@ -480,5 +480,5 @@ _FAMILIES = ("woman", "leaning-woman", "woman-wide", "leaning-woman-wide")
     has=lambda name: name.partition("_")[0] in _FAMILIES,
     choices="woman, woman_1 … (leaning-woman, woman-wide, leaning-woman-wide alike)",
 )
-def _woman(wanted: SubjectRequest) -> Solid:
+def _woman(wanted: SubjectRequest) -> SubjectSolid:
     return woman_named(wanted.name, wanted.seed, edge_mm=max(wanted.edge_mm, 1.0)).solid

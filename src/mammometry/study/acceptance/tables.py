@@ -24,7 +24,7 @@ from mammometry.study.acceptance.artefacts import (
     Sphere,
 )
 from mammometry.study.acceptance.evaluate import Decision, Finding, Outcome
-from mammometry.study.tables import Table, number, signed
+from mammometry.study.tables import TextTable, number, signed
 
 FORMAT = 1
 """Version of the results in JSON."""
@@ -123,13 +123,13 @@ def reference_words(artefact: Artefact) -> str:
             return f"{artefact.volume_cc:g} cc (standard uncertainty {artefact.volume_std_cc:g} cc)"
 
 
-def acceptance_tables(outcome: Outcome) -> list[Table]:
+def acceptance_tables(outcome: Outcome) -> list[TextTable]:
     """Worst errors, then all errors of each artefact."""
     columns = ("error", "value ± 95 %", "limit", "decision", f"on a breast of {BREAST_CC:.0f} cc")
     worst = tuple(
         (f"{TITLES[one.kind]}: {QUANTITY_WORDS[one.quantity]}", *_cells(one)) for one in outcome.worst.values()
     )
-    tables = [Table(title="Worst error of each kind", columns=columns, rows=worst)]
+    tables = [TextTable(title="Worst error of each kind", columns=columns, rows=worst)]
     for kind in outcome.test.artefacts:
         words = {place.name: place.words for place in POSITIONS[kind]}
         rows = tuple(
@@ -137,7 +137,7 @@ def acceptance_tables(outcome: Outcome) -> list[Table]:
             for one in outcome.findings
             if one.kind == kind
         )
-        tables.append(Table(title=f"{TITLES[kind]}: all positions", columns=("position", *columns[1:]), rows=rows))
+        tables.append(TextTable(title=f"{TITLES[kind]}: all positions", columns=("position", *columns[1:]), rows=rows))
     return [table for table in tables if table.rows]
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import scipy  # it imports scipy.stats, which takes half a second, when that is used
 
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.study.agreement import Estimate
+from mammometry.study.agreement import IntervalEstimate
 from mammometry.study.repeatability.components import chi_square_bounds
 
 _Z95 = float(scipy.special.ndtri(0.975))
@@ -32,12 +32,12 @@ class RepeatedLimits:
     second: str
     breasts: int
     """Measured by both."""
-    bias: Estimate
-    sd: Estimate
+    bias: IntervalEstimate
+    sd: IntervalEstimate
     """Standard deviation of the difference of two single measurements."""
-    lower: Estimate
+    lower: IntervalEstimate
     """Lower limit of agreement: 95 % of single differences are between both."""
-    upper: Estimate
+    upper: IntervalEstimate
 
 
 def repeated_limits(
@@ -85,10 +85,14 @@ def repeated_limits(
         first=names[1],
         second=names[2],
         breasts=n,
-        bias=Estimate(value=bias, interval=(bias - reach, bias + reach)),
-        sd=Estimate(value=sd, interval=(low, high)),
-        lower=Estimate(value=bias - _Z95 * sd, interval=(bias - _Z95 * sd - outward, bias - _Z95 * sd + inward)),
-        upper=Estimate(value=bias + _Z95 * sd, interval=(bias + _Z95 * sd - inward, bias + _Z95 * sd + outward)),
+        bias=IntervalEstimate(value=bias, interval=(bias - reach, bias + reach)),
+        sd=IntervalEstimate(value=sd, interval=(low, high)),
+        lower=IntervalEstimate(
+            value=bias - _Z95 * sd, interval=(bias - _Z95 * sd - outward, bias - _Z95 * sd + inward)
+        ),
+        upper=IntervalEstimate(
+            value=bias + _Z95 * sd, interval=(bias + _Z95 * sd - inward, bias + _Z95 * sd + outward)
+        ),
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import scipy  # it imports scipy.stats, which takes half a second, when that is used
 
 from mammometry.base.value import value
-from mammometry.study.agreement import Estimate
+from mammometry.study.agreement import IntervalEstimate
 from mammometry.study.repeatability.components import Components, chi_square_bounds, components
 from mammometry.study.repeatability.design import SUBJECT, Design, Reading, design, volumes_of
 from mammometry.study.repeatability.limits import RepeatedLimits, repeated_limits
@@ -31,7 +31,7 @@ class Component:
 
     name: str
     levels: int
-    sd_cc: Estimate
+    sd_cc: IntervalEstimate
     """Standard deviation by REML, cc."""
     variance_cc2: float
     moments_cc2: float
@@ -47,23 +47,23 @@ class Repetition:
     level: str
     """What changes: see `design`."""
     effects: tuple[str, ...]
-    sem_cc: Estimate
+    sem_cc: IntervalEstimate
     """Standard error of measurement, cc."""
     df: float
     """Its degrees of freedom."""
-    cv_percent: Estimate
+    cv_percent: IntervalEstimate
     """Coefficient of variation, %: √(exp s² − 1) of the logarithms."""
-    detectable_percent: Estimate
+    detectable_percent: IntervalEstimate
     """Smallest detectable increase, %: exp(1.96 √2 s) − 1."""
-    icc: Estimate
+    icc: IntervalEstimate
     """Share of the variance that two measurements at this level have in common: intraclass correlation for absolute
     agreement, single measurement, all effects random: ICC(A,1). For a new capture by the same rater, ICC(1)."""
 
     @property
-    def detectable_cc(self) -> Estimate:
+    def detectable_cc(self) -> IntervalEstimate:
         """Smallest detectable change, cc: 1.96 √2 SEM. Two repetitions have the limits of agreement ± this."""
         low, high = self.sem_cc.interval
-        return Estimate(value=DETECTABLE * self.sem_cc.value, interval=(DETECTABLE * low, DETECTABLE * high))
+        return IntervalEstimate(value=DETECTABLE * self.sem_cc.value, interval=(DETECTABLE * low, DETECTABLE * high))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,7 +73,7 @@ class SizeClass:
     from_cc: float
     to_cc: float
     breasts: int
-    sem_cc: Estimate
+    sem_cc: IntervalEstimate
     cv_percent: float
     """Root mean square of the scatter by the breast's mean, %."""
 
@@ -154,7 +154,7 @@ def _component(planned: Design, found: Components, place: int) -> Component:
     return Component(
         name=name,
         levels=planned.levels[place],
-        sd_cc=Estimate(value=sd, interval=interval),
+        sd_cc=IntervalEstimate(value=sd, interval=interval),
         variance_cc2=variance,
         moments_cc2=float(found.moments[place]) if planned.balanced else math.nan,
         share=math.nan if name in SUBJECT or not error else variance / error,
@@ -169,10 +169,12 @@ def _repetition(
     return Repetition(
         level=level,
         effects=tuple(planned.effects[place] for place in places),
-        sem_cc=Estimate(value=sem, interval=interval),
+        sem_cc=IntervalEstimate(value=sem, interval=interval),
         df=df,
-        cv_percent=Estimate(value=_cv(relative), interval=(_cv(bounds[0]), _cv(bounds[1]))),
-        detectable_percent=Estimate(value=_increase(relative), interval=(_increase(bounds[0]), _increase(bounds[1]))),
+        cv_percent=IntervalEstimate(value=_cv(relative), interval=(_cv(bounds[0]), _cv(bounds[1]))),
+        detectable_percent=IntervalEstimate(
+            value=_increase(relative), interval=(_increase(bounds[0]), _increase(bounds[1]))
+        ),
         icc=_icc(found, places),
     )
 
@@ -185,19 +187,19 @@ def _increase(deviation: float) -> float:
     return 100 * math.expm1(DETECTABLE * deviation) if deviation < 10 else math.inf  # larger ones overflow
 
 
-def _icc(found: Components, places: tuple[int, ...]) -> Estimate:
+def _icc(found: Components, places: tuple[int, ...]) -> IntervalEstimate:
     """Common variance by all of it. Interval of the logarithm of the ratio of both by MOVER (Zou 2013)."""
     common = [place for place in range(len(found.variances)) if place not in places]
     shared, error = found.sum_of(common), found.sum_of(places)
     if not shared or not error:
-        return Estimate(value=shared / (shared + error) if shared + error else math.nan, interval=(0.0, 1.0))
+        return IntervalEstimate(value=shared / (shared + error) if shared + error else math.nan, interval=(0.0, 1.0))
     (own_low, own_high), (low, high) = found.interval_of(common), found.interval_of(places)
     reaches = (
         math.hypot(_log_ratio(high, error), _log_ratio(shared, own_low)),
         math.hypot(_log_ratio(error, low), _log_ratio(own_high, shared)),
     )
     ratio = error / shared
-    return Estimate(
+    return IntervalEstimate(
         value=1 / (1 + ratio),
         interval=(1 / (1 + ratio * math.exp(reaches[0])), 1 / (1 + ratio * math.exp(-reaches[1]))),
     )
@@ -221,7 +223,7 @@ def _by_size(cells: Sequence[np.ndarray]) -> Iterator[SizeClass]:
             from_cc=low,
             to_cc=high,
             breasts=len(own),
-            sem_cc=Estimate(
+            sem_cc=IntervalEstimate(
                 value=math.sqrt(variance), interval=(math.sqrt(variance * bounds[0]), math.sqrt(variance * bounds[1]))
             ),
             cv_percent=100 * math.sqrt(relative),

@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from mammometry.study.agreement import Estimate
+from mammometry.study.agreement import IntervalEstimate
 from mammometry.study.repeatability.design import ANOTHER_DAY, ANYBODY, SAME_DAY, Reading
 from mammometry.study.repeatability.plan import DETECTABLE, ClaimCheck, Plan, plan
 from mammometry.study.repeatability.study import MOVED_MM, RepeatabilityStudy, Repetition, SizeClass
-from mammometry.study.tables import Table, number, p_words, plain
+from mammometry.study.tables import TextTable, number, p_words, plain
 
 _WHO = {
     SAME_DAY: "the same person captures her again with the same device on the same day",
@@ -69,10 +69,10 @@ def repeatability_summary(found: RepeatabilityStudy, claim: ClaimCheck | None = 
     return lines
 
 
-def repeatability_tables(found: RepeatabilityStudy) -> list[Table]:
+def repeatability_tables(found: RepeatabilityStudy) -> list[TextTable]:
     """Repetition, components, sizes, limits of agreement, what differed."""
     tables = [
-        Table(
+        TextTable(
             title="Repeatability",
             columns=("what changes", "SEM, cc", "95 % interval", "SDC, cc", "95 % interval", "degrees of freedom"),
             rows=tuple(
@@ -87,7 +87,7 @@ def repeatability_tables(found: RepeatabilityStudy) -> list[Table]:
                 for one in found.repetitions
             ),
         ),
-        Table(
+        TextTable(
             title="Repeatability in per cent, and correlation",
             columns=("what changes", "CV, %", "95 % interval", "SDC, %", "95 % interval", "ICC", "95 % interval"),
             rows=tuple(
@@ -103,7 +103,7 @@ def repeatability_tables(found: RepeatabilityStudy) -> list[Table]:
                 for one in found.repetitions
             ),
         ),
-        Table(
+        TextTable(
             title="Components of variance",
             columns=("effect", "levels", "standard deviation, cc", "95 % interval", "variance, cc² (REML)",
                      "variance, cc² (ANOVA)", "share of the error, %"),
@@ -120,7 +120,7 @@ def repeatability_tables(found: RepeatabilityStudy) -> list[Table]:
                 for one in found.components
             ),
         ),
-        Table(
+        TextTable(
             title="By size",
             columns=("breast", "breasts and persons", "SEM of a new capture, cc", "95 % interval", "%"),
             rows=tuple(
@@ -137,7 +137,7 @@ def repeatability_tables(found: RepeatabilityStudy) -> list[Table]:
     ]  # fmt: skip
     if found.limits:
         tables.append(
-            Table(
+            TextTable(
                 title="Limits of agreement of single measurements",
                 columns=("second less first", "breasts", "bias, cc", "95 % interval", "lower limit, cc",
                          "95 % interval", "upper limit, cc", "95 % interval"),
@@ -154,7 +154,7 @@ def repeatability_tables(found: RepeatabilityStudy) -> list[Table]:
         )  # fmt: skip
     if found.changes:
         tables.append(
-            Table(
+            TextTable(
                 title="What differed between captures",
                 columns=("woman", "what", "found"),
                 rows=tuple((one.woman, one.condition, " … ".join(one.found)) for one in found.changes),
@@ -209,9 +209,9 @@ def _women_needed(one: Repetition, claim_cc: float) -> str:
     return str(max(sizes[2], 10)) if 2 in sizes else "35"
 
 
-def plan_table(planned: Plan) -> Table:
+def plan_table(planned: Plan) -> TextTable:
     """Women for each number of captures."""
-    return Table(
+    return TextTable(
         title=f"For a claim of {number(planned.claim_cc, 'g')} cc, if one volume scatters by "
         f"{number(planned.sem_cc, 'g')} cc",
         columns=("captures of each woman", "women", "captures in all"),
@@ -271,5 +271,5 @@ def _size(one: SizeClass) -> str:
     return f"{number(one.from_cc, '.0f')} to {number(one.to_cc, '.0f')} cc"
 
 
-def _span(estimate: Estimate, form: str) -> str:
+def _span(estimate: IntervalEstimate, form: str) -> str:
     return " … ".join(number(bound, form) for bound in estimate.interval)

@@ -14,15 +14,15 @@ import numpy as np
 import scipy  # it imports scipy.stats, which takes half a second, when that is used
 
 from mammometry.geometry.arrays import Array, Float64, Int64
-from mammometry.study.agreement import Estimate
+from mammometry.study.agreement import IntervalEstimate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Line:
     """Measured = intercept + slope × truth. NaN where it cannot be found."""
 
-    slope: Estimate
-    intercept: Estimate
+    slope: IntervalEstimate
+    intercept: IntervalEstimate
 
     @property
     def proportional(self) -> bool:
@@ -48,7 +48,7 @@ def deming(
     single = count * whole - (count - 1) * left_out
     reach = float(scipy.stats.t.ppf(0.975, count - 1)) * single.std(axis=0, ddof=1) / math.sqrt(count)
     slope, intercept = (
-        Estimate(value=float(centre), interval=(float(centre - half), float(centre + half)))
+        IntervalEstimate(value=float(centre), interval=(float(centre - half), float(centre + half)))
         for centre, half in zip(whole, reach, strict=True)
     )
     return Line(slope=slope, intercept=intercept)
@@ -75,7 +75,7 @@ def passing_bablok(truth: Float64[Array, " n"], measured: Float64[Array, " n"]) 
     slopes = np.sort(slopes[slopes != -1])
     shift, count = int((slopes < -1).sum()), len(slopes)
     if not count:
-        nothing = Estimate(value=math.nan, interval=(math.nan, math.nan))
+        nothing = IntervalEstimate(value=math.nan, interval=(math.nan, math.nan))
         return Line(slope=nothing, intercept=nothing)
     slope = (slopes[_at((count - 1) // 2 + shift, count)] + slopes[_at(count // 2 + shift, count)]) / 2
     spread = float(scipy.special.ndtri(0.975)) * math.sqrt(n * (n - 1) * (2 * n + 5) / 18)
@@ -84,8 +84,8 @@ def passing_bablok(truth: Float64[Array, " n"], measured: Float64[Array, " n"]) 
     high = float(slopes[_at(count - lowest + shift, count)])
     own = [float(np.median(measured - value * truth)) for value in (slope, high, low)]
     return Line(
-        slope=Estimate(value=float(slope), interval=(low, high)),
-        intercept=Estimate(value=own[0], interval=(own[1], own[2])),
+        slope=IntervalEstimate(value=float(slope), interval=(low, high)),
+        intercept=IntervalEstimate(value=own[0], interval=(own[1], own[2])),
     )
 
 

@@ -6,9 +6,9 @@ import math
 from dataclasses import asdict
 from typing import Any
 
-from mammometry.study.agreement import Estimate
+from mammometry.study.agreement import IntervalEstimate
 from mammometry.study.agreement_tables import agreement_json
-from mammometry.study.tables import Table, number, plain
+from mammometry.study.tables import TextTable, number, plain
 from mammometry.study.validation.study import DefinitionAgreement, ValidationStudy
 
 _TRUTHS = {
@@ -48,10 +48,10 @@ def validation_summary(found: ValidationStudy) -> list[str]:
     return lines
 
 
-def validation_tables(found: ValidationStudy) -> list[Table]:
+def validation_tables(found: ValidationStudy) -> list[TextTable]:
     """Agreement by definition, lines, offsets between definitions, all volumes."""
     tables = [
-        Table(
+        TextTable(
             title="Measured less truth, by definition of the volume",
             columns=("definition", "breasts", "bias, cc", "95 % interval", "SD, cc", "of it the truth's own, cc",
                      "lower limit, cc", "95 % interval", "upper limit, cc", "95 % interval"),
@@ -69,7 +69,7 @@ def validation_tables(found: ValidationStudy) -> list[Table]:
                 for one in found.definitions
             ),
         ),
-        Table(
+        TextTable(
             title="Proportional bias: measured = intercept + slope × truth",
             columns=("definition", "slope (Deming)", "95 % interval", "intercept, cc", "95 % interval",
                      "slope (Passing–Bablok)", "95 % interval", "intercept, cc", "95 % interval", "concordance"),
@@ -87,7 +87,7 @@ def validation_tables(found: ValidationStudy) -> list[Table]:
     ]  # fmt: skip
     if found.offsets:
         tables.append(
-            Table(
+            TextTable(
                 title="Offsets between definitions, for the same breasts",
                 columns=("second less first", "breasts", "mean, cc", "%", "SD, cc", "concordance"),
                 rows=tuple(
@@ -107,7 +107,7 @@ def validation_tables(found: ValidationStudy) -> list[Table]:
     return tables
 
 
-def _volumes(definitions: tuple[DefinitionAgreement, ...]) -> Table:
+def _volumes(definitions: tuple[DefinitionAgreement, ...]) -> TextTable:
     truth: dict[str, float] = {}
     measured: dict[str, dict[str, float]] = {}
     for one in definitions:
@@ -115,7 +115,7 @@ def _volumes(definitions: tuple[DefinitionAgreement, ...]) -> Table:
             truth[name] = float(true)
             measured.setdefault(name, {})[one.definition] = float(own)
     columns = tuple(one.definition for one in definitions)
-    return Table(
+    return TextTable(
         title="Volumes, cc",
         columns=("breast", "truth", *columns),
         rows=tuple(
@@ -165,5 +165,5 @@ def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _span(estimate: Estimate, form: str) -> str:
+def _span(estimate: IntervalEstimate, form: str) -> str:
     return " … ".join(number(bound, form) for bound in estimate.interval)

@@ -10,13 +10,13 @@ from mammometry.base.machine.compiled import kernel
 from mammometry.geometry import Array, Camera, Float64, lens_kernels
 
 COLUMNS = 24
-"""Columns of a row: the fields of `View`."""
+"""Columns of a row: the fields of `CameraRecord`."""
 LEAST_DEPTH_MM = 1.0
 """Least depth of a point in front of the camera."""
 _WIDEST_R2 = 4.0  # squared tangent of 63° off the axis: no lens model is valid so far outside its image
 
 
-class View(NamedTuple):
+class CameraRecord(NamedTuple):
     """A camera, and the index of its first pixel in the flat image array."""
 
     rotation: tuple[float, float, float, float, float, float, float, float, float]
@@ -49,9 +49,9 @@ def view_row(camera: Camera, shape_hw: tuple[int, ...], start: int) -> Float64[A
 
 
 @kernel
-def view_of(row: Float64[Array, " 24"]) -> View:
-    """The `View` of a row from `view_row`."""
-    return View(
+def view_of(row: Float64[Array, " 24"]) -> CameraRecord:
+    """The `CameraRecord` of a row from `view_row`."""
+    return CameraRecord(
         (row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8]),
         (row[9], row[10], row[11]),
         row[12],

@@ -97,7 +97,7 @@ def closing_box(range_images: Sequence[RangeImage], *, back_mm: float, around_mm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Field:
+class DistanceField:
     """Signed distance of the solid as a function of position."""
 
     views: Float64[Array, "v 24"]
@@ -131,7 +131,7 @@ class Field:
 
 def build_field(
     range_images: Sequence[RangeImage], foregrounds: Mapping[str, Foreground], rig: Rig, box: ClosingBox, rule: Rule
-) -> Field:
+) -> DistanceField:
     """Field of all views and silhouettes. Each view must have data (`fuse.usable`)."""
     starts = np.cumsum([0, *(image.valid.size for image in range_images)])
     elements = np.empty((starts[-1], 3), dtype=np.float32)
@@ -161,7 +161,7 @@ def build_field(
         view_row(thinned_camera(rig.cameras[name], steps[name]), distance_map.shape, start)
         for name, distance_map, start in zip(outlined, distances, starts_of_lines[:-1], strict=True)
     ]
-    return Field(
+    return DistanceField(
         views=np.array(view_rows).reshape(-1, COLUMNS),
         elements=elements,
         contours=np.array(contour_rows).reshape(-1, COLUMNS),

@@ -9,7 +9,7 @@ import numpy as np
 
 from mammometry.base.machine.compiled import kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64
-from mammometry.surface.fusion.camera_records import LEAST_DEPTH_MM, View, in_camera, pixel, view_of
+from mammometry.surface.fusion.camera_records import LEAST_DEPTH_MM, CameraRecord, in_camera, pixel, view_of
 from mammometry.surface.fusion.marching import longer
 from mammometry.surface.ranges.image_kernels import incidence_cosine
 
@@ -25,7 +25,7 @@ SPANNED = np.float32(1e-30)
 _DISTORTION = 1.5  # largest ratio of a block's width in the image to that of a ball around it without lens distortion
 
 
-class Block(NamedTuple):
+class SampleBlock(NamedTuple):
     """Corners of cubes to be sampled: side³ points from the origin (x, y, z), world frame, mm."""
 
     x: float
@@ -35,7 +35,7 @@ class Block(NamedTuple):
     spacing: float
 
 
-class Evidence(NamedTuple):
+class ViewEvidence(NamedTuple):
     """Evidence of the views about a block's samples, accumulated view by view."""
 
     total: Float64[Array, " k"]
@@ -85,7 +85,7 @@ def sample_field(
     reach = 0.5 * np.sqrt(3.0) * (side - 1) * spacing
     out = np.empty((n, samples), dtype=np.float32)
     for number in range(n):
-        block = Block(origins[number, 0], origins[number, 1], origins[number, 2], side, spacing)
+        block = SampleBlock(origins[number, 0], origins[number, 1], origins[number, 2], side, spacing)
         bound = _bound_by_planes(planes, block, truncation)
         outside = bound.min() >= truncation
         for c in range(contours.shape[0]):
@@ -101,7 +101,7 @@ def sample_field(
             out[number] = truncation
             continue
 
-        evidence = Evidence(
+        evidence = ViewEvidence(
             np.zeros(samples), np.zeros(samples), np.zeros(samples, dtype=np.bool_), np.zeros(samples, dtype=np.bool_)
         )
         if rule == RULE_NEAREST:
@@ -144,7 +144,7 @@ def _bound_by_planes(planes, block, truncation):  # type: ignore[no-untyped-def]
 
 @kernel
 def _merged(total: float, weight: float, free: bool, supported: bool, truncation: float, rule: int) -> float:
-    """Signed distance of one sample from all views, mm. The first four parameters are its `Evidence`."""
+    """Signed distance of one sample from all views, mm. The first four parameters are its `ViewEvidence`."""
     averaged = rule in (RULE_DEFAULT, RULE_TSDF)
     if averaged and weight > 0.0:
         return total / weight
@@ -168,7 +168,7 @@ def _between(image, start, width, u, v):  # type: ignore[no-untyped-def]
 
 @kernel
 def _side_of_silhouette(
-    view: View, distances: Float32[Array, " q"], block: Block, reach: float, truncation: float
+    view: CameraRecord, distances: Float32[Array, " q"], block: SampleBlock, reach: float, truncation: float
 ) -> int:
     """Position of a block relative to a silhouette: 1 far outside, −1 far inside, 0 near it or unknown.
 
@@ -192,7 +192,11 @@ def _side_of_silhouette(
 
 @kernel
 def _bound_by_silhouette(
-    view: View, distances: Float32[Array, " q"], block: Block, truncation: float, bound: Float64[Array, " k"]
+    view: CameraRecord,
+    distances: Float32[Array, " q"],
+    block: SampleBlock,
+    truncation: float,
+    bound: Float64[Array, " k"],
 ) -> bool:
     """Raise `bound` to a silhouette's distances (pixels times pixel size at each depth). Whether all is outside."""
     u, v, depth = np.empty_like(bound), np.empty_like(bound), np.empty_like(bound)
@@ -208,13 +212,13 @@ def _bound_by_silhouette(
 
 @kernel
 def _add_view(
-    view: View,
+    view: CameraRecord,
     elements: Float32[Array, "p 3"],
-    block: Block,
+    block: SampleBlock,
     truncation: float,
     jump: float,
     rule: int,
-    evidence: Evidence,
+    evidence: ViewEvidence,
 ) -> None:
     """Add a view's evidence about a block's samples."""
     total, weights, free, supported = evidence
@@ -263,8 +267,8 @@ def _add_view(
 
 @kernel
 def _project_block(
-    view: View,
-    block: Block,
+    view: CameraRecord,
+    block: SampleBlock,
     u: Float64[Array, " k"],
     v: Float64[Array, " k"],
     depth: Float64[Array, " k"],

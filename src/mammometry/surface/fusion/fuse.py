@@ -15,7 +15,7 @@ from mammometry.matching.foreground.foreground import Foreground
 from mammometry.surface.fusion.field import (
     TRUNCATION_MM,
     ClosingBox,
-    Field,
+    DistanceField,
     Rule,
     block_seeds,
     build_field,
@@ -95,17 +95,17 @@ def extract(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Solid:
+class FusedField:
     """Signed distance to be meshed. The silhouettes, which are large, are no longer needed."""
 
-    distance: Field
+    distance: DistanceField
     seen: tuple[RangeImage, ...]
     """Range images with data, which the surface passes near."""
 
 
 def solid_of(
     range_images: Sequence[RangeImage], foregrounds: Mapping[str, Foreground], rig: Rig, rule: Rule = "default"
-) -> Solid:
+) -> FusedField:
     """Signed distance of the solid: the first half of `extract`.
 
     Raises:
@@ -116,11 +116,11 @@ def solid_of(
     check_agreement(seen)
     box = closing_box_of(seen)
     distance = build_field(seen, foregrounds, rig, box, rule)
-    return Solid(distance=distance, seen=tuple(seen))
+    return FusedField(distance=distance, seen=tuple(seen))
 
 
 def meshed(
-    solid: Solid, settings: ExtractSettings = ExtractSettings(), *, progress: Progress = no_progress
+    solid: FusedField, settings: ExtractSettings = ExtractSettings(), *, progress: Progress = no_progress
 ) -> TriangleMesh:
     """Surface of the solid: the second half of `extract`.
 
@@ -155,7 +155,7 @@ def meshed(
 
 
 def _surface(
-    solid: Solid, settings: ExtractSettings, near_mm: float, progress: Progress
+    solid: FusedField, settings: ExtractSettings, near_mm: float, progress: Progress
 ) -> tuple[Isosurface, TriangleMesh]:
     """Sample and mesh. If fine and coarse cubes do not fit together, all cubes are fine."""
     corners = solid.distance.box.corners

@@ -137,7 +137,7 @@ def _hidden(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Picture:
+class PhotographLevels:
     """A photograph's levels as recorded, and the level that counts as 1."""
 
     levels: Integer[Array, "h w c"]
@@ -152,10 +152,10 @@ class Picture:
         return np.concatenate(in_bands(of, len(uv)))
 
 
-def picture_of(photograph: Photograph) -> Picture:
+def picture_of(photograph: Photograph) -> PhotographLevels:
     """A photograph as recorded, with one or three channels."""
     pixels = photograph.pixels
-    return Picture(
+    return PhotographLevels(
         levels=pixels[..., None] if pixels.ndim == 2 else pixels, full_scale=float(np.iinfo(pixels.dtype).max)
     )
 

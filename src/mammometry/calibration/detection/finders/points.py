@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.features.constellation import Reading, TargetCamera, adjusted, read_constellation
+from mammometry.calibration.features.constellation import DotAssignment, TargetCamera, adjusted, read_constellation
 from mammometry.calibration.features.dots import MAX_OFF, ROUNDS, Dots, ToImage, measure_dots
 from mammometry.calibration.features.lattice import find_dots
 from mammometry.calibration.features.pixels import (
@@ -62,7 +62,7 @@ def find_points(target: PointsTarget, photograph: Photograph, search_width_px: i
     return UNREAD
 
 
-def _measured(linear: Float32[Array, "h w"], target: PointsTarget, reading: Reading) -> FoundPoints | None:
+def _measured(linear: Float32[Array, "h w"], target: PointsTarget, reading: DotAssignment) -> FoundPoints | None:
     """Measure the dots of a reading."""
     points, camera, ids = target.points_target, reading.camera, np.sort(reading.ids)
     nearest_mm = float(np.asarray(cKDTree(points).query(points, k=2)[0])[:, 1].min())

@@ -10,7 +10,7 @@ import numpy as np
 
 from mammometry.base.errors import SessionError
 from mammometry.calibration.targets.board import SquaresBoard
-from mammometry.calibration.targets.sheet import DARK, MARKER, Pattern
+from mammometry.calibration.targets.sheet import DARK, MARKER, SheetPattern
 from mammometry.calibration.targets.target import TARGETS
 from mammometry.geometry.arrays import Array, UInt8, read_only
 
@@ -42,13 +42,13 @@ class CharucoTarget(SquaresBoard):
             raise ValueError(f"marker_mm must be between 0 and square_mm ({self.square_mm}), found {self.marker_mm}")
 
     @property
-    def pattern(self) -> Pattern:
+    def pattern(self) -> SheetPattern:
         """Squares and markers.
 
         Raises:
             SessionError: unknown marker dictionary.
         """
-        return Pattern(
+        return SheetPattern(
             grid="squares",
             count=self.squares,
             pitch_mm=self.square_mm,
@@ -93,7 +93,7 @@ def charuco_board(target: CharucoTarget) -> cv2.aruco.CharucoBoard:
 
 @cache
 def printed_cells(target: CharucoTarget) -> UInt8[Array, "rows columns c c"]:
-    """Cells printed in every square, as in `Pattern.cells`, including a marker's black border of one cell.
+    """Cells printed in every square, as in `SheetPattern.cells`, including a marker's black border of one cell.
 
     Raises:
         SessionError: unknown marker dictionary.

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from mammometry.calibration.targets.board import LEAST_SQUARES, SquaresBoard
-from mammometry.calibration.targets.sheet import DARK, WHITE, Pattern
+from mammometry.calibration.targets.sheet import DARK, WHITE, SheetPattern
 from mammometry.calibration.targets.target import TARGETS
 
 
@@ -40,12 +40,14 @@ class ChessboardTarget(SquaresBoard):
         return sum(self.squares) % 2 == 0
 
     @property
-    def pattern(self) -> Pattern:
+    def pattern(self) -> SheetPattern:
         """Dark and white squares."""
         columns, rows = self.squares
         dark = (np.arange(rows)[:, None] + np.arange(columns)) % 2 == 0
         cells = np.where(dark, DARK, WHITE).astype(np.uint8)[:, :, None, None]
-        return Pattern(grid="squares", count=self.squares, pitch_mm=self.square_mm, mark_mm=self.square_mm, cells=cells)
+        return SheetPattern(
+            grid="squares", count=self.squares, pitch_mm=self.square_mm, mark_mm=self.square_mm, cells=cells
+        )
 
     def caption(self) -> str:
         """Describe the print in one line."""

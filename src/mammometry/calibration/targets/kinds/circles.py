@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from mammometry.calibration.targets.board import Board
-from mammometry.calibration.targets.sheet import Pattern, Sheet
+from mammometry.calibration.targets.sheet import PrintedSheet, SheetPattern
 from mammometry.calibration.targets.target import TARGETS, require_grid, require_positive
 from mammometry.geometry.arrays import Array, Float64, read_only
 
@@ -88,9 +88,9 @@ class CirclesTarget(Board):
                 yield f"grid = [{grid[0]}, {grid[1]}]", replace(self, grid=grid)
 
     @property
-    def pattern(self) -> Pattern:
+    def pattern(self) -> SheetPattern:
         """The grid of circles."""
-        return Pattern(
+        return SheetPattern(
             grid="staggered" if self.asymmetric else "circles",
             count=self.grid,
             pitch_mm=self.pitch_mm,
@@ -98,11 +98,11 @@ class CirclesTarget(Board):
             cells=np.zeros((0, 0, 1, 1), dtype=np.uint8),
         )
 
-    def sheet(self) -> Sheet:
+    def sheet(self) -> PrintedSheet:
         """Return the discs."""
         centres = self.points_target[:, :2]
         discs = np.column_stack([centres, np.full(len(centres), self.diameter_mm / 2)])
-        return Sheet(extent_mm=self.extent_mm, discs=discs)
+        return PrintedSheet(extent_mm=self.extent_mm, discs=discs)
 
     def caption(self) -> str:
         """Describe the print in one line."""

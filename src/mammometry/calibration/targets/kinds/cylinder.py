@@ -10,7 +10,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from mammometry.base.errors import SettingsError
-from mammometry.calibration.targets.sheet import Body, Hits, Sheet
+from mammometry.calibration.targets.sheet import ConvexBody, PrintedSheet, TargetHits
 from mammometry.calibration.targets.target import TARGETS, Target, require_grid, require_measured, require_positive
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 
@@ -94,7 +94,7 @@ class DottedCylinderTarget(Target):
             f"{self.column_pitch_mm:g} mm; labels up, wrapped to a radius of {self.radius_mm:g} mm including the paper"
         )
 
-    def sheet(self) -> Sheet:
+    def sheet(self) -> PrintedSheet:
         """Return the sheet to wrap around the cylinder.
 
         Raises:
@@ -103,7 +103,7 @@ class DottedCylinderTarget(Target):
         return wrap_sheet(self)
 
     @property
-    def body(self) -> Body:
+    def body(self) -> ConvexBody:
         """The closed tube."""
         return CylinderBody(target=self)
 
@@ -125,7 +125,7 @@ _DOT_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CylinderBody(Body):
+class CylinderBody(ConvexBody):
     """A white tube with dots and labels. Its labels are random cells, unlike those on the printed sheet."""
 
     attitude: ClassVar[Literal["facing", "upright", "any"]] = "upright"
@@ -160,12 +160,12 @@ class CylinderBody(Body):
         shown = seen.reshape(self.target.dots).any(axis=0)
         return bool(in_picture(self.target.on_surface(arc, height)[np.tile(shown, 2)]).all())
 
-    def meet(self, origins: Float64[Array, "n 3"], directions: Float64[Array, "n 3"]) -> Hits:
+    def meet(self, origins: Float64[Array, "n 3"], directions: Float64[Array, "n 3"]) -> TargetHits:
         """Intersect rays with the tube's side, or else with one of the white lids."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return self._met(origins, directions)
 
-    def _met(self, origins: Float64[Array, "n 3"], directions: Float64[Array, "n 3"]) -> Hits:
+    def _met(self, origins: Float64[Array, "n 3"], directions: Float64[Array, "n 3"]) -> TargetHits:
         target = self.target
         o, d = origins[:, :2], directions[:, :2]
         a, b = (d * d).sum(axis=1), (o * d).sum(axis=1)
@@ -179,7 +179,7 @@ class CylinderBody(Body):
             lid = origins + ((height - origins[:, 2]) / directions[:, 2])[:, None] * directions
             on_lid = ~side & (sign * directions[:, 2] < 0) & (np.hypot(lid[:, 0], lid[:, 1]) <= target.radius_mm)
             points[on_lid], normals[on_lid], white[on_lid] = lid[on_lid], [0.0, 0.0, sign], 1.0
-        return Hits(points=points, normals=normals, white=white)
+        return TargetHits(points=points, normals=normals, white=white)
 
     @property
     def _ends_mm(self) -> tuple[float, float]:
@@ -241,7 +241,7 @@ def column_labels(columns: int) -> Bool[Array, "c 6 6"]:
     return np.stack([np.asarray(dictionary.generateImageMarker(k, 8))[1:-1, 1:-1] < 128 for k in range(columns)])
 
 
-def wrap_sheet(target: DottedCylinderTarget) -> Sheet:
+def wrap_sheet(target: DottedCylinderTarget) -> PrintedSheet:
     """Return the sheet to wrap around a cylinder, mm.
 
     Its origin is its upper left corner. The sheet is as wide as all columns. Column 0 is the leftmost, row 0 the
@@ -261,7 +261,7 @@ def wrap_sheet(target: DottedCylinderTarget) -> Sheet:
         dark += [(x - side / 2, (rows + 0.5 - row) * dy - side / 2, side, side) for row in range(rows)]
         left, top = x - _SHEET_LABEL_CELLS / 2 * cell, (_ABOVE_ROWS - _LABEL_UP) * dy - _SHEET_LABEL_CELLS / 2 * cell
         dark += [(left + j * cell, top + i * cell, cell, cell) for i, j in np.argwhere(label)]
-    return Sheet(
+    return PrintedSheet(
         extent_mm=np.array([[0.0, 0.0], [columns * dx, (rows + _ABOVE_ROWS) * dy]]),
         rectangles=np.array(dark, dtype=np.float64),
         cut_at_sides=True,

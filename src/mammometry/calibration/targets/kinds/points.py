@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from mammometry.calibration.targets.sheet import Body, Hits
+from mammometry.calibration.targets.sheet import ConvexBody, TargetHits
 from mammometry.calibration.targets.target import TARGETS, Target, require_measured, require_positive
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 
@@ -56,7 +56,7 @@ class PointsTarget(Target):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DottedBox(Body):
+class DottedBox(ConvexBody):
     """A white cube around the origin with round dots on its faces."""
 
     attitude: ClassVar[Literal["facing", "upright", "any"]] = "any"
@@ -91,7 +91,7 @@ class DottedBox(Body):
         """True: any part of the list is enough."""
         return True
 
-    def meet(self, origins: Float64[Array, "n 3"], directions: Float64[Array, "n 3"]) -> Hits:
+    def meet(self, origins: Float64[Array, "n 3"], directions: Float64[Array, "n 3"]) -> TargetHits:
         """Meet the cube's faces by the slab method (Kay and Kajiya 1986)."""
         from scipy.spatial import cKDTree
 
@@ -109,7 +109,7 @@ class DottedBox(Body):
         radius = 0.5 * (self.target.dot_diameter_mm or 0.0)
         hit = np.flatnonzero(np.isfinite(white))
         white[hit[cKDTree(dots).query(points[hit])[0] <= radius]] = 0.0
-        return Hits(points=points, normals=normals, white=white)
+        return TargetHits(points=points, normals=normals, white=white)
 
     @property
     def _half_mm(self) -> float:
