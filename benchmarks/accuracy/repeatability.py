@@ -2,12 +2,12 @@
 
     python -m benchmarks.accuracy.repeatability --women 9700-9711 --captures 3
 
-Before every capture a woman stands anew: her trunk leans, her arms hang and her chest is filled differently by what is
-drawn from published scatter. Breathing in moves a breast by 2.3 mm forward and a nipple by 4.1 mm up (Wang et al.,
-Aesthetic Plastic Surgery 43 (2019) 53); a woman who is asked to breathe out is taken to scatter by a quarter of that.
-Lean and arms are those of standing women who were asked to stand alike, in degrees. Her volume stays the same. Each
-capture is a scan by the virtual telephone, measured without any drawing. Women of numbers below 9000 are for
-development. These are virtual women: clothes, skin marks and persons who hold the telephone are missing.
+Before every capture a woman stands anew: her trunk leans, her arms hang and her chest is filled a little differently.
+Breathing in moves a breast by 2.3 mm forward and a nipple by 4.1 mm up (Wang et al., Aesthetic Plastic Surgery 43
+(2019) 53); a woman who is asked to breathe out is assumed to scatter by a quarter of that. The scatter of lean and arms
+is assumed: half of what the benchmark of dates assumes between two visits. Her volume stays the same. Each capture is a
+scan by the virtual telephone, measured without any drawing. Women of numbers below 9000 are for development. These are
+virtual women: clothes, skin marks and persons who hold the telephone are missing.
 """
 
 from __future__ import annotations
