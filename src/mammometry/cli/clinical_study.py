@@ -9,11 +9,12 @@ import typer
 
 from mammometry.base.errors import TableError
 from mammometry.cli.common import Answer, Bars, Options, command
-from mammometry.cli.study import app, table_lines
+from mammometry.cli.study import table_lines
 
+app = typer.Typer()  # `main` adds its commands to those of `study`
 _COMMAND = "study repeatability"
 SEM_CC = 6.0
-"""Standard error that a plan expects where none is given, cc: about that of our virtual women and telephone."""
+"""Standard error that a plan expects where none is given, cc."""
 
 
 @command(

@@ -67,7 +67,8 @@ for group in (
     doctor.app,
 ):
     app.registered_commands += group.registered_commands
-app.add_typer(clinical_study.app, no_args_is_help=True)  # the commands of `study`, and its own
+study.app.registered_commands += clinical_study.app.registered_commands
+app.add_typer(study.app, no_args_is_help=True)
 app.add_typer(acceptance.app, no_args_is_help=True)
 app.add_typer(clinic.app, no_args_is_help=True)
 app.add_typer(export.app, no_args_is_help=True)
