@@ -458,7 +458,7 @@ NEW_FOLDERS = {
 """Commands that only write into a folder that is new or empty, or go on with the one that they made."""
 ONLY_IN_THE_SESSION = {"capture", "skew", "run", "calibrate", "match", "surface", "edit"}
 """They write SESSION/results, and what is drawn, by the memo's and the editor's own rules; no place is named."""
-READ_ONLY = {"doctor", "info", "settings", "verify"}
+READ_ONLY = {"doctor", "info", "settings", "study landmarks", "verify"}
 IN_THE_CLINIC = {
     f"clinic {name}"
     for name in (

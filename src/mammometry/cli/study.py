@@ -260,13 +260,13 @@ def observers(
 
 
 @command(
-    app, "mammometry study landmarks OUTPUT.json TRUTH.json", "mammometry study landmarks OUTPUT.json TRUTH.json --json"
+    app, "mammometry study landmarks FOUND.json TRUTH.json", "mammometry study landmarks FOUND.json TRUTH.json --json"
 )
 def landmarks(
     options: OutputOptions,
     output: Annotated[
         Path,
-        typer.Argument(metavar="OUTPUT.json", help="What a program found: woman, name, place.", show_default=False),
+        typer.Argument(metavar="FOUND.json", help="What a program found: woman, name, place.", show_default=False),
     ],
     truth: Annotated[
         Path, typer.Argument(metavar="TRUTH.json", help="Truth file of the benchmark's meshes.", show_default=False)

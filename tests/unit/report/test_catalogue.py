@@ -21,7 +21,7 @@ from mammometry.report.words import describe
 
 ADDED = """
 import numpy as np
-from mammometry.report.figures.canvas import Caption, Sheet, encode
+from mammometry.report.figures.canvas import Caption, PanelSheet, encode
 from mammometry.report.figures.catalogue import paper_figure, preview
 
 @preview("stripes", stage="measure", place=9, photographs=False)
@@ -35,7 +35,7 @@ def spot(result, measured):
 
 @paper_figure(8)
 def eighth(source):
-    return Sheet(1, 1, (80, 60))
+    return PanelSheet(1, 1, (80, 60))
 """
 
 

@@ -37,7 +37,7 @@ def test_it_tells_what_a_product_is_made_from_its_state_and_its_time() -> None:
     }
     drawing = drawn("torso", known)
     title, *_, state = words(drawing, "disparity × 2")
-    assert title == "Place of each left pixel on the right. Made from: rectified. In results/match/disparity/…."
+    assert title.endswith(". Made from: rectified. In results/match/disparity/….")
     assert state == "stale, 5.0 s", "the worst of both, and the sum"
     assert words(drawing, "rectified × 2")[-1] == "not stored"
     assert words(drawing, "mesh")[-1] == "absent"

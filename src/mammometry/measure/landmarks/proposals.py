@@ -212,8 +212,9 @@ _LEAST_TIP_MM = 1.2
 A round breast has up to 0.5, a mound on a telephone's scan up to 0.7, a nipple 1.6 to 5."""
 _TIP_SIGMA_MM = 2.5  # standard uncertainty of a tip within an areola; errors on a virtual torso: 2.6 and 3.2 mm
 _ALONE_SIGMA_MM = 4.0  # standard uncertainty of an areola's centre without a tip, and of a tip without an areola
-_AREOLA_TIP_PROBABILITY, _AREOLA_PROBABILITY, _TIP_PROBABILITY = 0.98, 0.9, 0.6
-"""Probability of a nipple: areola with a tip, without a tip, and a tip alone, which may be a scar. Not critical."""
+_AREOLA_TIP_PROBABILITY = 0.98  # of a nipple, by an areola with a tip; not critical, as are the next two
+_AREOLA_PROBABILITY = 0.9  # by an areola without a tip
+_TIP_PROBABILITY = 0.6  # by a tip alone, which may be a scar
 
 # Not critical:
 _SAMPLE_MM = 2.5  # one vertex is used per cube of this side

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+from mammometry.base.csv_cells import csv_text
 from mammometry.study.agreement import IntervalEstimate
 from mammometry.study.repeatability.design import ANOTHER_DAY, ANYBODY, SAME_DAY, Reading
 from mammometry.study.repeatability.plan import DETECTABLE, ClaimCheck, Plan, plan
@@ -232,14 +231,12 @@ def readings_csv(readings: Sequence[Reading]) -> str:
     conditions = tuple(dict.fromkeys(name for one in readings for name, _ in one.conditions))
     columns = ("woman", "side", "device", "rater", "day", "capture", "reader", "reading")
     used = [column for column in columns if any(getattr(one, column) for one in readings)]
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*used, "volume_cc", *conditions])
+    rows = []
     for one in readings:
         known = dict(one.conditions)
         own = [getattr(one, column) for column in used]
-        writer.writerow([*own, f"{one.volume_cc:.3f}", *(known.get(name, "") for name in conditions)])
-    return text.getvalue()
+        rows.append([*own, f"{one.volume_cc:.3f}", *(known.get(name, "") for name in conditions)])
+    return csv_text((*used, "volume_cc", *conditions), rows)
 
 
 def repeatability_remarks(found: RepeatabilityStudy) -> list[str]:

@@ -93,7 +93,7 @@ def charuco_board(target: CharucoTarget) -> cv2.aruco.CharucoBoard:
 
 @cache
 def printed_cells(target: CharucoTarget) -> UInt8[Array, "rows columns c c"]:
-    """Cells printed in every square, as in `SheetPattern.cells`, including a marker's black border of one cell.
+    """Cells printed in every square, as in `SheetPattern.cells`. A marker has a black border of one cell.
 
     Raises:
         SessionError: unknown marker dictionary.
