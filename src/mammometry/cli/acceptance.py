@@ -100,7 +100,7 @@ def _evaluated(folder: Path, place: Path, options: Options) -> Answer:
     with Bars(options.silent) as bars:
         with bars.task("acceptance", "artefacts") as progress:
             outcome = run_acceptance(folder, chosen, progress=progress)
-        with bars.task("acceptance", "results"):
+        with bars.task("report", "results"):
             write_outputs(place, acceptance_files(folder, outcome), command=_RUN)
     table = {"results": str(place), **acceptance_json(outcome)}
     return Answer(table, [*summary(outcome), f"Page: {place / PAGE}"], exit_code=_CODES[outcome.decision])

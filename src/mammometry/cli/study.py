@@ -250,7 +250,7 @@ def observers(
         except ValueError as error:
             raise typer.BadParameter(f"CURVES: {error}") from None
         title = f"{shown_name(curves.with_suffix(''))}: {len(measured.drawings)} curves"
-        with bars.task("observers", "figures"):
+        with bars.task("report", "figures"):
             files = observers_files(title, measured.surfaces, measured.drawings, study)
             write_outputs(out, files, command="study observers")
     page = out / "report.html"
