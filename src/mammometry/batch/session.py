@@ -79,7 +79,7 @@ def measure_entry(progress: StageProgress, entry: BatchEntry, settings: str) -> 
 
 @contextmanager
 def _scratch() -> Iterator[Path]:
-    """A folder for this task only. The next task on the same machine removes the leftovers of a killed one."""
+    """A folder for this task only. Folders of killed tasks are removed."""
     base = Path(tempfile.gettempdir())
     for left in base.glob(f"{_SCRATCH}*"):
         pid = left.name.removeprefix(_SCRATCH).partition("-")[0]

@@ -187,7 +187,7 @@ class _Wishes:
         self._pressed = 0
 
     def now(self) -> StopRequest:
-        """What the user has asked for."""
+        """Stop request by the number of presses: none, finish, stop."""
         from mammometry.batch.engine import StopRequest
 
         return (StopRequest.NONE, StopRequest.FINISH, StopRequest.STOP)[min(self._pressed, 2)]

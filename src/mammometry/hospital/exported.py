@@ -135,7 +135,7 @@ class Quantity:
         return f"{self.code}_{self.side}" if self.side else self.code
 
     def rounded(self) -> Quantity:
-        """The same, rounded to the digits that its uncertainty justifies. A standard uncertainty keeps two."""
+        """The quantity, rounded to the digits that its uncertainty justifies, which itself keeps two."""
         half = half_width(self.interval_95) if self.sigma is None else COVERAGE_95 * self.sigma
         low, high = self.interval_95 or (0.0, 0.0)
         ends = None if self.interval_95 is None else (rounded(low, half), rounded(high, half))

@@ -153,7 +153,7 @@ def covered(atlas: Atlas, measured: Sequence[VolumeMeasurement]) -> CoveredModel
 
 
 def _source(job: Job, deidentify: bool) -> str:
-    """Digest of the photographs or the mesh, and of whose they are. De-identified: of the measured solids alone."""
+    """Digest of photographs or mesh, and patient. De-identified: of the measured solids only."""
     if deidentify:
         return _shapes(tuple(job.measure().values()), str(job.inputs.subject_kind))
     if not job.inputs.photographs:

@@ -13,7 +13,7 @@ SUFFIX = ".dcm"
 
 
 def segment_cc(path: Path, segment: str = "") -> float:
-    """Volume of a segment of a DICOM segmentation, cc: its voxels by the size of one.
+    """Volume of a segment of a DICOM segmentation, cc: number of voxels times their size.
 
     Args:
         path: a DICOM Segmentation object.

@@ -117,7 +117,7 @@ def _volumes(facts: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _boundaries(folder: Path) -> dict[str, Float64[Array, "n 3"]]:
-    """Breast → closed curve, of boundary_base.xyz, boundary_patient_left.xyz and boundary_patient_right.xyz."""
+    """Breast → closed curve, from boundary_base.xyz or boundary_patient_{left,right}.xyz."""
     boundaries = {}
     for path in sorted(folder.glob("boundary_*.xyz")):
         name = path.stem.removeprefix("boundary_").removeprefix(_PATIENT)
@@ -131,7 +131,7 @@ _FEWEST: Mapping[str, int] = {"point": 1, "line": 2, "curve": 3}
 
 
 def read_found_landmarks(path: Path) -> dict[str, Places]:
-    """Read what a program found: woman → name → places, mm, frame of her mesh. null stands for not found.
+    """Landmarks that a program found: woman → name → places, mm, frame of her mesh. null: not found.
 
     Raises:
         TableError: the file is not as documented.
@@ -142,7 +142,7 @@ def read_found_landmarks(path: Path) -> dict[str, Places]:
 
 
 def read_true_landmarks(path: Path) -> dict[str, TrueWoman]:
-    """Read the truth of the landmark benchmark: woman → mesh, kind of input, places.
+    """Truth of the landmark benchmark: woman → mesh, kind of input, places.
 
     Raises:
         TableError: the file is not as documented.

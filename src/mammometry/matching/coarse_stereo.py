@@ -280,7 +280,7 @@ def _depths(
 
 
 def _textured(image: Float32[Array, "h w"]) -> Bool[Array, "h w"]:
-    """Where an image varies by more than its noise, which is estimated from its checkerboard pattern."""
+    """Mask of the pixels around which an image varies by more than its noise."""
     mean, square, noise = (
         ndimage.uniform_filter(values, _AROUND_PX)
         for values in (image, image**2, checkerboard_residual(image).astype(np.float32) ** 2)

@@ -67,10 +67,10 @@ def matching_costs(
 
 @kernel
 def _along_path(previous, least, costs, small, large, target, total):  # type: ignore[no-untyped-def]
-    """Costs of all shifts along one path at one pixel, also added to `total`. Returns the smallest of them.
+    """Fill in the costs of all shifts along one path at a pixel, and return the smallest.
 
-    `previous` and `target` have one more shift on either side. Everything has 16 bits, of which a processor adds 16
-    numbers at once; `min` would widen them.
+    They are also added to `total`. `previous` and `target` have one more shift on either side. Everything has 16 bits,
+    of which a processor adds 16 numbers at once; `min` would widen them.
     """
     jump, smallest = np.uint16(least + large), np.uint16(65535)
     for d in range(costs.shape[0]):
@@ -228,7 +228,7 @@ def _searched(
 
 
 def _unit_neighbourhoods(level: Level, noise: Float32[Array, "h w"]) -> Float32[Array, "h w 18"]:
-    """Two neighbourhoods of each pixel, of unit length together, without their means over the subject's pixels.
+    """Two neighbourhoods of each pixel, minus their means over the subject, with unit length together.
 
     0 outside the subject. The first has 3 × 3 adjacent pixels: a larger one does not fit on steep skin, which one image
     shows narrower than the other. Its weight is the share of its variance that is not noise. The rest is the weight of

@@ -32,7 +32,7 @@ _FITS = 3  # refits by least squares to the plane's inliers
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NearDepths:
-    """What one pair sees in the working volume."""
+    """Depths of one pair, and its pixels in the working volume."""
 
     camera: Camera
     """The left rectified camera."""

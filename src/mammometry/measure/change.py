@@ -328,7 +328,11 @@ def length_changes(before: Sequence[LinearMeasure], after: Sequence[LinearMeasur
 
 
 def _paired(before: DatedMeasurements, after: DatedMeasurements) -> list[tuple[VolumeMeasurement, VolumeMeasurement]]:
-    """Both dates' measurements of each breast. MeasureError if there are none, or their walls differ in kind."""
+    """Measurements of each breast at both dates.
+
+    Raises:
+        MeasureError: there are none, or their walls differ in kind.
+    """
     earlier, later = (
         {measurement.name: measurement for measurement in visit.measurements} for visit in (before, after)
     )

@@ -45,7 +45,7 @@ class Situation:
         return ",".join(map(str, self.disturbances))
 
     def without(self, names: Collection[str]) -> Situation:
-        """The same situation without some disturbances, to compare bodies with and without them."""
+        """The situation without some disturbances, to compare bodies with and without them."""
         return Situation(
             disturbances=tuple(disturbance for disturbance in self.disturbances if disturbance.name not in names)
         )

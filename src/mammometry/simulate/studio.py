@@ -62,7 +62,7 @@ _MEASURED_PX = 0.03
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Studio:
-    """How a session's pictures are taken, for any scene."""
+    """Target, skin, film and files of a session's pictures, whatever the scene."""
 
     target: Target = BOARD
     """Object that is photographed for the calibration."""

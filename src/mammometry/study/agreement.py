@@ -216,7 +216,10 @@ def _once(data: PairedMeasurements) -> Agreement:
 
 
 def _repeated(data: PairedMeasurements, clusters: Int64[Array, " n"]) -> Agreement:
-    """Agreement with several pairs per subject. Trends and Shapiro and Wilk's test use the subjects' means."""
+    """Agreement with several pairs per subject.
+
+    Trends and Shapiro and Wilk's test use the subjects' means, which are independent.
+    """
     found = repeated_differences(data.differences, clusters)
     counts = np.bincount(clusters)
     by_subject = tuple(

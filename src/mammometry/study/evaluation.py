@@ -316,7 +316,7 @@ def _compare_pairs(
 
 
 def _truths_place(results: SessionResults, truth: Truth, cameras: RigAccuracy) -> tuple[Transform, str]:
-    """world_from_rig, from the target that defines the world if there is one, else from the cameras, and its source."""
+    """world_from_rig and its source: the target that defines the world, or else the cameras."""
     for pose, world_from_target in results.world_from_target.items():
         if pose in truth.rig_from_target and np.allclose(world_from_target.matrix, np.eye(4), atol=1e-9):
             return truth.rig_from_target[pose].inverse(), f"the true place of the target in pose {pose}"

@@ -173,7 +173,7 @@ def _agreement(ms: MeanSquares, confidence: float) -> IntraclassCorrelation:
 
 
 def _of_the_mean(single: IntraclassCorrelation, k: int) -> IntraclassCorrelation:
-    """The form for the mean of k measurements (Spearman–Brown), which is monotonic in that of one measurement."""
+    """The form for the mean of k measurements (Spearman–Brown), monotonic in that of one."""
 
     def stepped(value: float) -> float:
         variance = 1 + (k - 1) * value  # of the mean, times k

@@ -38,15 +38,15 @@ FORMS: Mapping[str, Form] = {
     **{f"border_{side}": "curve" for side in SIDES},
 }
 """Names in both files → form. Left and right are the patient's."""
-_ANOTHER_FRAME_MM = 100.0  # median over all places; less than a breast's width, 10 cm, is an error of the method
-_LINE_STEP_MM = 0.1  # between points of a compared line, as of a closed curve
-_LEVEL_MM = 0.3  # within which a flat fold is as low as its lowest place; a definition
-_FOLD_HALF_ANGLE_RAD = np.deg2rad(45.0)  # of the fold to either side of straight down; a definition, and so stated
+_ANOTHER_FRAME_MM = 100.0  # median error from which frame or unit differ: a breast's width
+_LINE_STEP_MM = 0.1  # spacing of a compared line's points, as of a closed curve
+_LEVEL_MM = 0.3  # depth of the part of a fold that counts as lowest; a definition
+_FOLD_HALF_ANGLE_RAD = np.deg2rad(45.0)  # the fold's extent to either side of straight down; a definition
 
 
 @value(eq=False)
 class TrueWoman:
-    """One mesh and what is known of it."""
+    """One mesh with its true landmarks and borders."""
 
     kind: str
     """Kind of input, e.g. ``clean`` or ``telephone``."""
@@ -55,35 +55,35 @@ class TrueWoman:
     mesh: str
     """File of the mesh, relative to the truth file."""
     places: Places
-    """Her true landmarks and borders. What is unknown, or not there, is missing."""
+    """Her true landmarks and borders, without unknown and absent ones."""
     absent: tuple[str, ...] = ()
-    """Landmarks that she does not have: a proposal is an invention. Missing ones that are not listed are unknown."""
+    """Landmarks that she does not have: a proposal is a false positive."""
 
 
 @value(eq=False)
 class Score:
-    """Errors of one landmark on one kind of input, women of one generator."""
+    """Errors of one landmark on one kind of input and one generator."""
 
     landmark: str
-    """Without side."""
+    """Its name without the side."""
     kind: str
     generator: str
     true: int
     """Number of places with a truth."""
     invented: int
-    """Places that were found though she has none."""
+    """Number of false positives."""
     distances_mm: Float64[Array, " n"]
-    """Of each place found. Of a point its distance; of a line the mean distance of the true line from it; of a closed
-    curve the mean of both curves' mean distances from one another."""
+    """Error of each place found. Point: its distance. Line: mean distance of the true line from it. Closed curve: mean
+    of both curves' mean distances from each other."""
 
     @property
     def found(self) -> int:
-        """Number of places found, of the true ones."""
+        """Number of true places that were found."""
         return len(self.distances_mm)
 
     @property
     def mean_mm(self) -> float | None:
-        """Mean of the distances, mm. None without any, as below."""
+        """Mean of the distances, mm. None without any; likewise below."""
         return float(self.distances_mm.mean()) if self.found else None
 
     @property
@@ -122,7 +122,7 @@ def _dense(line: Float64[Array, "k 3"]) -> Float64[Array, "n 3"]:
 
 
 def scores(found: Mapping[str, Places], truth: Mapping[str, TrueWoman]) -> tuple[Score, ...]:
-    """Compare a program's landmarks with the truth, by landmark, kind of input and generator.
+    """Errors of a program's landmarks, by landmark, kind of input and generator.
 
     A woman or a place that is missing in `found` counts as not found.
 
@@ -179,7 +179,7 @@ def _scored(
 
 
 def without_side(name: str) -> str:
-    """Name of a landmark of either side."""
+    """Name of a landmark without its side."""
     return name.removesuffix("_left").removesuffix("_right")
 
 
@@ -239,7 +239,7 @@ def _row(one: Score) -> tuple[str, ...]:
 
 
 def scores_json(found: Sequence[Score]) -> dict[str, Any]:
-    """All figures as plain JSON-ready data. What is not known is null."""
+    """All figures as JSON-ready data, with null for unknown ones."""
     table: dict[str, Any] = plain(
         {
             "scores": [

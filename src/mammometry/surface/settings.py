@@ -53,7 +53,7 @@ class ExtractSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TriangulateSettings:
-    """Which disparities become range data."""
+    """Choice of the disparities that become range data."""
 
     spacing_mm: float = 0.25
     """Largest distance between data on the surface, mm, as far as whole pixels allow: every second pixel of the
@@ -94,7 +94,7 @@ class SurfaceSettings:
     """From disparity maps to the repaired, coloured surface (paper 2.4–2.6)."""
 
     triangulate: TriangulateSettings = field(default_factory=TriangulateSettings)
-    """Which disparities become range data."""
+    """Choice of the disparities that become range data."""
     stillness: StillnessSettings = field(default_factory=StillnessSettings)
     """Limits of disagreement between pairs."""
     decompose: DecomposeSettings = field(default_factory=DecomposeSettings)

@@ -9,7 +9,7 @@ import pytest
 from tools.codes import PAGE, page
 
 from mammometry.base.notices import Notice
-from mammometry.report.words.notices import TEXTS, code_of_1_0, concern_of, words_of
+from mammometry.report.words.notices import TEXTS, code_of_1_0, words_of
 
 SOURCE = Path(__file__).resolve().parents[3] / "src" / "mammometry"
 
@@ -48,7 +48,7 @@ def test_words_name_the_breasts_and_round_the_values() -> None:
     little = Notice(code="pair-little-matched", about=("front",), values={"percent": 41.6})
     assert words_of(little) == "Pair front matched only 42 % of the subject's silhouette."
     assert json.loads(json.dumps(little.as_table()))["values"] == {"percent": 41.6}
-    assert concern_of(little) == "photographs"
+    assert TEXTS[little.code].concern == "photographs"
 
 
 @pytest.mark.parametrize(

@@ -115,7 +115,10 @@ def _left_out(solved: RobustResult, group: int) -> tuple[int, float, float] | No
 
 
 def _adjusted_without(without: Adjustment, state: State, equations: NormalEquations) -> State:
-    """Take one Newton step from the minimum of all poses. Minimise fully if the cost does not fall as predicted."""
+    """State after one Newton step from the minimum of all poses.
+
+    If the cost does not fall as predicted, it is minimised fully.
+    """
     step = damped_step(equations.holding(without.held), DAMPING_LEAST)
     if step is not None:
         stepped = without.moved(state, step)

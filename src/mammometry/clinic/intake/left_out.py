@@ -74,7 +74,7 @@ def doubts_of(calibration: Calibration) -> list[PhotographWarning]:
 
 
 def _named_in_1_0(words: str, photographs: Iterable[BoardPhotograph]) -> list[BoardPhotograph]:
-    """Photographs that a warning of version 1.0 is about. It was stored as a sentence that names pose and camera."""
+    """Photographs named in a warning that version 1.0 stored as a sentence."""
 
     def names(word: str) -> bool:
         return re.search(rf"(?<![\w.-]){re.escape(word)}(?![\w-])", words, re.IGNORECASE) is not None

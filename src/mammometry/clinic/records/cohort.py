@@ -300,7 +300,7 @@ def pooled(visits: QuerySet[Visit]) -> Pooled:
 
 
 def _with_newest(visits: QuerySet[Visit], *columns: str | Combinable) -> Iterator[_Values]:
-    """Of each measured visit: key of its newest measurement, whether its numbers are of an earlier state, columns."""
+    """Newest measurement of each visit, whether it is of an earlier state, and the visit's columns."""
     queued = visits.filter(state=Visit.State.QUEUED)
     changed = Q(state=Visit.State.CHANGED) | Q(pk__in=[visit.pk for visit in queued if visit.is_changed])
     is_old = Case(When(changed, then=Value(1)), default=Value(0), output_field=IntegerField())

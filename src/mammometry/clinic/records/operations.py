@@ -155,7 +155,7 @@ def _retained(
 
 
 def _comparison(before: Visit, after: Visit, side: str) -> tuple[float, tuple[float, float] | None] | None:
-    """Change and interval of the comparison of both visits, cc. None: there is none of both newest results."""
+    """Change between two visits and its interval, cc. None if their newest results were not compared."""
     row = Comparison.objects.filter(before=before, after=after, state=Comparison.State.DONE).first()
     if row is None:
         return None

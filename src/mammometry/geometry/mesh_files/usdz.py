@@ -180,7 +180,7 @@ def _parts(stage: Any, folder: Path, pictures: dict[str, bytes], remarks: list[s
 
 
 def _fans(counts: Int64[Array, " k"]) -> tuple[Int64[Array, " m"], Int64[Array, "m 3"]]:
-    """Split polygons into fans: the polygon of each triangle, and the positions of its corners in the file's list."""
+    """Polygons as fans: each triangle's polygon, and its corners' positions in the file's list."""
     triangles = np.maximum(counts - 2, 0)
     polygon = np.repeat(np.arange(len(counts)), triangles)
     number = np.arange(len(polygon)) - np.repeat(np.cumsum(triangles) - triangles, triangles)

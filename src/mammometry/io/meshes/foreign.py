@@ -134,7 +134,7 @@ def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False
 
 
 def _unit_of_torso(extent: float) -> tuple[str | None, str]:
-    """The unit in which this is the length of a torso or of a whole body, and a sentence on others that fit."""
+    """Unit in which this is the length of a torso or a whole body, and a remark on others that fit."""
     fits = {unit: extent * mm for unit, mm in MM_PER_UNIT.items() if _TORSO_MM[0] <= extent * mm < _TORSO_MM[1]}
     unit = next((unit for unit in _USUAL if unit in fits), None)
     if unit is None:

@@ -117,7 +117,7 @@ def obj_text(atlas: Atlas, library: str, wall: Int32[Array, "k 3"] | None = None
 
 
 def _unwelded(atlas: Atlas) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"], Float64[Array, "n 2"]]:
-    """Vertices (one per chart), faces and texture coordinates, from (0, 0) lower left to (1, 1) upper right."""
+    """Vertices (one per chart), faces, and texture coordinates with (0, 0) lower left."""
     origin, faces, uv = atlas.unwelded()
     return atlas.mesh.vertices[origin], faces, _upwards(uv)
 

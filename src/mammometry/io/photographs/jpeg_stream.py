@@ -170,7 +170,7 @@ def _number(data: UInt8[Array, " n"], place: int) -> int:
 
 
 def _huffman_tables(segment: UInt8[Array, " n"]) -> Iterator[tuple[int, Array]]:
-    """Number of each table (DC from 0, AC from 4), and symbol + 256 × length by the next 16 bits (T.81, C.2)."""
+    """Index of each table (DC from 0, AC from 4), and symbol + 256 × length by the next 16 bits."""
     place = 0
     while place < len(segment):
         kind, number = segment[place] >> 4, segment[place] & 15

@@ -28,7 +28,7 @@ _UNREADABLE = (OSError, ValueError, KeyError, TypeError, AttributeError, Recursi
 
 
 def _is_file_name(name: str) -> str:
-    """Whether a name is a plain file name that is valid on every system, not hidden and not that of a record."""
+    """Whether a name is a visible file's, valid on every system, and not a record's."""
     parts = name.split("/")
     if not all(_PART.fullmatch(part) and part[-1] not in ". " for part in parts) or name.casefold() == RECORDS:
         raise ValueError("the name of a file inside the stage's folder")

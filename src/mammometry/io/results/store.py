@@ -344,7 +344,7 @@ class Store:
         return folder
 
     def _remove_superseded(self, stage: str, old: ProductRecord | None, kept: set[str]) -> None:
-        """Remove files of the product's earlier version that were not replaced, unless they were changed since."""
+        """Remove unchanged files of the product's earlier version that were not replaced."""
         for name, written in {} if old is None else old.files.items():
             if name not in kept and self._is_as_written(self.folder, stage, name, written):
                 (self.folder / stage / name).unlink()

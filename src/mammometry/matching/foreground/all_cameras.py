@@ -310,7 +310,7 @@ def _least(filled: _Filled) -> float:
 def _filled(
     masks: Mapping[str, Bool[Array, "h w"]], places: Mapping[str, tuple[Array, Array, Bool[Array, " n"]]]
 ) -> _Filled:
-    """Camera → its silhouette's cells in the others' field of view, cells filled by the hull, blocks per cell."""
+    """Camera → its cells in the others' field of view, those filled by the hull, and blocks per cell."""
     hull, seen = np.ones(_GRID**3, dtype=bool), np.zeros(_GRID**3, dtype=np.int16)
     for name, mask in masks.items():
         rows, columns, inside = places[name]

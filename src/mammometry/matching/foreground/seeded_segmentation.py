@@ -136,7 +136,7 @@ def _by_a_neck(bright: Bool[Array, "h w"], kept: Bool[Array, "h w"], far: Bool[A
 def _cut_off(
     encoded: Float32[Array, "h w channels"], bright: Bool[Array, "h w"], found: ByDepth, far: Bool[Array, "h w"]
 ) -> Bool[Array, "h w"]:
-    """Parts of the bright subject that are separated, as by a rail in front, from what depth connects to the seeds.
+    """Bright parts of the subject that something in front, such as a rail, separates from the seeded part.
 
     They have the subject's chromaticity, and no depth contradicts them.
     """

@@ -279,9 +279,10 @@ def _sides(relief: Relief, trunk: Trunk, middles: dict[SideName, Middle | None])
 
 
 def _is_absent(other: _Side, relief: Relief) -> bool:
-    """Whether this side's breast is clearly absent: the other side has one, and there is little at its mirrored place.
+    """Whether this side's breast is clearly absent.
 
-    A flat chest with a low dome on one side is not enough, because an absent breast means surgery.
+    The other side has a clear one, and there is little at its mirrored place. A flat chest with a low dome on one side
+    is not enough, because an absent breast means surgery.
     """
     if other.verdict != "breast" or other.prominence is None or other.prominence.top_mm < SURE_PROMINENCE_MM:
         return False

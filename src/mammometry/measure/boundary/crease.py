@@ -314,7 +314,7 @@ def _at_steps(table: Float64[Array, "d s"], steps: Float64[Array, "d k"]) -> Flo
 
 
 def _outer_flank_mm(concavity: Float64[Array, "d s"], allowed: Bool[Array, "d s"], way: Array) -> Float64[Array, " d"]:
-    """Distance outside the path to half of the concavity, or to where no breast can end, mm. 0 without crease."""
+    """Distance outside the path to half the concavity, or to where no breast ends, mm. 0: no crease."""
     count = len(concavity)
     ahead = way[:, None] + np.arange(int(_SHIFT_MM / _STEP_MM) + 1)
     along = _at_steps(np.where(allowed, concavity, 0.0), ahead)

@@ -155,7 +155,7 @@ def _path(
     edges: Int64[Array, "e 2"],
     cost: Float64[Array, " e"],
 ) -> list[int] | None:
-    """Cheapest closed path within a band, by the vertices nearest to the curve. None if the band is not connected."""
+    """Cheapest closed path within a band along a curve. None if the band is not connected."""
     if not len(edges):
         return None
     a, b = edges.T
@@ -200,7 +200,7 @@ def _broken(name: str, found: str) -> CrossingError:
 
 
 def _without_spurs(path: list[int]) -> Int64[Array, " k"] | None:
-    """A simple closed path: where the path meets itself, the longer part is kept. None if less than half is left."""
+    """The path without loops: where it meets itself, the longer part is kept. None if under half is left."""
     whole = len(path)
     while True:
         place: dict[int, int] = {}

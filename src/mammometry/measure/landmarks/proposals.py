@@ -132,7 +132,7 @@ def _window(radius_mm: float) -> Float64[Array, "2 k k"]:
 
 
 def _hollows(height: Float64[Array, "h w"]) -> Float64[Array, "h w"]:
-    """Depth of each cell below its ring, the smaller of along and across the body, mm. −∞ where not visible."""
+    """Depth of each cell below its ring, mm: the smaller of along and across. −∞ where not visible."""
     x, y = _window(_RING_MM[1])
     radius = np.hypot(x, y)
     ring = (radius >= _RING_MM[0]) & (radius <= _RING_MM[1])
@@ -361,7 +361,7 @@ def _areola(samples: _Samples, inner: Bool[Array, " n"]) -> Float64[Array, 3] | 
 
 
 def _protrusion(samples: _Samples) -> Float64[Array, " n"]:
-    """Height of a small disc over the ring around it along the normal, less that of the wider surroundings, mm."""
+    """Height of a small disc over its ring along the normal, less that of the wider surroundings, mm."""
     tip = _mean(samples, samples.points, _TIP_MM)
     foot = _mean(samples, samples.points, _FOOT_MM[1], _FOOT_MM[0])
     out = np.asarray(((tip - foot) * _mean(samples, samples.normals, _FOOT_MM[1])).sum(axis=1))

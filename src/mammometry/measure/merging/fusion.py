@@ -144,7 +144,7 @@ def _view(points: Float64[Array, "n 3"], mesh: TriangleMesh, band_mm: float) -> 
 
 
 def _fused(views: Sequence[_ScanView]) -> tuple[Bool[Array, " n"], Float64[Array, " n"]]:
-    """Whether any scan shows skin, and the weighted mean of the signed distances from the nearest skin, mm."""
+    """Whether any scan shows skin, and the weighted mean signed distance from the nearest skin, mm."""
     every = np.arange(len(views[0].seen))
     distances = np.array([np.where(view.seen, np.abs(view.distance_mm), np.inf) for view in views])
     nearest = np.argmin(distances, axis=0)

@@ -145,7 +145,7 @@ def shape_of(
 
 
 def _projection_sigma_mm(measured: VolumeMeasurement, boundary_sigma_mm: float) -> float:
-    """Shift of the boundary's best plane when the whole boundary moves outwards on the skin by one sigma, mm.
+    """Shift of the boundary's best plane when all of it moves outwards on the skin by one sigma, mm.
 
     Errors along the curve are taken as fully correlated: an observer who draws wider does so all around.
     """

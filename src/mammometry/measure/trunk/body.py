@@ -189,7 +189,7 @@ def _facing_ahead(skin: SkinSamples, first: Trunk, middle: Float64[Array, 3] | N
 
 
 def _least_asymmetry(skin: SkinSamples, trunk: Trunk) -> tuple[float, float]:
-    """Least asymmetry of the trunk's radius (mean of capped misfits), mm, and its angle about the axis, rad."""
+    """Least asymmetry of the trunk's radius (mean capped misfit), mm, and its angle about the axis, rad."""
     cylindrical = trunk.cylindrical(skin.about(TRUNK_SAMPLES).points_world)
     theta = np.rad2deg(cylindrical[:, 0] / trunk.half_width_mm)
     keep = (np.abs(cylindrical[:, 1]) < HEIGHT_WINDOW_MM) & (np.abs(theta) < WIDEST_DEG)
@@ -246,7 +246,11 @@ def _level_with(curves: Sequence[Float64[Array, "_ 3"]], frame: Float64[Array, "
 def _plane(
     skin: SkinSamples, trunk: Trunk, boundaries: Sequence[Float64[Array, "_ 3"]], middle: Float64[Array, 3] | None
 ) -> MirrorPlane:
-    """The trunk's mid-sagittal plane. Raises a MeasureError if the trunk is not symmetric about one near the middle."""
+    """The trunk's mid-sagittal plane.
+
+    Raises:
+        MeasureError: the trunk is not symmetric about a plane near the middle.
+    """
     some = skin.about(TRUNK_SAMPLES)
     points, normals = some.points_world, some.normals_world
     centre = trunk.origin if middle is None else middle

@@ -169,7 +169,7 @@ def _flanks(local: Float64[Array, "n 3"], normals: Float64[Array, "n 3"], trunk:
 
 
 def _front(local: Float64[Array, "n 3"], normals: Float64[Array, "n 3"]) -> float:
-    """Slope of the midline's skin towards the head above the middle, minus its slope towards the feet below.
+    """Slope of the midline's skin: towards the head above the middle, minus towards the feet below.
 
     Each bin of the strip is compared with the one at the same distance below.
     """

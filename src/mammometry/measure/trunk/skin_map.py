@@ -231,7 +231,7 @@ def lay_flat(thorax: Thorax, points_world: Float64[Array, "n 3"]) -> Relief:
 def _continues(inner: Float64[Array, "h w"], beyond: Float64[Array, "h w"]) -> Bool[Array, "h w"]:
     """Mask of the pixels beyond the trunk's side in which a breast's skin is seen.
 
-    A large breast reaches further aside than the trunk. At each height its skin continues the trunk's outwards without
+    A large breast extends beyond the trunk's side. At each height its skin continues the trunk's outwards without
     rising, and the trunk's flank is seen outside it. An arm rises from the trunk, is not connected with it at that
     height, or hides it, so that the bulge jumps at its edge. Skin in a hole that remains is the breast's, too.
 

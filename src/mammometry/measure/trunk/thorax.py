@@ -254,7 +254,11 @@ def _front(
     middle_of: Float64[Array, 3] | None,
     scale: float = 1.0,
 ) -> _Front:
-    """Visible skin at the breasts' height, in a band that scales with the body. MeasureError if there is none."""
+    """Visible skin at the breasts' height, in a band that scales with the body.
+
+    Raises:
+        MeasureError: there is too little.
+    """
     local, turned = skin.points_world @ frame.T, skin.normals_world @ frame.T
     height = float(np.median(local[:, 1]) if height_of is None else height_of @ frame[1])
     band = np.abs(local[:, 1] - height) < scale * _SIDE_BAND_MM

@@ -65,12 +65,6 @@ class DefinedVolume:
     """The definition, one sentence."""
 
     @property
-    def half_percent(self) -> float:
-        """Half of the interval's width, % of the volume."""
-        low, high = self.interval_cc
-        return 50 * (high - low) / self.volume_cc
-
-    @property
     def weight_g(self) -> tuple[float, float]:
         """Weight of this volume of breast tissue, and the half-width of its 95 % interval, g."""
         low, high = self.interval_cc

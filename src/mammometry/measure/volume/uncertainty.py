@@ -96,7 +96,7 @@ def movement_cc(
 def _displacements(
     movement: CaptureMotion, points: Float64[Array, "n 3"], surface: RepairedSurface
 ) -> Float64[Array, "n 3 p"]:
-    """Displacement of surface points by a unit of each motion parameter: mean of the pairs that measured there."""
+    """Displacement of surface points per unit of each motion parameter, mean of the pairs that saw them."""
     bits = _measured_by(points, surface)
     total = np.zeros((len(points), 3, movement.found.parameters.count))
     count = np.zeros(len(points))
@@ -306,7 +306,7 @@ def _around(volume_cc: float, terms_cc: Mapping[str, float]) -> tuple[float, flo
 def _of_skin(
     skin: TriangleMesh, surface: RepairedSurface | None, views: Sequence[Bound], settings: MeasureSettings
 ) -> tuple[dict[str, float], dict[str, tuple[float, ...]]]:
-    """Half-widths at 95 % from measured, repaired and invented skin, cc, and their parts common to all skin."""
+    """Half-widths at 95 % from measured, repaired and invented skin, and their common parts, cc."""
     own_mm2 = np.zeros(len(skin.vertices))
     face_mm2 = np.linalg.norm(skin.face_vectors(), axis=1)
     for corner in range(3):

@@ -70,7 +70,7 @@ def fit_all(breast: OpenBreast) -> tuple[ChestWall, ...]:
 
 
 def _wanted(breast: OpenBreast, wanted: str) -> str:
-    """Name of the selected wall. By default a separately measured one if there is one, else the subject's default."""
+    """Name of the selected wall. Default: a separately measured one, else the subject's."""
     names = in_order(breast.walls)
     if wanted != DEFAULT and wanted not in names:
         raise MeasureError(

@@ -40,7 +40,7 @@ class WallModel:
     170 cm²."""
 
     def off_u95_mm(self, base_cm2: float) -> float:
-        """That half-width for a base of this area, mm, larger for a wider base."""
+        """`flat_u95_mm` for a base of this area, mm, larger for a wider base."""
         return self.flat_u95_mm * (base_cm2 / _USUAL_BASE_CM2) ** 0.5
 
 

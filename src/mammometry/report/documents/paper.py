@@ -166,7 +166,7 @@ def columns(cells: Sequence[Sequence[Any]], widths: Sequence[float], *, gap: flo
 
 
 def _grid(rows: list[list[Any]], widths: Sequence[float], padding: float, *commands: Any, **options: Any) -> Any:
-    """A table of the layout, with the same padding on all sides of its cells, and further commands of style."""
+    """A table with equal padding on all sides of its cells, and further style commands."""
     from reportlab.platypus import Table as Grid
     from reportlab.platypus import TableStyle
 

@@ -281,11 +281,6 @@ def lines_of(notices: Iterable[Notice]) -> list[str]:
     return [f"{'Warning' if notice.level == 'warning' else 'note'}: {words_of(notice)}" for notice in notices]
 
 
-def concern_of(notice: Notice) -> Concern:
-    """Kind of the notice's subject."""
-    return TEXTS[notice.code].concern
-
-
 _OF_1_0 = (
     ("Nobody has confirmed the automatic boundary", "boundary-not-confirmed"),
     ("Boundaries are drawn and confirmed with", "boundaries-drawn-with-edit"),

@@ -195,7 +195,7 @@ def _hanging(shape: TorsoShape, below_mm: float, rng: np.random.Generator) -> To
 
 
 def _grown(shape: TorsoShape, breast: BreastDesign, volume_cc: float) -> BreastDesign:
-    """The same breast with another volume, as far as the chest has room for its base."""
+    """A breast scaled to another volume, as far as the chest has room for its base."""
     grown = (volume_cc / breast.volume_cc) ** (1.0 / 3.0)
     limits = (breast.apex_mm[0] - 3.0, shape.body.half_width_mm + 4.0 - breast.apex_mm[0], 94.0 - breast.apex_mm[1])
     inner, outer, upper = (min(grown * length, limit) for length, limit in zip(breast.radii_mm, limits, strict=False))

@@ -148,7 +148,7 @@ def _world(scene: StudioScene, skin: SkinReflectance, seed: int) -> Any:
 
 
 def _painted_subject(scene: StudioScene, skin: SkinReflectance, seed: int, bsdf: Any) -> Any:
-    """The subject with each face divided into four and colours at the vertices. The surface does not change."""
+    """The subject with each face divided into four, and with colours at the vertices."""
     mesh = TriangleMesh(
         vertices=scene.mesh.vertices[: scene.subject_vertices], faces=scene.mesh.faces[: scene.subject_faces]
     )
@@ -180,7 +180,7 @@ def _painted_subject(scene: StudioScene, skin: SkinReflectance, seed: int, bsdf:
 
 
 def _quartered(values: Float64[Array, "n c"], faces: Int32[Array, "m 3"]) -> tuple[Array, Int32[Array, "k 3"]]:
-    """Divide every face into four at the midpoints of its edges. Values there are means of the edges' ends."""
+    """Every face divided into four at the midpoints of its edges, with mean values there."""
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     once, which = np.unique(edges, axis=0, return_inverse=True)
     a, b, c = (len(values) + which.reshape(3, -1)).astype(np.int32)

@@ -66,7 +66,7 @@ def _drawn(
     poses: list[Transform] = []
     seen = np.zeros(len(rig.cameras))
     for index in range(count):
-        # Candidates face a mixture of pairs. Cameras with the fewest views so far have the largest weight.
+        # Each candidate faces a random mixture of pairs; cameras with few good views so far get more weight.
         draw = _HELD[target.body.attitude]
         candidates = [draw(rig, target, pair_axes, index == 0, rng) for _ in range(_CANDIDATES)]
         good = np.array([[_usefulness(camera, pose, target) for camera in rig.cameras.values()] for pose in candidates])
@@ -96,7 +96,7 @@ def _turned_at_random(
 def _facing(
     rig: Rig, target: Target, pair_axes: Float64[Array, "p 3"], first: bool, rng: np.random.Generator
 ) -> Transform:
-    """Placement with the printed side towards a mixture of the pairs, in the first pose towards all of them."""
+    """Placement that faces a mixture of the pairs, in the first pose all of them."""
     middle = _unit(pair_axes.sum(axis=0))
     mixture = _unit(rng.dirichlet(np.full(len(pair_axes), _MIXING)) @ pair_axes)
     facing = middle if first else _unit(mixture + _MIDDLE_SHARE * middle + rng.normal(0.0, _FACING_STD, 3))
@@ -131,7 +131,7 @@ def _obliquity_deg(camera: Camera, pose: Transform, target: Target) -> float:
 
 
 def _placed(target: Target, z: Float64[Array, 3], turn_rad: float, at_mm: Float64[Array, 3]) -> Transform:
-    """Rig from target with the target's centre at `at_mm` and its z axis along `z`, turned about that axis."""
+    """Rig from target, its centre at `at_mm` and its z axis along `z`, turned about that axis."""
     a, b = _plane(z)
     x = math.cos(turn_rad) * a + math.sin(turn_rad) * b
     rotation = np.stack([x, np.cross(z, x), z], axis=1)

@@ -24,7 +24,7 @@ _FACES_AT_MOST = 1_500_000  # limits the splitting of long edges: the light is c
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeshFile:
-    """How to read a mesh file."""
+    """Unit and orientation of a mesh file."""
 
     mm_per_unit: float | None = None
     """Millimetres per unit of the file. There is no default, since the files do not state it."""

@@ -13,7 +13,7 @@ COLUMNS = 24
 """Columns of a row: the fields of `CameraRecord`."""
 LEAST_DEPTH_MM = 1.0
 """Least depth of a point in front of the camera."""
-_WIDEST_R2 = 4.0  # squared tangent of 63° off the axis: no lens model is valid so far outside its image
+_WIDEST_R2 = 4.0  # squared tangent of 63° off the axis: lens models are not valid that far outside the image
 
 
 class CameraRecord(NamedTuple):

@@ -175,7 +175,7 @@ def build_field(
 
 
 def _silhouette_step(camera: Camera, range_images: Sequence[RangeImage]) -> int:
-    """Step between a camera's pixels so that they are as dense on the subject as the range images' elements."""
+    """Step at which a camera's pixels are as dense on the subject as the range images' elements."""
     ranges = [np.linalg.norm(image.camera.centre_world - camera.centre_world) for image in range_images]
     nearest = range_images[int(np.argmin(ranges))]  # at about the same distance from the subject
     return max(1, round(nearest.pixel_mm() / np.median(nearest.range_mm[nearest.valid]) * camera.matrix[0, 0]))

@@ -198,7 +198,7 @@ def _bound_by_silhouette(
     truncation: float,
     bound: Float64[Array, " k"],
 ) -> bool:
-    """Raise `bound` to a silhouette's distances (pixels times pixel size at each depth). Whether all is outside."""
+    """Raise `bound` to a silhouette's distances, from px to mm by depth. Whether all is outside."""
     u, v, depth = np.empty_like(bound), np.empty_like(bound), np.empty_like(bound)
     _project_block(view, block, u, v, depth, np.empty_like(bound))
     outside = True

@@ -118,7 +118,7 @@ def _chains(border: Int64[Array, "e 2"], ends: set[int]) -> dict[tuple[int, int]
 def _fans(
     faces: Int32[Array, "m 3"], outlines: dict[int, dict[tuple[int, int], list[int]]], vertices: Float64[Array, "n 3"]
 ) -> tuple[Int32[Array, "k 3"], Float64[Array, "j 3"]]:
-    """Replace each face with subdivided sides by a fan around its centre. Returns the fans and the centres."""
+    """Fans around the centres of faces with subdivided sides, and these centres."""
     fans: list[list[int]] = []
     middles: list[Float64[Array, 3]] = []
     for face, stepped in outlines.items():
@@ -200,7 +200,7 @@ class Isosurface:
         return pieces
 
     def _reaching(self, chunk: tuple[int, ...]) -> Bool[Array, " n"]:
-        """Which healed places reach into a chunk."""
+        """Mask of the healed places that reach into a chunk."""
         edge = BLOCK * self._grid.cube_mm
         blocks = self._blocks(chunk)
         low = self._grid.origin + np.array([axis.start for axis in blocks]) * edge
@@ -268,9 +268,10 @@ class Isosurface:
     def _blend(
         self, field: Float32[Array, "x y z"], first: Int64[Array, 3], last: Int64[Array, 3], heal: Float64[Array, "n 4"]
     ) -> Float32[Array, "x y z"]:
-        """Field of the blocks first ≤ block < last, blended into the coarse one where healed and towards far blocks.
+        """Field of the blocks first ≤ block < last, blended into the coarse one.
 
-        The share is defined at the coarse cubes' corners and linear in between, like the coarse field itself.
+        It is blended where it was healed, and towards far blocks. The share is defined at the coarse cubes' corners and
+        linear in between, like the coarse field itself.
         """
         times = BLOCK // FAR_CUBES
         low, high = np.maximum(first - 2, 0), np.minimum(last + 2, self._grid.far.shape)
@@ -335,7 +336,7 @@ def _smooth(field: Float32[Array, "x y z"], sigma: float) -> Float32[Array, "x y
 
 
 def _blurred(values: Float32[Array, "x y z"], sigma: float) -> Float32[Array, "x2 y2 z2"]:
-    """Gaussian of a chunk with a margin of one block. The margin is removed, except for one layer of corners."""
+    """Gaussian of a chunk with a margin of one block, of which one layer of corners is kept."""
     keep = tuple(slice(BLOCK - _APRON, size - BLOCK + 1 + _APRON) for size in values.shape)
     field = values[keep]
     if sigma > 0:

@@ -20,14 +20,17 @@ _MOST_EDGES, _MOST_LOOPS = 12, 4  # of one cube: a loop has at least three of th
 
 
 def _ambiguous(code: int) -> list[int]:
-    """Faces around which the signs alternate. Bit c of the code is set if the field is positive at corner c."""
+    """Faces around which the signs alternate. Bit c of the code: the field is positive at corner c."""
     return [
         f for f, (a, b, c, d) in enumerate(_FACES) if code >> a & 1 == code >> c & 1 != code >> b & 1 == code >> d & 1
     ]
 
 
 def _loops(code: int, joined: set[int]) -> list[tuple[list[int], bool]]:
-    """Edges of each loop in order, and whether it passes a face twice. `joined`: faces that connect inner corners."""
+    """Edges of each loop in order, and whether it passes a face twice.
+
+    `joined`: faces that connect inner corners.
+    """
     following: dict[int, int] = {}
     twice = []
     for face, corners in enumerate(_FACES.tolist()):
@@ -53,7 +56,7 @@ def _loops(code: int, joined: set[int]) -> list[tuple[list[int], bool]]:
 
 
 def _tables() -> tuple[Int32[Array, " 256"], Int32[Array, "256 6"], Int32[Array, "r 4"], Int32[Array, "r 12"]]:
-    """Tables of loops: first row of each code, its ambiguous faces (then −1), loops' lengths and loops' edges by row.
+    """Tables of loops: first row of each code, its ambiguous faces (then −1), lengths and edges by row.
 
     The rows of a code are ordered by the faces that connect inner corners, as bits. The length of a loop that passes a
     face twice is negative.

@@ -115,7 +115,7 @@ def _followed(
     barred: Bool[Array, "x y z"],
     progress: Progress = no_progress,
 ) -> tuple[Int32[Array, "x y z"], Float32[Array, "b 8 8 8"]]:
-    """Evaluate the wanted blocks, then follow the surface. Barred blocks are skipped. Returns index and values."""
+    """Index and values of the wanted blocks and of those along the surface, except barred ones."""
     index = np.full(outside.shape, -1, dtype=np.int32)
     parts = [np.zeros((0, BLOCK, BLOCK, BLOCK), dtype=np.float32)]
     count = 0

@@ -144,7 +144,7 @@ def weigh_correction(
 
 
 def _log_likelihood(before: Float64[Array, " m"], change: Float64[Array, " m"]) -> Float64[Array, "s c"]:
-    """Log likelihood of the features of two cameras, for each share of the correction and each common error."""
+    """Log likelihood of two cameras' features, for each share of the correction and common error."""
     sums = np.empty((len(_SHARES), len(_COMMON_PX)))
     for share, row in zip(_SHARES, sums, strict=True):
         left = before + share * change + _COMMON_PX[:, None]
@@ -154,7 +154,10 @@ def _log_likelihood(before: Float64[Array, " m"], change: Float64[Array, " m"]) 
 
 
 def _shift_mm(rig: Rig, features: SharedFeatures, breathed_mm: Displacement) -> Float64[Array, "m 3"]:
-    """Displacement of each feature by breathing between the two exposures, world axes, where its rays nearly meet."""
+    """Displacement of each feature by breathing between the two exposures, world axes, mm.
+
+    It is that of the point of the first ray nearest to the second one.
+    """
     first, second = rig.cameras[features.first], rig.cameras[features.second]
     rays, others = first.rays_world(features.uv_first), second.rays_world(features.uv_second)
     baseline = second.centre_world - first.centre_world
@@ -167,7 +170,7 @@ def _shift_mm(rig: Rig, features: SharedFeatures, breathed_mm: Displacement) -> 
 def _from_lines(
     rig: Rig, features: SharedFeatures, shift_mm: Float64[Array, "m 3"] | None = None
 ) -> Float64[Array, " m"]:
-    """Distance of each match from its epipolar lines, to first order in both photographs, px of the reduced ones.
+    """Distance of each match from its epipolar lines, to first order, px of the reduced photographs.
 
     Args:
         rig: the cameras.

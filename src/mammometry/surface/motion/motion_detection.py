@@ -226,7 +226,7 @@ def _confirmed(rig: Rig, found: MotionEstimate, shared: Sequence[SharedFeatures]
 
 
 def _is_trusted(found: MotionEstimate) -> bool:
-    """Whether to correct: features confirm the motions, or are silent and the motions explain the disagreement."""
+    """Whether features confirm the motions, or are silent and the motions explain the disagreement."""
     if found.confirmation is None or found.confirmation.verdict == "confirmed":
         return True
     before_mm, after_mm = found.distance_mm
@@ -234,7 +234,7 @@ def _is_trusted(found: MotionEstimate) -> bool:
 
 
 def _matched_badly(found: MotionEstimate, rest_mm: float, before_mm: float) -> MotionEstimate:
-    """The estimate if the cameras did not move: the disagreement is a matching error, which the interval covers."""
+    """An estimate without motion: the disagreement is a matching error, which the interval covers."""
     return replace(
         found,
         motions=np.zeros_like(found.motions),
@@ -379,7 +379,7 @@ _NAMED = 3  # most cameras in a sentence
 
 
 def concerns(found: MotionEstimate, missing: Mapping[str, Sequence[str]] = MappingProxyType({})) -> Iterator[Notice]:
-    """Warnings about motion that belong to the volume. None if nothing moved.
+    """Yield the warnings about motion that concern the volume.
 
     Args:
         found: the estimate.
@@ -404,7 +404,7 @@ def concerns(found: MotionEstimate, missing: Mapping[str, Sequence[str]] = Mappi
 
 
 def cause(found: MotionEstimate) -> Notice:
-    """What moved, and the remedy."""
+    """Notice of what moved, with the remedy."""
     worst = found.displaced[0]
     share = worst.body_mm / worst.effect_mm if worst.effect_mm > 0 else 0.0
     turns = found.turns[:_NAMED]

@@ -148,7 +148,7 @@ def _distances(rows: Int32[Array, "h w"], columns: Int32[Array, "h w"]) -> Float
 
 @kernel
 def _sweep_row(mask, rows, columns, squares, row, towards):  # type: ignore[no-untyped-def]
-    """Take nearer true pixels from the previous row, then from both sides. `squares`: buffer for squared distances."""
+    """Take nearer true pixels from the previous row, then from both sides. `squares` is a buffer."""
     height, width = rows.shape
     before = row + towards
     for column in range(width):

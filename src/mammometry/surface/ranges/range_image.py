@@ -127,7 +127,7 @@ class RangeImage:
         return np.clip(inside * (self.pixel_mm() / max(taper_mm, 1e-6)), 0.05, 1.0).astype(np.float32)
 
     def keeping(self, keep: Bool[Array, "h w"]) -> RangeImage:
-        """The same image with data only where `keep` and valid. The rest is 0."""
+        """The image with data only where `keep` and valid, else 0."""
         valid = self.valid & keep
         zero = np.float32(0)
         return replace(

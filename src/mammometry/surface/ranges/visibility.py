@@ -133,7 +133,7 @@ def disagreement_mm(range_images: Sequence[RangeImage]) -> dict[tuple[str, str],
 def _distances_across(
     image: RangeImage, normals: Float32[Array, "h w 3"], other: RangeImage, other_normals: Float32[Array, "h w 3"]
 ) -> Float64[Array, "n 2"]:
-    """Unsigned distances of a view's data from the other's surface along the normal, mm, and their expected σ.
+    """Distances of a view's data from the other's surface along the normal, and their expected σ, mm.
 
     Data far behind are left out, since the other's surface may hide them: of two views that contradict each other, one
     has its data in front of the other's surface.

@@ -122,7 +122,7 @@ def repair(
 def _drawn_to_data(
     initial: TriangleMesh, valid: ValidPatches, settings: RepairSettings, progress: Progress
 ) -> tuple[Float64[Array, "n 3"], UInt8[Array, " n"], Correspondences, list[float]]:
-    """Displacements of the vertices near data, mm, their provenance and correspondences, and the RMS moves.
+    """Displacements of vertices near data, provenance, correspondences, and RMS moves, mm.
 
     The other values of this function are large, and freed before the search for crossings.
     """
@@ -210,7 +210,7 @@ def _solve(
     graph: Graph,
     settings: RepairSettings,
 ) -> Float64[Array, "n 3"]:
-    """One round: propagate to FALSE vertices, then minimise Eq. 4, starting from the current displacements."""
+    """Displacements after one round: propagation to FALSE vertices, then the minimum of Eq. 4."""
     targets, away_mm = propagate(found.targets - initial.vertices, found.found, graph, initial.vertices)
     if settings.fade_mm > 0:
         targets *= np.exp(-away_mm / settings.fade_mm)[:, None]

@@ -122,7 +122,7 @@ def crossing_faces(mesh: TriangleMesh, among: Bool[Array, " m"] | None = None) -
 def _boxes(
     vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], origin: Float64[Array, " 3"]
 ) -> tuple[Float64[Array, "m 6"], Float64[Array, " m"]]:
-    """Bounding box of each face relative to the origin (lowest, then highest coordinates), and its longest extent."""
+    """Bounding box of each face relative to the origin (low, high), and its longest extent."""
     boxes, side = np.empty((len(faces), 6)), np.empty(len(faces))
     for face in range(len(faces)):
         longest = 0.0

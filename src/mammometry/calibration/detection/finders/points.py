@@ -87,7 +87,7 @@ def _measured(linear: Float32[Array, "h w"], target: PointsTarget, reading: DotA
 
 
 def _normals(points: Float64[Array, "n 3"], camera: TargetCamera) -> tuple[Float64[Array, "n 3"], Bool[Array, " n"]]:
-    """Unit normal of the surface at each point, towards the camera, and whether its neighbours determine it.
+    """Unit normal at each point, towards the camera, and whether its neighbours determine it.
 
     Otherwise the dot is assumed to face the camera.
     """

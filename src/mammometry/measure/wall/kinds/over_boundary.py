@@ -86,7 +86,7 @@ def rounded_membrane(breast: OpenBreast) -> Closed:
 
 
 def _curvature_per_mm(breast: OpenBreast) -> float:
-    """Curvature of the chest along the body, 1/mm: mean of that of the skin beside the breast and that of real women.
+    """Curvature of the chest along the body, 1/mm: mean of the skin beside the breast and real women.
 
     The skin beside breasts is also bent by folds, armpits and the slope of a hanging breast. So its curvature has the
     same weight as the mean of real women, and is limited to between 0 and twice that mean.
