@@ -16,8 +16,9 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.job.stages import measure
 from mammometry.measure import scanned
 from mammometry.measure.settings import MeasureSettings
-from mammometry.measure.shape.body_size import ADULTS, UNCHECKED, BodySize, require_adult
+from mammometry.measure.shape.body_size import ADULTS, BodySize, require_adult
 from mammometry.measure.trunk.thorax import seen_skin, trunk_breadth_mm
+from mammometry.report.words.doubts import _size_notices
 from mammometry.settings import Settings
 
 # Trunk breadth, nipple distance, notch to nipple, mm.
@@ -76,11 +77,13 @@ def test_one_length_that_is_too_large_is_warned_of_though_the_others_are_usual(
 def test_a_size_that_is_unknown_is_said() -> None:
     unknown = BodySize(lengths_mm={})
     assert (unknown.is_rare, unknown.is_impossible, unknown.factor) == (False, False, 1.0)
-    assert unknown.warning == UNCHECKED
-    assert size_of(*ORDINARY["average woman"]).warning == ""
+    assert (unknown.warning, size_of(*ORDINARY["average woman"]).warning) == ("", "")
+    assert [notice.code for notice in _size_notices(unknown)] == ["body-size-unknown"]
+    assert not list(_size_notices(size_of(*ORDINARY["average woman"])))
     rare = size_of(327, 327, 205)
     assert f"{rare.factor:.2g}" in rare.warning
     assert f"{rare.factor**3:.2g}" in rare.warning
+    assert [notice.code for notice in _size_notices(rare)] == ["body-size-rare"]
 
 
 def test_one_length_alone_refuses_what_is_absurd_and_several_that_disagree_nothing() -> None:
@@ -165,5 +168,5 @@ def test_a_refusal_names_the_unit_and_a_confirmed_size_is_measured(
     confirmed = Settings(measure=MeasureSettings(size_confirmed=True))
     results = MeshJob(given, tmp_path / "sure", confirmed).run(report=False)
     assert set(results.measurements) == {"left", "right"}
-    assert "body-size" in {notice.code for notice in results.notices}
+    assert "body-size-rare" in {notice.code for notice in results.notices}
     assert (results.notices[-1].code, results.notices[-1].values) == ("posture", {"posture": "not given"})

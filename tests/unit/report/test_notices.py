@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from tools.codes import PAGE, page
 
-from mammometry.base.notices import Notice
+from mammometry.base.notices import Notice, from_table
 from mammometry.report.words.notices import TEXTS, code_of_1_0, words_of
 
 SOURCE = Path(__file__).resolve().parents[3] / "src" / "mammometry"
@@ -36,6 +36,12 @@ def test_every_notice_that_is_made_has_words_that_say_its_values() -> None:
     for code, values in codes:
         fields = set(re.findall(r"\{(\w+)", TEXTS[code].words + TEXTS[code].caution)) - {"of", "on", "about", "side"}
         assert fields == values, code
+
+
+def test_a_notice_with_a_value_that_its_text_no_longer_has_is_read() -> None:
+    """Earlier versions stored a sentence for this code."""
+    stored = from_table({**Notice(code="body-size-unknown").as_table(), "values": {"text": "A sentence."}})
+    assert words_of(stored) == words_of(Notice(code="body-size-unknown"))
 
 
 def test_codes_are_in_one_form() -> None:

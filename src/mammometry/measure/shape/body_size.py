@@ -53,10 +53,6 @@ ADULTS: Mapping[str, AdultLength] = {
 - notch, straight to a nipple: women 198 mm (as above, and doi 10.4103/njps.njps_7_20), men 200 mm (as above); 351 mm
   before breast reductions (208 patients, PMID 28403022), which is within the spread.
 """
-UNCHECKED = (
-    "The size could not be checked: neither the trunk's sides nor both nipples were found. Check the unit or the "
-    "printed board."
-)
 
 
 @value
@@ -132,9 +128,7 @@ class BodySize:
 
     @property
     def warning(self) -> str:
-        """Warning if the size is rare or unknown, else an empty string."""
-        if not self.lengths_mm:
-            return UNCHECKED
+        """Warning if the size is rare, else an empty string."""
         if not self.is_rare:
             return ""
         return (

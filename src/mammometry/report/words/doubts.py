@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from mammometry.base.notices import Notice
 from mammometry.job.graph import Plan
 from mammometry.job.stages import measure
@@ -22,14 +24,14 @@ def body_doubts(plan: Plan) -> tuple[Notice, ...]:
         for curve in plan.value(measure.boundaries) or ()
         if curve.hidden_fold_cm2 and curve.name in measured
     )
-    sized = () if size is None or not size.warning else (_size_notice(size),)
-    return (*covered, *hidden, *sized)
+    return (*covered, *hidden, *(() if size is None else _size_notices(size)))
 
 
-def _size_notice(size: BodySize) -> Notice:
-    if not size.is_rare:
-        return Notice(code="body-size-unknown", values={"text": size.warning})
-    return Notice(code="body-size-rare", values={"text": size.warning, "size": size.words})
+def _size_notices(size: BodySize) -> Iterator[Notice]:
+    if not size.lengths_mm:
+        yield Notice(code="body-size-unknown")
+    elif size.is_rare:
+        yield Notice(code="body-size-rare", values={"text": size.warning, "size": size.words})
 
 
 def torso_notices(plan: Plan, posture: str | None) -> tuple[Notice, ...]:

@@ -45,7 +45,10 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
             caution="The body is {size} for an adult. Check the unit, or the size of the printed board. See the "
             "warnings.",
         ),
-        "body-size-unknown": Text("{text}"),
+        "body-size-unknown": Text(
+            "The size could not be checked: neither the trunk's sides nor both nipples were found. Check the unit or "
+            "the printed board."
+        ),
         "solid-not-watertight": Text(
             "The closed solid of the {of} is not watertight. Do not use its volume.",
             caution="Do not use this volume: its solid is not watertight.",
