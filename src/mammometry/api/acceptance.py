@@ -26,7 +26,7 @@ from mammometry.io.meshes.scans import MESH, is_scan
 from mammometry.report.documents.acceptance_page import DOCUMENT, PAGE, acceptance_page_files, picture_names
 from mammometry.settings import Settings
 from mammometry.study.acceptance.artefacts import KINDS, POSITIONS, AcceptanceTest, Cast, Kind
-from mammometry.study.acceptance.evaluate import Outcome, PositionResult, evaluate_mesh, evaluate_volume
+from mammometry.study.acceptance.evaluate import Outcome, PositionResult, evaluate_mesh, evaluate_volume, severity
 from mammometry.study.acceptance.patches import PatchError
 from mammometry.study.acceptance.tables import (
     FORMAT,
@@ -91,8 +91,8 @@ def run_acceptance(folder: Path, settings: Settings | None = None, *, progress: 
 def _evaluated(path: Path, kind: Kind, name: str, test: AcceptanceTest, settings: Settings | None) -> PositionResult:
     artefact = test.artefacts[kind]
     try:
-        if isinstance(artefact, Cast):
-            return evaluate_volume(_volume_cc(path, test.units, settings), name, artefact, test.limits)
+        if isinstance(artefact, Cast) and path.is_dir() and not is_scan(path):
+            return evaluate_volume(_model_cc(path, settings), name, artefact, test.limits)
         return evaluate_mesh(_surface(path, test.units, settings), kind, name, artefact, test.limits)
     except PatchError as error:
         words = next(place.words for place in POSITIONS[kind] if place.name == name)
@@ -111,16 +111,12 @@ def _surface(path: Path, units: str, settings: Settings | None) -> TriangleMesh:
     return repaired.mesh.submesh(repaired.mesh.faces_within(repaired.claimed))  # not what was filled in
 
 
-def _volume_cc(path: Path, units: str, settings: Settings | None) -> float:
-    if path.is_dir() and not is_scan(path):
-        volumes = open_session(path, settings).run(report=False).volumes_cc
-        if set(volumes) != {"model"}:
-            raise PatchError(f"volumes of {', '.join(volumes) or 'nothing'}, not of one model")
-        return volumes["model"]
-    mesh = read_foreign(path / MESH, "mm").mesh if path.is_dir() else read_foreign(path, units or None).mesh
-    if not mesh.is_watertight():
-        raise PatchError("an open mesh, which has no volume")
-    return abs(mesh.volume_mm3()) / 1000.0
+def _model_cc(session: Path, settings: Settings | None) -> float:
+    """Volume of the cast that a session photographed, cc."""
+    volumes = open_session(session, settings).run(report=False).volumes_cc
+    if set(volumes) != {"model"}:
+        raise PatchError(f"volumes of {', '.join(volumes) or 'nothing'}, not of one model")
+    return volumes["model"]
 
 
 def acceptance_files(folder: Path, outcome: Outcome) -> dict[str, bytes]:
@@ -182,6 +178,6 @@ def read_past(path: Path, device: str) -> PastTest | None:
         for one in table["findings"]:
             name = f"{one['artefact']}/{one['quantity']}"
             error, expanded, limit = numbers([one["error"], one["expanded_uncertainty"], one["limit"]], 3).tolist()
-            if name not in worst or abs(error) > abs(worst[name][0]):
-                worst[name] = (error, expanded, limit)
+            one_error = (error, expanded, limit)
+            worst[name] = min(worst.get(name, one_error), one_error, key=lambda values: severity(*values))
         return PastTest(date=datetime.date.fromisoformat(table["date"]), decision=str(table["decision"]), worst=worst)

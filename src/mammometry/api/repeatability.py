@@ -127,13 +127,13 @@ def _readings(one: RepeatedFolder, settings: Settings | None) -> list[Reading]:
 
 
 def _of_side(conditions: Sequence[tuple[str, str]], side: str) -> Iterator[tuple[str, str]]:
-    """What concerns this side or both."""
+    """Conditions that concern one side or both sides."""
     others = {"left": "right_mm", "right": "left_mm"}
     yield from ((what, text) for what, text in conditions if not what.endswith(others.get(side, "?")))
 
 
 def _conditions(job: Job) -> Iterator[tuple[str, str]]:
-    """Posture, and the lengths that it changes."""
+    """Posture of a capture, and the lengths that it changes."""
     if job.posture:
         yield "posture", job.posture
     sizes = job.plan.value(measure.dimensions)

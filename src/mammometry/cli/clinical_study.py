@@ -64,6 +64,10 @@ def repeatability(
         return _planned(_cc(plan, "--plan"), _cc(sem, "--sem"))
     if source is None:
         raise typer.BadParameter("TABLE.csv or a folder is missing; --plan 25cc plans a study")
+    if levels and not source.is_dir():
+        raise typer.BadParameter("--levels names levels of folders: give a folder")
+    if measured and source.is_dir():
+        raise typer.BadParameter("--measured names a column: give a table")
     from mammometry.api.repeatability import read_captures
     from mammometry.base.identity import shown_name
     from mammometry.io.outputs import require_apart, require_free, write_outputs
@@ -89,7 +93,7 @@ def repeatability(
             raise TableError(
                 str(source),
                 found=str(error),
-                expected="three or more women, and two or more captures of each by one person with one device",
+                expected="three or more women, two or more captures of each by one person with one device, each once",
                 remedy="Add captures, or correct the columns that name woman, rater, device, day and capture",
             ) from None
         narrowest = found.repetitions[0]
@@ -195,7 +199,7 @@ def _planned(claim_cc: float, sem_cc: float) -> Answer:
     lines = [
         *table_lines(plan_table(found)),
         "",
-        f"Each row shows the claim with {found.power:.0%} probability. Both breasts of a woman count once.",
+        f"Each row shows the claim with {100 * found.power:.0f} % probability. Both breasts of a woman count once.",
     ]
     return Answer(asdict(found), lines)
 

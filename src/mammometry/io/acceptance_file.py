@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import json
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -126,7 +127,10 @@ def _text(table: dict[str, Any], name: str, where: str, *, empty: bool = False) 
 def _number(table: dict[str, Any], name: str, where: str, low: float, high: float) -> float:
     if name not in table:
         raise ValueError(f"no {where}{name}")
-    (value,) = numbers(table[name], 1)
+    try:
+        (value,) = numbers(table[name], 1)
+    except ValueError as error:
+        raise ValueError(f"{where}{name}: {error}") from None
     if not low <= value <= high:
         raise ValueError(f"{where}{name} = {value:g}, not {low:g} to {high:g}")
     return float(value)
@@ -165,8 +169,7 @@ def position_files(folder: Path, kind: Kind) -> dict[str, Path]:
 
 def template(device: str, person: str, date: datetime.date) -> bytes:
     """A description to be filled in. It is refused as long as a value of an artefact is 0."""
-    quoted = ('"' + text.replace("\\", "").replace('"', "'") + '"' for text in (device, person))
-    name, initials = quoted
+    name, initials = (json.dumps(" ".join(text.split()), ensure_ascii=False) for text in (device, person))
     limits = Limits()
     return f"""\
 # An acceptance test. Fill in the artefacts that you have, and remove the tables of the others.

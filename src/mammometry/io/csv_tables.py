@@ -13,7 +13,7 @@ import numpy as np
 
 from mammometry.base.errors import MammometryError, SessionError
 from mammometry.base.parse import error_text, number, read_text, shown
-from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.arrays import Array, Bool, Float64
 
 _OTHER = {",": ".", ".": ","}
 _GROUPED = {mark: re.compile(rf"[+-]?[1-9][0-9]{{0,2}}(?:[{mark}][0-9]{{3}})+", re.ASCII) for mark in _OTHER}
@@ -160,6 +160,26 @@ class CsvTable:
                     where = f"{self.name}, row {line}, column {name}"
                     values[row, column] = self._number(cell, where, mark, doubted=column in mark.ambiguous)
         return values
+
+    def require(self, column: str, fine: Sequence[bool] | Bool[Array, " n"], expected: str) -> None:
+        """Refuse the first row of a column whose cell is not as expected.
+
+        Args:
+            column: its name.
+            fine: of each row.
+            expected: for the message.
+
+        Raises:
+            MammometryError: a row is not fine.
+        """
+        row = next((row for row, good in enumerate(fine) if not good), None)
+        if row is not None:
+            raise self.refusal(
+                f"{self.name}, row {self.lines[row]}, column {column}",
+                found=shown(self.texts(column)[row]),
+                expected=expected,
+                remedy="Correct the value, or remove the row",
+            )
 
     def _number(self, cell: str, where: str, mark: DecimalMark, *, doubted: bool) -> float:
         readings = both_readings(cell)

@@ -9,11 +9,10 @@ from types import MappingProxyType
 
 from mammometry.base.errors import TableError
 from mammometry.base.identity import folded
-from mammometry.base.parse import shown
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.csv_tables import CsvTable, read_table
 from mammometry.io.measured_columns import measured_column
-from mammometry.io.subject_columns import SIDE_WORDS, SIDES, SUBJECTS
+from mammometry.io.subject_columns import SIDES, SUBJECTS, column_named, side_in
 from mammometry.study.repeatability.design import Reading
 
 _COLUMNS: Mapping[str, Sequence[str]] = MappingProxyType(
@@ -32,7 +31,7 @@ _COLUMNS: Mapping[str, Sequence[str]] = MappingProxyType(
 """Role → names of its column, the surest first."""
 _CONDITIONS = ("posture", "breath", "arms", "stand", "seat")
 _LENGTH = "_mm"
-_FACTORS = MappingProxyType({"": 1.0, "cc": 1.0, "ml": 1.0, "dl": 100.0, "l": 1000.0, "mm3": 0.001})
+_CC_PER = MappingProxyType({"": 1.0, "cc": 1.0, "ml": 1.0, "dl": 100.0, "l": 1000.0, "mm3": 0.001})
 """Unit → cc."""
 _BOTH = ("left_cc", "right_cc")
 VOLUME = "volume_cc"
@@ -42,7 +41,7 @@ _EXPECTED = "a CSV table, one row per capture"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RepeatedFolder:
-    """A folder with the results of one capture, and what the table says of the capture."""
+    """A folder with the results of one capture, and its row of the table."""
 
     folder: Path
     woman: str
@@ -71,11 +70,13 @@ def read_repeated(path: Path, measured: str | None = None) -> tuple[Reading, ...
         TableError: it cannot be read, a column is missing, or a cell is empty or no positive volume.
     """
     table = read_table(path, str(path), _EXPECTED, refusal=TableError)
-    roles = {role: _column(table, names, measured) for role, names in _COLUMNS.items()}
+    roles = {role: column_named(table, names, measured) for role, names in _COLUMNS.items()}
     if roles["woman"] is None:
         raise _refused(table, f"columns {', '.join(table.columns)}", "a column woman", "Name the column of the women")
     texts = {role: table.texts(column) if column else ("",) * len(table.rows) for role, column in roles.items()}
-    _require_filled(table, {column: texts[role] for role, column in roles.items() if column})
+    for role, column in roles.items():
+        if column:
+            table.require(column, [bool(cell) for cell in texts[role]], "a value in every row")
     conditions = _conditions(table, [*roles.values(), measured])
     if measured is None and roles["folder"] is not None and VOLUME not in table.columns:
         captures = _captures(texts, [""] * len(table.rows))
@@ -95,7 +96,7 @@ def read_repeated(path: Path, measured: str | None = None) -> tuple[Reading, ...
     read: list[Reading] = []
     for side, column in sides.items():
         volumes = _volumes(table, column, blank=bool(side))
-        own = [side or _side(table, row, texts["side"][row]) for row in range(len(table.rows))]
+        own = [side or side_in(table, row, texts["side"][row]) for row in range(len(table.rows))]
         captures = _captures(texts, own)
         read += [
             Reading(
@@ -111,25 +112,8 @@ def read_repeated(path: Path, measured: str | None = None) -> tuple[Reading, ...
     return tuple(read)
 
 
-def _column(table: CsvTable, names: Sequence[str], measured: str | None) -> str | None:
-    known = {folded(name): name for name in reversed(table.columns) if name and name != measured}
-    return next((known[name] for name in names if name in known), None)
-
-
-def _require_filled(table: CsvTable, columns: Mapping[str, Sequence[str]]) -> None:
-    for column, cells in columns.items():
-        row = next((row for row, cell in enumerate(cells) if not cell), None)
-        if row is not None:
-            raise TableError(
-                f"{table.name}, row {table.lines[row]}, column {column}",
-                found="no value",
-                expected="a value in every row",
-                remedy="Fill in the cell, or remove the row or the column",
-            )
-
-
 def _conditions(table: CsvTable, used: Sequence[str | None]) -> list[tuple[tuple[str, str], ...]]:
-    """What the table says of each capture: posture, breath, arms, and lengths in mm."""
+    """Conditions of each capture in the table: posture, breath, arms, and lengths in mm."""
     names = [name for name in table.columns if name not in used
              and (folded(name) in _CONDITIONS or name.endswith(_LENGTH))]  # fmt: skip
     lengths = {name: table.numbers(name, blank=True)[:, 0] for name in names if name.endswith(_LENGTH)}
@@ -154,34 +138,14 @@ def _captures(texts: Mapping[str, Sequence[str]], sides: Sequence[str]) -> list[
     return found
 
 
-def _side(table: CsvTable, row: int, word: str) -> str:
-    if not word:
-        return ""
-    if folded(word) not in SIDE_WORDS:
-        raise TableError(
-            f"{table.name}, row {table.lines[row]}",
-            found=f"the side {shown(word)}",
-            expected="left or right",
-            remedy="Correct the side",
-        )
-    return SIDE_WORDS[folded(word)]
-
-
 def _volumes(table: CsvTable, column: str, *, blank: bool) -> Float64[Array, " n"]:
     volumes = table.numbers(column, blank=blank)[:, 0]
     known = measured_column(column, volumes[volumes == volumes]) if (volumes == volumes).any() else None
     unit = "" if known is None else known.unit
-    if unit not in _FACTORS:
+    if unit not in _CC_PER:
         raise _refused(table, f"{unit} in column {column}", "volumes", "Choose the column of the volumes: --measured")
-    wrong = next((row for row, volume in enumerate(volumes) if volume <= 0), None)
-    if wrong is not None:
-        raise TableError(
-            f"{table.name}, row {table.lines[wrong]}, column {column}",
-            found=f"{volumes[wrong]:g}",
-            expected="a volume of more than 0",
-            remedy="Correct the value, or remove the row",
-        )
-    return volumes * _FACTORS[unit]
+    table.require(column, ~(volumes <= 0), "a volume of more than 0")
+    return volumes * _CC_PER[unit]
 
 
 def _refused(table: CsvTable, found: str, expected: str, remedy: str) -> TableError:

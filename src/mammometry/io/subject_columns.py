@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from mammometry.base.errors import TableError
 from mammometry.base.identity import folded
+from mammometry.base.parse import shown
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.csv_tables import CsvTable
 
@@ -38,6 +40,32 @@ _ROUNDING = 5e-6  # relative rounding of numbers with six digits, as written by 
 _MOST_DECIMALS = 9  # most decimals of a printed number
 _TELLING = 20.0  # a value of this many rounding steps equals the mean by chance in less than 1 of 400 rows
 _LAST_ROWS = 6  # rows at a table's end that may be summaries: mean, SD, median, minimum, maximum, count
+
+
+def column_named(table: CsvTable, names: Sequence[str], without: str | None = None) -> str | None:
+    """First column of a table that has one of these names, the surest name first. None: there is none.
+
+    Args:
+        table: with its header.
+        names: folded.
+        without: a column that does not count.
+    """
+    known = {folded(name): name for name in reversed(table.columns) if name and name != without}
+    return next((known[name] for name in names if name in known), None)
+
+
+def side_in(table: CsvTable, row: int, word: str) -> str:
+    """``left``, ``right``, or empty for an empty cell.
+
+    Raises:
+        TableError: another word.
+    """
+    if word and folded(word) not in SIDE_WORDS:
+        raise TableError(
+            f"{table.name}, row {table.lines[row]}", found=f"the side {shown(word)}", expected="left or right",
+            remedy="Correct the side",
+        )  # fmt: skip
+    return SIDE_WORDS[folded(word)] if word else ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,12 +12,11 @@ import numpy as np
 
 from mammometry.base.errors import SessionError, TableError
 from mammometry.base.identity import folded
-from mammometry.base.parse import shown
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.csv_tables import CsvTable, read_table
 from mammometry.io.label_maps import SUFFIX, segment_cc
 from mammometry.io.meshes.foreign import read_foreign
-from mammometry.io.subject_columns import SIDE_WORDS, SIDES, SUBJECTS
+from mammometry.io.subject_columns import SIDES, SUBJECTS, column_named, side_in
 from mammometry.study.validation.truths import TrueVolume, skin_left, water, weight
 
 _COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -39,6 +38,8 @@ _EXAMPLES = MappingProxyType(
         "volume": ("530", "10"),
     }
 )
+_MOST = MappingProxyType({"water_c": 40.0, "age": 120.0, "glandular_percent": 100.0})
+"""Column → its largest value. That of water is the end of its density's formula."""
 _ROOM_C = 20.0  # temperature of water that the table does not give, °C; 10 °C more or less change 0.2 %
 _FOLDER = "folder"
 _CC = "_cc"
@@ -91,13 +92,12 @@ def read_truths(path: Path, kind: str | None = None) -> tuple[str, tuple[TruthRo
             "Choose one: --truth water, weight, segmentation or volume" if len(there) > 1 else "Add the column",
         )
     chosen = kind or there[0]
-    known = {folded(name): name for name in reversed(table.columns)}
-    who = next((known[name] for name in SUBJECTS if name in known), None)
+    who = column_named(table, SUBJECTS)
     if who is None:
         raise _refused(table, f"columns {', '.join(table.columns)}", "a column woman", "Name the column of the women")
-    which = next((known[name] for name in SIDES if name in known), None)
+    which = column_named(table, SIDES)
     women = [folded(name) and name for name in table.texts(who)]
-    sides = [_side(table, row, word) for row, word in enumerate(table.texts(which))] if which else [""] * len(women)
+    sides = [side_in(table, row, word) for row, word in enumerate(table.texts(which))] if which else [""] * len(women)
     _require_once(table, list(zip(women, sides, strict=True)))
     used = {who, which, *(name for columns in _COLUMNS.values() for name in columns)}
     definitions = [name for name in table.columns if name.endswith(_CC) and name not in used]
@@ -105,6 +105,8 @@ def read_truths(path: Path, kind: str | None = None) -> tuple[str, tuple[TruthRo
     if not definitions and not any(folders):
         raise _refused(table, "no measured volume", "columns such as measured_cc, or a column folder", "Add one")
     measured = table.numbers(*definitions, blank=True, alike=True) if definitions else np.zeros((len(women), 0))
+    for name, column in zip(definitions, measured.T, strict=True):
+        table.require(name, ~(column <= 0), "a volume of more than 0, or an empty cell")
     truths = _truths(table, path, chosen)
     rows = tuple(
         TruthRow(
@@ -166,18 +168,15 @@ def _truths(table: CsvTable, path: Path, kind: str) -> list[TrueVolume]:
 
 
 def _optional(table: CsvTable, name: str, *, needed: bool) -> Float64[Array, " n"]:
-    """A column of numbers of 0 or more, NaN where it is empty or missing. The needed one is above 0 and complete."""
+    """A column of numbers of 0 or more, NaN where it is empty or missing. If needed, above 0 and complete."""
     if name not in table.columns and not needed:
         return np.full(len(table.rows), math.nan)
     found = table.numbers(name, blank=not needed)[:, 0]
-    wrong = next((row for row, own in enumerate(found) if own < 0 or (needed and not own > 0)), None)
-    if wrong is not None:
-        raise TableError(
-            f"{table.name}, row {table.lines[wrong]}, column {name}",
-            found=f"{found[wrong]:g}",
-            expected="a value of more than 0" if needed else "a value of 0 or more",
-            remedy="Correct the value, or remove the row",
-        )
+    most = _MOST.get(name, math.inf)
+    if needed:
+        table.require(name, found > 0, "a value of more than 0")
+    else:
+        table.require(name, ~((found < 0) | (found > most)), f"a value of 0 to {most:g}")
     return found
 
 
@@ -198,15 +197,6 @@ def _segmented_cc(file: Path, units: str | None, segment: str) -> float:
 
 def _or_nan(number: float | None) -> float:
     return math.nan if number is None else number
-
-
-def _side(table: CsvTable, row: int, word: str) -> str:
-    if word and folded(word) not in SIDE_WORDS:
-        raise TableError(
-            f"{table.name}, row {table.lines[row]}", found=f"the side {shown(word)}", expected="left or right",
-            remedy="Correct the side",
-        )  # fmt: skip
-    return SIDE_WORDS[folded(word)] if word else ""
 
 
 def _require_once(table: CsvTable, breasts: Sequence[tuple[str, str]]) -> None:

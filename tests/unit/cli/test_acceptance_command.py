@@ -1,6 +1,8 @@
 """`acceptance` from the command line: files in, a decision and its exit code out, mistakes as sentences."""
 
+import datetime
 import json
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -8,12 +10,12 @@ import pytest
 import trimesh
 from tests.unit.measure.solids import dome
 
-from mammometry.api.acceptance import NUMBERS, past_tests, run_acceptance
+from mammometry.api.acceptance import NUMBERS, past_tests, read_past, run_acceptance
 from mammometry.base.errors import SessionError
 from mammometry.cli import main
 from mammometry.cli.acceptance import REJECT, UNDECIDED
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.io.acceptance_file import DESCRIPTION, position_files, read_test
+from mammometry.io.acceptance_file import DESCRIPTION, position_files, read_test, template
 from mammometry.io.meshes.scans import ScanFacts, import_scan
 from mammometry.io.outputs import write_outputs
 from mammometry.simulate.artefacts import DeviceErrors, artefact_mesh, measured_mesh
@@ -112,6 +114,25 @@ def test_the_results_beside_a_test_are_its_history(tmp_path: Path, capsys: pytes
     assert [test.worst["cast/volume"][0] for test in past] == pytest.approx([0.0, 2.402, 1.201], abs=0.01)
     rows = (tmp_path / "test-2" / "results" / "history.csv").read_text(encoding="utf-8").splitlines()
     assert [row.split(",")[1] for row in rows[1:]] == ["2026-11-01", "2026-11-02", "2026-11-03"]
+
+
+def test_the_error_that_decides_is_the_worst_of_a_past_test(tmp_path: Path) -> None:
+    """0.25 ± 0.1 mm is undecided at a limit of 0.3 mm; 0.28 ± 0.01 mm is accepted, and 0.35 mm at a limit of 0.5 mm."""
+    values = [(0.28, 0.01, 0.3), (-0.25, 0.1, 0.3), (0.35, 0.01, 0.5)]
+    names = ("error", "expanded_uncertainty", "limit")
+    findings = [{"artefact": "bar", "quantity": "spacing", **dict(zip(names, own, strict=True))} for own in values]
+    table = {"format": 1, "device": "Rig", "date": "2026-11-29", "decision": "undecided", "findings": findings}
+    (tmp_path / NUMBERS).write_text(json.dumps(table))
+    past = read_past(tmp_path / NUMBERS, "Rig")
+    assert past is not None
+    assert past.worst == {"bar/spacing": (-0.25, 0.1, 0.3)}
+
+
+@pytest.mark.parametrize("name", ['Rig "3"', "two\nlines", "back\\slash", "tab\t", "Größe 1"])
+def test_any_name_of_a_device_gives_a_description_that_can_be_read(name: str) -> None:
+    described = tomllib.loads(template(name, name, datetime.date(2026, 11, 29)).decode())
+    assert described["device"]["name"] == " ".join(name.split())
+    assert described["device"]["person"] == " ".join(name.split())
 
 
 def test_a_new_test_is_refused_until_it_is_filled_in(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

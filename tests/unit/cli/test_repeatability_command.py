@@ -138,3 +138,4 @@ def test_a_plan_says_how_many_women(capsys: pytest.CaptureFixture[str]) -> None:
     assert main.run(["study", "repeatability", "--plan", "10cc", "--sem", "6cc"]) == 2
     assert main.run(["study", "repeatability", "--plan", "much"]) == 2
     assert main.run(["study", "repeatability"]) == 2
+    assert main.run(["study", "repeatability", "table.csv", "--levels", "woman,capture"]) == 2

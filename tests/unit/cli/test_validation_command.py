@@ -49,7 +49,15 @@ def test_a_table_of_specimens_becomes_a_page(tmp_path: Path, capsys: pytest.Capt
     assert page.count("data:image/") == 3
     assert "&lt;0&gt;" in page
     assert json.loads((out / "validation.json").read_text(encoding="utf-8"))["ratio"] == answer["ratio"]
-    assert (out / "volumes.csv").read_text(encoding="utf-8").count("\n") == 17
+    code, again = answered(
+        capsys, "study", "validation", out / "volumes.csv", "--out", tmp_path / "again", "--sem", "6cc"
+    )
+    assert code == 0
+    for name, one in answer["definitions"].items():
+        assert again["definitions"][name]["deming"]["slope"]["value"] == pytest.approx(
+            one["deming"]["slope"]["value"], abs=1e-5
+        )
+    assert again["ratio"] == pytest.approx(answer["ratio"], rel=1e-3)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -96,6 +104,11 @@ def test_folders_give_every_definition(
         ("woman,side,displaced_g,measured_cc", "a,up,100,100", "b,left,200,200", "c,left,300,310"),
         ("woman,displaced_g,skin_left_cm2,measured_cc", "a,100,-3,100", "b,200,,200", "c,300,,310"),
         ("woman,displaced_g,measured_cc", "a,100,100", "b,200,200"),
+        ("woman,displaced_g,measured_cc", "a,100,0", "b,200,200", "c,300,310", "d,400,400"),
+        ("woman,displaced_g,measured_cc", "a,100,-5", "b,200,200", "c,300,310", "d,400,400"),
+        ("woman,displaced_g,water_c,measured_cc", "a,100,68,100", "b,200,20,200", "c,300,20,310"),
+        ("woman,weight_g,glandular_percent,measured_cc", "a,100,150,100", "b,200,20,200", "c,300,20,310"),
+        ("woman,weight_g,age,measured_cc", "a,100,1969,100", "b,200,20,200", "c,300,20,310"),
     ],
 )
 def test_what_cannot_be_compared_is_refused(

@@ -85,6 +85,26 @@ def test_a_bent_plane_is_found_with_its_size() -> None:
     assert flatness.error == pytest.approx((0.95 * 110.0 / 120.0) ** 2, abs=0.05)  # 10 mm at the edges are left out
 
 
+@pytest.mark.parametrize("place", range(6))
+def test_a_bump_in_front_of_a_plane_is_positive(place: int) -> None:
+    """The device is at positive z, whatever the order of the mesh's triangles."""
+    position = POSITIONS["plane"][place]
+    mesh = artefact_mesh(FLAT, position)
+    normal = np.array(position.axis) / np.linalg.norm(position.axis)
+    away = np.linalg.norm(mesh.vertices - mesh.vertices.mean(axis=0), axis=1)
+    bump = np.exp(-((away / 20.0) ** 2))
+    bent = TriangleMesh(vertices=mesh.vertices + np.outer(bump, normal), faces=mesh.faces)
+    (patch,) = evaluate_mesh(bent, "plane", position.name, FLAT, Limits()).patches
+    assert patch.deviations_mm.max() > 0.5
+    assert patch.deviations_mm.min() > -0.5
+
+
+def test_an_open_cast_is_refused() -> None:
+    mesh = artefact_mesh(CAST, POSITIONS["cast"][0], edge_mm=6.0)
+    with pytest.raises(PatchError):
+        evaluate_mesh(TriangleMesh(vertices=mesh.vertices, faces=mesh.faces[1:]), "cast", "1", CAST, Limits())
+
+
 def test_a_table_and_a_stand_are_not_taken_for_the_ball() -> None:
     table = plate(400.0, 400.0, 6.0, edge_mm=4.0).mesh
     up = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])

@@ -62,8 +62,8 @@ def test_lins_concordance() -> None:
 
 @pytest.mark.requirement("R-TRUTH-2")
 def test_a_specimen_in_water_and_on_a_scale() -> None:
-    assert water_density(20.0) == pytest.approx(0.998203, abs=2e-4)  # CRC Handbook
-    assert water_density(37.0) == pytest.approx(0.993333, abs=4e-4)
+    for celsius, density_g_per_cc in ((4.0, 0.999975), (20.0, 0.998207), (25.0, 0.997047), (37.0, 0.993331)):  # IAPWS
+        assert water_density(celsius) == pytest.approx(density_g_per_cc, abs=5e-5)
     nothing = skin_left(0.0, None)
     specimen = water(499.1, 20.0, nothing)
     assert specimen.volume_cc == pytest.approx(500.0, abs=0.1)

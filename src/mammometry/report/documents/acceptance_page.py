@@ -30,20 +30,20 @@ _PICTURE_HEIGHT = 300  # of a picture in the document at most, points
 _RULES = (
     "After VDI/VDE 2634-3 and ISO 10360-13, with artefacts that a clinic can make. It does not replace an accredited "
     "laboratory's test.",
-    "Spheres and planes are fitted by least squares to the measured patch. The patch is chosen by place alone: 6° at "
-    "the edge of a ball and 2 % at the edge of a plane are left out, also around stands and tables.",
-    "At most 3 per mille of the points may be left out of a fit, the farthest ones (VDI/VDE 2634). All points count in "
-    "the form error and the flatness, which are the widths that hold 95 % of the points (ISO 10360-13).",
+    "Spheres and planes are fitted by least squares to the measured patch. The patch is chosen by position alone. It "
+    "excludes 6° at the edge of a ball, 4 % of the longer side at the edge of a plane, and stands and tables.",
+    "A fit leaves out at most 3 per mille of the points, the farthest ones (VDI/VDE 2634). All points count in form "
+    "error and flatness, which are the widths that hold 95 % of the points (ISO 10360-13).",
     "Accepted: error and expanded uncertainty (95 %) together are within the limit at every position. Rejected: the "
     "error less its uncertainty is beyond the limit. Otherwise undecided (ISO 14253-1).",
-    "The uncertainty contains the artefact's and that of the fit, for errors that are alike over less than a fifth of "
-    "the ball's diameter. Wider errors count as the device's own.",
+    "The uncertainty combines the artefact's and that of the fit, for errors that are alike over less than a fifth of "
+    "the ball's diameter. Errors that extend farther count as the device's own.",
     "Effect on a breast of 400 cc: an error of length scales it; one of size moves its skin by half of it; one of form "
     "or flatness by at most half of it, if it has the same sign everywhere.",
 )
 _HOW: Mapping[Kind, str] = {
     "sphere": "A speckled or matt ball of 100 to 200 mm. Put it at each position and measure it like a patient.",
-    "bar": "Two equal balls on a stiff bar. Turn it as drawn. Let it rest for ten minutes in the room first.",
+    "bar": "Two equal balls on a stiff bar. Turn it as drawn.",
     "plane": "A sheet from `mammometry target --speckle`, glued without bubbles on glass or aluminium.",
     "cast": "A body of known volume, closed on all sides, or measured as a session of a cast.",
 }

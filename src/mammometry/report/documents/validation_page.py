@@ -5,9 +5,9 @@ import json
 from mammometry.report.documents.pages import embed, render
 from mammometry.report.figures.observers import bland_altman
 from mammometry.report.figures.validation import definitions_side_by_side
-from mammometry.study.tables import TextTable
 from mammometry.study.validation.study import ValidationStudy
 from mammometry.study.validation.tables import (
+    validation_csv,
     validation_json,
     validation_remarks,
     validation_summary,
@@ -28,7 +28,6 @@ def validation_files(title: str, found: ValidationStudy) -> dict[str, bytes]:
     pictures = {"definitions.png": definitions_side_by_side(found)}
     for place, one in enumerate(found.definitions[:_MOST_PLOTS]):
         pictures[f"bland-altman-{place + 1}.png"] = bland_altman(one.data, one.agreement)
-    tables = validation_tables(found)
     page = render(
         "agreement.html.j2",
         kind="validation",
@@ -36,18 +35,13 @@ def validation_files(title: str, found: ValidationStudy) -> dict[str, bytes]:
         subtitle="Measured volumes against a truth by another method",
         summary=validation_summary(found),
         pictures=[embed(png) for png in pictures.values()],
-        tables=tables,
+        tables=validation_tables(found),
         remarks=validation_remarks(found),
     )
     numbers = json.dumps({"title": title, **validation_json(found)}, indent=1, ensure_ascii=False)
     return {
         "report.html": page.encode(),
         "validation.json": (numbers + "\n").encode(),
-        "volumes.csv": _csv(tables[-1]).encode(),
+        "volumes.csv": validation_csv(found).encode(),
         **pictures,
     }
-
-
-def _csv(table: TextTable) -> str:
-    rows = (table.columns, *table.rows)
-    return "\n".join(",".join(f'"{cell.replace("–", "")}"' for cell in row) for row in rows) + "\n"

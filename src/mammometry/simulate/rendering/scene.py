@@ -17,6 +17,7 @@ from scipy.sparse import csr_matrix
 
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Float32, Float64, Int32, Transform, TriangleMesh, UInt8
+from mammometry.geometry.directions import even_directions
 from mammometry.simulate.rendering import props
 from mammometry.simulate.rendering.props import Props
 from mammometry.simulate.rendering.skin import SkinReflectance
@@ -335,7 +336,7 @@ def _visibility(
     seen = np.zeros((len(vertices), 1 + len(lights)), dtype=np.float32)
     shown = np.flatnonzero(~hidden)
     origins = (vertices + _LIFT_MM * normals)[shown].astype(np.float32)
-    sky = _fibonacci_sphere(_SKY_SAMPLES)
+    sky = even_directions(2 * _SKY_SAMPLES)
     weight = np.zeros(len(shown))
     open_sky = np.zeros(len(shown))
     for direction in sky:
@@ -369,12 +370,3 @@ def _soft_box(position: Float64[Array, 3]) -> Float64[Array, "s 3"]:
     b = np.cross(axis, a)
     angle = (np.arange(_SOFT_BOX_SAMPLES) + 0.5) * (2 * math.pi / _SOFT_BOX_SAMPLES)
     return position + SOFT_BOX_RADIUS_MM * math.sqrt(0.5) * (np.cos(angle)[:, None] * a + np.sin(angle)[:, None] * b)
-
-
-def _fibonacci_sphere(count: int) -> Float64[Array, "n 3"]:
-    """Directions uniformly distributed over the sphere."""
-    index = np.arange(2 * count) + 0.5
-    z = 1.0 - index / count
-    azimuth = index * math.pi * (3.0 - math.sqrt(5.0))
-    ring = np.sqrt(1.0 - z * z)
-    return np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], axis=1)

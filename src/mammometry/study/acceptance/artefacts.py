@@ -143,9 +143,9 @@ Artefact: TypeAlias = Plane | Sphere | Bar | Cast
 class Limits:
     """Largest errors at which a device is accepted.
 
-    The defaults follow from the volume of a breast of 400 cc: 0.1 % of length is 0.3 % of volume, 1.2 cc. Every other
-    limit is the error that changes it by at most 1 %, 4 cc, if it has one sign on the whole breast; that of the size
-    half of it, since it has one sign everywhere.
+    The defaults follow from the volume of a breast of 400 cc. 0.1 % of length is 0.3 % of volume, 1.2 cc. Form and
+    flatness may change the volume by 1 %, 4 cc, at most, if the error has the same sign on the whole breast. The limit
+    of size is half as large, since that error always has the same sign.
     """
 
     form_mm: float = 0.4

@@ -35,6 +35,7 @@ from mammometry.study.acceptance.fits import (
     within_rule,
 )
 from mammometry.study.acceptance.patches import (
+    PatchError,
     PlanePatch,
     SpherePatch,
     find_plane,
@@ -157,7 +158,7 @@ class Outcome:
 
 
 def decide(error: float, expanded: float, limit: float) -> Decision:
-    """Decide by ISO 14253-1: the uncertainty counts against whoever proves.
+    """Decide by ISO 14253-1: a device passes or fails only beyond the uncertainty.
 
     Args:
         error: measured.
@@ -165,7 +166,8 @@ def decide(error: float, expanded: float, limit: float) -> Decision:
         limit: largest error that is allowed.
 
     Returns:
-        ``accept`` if the error is within the limit by its uncertainty, ``reject`` if it is beyond by its uncertainty.
+        ``accept`` if error and uncertainty together are within the limit, ``reject`` if the error exceeds the limit by
+        more than the uncertainty, otherwise ``undecided``.
     """
     if abs(error) + expanded <= limit:
         return "accept"
@@ -173,8 +175,13 @@ def decide(error: float, expanded: float, limit: float) -> Decision:
 
 
 def worst_of(findings: Iterable[Finding]) -> Finding:
-    """Finding that decides: the worst decision, then the largest error relative to its limit."""
-    return min(findings, key=lambda one: (_WORST.index(one.decision), -abs(one.error) / one.limit))
+    """Finding that decides on a quantity: see `severity`."""
+    return min(findings, key=lambda one: severity(one.error, one.expanded, one.limit))
+
+
+def severity(error: float, expanded: float, limit: float) -> tuple[int, float]:
+    """Sort key of errors, the worst first: by the decision, then by the error relative to its limit."""
+    return _WORST.index(decide(error, expanded, limit)), -abs(error) / limit
 
 
 def evaluate_mesh(mesh: TriangleMesh, kind: Kind, position: str, artefact: Artefact, limits: Limits) -> PositionResult:
@@ -200,6 +207,8 @@ def evaluate_mesh(mesh: TriangleMesh, kind: Kind, position: str, artefact: Artef
         case Plane():
             return _plane(find_plane(mesh), position, artefact, limits)
         case Cast():
+            if not mesh.is_watertight():
+                raise PatchError("an open mesh, which has no volume")
             return evaluate_volume(abs(mesh.volume_mm3()) / 1000.0, position, artefact, limits)
 
 

@@ -37,7 +37,7 @@ class PlaneFit:
     point: Float64[Array, 3]
     """Weighted mean of the points, mm."""
     normal: Float64[Array, 3]
-    """Unit length."""
+    """Unit length, towards the front of the surface."""
 
     def deviations(self, points: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
         """Distances of points from the plane, mm, positive on the normal's side."""
@@ -82,17 +82,19 @@ def _solved(
     return np.asarray(np.linalg.solve(rows.T @ weighted, weighted.T @ right))
 
 
-def fit_plane(points: Float64[Array, "n 3"], weights: Float64[Array, " n"]) -> PlaneFit:
+def fit_plane(points: Float64[Array, "n 3"], weights: Float64[Array, " n"], front: Float64[Array, 3]) -> PlaneFit:
     """Fit the plane with the least weighted sum of squared distances.
 
     Args:
         points: at least three, not in one line, mm.
         weights: of the points.
+        front: a direction on the side to which the normal is to point.
     """
     middle = np.average(points, axis=0, weights=weights)
     moved = points - middle
     _, axes = np.linalg.eigh(moved.T @ (moved * weights[:, None]))
-    return PlaneFit(point=middle, normal=axes[:, 0])
+    normal = axes[:, 0]
+    return PlaneFit(point=middle, normal=normal if normal @ front >= 0 else -normal)
 
 
 def narrowest_width(deviations: Float64[Array, " n"], weights: Float64[Array, " n"], share: float) -> float:
@@ -170,12 +172,3 @@ def jackknife_std(partitions: Iterable[Float64[Array, "c k"]]) -> Float64[Array,
         count = len(values)
         found.append((count - 1) / count * ((values - values.mean(axis=0)) ** 2).sum(axis=0))
     return np.asarray(np.sqrt(np.max(found, axis=0)))
-
-
-def sphere_directions(count: int) -> Float64[Array, "k 3"]:
-    """Directions spread evenly over the sphere, on Fibonacci's spiral."""
-    place = np.arange(count) + 0.5
-    z = 1.0 - 2.0 * place / count
-    turn = np.pi * (1.0 + 5.0**0.5) * place
-    across = np.sqrt(1.0 - z**2)
-    return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)

@@ -14,17 +14,19 @@ from scipy import ndimage
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
+from mammometry.base.normal import MAD
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64
+from mammometry.geometry.directions import even_directions
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.study.acceptance.fits import (
     PlaneFit,
     SphereFit,
     fit_plane,
     fit_sphere,
-    sphere_directions,
     within_rule,
 )
+from mammometry.study.accuracy import vertex_areas_mm2
 
 _VOTES = 15_000  # vertices that vote for a centre at most
 _BIN = 0.1  # side of a bin for votes, relative to the radius
@@ -42,7 +44,6 @@ _LEAST_POINTS = 300  # of a patch
 _ROBUST_POINTS = 10_000  # of a ball in the robust fit at most
 _REFITS = 12  # of the robust fit that finds a patch
 _TUKEY = 4.685  # robust standard deviations, beyond which a point has no weight
-_ROBUST = 1.4826  # standard deviations in one median absolute deviation of normal errors
 _PLANE_NEAR_MM = 5.0  # half the slab around a plane that counts as its surface
 _PLANE_AROUND_MM = 15.0  # half the slab whose points are the plane's neighbourhood
 _PLANE_CELLS = 48  # along the longer side of a plane
@@ -71,6 +72,13 @@ class Patch:
     """Share of a sphere's surface that was evaluated. 1 for a plane."""
     share_left_out: float
     """Share of the points in front of or behind this part of the surface that are too far away to belong to it."""
+    fit: SphereFit | PlaneFit
+    """Of all points but the farthest 3 per mille."""
+
+    @property
+    def deviations_mm(self) -> Float64[Array, " n"]:
+        """Distances of all points from the fit, mm. Positive outside a sphere, and in front of a plane."""
+        return self.fit.deviations(self.points)
 
 
 @value(eq=False)
@@ -78,12 +86,6 @@ class SpherePatch(Patch):
     """Points of a sphere."""
 
     fit: SphereFit
-    """Of all points but the farthest 3 per mille."""
-
-    @property
-    def deviations_mm(self) -> Float64[Array, " n"]:
-        """Distances of all points from the fit, mm."""
-        return self.fit.deviations(self.points)
 
 
 @value(eq=False)
@@ -91,18 +93,6 @@ class PlanePatch(Patch):
     """Points of a plane."""
 
     fit: PlaneFit
-    """Of all points but the farthest 3 per mille."""
-
-    @property
-    def deviations_mm(self) -> Float64[Array, " n"]:
-        """Distances of all points from the fit, mm."""
-        return self.fit.deviations(self.points)
-
-
-def vertex_areas(mesh: TriangleMesh) -> Float64[Array, " n"]:
-    """A third of the area of all faces at a vertex, mm²."""
-    third = np.linalg.norm(mesh.face_vectors(), axis=1) / 3
-    return np.bincount(mesh.faces.ravel(), np.repeat(third, 3), minlength=len(mesh.vertices))
 
 
 # --- spheres ---
@@ -149,7 +139,7 @@ def find_two_spheres(mesh: TriangleMesh, diameter_mm: float, distance_mm: float)
 
 
 def _candidates(mesh: TriangleMesh, diameter_mm: float) -> list[SpherePatch]:
-    areas = vertex_areas(mesh)
+    areas = vertex_areas_mm2(mesh)
     normals = mesh.vertex_normals()
     step = max(1, len(areas) // _VOTES)
     radius = diameter_mm / 2
@@ -233,7 +223,7 @@ def _sphere_patch(
     return SpherePatch(
         points=points,
         weights=weights,
-        cells=tuple(_numbered(cKDTree(sphere_directions(count)).query(unit)[1]) for count in _PARTS),
+        cells=tuple(_numbered(cKDTree(even_directions(count)).query(unit)[1]) for count in _PARTS),
         share_seen=share,
         share_left_out=float(np.mean(~beside[inside])),
         fit=fit_sphere(points[kept], weights[kept], last),
@@ -243,7 +233,7 @@ def _sphere_patch(
 @cache
 def _sphere_cells() -> tuple[Float64[Array, "k 3"], Any]:
     """Directions of cells, and which cells are close to one another, as a sparse matrix."""
-    directions = sphere_directions(_CELLS)
+    directions = even_directions(_CELLS)
     pairs = cKDTree(directions).query_pairs(2 * np.sin(_BLUR_RAD / 2), output_type="ndarray")
     rows, columns = np.concatenate([pairs, pairs[:, ::-1], np.arange(_CELLS)[:, None].repeat(2, axis=1)]).T
     return directions, csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(_CELLS, _CELLS))
@@ -257,7 +247,7 @@ def _robust(start: SphereFit, points: Float64[Array, "n 3"], weights: Float64[Ar
         near = np.abs(deviations) < gate
         if np.count_nonzero(near) < _LEAST_POINTS:
             raise PatchError("too few points")
-        spread = max(_ROBUST * float(np.median(np.abs(deviations[near]))), 1e-6)
+        spread = max(MAD * float(np.median(np.abs(deviations[near]))), 1e-6)
         gate = min(gate, max(_TUKEY * spread, _NEAR * start.radius_mm))
         part = deviations[near] / gate
         fit = fit_sphere(points[near], weights[near] * (1 - part**2).clip(0) ** 2, fit)
@@ -288,7 +278,7 @@ def find_plane(mesh: TriangleMesh) -> PlanePatch:
     """
     vectors = mesh.face_vectors()
     face_areas = np.linalg.norm(vectors, axis=1)
-    directions = sphere_directions(_PLANE_DIRECTIONS)
+    directions = even_directions(_PLANE_DIRECTIONS)
     tree = cKDTree(directions)
     real = face_areas > 0
     _, facing = tree.query(vectors[real] / face_areas[real, None])
@@ -296,7 +286,7 @@ def find_plane(mesh: TriangleMesh) -> PlanePatch:
     blurred = np.array([mass[tree.query_ball_point(direction, 0.25)].sum() for direction in directions])
     normal = vectors[vectors @ directions[np.argmax(blurred)] > np.cos(np.radians(15.0)) * face_areas].sum(axis=0)
     normal /= np.linalg.norm(normal)
-    areas = vertex_areas(mesh)
+    areas = vertex_areas_mm2(mesh)
     alike = mesh.vertex_normals() @ normal > np.cos(np.radians(30.0))
     fit = _robust_plane(mesh.vertices[alike], areas[alike], normal)
     deviations = fit.deviations(mesh.vertices)
@@ -318,9 +308,9 @@ def find_plane(mesh: TriangleMesh) -> PlanePatch:
     points, weights = points[chosen], weights[chosen]
     if np.count_nonzero(chosen) < _LEAST_POINTS or weights.sum() < _LEAST_PLANE * areas.sum() / 2:
         raise PatchError("no plane")
-    fit = fit_plane(points, weights)
+    fit = fit_plane(points, weights, normal)
     kept = within_rule(fit.deviations(points))
-    fit = fit_plane(points[kept], weights[kept])
+    fit = fit_plane(points[kept], weights[kept], normal)
     along = _in_plane(points, fit)
     along -= along.min(axis=0)
     rows = [np.floor(along / np.sqrt(weights.sum() / count)).astype(np.int64) for count in _PLANE_PARTS]
@@ -346,9 +336,7 @@ def _robust_plane(points: Float64[Array, "n 3"], weights: Float64[Array, " n"], 
         near = np.abs(fit.deviations(points)) < gate
         if np.count_nonzero(near) < _LEAST_POINTS:
             raise PatchError("no plane")
-        fit = fit_plane(points[near], weights[near])
-        if fit.normal @ normal < 0:
-            fit = PlaneFit(point=fit.point, normal=-fit.normal)
+        fit = fit_plane(points[near], weights[near], normal)
         gate = max(gate / 1.5, _PLANE_NEAR_MM)
     return fit
 

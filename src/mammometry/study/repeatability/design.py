@@ -32,7 +32,7 @@ class Reading:
     """Which reading of this capture by this reader."""
     volume_cc: float
     conditions: tuple[tuple[str, str], ...] = ()
-    """What the table or the result says of the capture: name → value, such as posture → standing."""
+    """Conditions of the capture, from the table or the results: name → value, such as posture → standing."""
 
     @property
     def breast(self) -> str:
@@ -113,7 +113,7 @@ def design(readings: Sequence[Reading]) -> Design:
     keys = [(*reading.cell, reading.capture, reading.reading) for reading in readings]
     if len(set(keys)) < len(keys):
         twice = next(key for place, key in enumerate(keys) if key in keys[:place])
-        raise ValueError(f"twice {', '.join(filter(None, twice))}")
+        raise ValueError(f"the capture {', '.join(filter(None, twice))} twice")
     if len({(one.breast, one.device, one.rater, one.reader) for one in readings}) == len(readings):
         raise ValueError("no breast was captured twice by one rater with one device")
     effects: list[str] = []

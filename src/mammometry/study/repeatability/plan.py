@@ -1,8 +1,8 @@
 """How many women and captures a claim needs, and whether a study supports it.
 
 The claim is that the smallest detectable change is at most a stated one. It is shown if the upper 95 % bound of the
-standard error of measurement, from χ², supports it: Obuchowski and Bullen, Statistical Methods in Medical Research 27
-(2018) 2516, as in QIBA's tests of conformance.
+standard error of measurement, from χ², supports it, as in tests of conformance with a QIBA profile: Raunig et al.,
+Statistical Methods in Medical Research 24 (2015) 27.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ DETECTABLE = float(scipy.special.ndtri(0.975)) * math.sqrt(2)
 CAPTURES = (2, 3, 4, 5)
 """Numbers of captures that a plan shows."""
 _CONFIDENCE = 0.95  # one-sided, of the upper bound
-_MOST_WOMEN = 2000  # a plan that needs more is none
+_MOST_WOMEN = 2000  # a plan with more women is not shown
 Verdict: TypeAlias = Literal["shown", "undecided", "contradicted"]
 
 

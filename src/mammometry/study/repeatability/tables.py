@@ -20,6 +20,8 @@ _WHO = {
     ANYBODY: "anybody of the study captures her again with any device of the study",
 }
 _FEW = 20  # degrees of freedom below which the interval is more than about half the figure wide
+_LEAST_WOMEN = 10  # of a study of conformance; a choice
+_USUAL_WOMEN = 35  # of a study of conformance, as in QIBA's profiles, where the plan gives no number
 _PRECONDITIONS = (
     "same posture, stand or seat, and arm position at every capture",
     "captured at the end of a normal breath out",
@@ -59,7 +61,7 @@ def repeatability_summary(found: RepeatabilityStudy, claim: ClaimCheck | None = 
             "figures of the class of size."
         )
     if any(one.df < _FEW for one in found.repetitions):
-        lines.append("So few repetitions leave wide intervals.")
+        lines.append("The intervals are wide, because there are few repetitions.")
     if found.changes:
         women = len({change.woman for change in found.changes})
         lines.append(
@@ -205,7 +207,7 @@ def claim_sheet(found: RepeatabilityStudy) -> list[tuple[str, str]]:
 
 def _women_needed(one: Repetition, claim_cc: float) -> str:
     sizes = dict(plan(claim_cc, one.sem_cc.value).sizes) if one.sem_cc.value else {}
-    return str(max(sizes[2], 10)) if 2 in sizes else "35"
+    return str(max(sizes[2], _LEAST_WOMEN) if 2 in sizes else _USUAL_WOMEN)
 
 
 def plan_table(planned: Plan) -> TextTable:

@@ -73,12 +73,17 @@ class ValidationStudy:
 
     truth: str
     """Kind of truth: ``water``, ``weight``, ``segmentation`` or ``volume``."""
-    women: int
-    breasts: int
+    cases: tuple[ValidationCase, ...]
+    """One a breast."""
     ratio: float
     """Error variance of the measurement by that of the truth, for Deming's line."""
     definitions: tuple[DefinitionAgreement, ...]
     offsets: tuple[Offset, ...]
+
+    @property
+    def women(self) -> int:
+        """Number of women."""
+        return len({case.woman for case in self.cases})
 
 
 def validation(cases: Sequence[ValidationCase], truth: str, sem_cc: float | None = None) -> ValidationStudy:
@@ -101,8 +106,7 @@ def validation(cases: Sequence[ValidationCase], truth: str, sem_cc: float | None
         raise ValueError(f"fewer than {LEAST_SUBJECTS} women with a truth and a measured volume")
     return ValidationStudy(
         truth=truth,
-        women=len({case.woman for case in cases}),
-        breasts=len(cases),
+        cases=tuple(cases),
         ratio=ratio,
         definitions=tuple(found),
         offsets=tuple(_offsets(names, cases)),

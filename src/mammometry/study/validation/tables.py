@@ -6,10 +6,11 @@ import math
 from dataclasses import asdict
 from typing import Any
 
+from mammometry.base.csv_cells import csv_text
 from mammometry.study.agreement import IntervalEstimate
 from mammometry.study.agreement_tables import agreement_json
 from mammometry.study.tables import TextTable, number, plain
-from mammometry.study.validation.study import DefinitionAgreement, ValidationStudy
+from mammometry.study.validation.study import ValidationStudy
 
 _TRUTHS = {
     "water": "the specimen, by displaced water",
@@ -20,20 +21,21 @@ _TRUTHS = {
 _REMARKS = {
     "water": "Truth: displaced water at its temperature, plus the skin that the operation left on the woman: its area "
     "by its thickness, 1.45 ± 0.30 mm where the table gives none (Huang 2008). Uncertainty of the displacement: 1 %, "
-    "at least 3 cc, where the table gives none. A specimen without its fat at the edges is smaller than the breast.",
+    "at least 3 cc, where the table gives none (assumed). A specimen that lacks the fat at the breast's edge is "
+    "smaller than the breast.",
     "weight": "Truth: weight by density, plus the skin that the operation left. Density from the composition (fat "
     "0.93, gland 1.04 g/cc; ± 0.02), else from the age (0.96 ± 0.04 from 50 years on, 1.01 ± 0.08 below; Yi 2019), "
     "else 0.97 ± 0.04 g/cc.",
-    "segmentation": "Truth: the volume that the closed mesh encloses, or the voxels of the segment. Where its back is, "
-    "is a choice of whoever segmented it. Women lie prone in most scanners: a breast's volume is the same, its border "
-    "may not be.",
+    "segmentation": "Truth: the volume inside the closed mesh, or that of the segment's voxels. Whoever segmented the "
+    "breast chose where it ends at the back. Most MRI is taken lying prone, which leaves the volume of a breast the "
+    "same but may shift its border.",
     "volume": "Truth: as in the table.",
 }
 
 
 def validation_summary(found: ValidationStudy) -> list[str]:
     """The main results in sentences, one for each definition."""
-    lines = [f"{found.breasts} breasts of {found.women} women against {_TRUTHS[found.truth]}."]
+    lines = [f"{len(found.cases)} breasts of {found.women} women against {_TRUTHS[found.truth]}."]
     for one in found.definitions:
         bias, sizes = one.agreement.mean_difference, one.data.reference
         words = "" if not one.deming.proportional else " The difference grows with the size of the breast."
@@ -44,7 +46,9 @@ def validation_summary(found: ValidationStudy) -> list[str]:
             f"cc in 95 % of cases.{words}"
         )
     if len(found.definitions) > 1:
-        lines.append("The definitions measure different things: compare a truth with the one that has the same back.")
+        lines.append(
+            "The definitions measure different things: compare the truth with the one that has the same back surface."
+        )
     return lines
 
 
@@ -103,26 +107,44 @@ def validation_tables(found: ValidationStudy) -> list[TextTable]:
                 ),
             )
         )
-    tables.append(_volumes(found.definitions))
+    tables.append(_volumes(found))
     return tables
 
 
-def _volumes(definitions: tuple[DefinitionAgreement, ...]) -> TextTable:
-    truth: dict[str, float] = {}
-    measured: dict[str, dict[str, float]] = {}
-    for one in definitions:
-        for name, true, own in zip(one.data.names, one.data.reference, one.data.measured, strict=True):
-            truth[name] = float(true)
-            measured.setdefault(name, {})[one.definition] = float(own)
-    columns = tuple(one.definition for one in definitions)
+def _volumes(found: ValidationStudy) -> TextTable:
+    names = tuple(one.definition for one in found.definitions)
     return TextTable(
         title="Volumes, cc",
-        columns=("breast", "truth", *columns),
+        columns=("breast", "truth", *names),
         rows=tuple(
-            (name, number(true, ".1f"), *(number(measured[name].get(column, math.nan), ".1f") for column in columns))
-            for name, true in truth.items()
+            (
+                case.breast,
+                number(case.truth_cc, ".1f"),
+                *(number(case.measured_cc.get(name, math.nan), ".1f") for name in names),
+            )
+            for case in found.cases
         ),
     )
+
+
+def validation_csv(found: ValidationStudy) -> str:
+    """All volumes, one row per breast. `read_truths` reads it again."""
+    names = tuple(one.definition for one in found.definitions)
+    rows = (
+        [
+            case.woman,
+            case.side,
+            *(_cell(volume) for volume in (case.truth_cc, case.truth_sd_cc)),
+            *(_cell(case.measured_cc.get(name, math.nan)) for name in names),
+        ]
+        for case in found.cases
+    )
+    columns = (f"{name.replace(' ', '_')}_cc" for name in names)
+    return csv_text(("woman", "side", "truth_cc", "truth_sd_cc", *columns), rows)
+
+
+def _cell(volume_cc: float) -> str:
+    return "" if math.isnan(volume_cc) else f"{volume_cc:.3f}"
 
 
 def validation_remarks(found: ValidationStudy) -> list[str]:
@@ -131,7 +153,7 @@ def validation_remarks(found: ValidationStudy) -> list[str]:
         _REMARKS[found.truth],
         f"Deming's line: errors in both, ratio of error variances {number(found.ratio, '.2f')} (measured by truth); "
         "intervals by the jackknife over women. Passing and Bablok's line: no assumption about the errors.",
-        "Limits of agreement: both breasts of a woman are not counted as independent.",
+        "Limits of agreement: the two breasts of a woman do not count as independent.",
         "Concordance: Lin's coefficient, 1 for equal values.",
     ]
 
@@ -143,7 +165,7 @@ def validation_json(found: ValidationStudy) -> dict[str, Any]:
             {
                 "truth": found.truth,
                 "women": found.women,
-                "breasts": found.breasts,
+                "breasts": len(found.cases),
                 "ratio": found.ratio,
                 "definitions": {
                     one.definition: {

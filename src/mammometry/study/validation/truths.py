@@ -8,20 +8,20 @@ from dataclasses import dataclass
 from mammometry.measure.volume.measurement import DENSITY_G_PER_CC, DENSITY_SD
 
 SKIN_MM, SKIN_SD_MM = 1.45, 0.30
-"""Thickness of a breast's skin and its standard deviation between women, mm (Huang et al., Medical Physics 35 (2008)
-1199)."""
+"""Thickness of a breast's skin and its standard deviation between women, mm (breast CT: Huang et al., Medical Physics
+35 (2008) 1199; 1.44 ± 0.25 mm in 137 breasts: doi 10.1118/1.4793257)."""
 FAT_G_PER_CC, GLAND_G_PER_CC = 0.93, 1.04
 """Density of fat and of fibroglandular tissue, g/cc (Hammerstein et al., Radiology 130 (1979) 485)."""
 COMPOSITION_SD = 0.02
-"""Standard deviation of a specimen's density if its composition is known, g/cc: as between 31 specimens (doi
-10.1055/a-2253-8442)."""
+"""Standard uncertainty of a specimen's density if its composition is known, g/cc. Assumed: that between 31 specimens of
+unknown composition (doi 10.1055/a-2253-8442)."""
 YOUNGER, OLDER = (1.01, 0.08), (0.96, 0.04)
 """Density of specimens of women below and above 50 years and its standard deviation, g/cc (Arch Aesthetic Plast Surg
 25(4), 2019)."""
 _AGE = 50.0  # years; of those two groups
-_WATER_SHARE = 0.01  # standard uncertainty of displaced water, share: reading, bubbles, what sticks to the specimen
-_WATER_CC = 3.0  # likewise for small specimens, cc: 2 mm of a vessel of 150 mm
-_SCALE_G = 1.0  # standard uncertainty of a theatre's scale, g
+_WATER_SHARE = 0.01  # standard uncertainty of displaced water, share: reading and bubbles. Assumed
+_WATER_CC = 3.0  # least standard uncertainty of displaced water, cc. Assumed
+_SCALE_G = 1.0  # standard uncertainty of an operating theatre's scale, g. Assumed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +38,7 @@ def skin_left(area_cm2: float, thickness_mm: float | None) -> TrueVolume:
 
     Args:
         area_cm2: its area; 0 if the specimen has all the skin.
-        thickness_mm: None: the mean of published women.
+        thickness_mm: None: the published mean, `SKIN_MM`.
     """
     thickness, sd = (SKIN_MM, SKIN_SD_MM) if thickness_mm is None else (thickness_mm, 0.1 * thickness_mm)
     return TrueVolume(volume_cc=0.1 * thickness * area_cm2, sd_cc=0.1 * sd * area_cm2)
@@ -48,7 +48,7 @@ def water(displaced_g: float, temperature_c: float, skin: TrueVolume, sd_cc: flo
     """Specimen by the weight of the water that it displaces.
 
     Args:
-        displaced_g: weight of that water, or its volume in cc at 4 °C.
+        displaced_g: mass of that water.
         temperature_c: of the water.
         skin: that is left on the woman.
         sd_cc: standard uncertainty of the displacement. None: 1 %, at least 3 cc.
@@ -59,7 +59,7 @@ def water(displaced_g: float, temperature_c: float, skin: TrueVolume, sd_cc: flo
 
 
 def water_density(temperature_c: float) -> float:
-    """Density of water, g/cc: Kell's parabola around 4 °C, within 0.02 % from 0 to 40 °C."""
+    """Density of water, g/cc, from 0 to 40 °C, by the formula of Thiesen, Scheel and Diesselhorst (1900)."""
     return 1.0 - (temperature_c - 3.9863) ** 2 * (temperature_c + 288.9414) / (508929.2 * (temperature_c + 68.12963))
 
 
