@@ -88,17 +88,17 @@ class Score:
 
     @property
     def median_mm(self) -> float | None:
-        """Median of the distances, mm."""
+        """Median of the distances, mm. None if no place was found."""
         return self._quantile(0.5)
 
     @property
     def p95_mm(self) -> float | None:
-        """95th percentile of the distances, mm."""
+        """95th percentile of the distances, mm. None if no place was found."""
         return self._quantile(0.95)
 
     @property
     def worst_mm(self) -> float | None:
-        """Largest distance, mm."""
+        """Largest distance, mm. None if no place was found."""
         return self._quantile(1.0)
 
     def _quantile(self, share: float) -> float | None:
