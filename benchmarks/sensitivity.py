@@ -89,7 +89,7 @@ class Number:
         return self.name.partition(":")[2]
 
     def turned(self, factor: float) -> Any:
-        """Its value, turned. Counts move by one at least."""
+        """The number times a factor. Counts change by at least 1."""
         return _turned(self.value, factor)
 
 
@@ -161,7 +161,7 @@ def _constants_in(text: str, module: str, everything: bool) -> Iterator[tuple[st
 
 
 def turn(numbers: Sequence[Number], factor: float) -> Settings:
-    """Turn numbers in this process: in the settings that are returned, or in every module that knows them."""
+    """Change numbers in this process: in the returned settings, or in all modules that import them."""
     overrides = []
     for number in numbers:
         value = number.turned(factor)
@@ -183,7 +183,7 @@ def _is_same(known: Any, value: Any) -> bool:
 
 
 def _assign(module: Any, name: str, value: Any) -> None:
-    """Set a module's constant, and make anew what the module derives from it."""
+    """Set a module's constant, and update constants derived from it."""
     vars(module)[name] = value
     for statement in ast.parse(Path(module.__file__).read_text(encoding="utf-8")).body:
         if isinstance(statement, ast.Assign) and name in _names_in(statement.value):
@@ -206,7 +206,7 @@ def readers(number: Number) -> set[str]:
 
 
 def stored_parents(product: Product[Any]) -> set[str]:
-    """Names of the stored products that a product is made from, also by way of others."""
+    """Names of the stored products that a product depends on, directly or indirectly."""
     parents: set[str] = set()
     for parent in product.made_from:
         parents |= {parent.key.product} if parent.is_stored else stored_parents(parent)
@@ -225,7 +225,7 @@ class Made:
 
 
 class Base:
-    """A capture, measured once with every function noted, so that turned numbers make anew only what they reach."""
+    """A capture, measured once with a record of its functions: changed numbers recompute only their products."""
 
     def __init__(self, opened: Callable[[Settings], Job]) -> None:
         self._opened = opened
@@ -258,7 +258,7 @@ class Base:
         return value
 
     def reached(self, number: Number) -> float:
-        """Place of the first product whose functions read the number: −1 for opening, infinite for none."""
+        """Index of the first product whose functions read the number. −1: opening. Infinite: none."""
         reading = readers(number)
         for place, ran in enumerate([self.opening, *(made.ran for made in self.made.values())], -1):
             if any(_reads(reading, code) for code in ran):
@@ -266,7 +266,7 @@ class Base:
         return np.inf
 
     def turned(self, numbers: Sequence[Number], factor: float) -> dict[str, Any]:
-        """Measure again with numbers turned."""
+        """Measure again with changed numbers."""
         of_modules = set[str]().union(*(readers(one) for one in numbers if one.module))
         of_settings = set[str]().union(*(readers(one) for one in numbers if not one.module))
         changed: set[str] = set()
@@ -388,7 +388,7 @@ def rows_in(path: Path) -> dict[tuple[str, str, float], dict[str, Any]]:
 def turn_all(
     name: str, numbers: Sequence[Number], factors: Sequence[float], out: Path, *, together: int, workers: int
 ) -> None:
-    """Turn all numbers on one capture, as far as that is not done."""
+    """Change all numbers on one capture that were not changed before."""
     path = out / "rows.jsonl"
     known = rows_in(path)
     left = {factor: [one for one in numbers if (name, one.name, factor) not in known] for factor in factors}
@@ -436,7 +436,7 @@ def turn_all(
 
 
 def _result(process: Any, receiver: Any, *, late: bool) -> dict[str, Any] | None:
-    """What a process found. None: it is still at work."""
+    """Result of a process. None while it runs."""
     if receiver.poll():
         with suppress(EOFError):  # it was killed, for want of memory say
             row: dict[str, Any] = receiver.recv()
@@ -474,7 +474,7 @@ def table(rows: Mapping[Any, Mapping[str, Any]], *, everything: bool) -> Iterato
 
 
 def main() -> None:
-    """Turn the numbers, and print the table."""
+    """Change the numbers, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("build/sensitivity"))
     parser.add_argument("--captures", nargs="+", choices=list(CAPTURES), default=list(CAPTURES))

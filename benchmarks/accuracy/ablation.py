@@ -108,7 +108,7 @@ def surfaces(
 
 
 def occluded(scene: RayScene, rig: Rig, chosen: Array) -> Array:
-    """Which of the true vertices lie near one that faces a left camera and is hidden from it."""
+    """Mask of the true vertices near one that faces a left camera and is hidden from it."""
     points, normals = scene.mesh.vertices[chosen], scene.mesh.vertex_normals()[chosen]
     hidden = np.zeros(len(points), dtype=bool)
     for pair in rig.pairs:
@@ -121,7 +121,7 @@ def occluded(scene: RayScene, rig: Rig, chosen: Array) -> Array:
 
 
 def judge(mesh: TriangleMesh, truth: TriangleMesh, seen: Array, near: Array) -> dict[str, Any]:
-    """The figures of one surface."""
+    """Errors of one surface."""
     whole = compare_surfaces(mesh, truth, at=seen)
     row: dict[str, Any] = {
         "mean_mm": whole.mean_mm,

@@ -1,4 +1,4 @@
-"""Whether the 95 % intervals hold the truth: on rendered captures, or on surfaces with drawn errors.
+"""Coverage of the 95 % intervals on rendered captures, or on surfaces with random errors.
 
     python -m benchmarks.accuracy.coverage --captures 60 --out build/coverage
     python -m benchmarks.accuracy.coverage --captures 16 --first 61 --out build/held_out
@@ -58,7 +58,7 @@ _CERTIFICATE = 12
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DrawnErrors:
-    """Standard deviations of what is drawn, from elsewhere than the settings by which intervals are made."""
+    """Standard deviations of the random errors, not taken from the settings of the intervals."""
 
     scale: float = 1e-3
     """Of every length: a board of 350 mm measured to a third of a millimetre, with a ruler."""
@@ -78,27 +78,27 @@ class DrawnErrors:
 
 @dataclass(frozen=True)
 class Held:
-    """One volume against its interval."""
+    """Error of one volume, with the half-width of its interval."""
 
     subject: str
     volume: str
     error_cc: float
     half_cc: float
-    """Of the interval."""
+    """Half-width of the interval."""
 
     @property
     def holds(self) -> bool:
-        """Whether the truth is within it."""
+        """Whether the interval contains the true volume."""
         return abs(self.error_cc) <= self.half_cc
 
 
 def _drawn(rng: np.random.Generator, tails: float = _TAILS) -> float:
-    """One error of unit variance, of Student's distribution; a normal one for infinitely many degrees of freedom."""
+    """Random error of unit variance, from Student's distribution."""
     return float(rng.normal() if np.isinf(tails) else rng.standard_t(tails) / np.sqrt(tails / (tails - 2)))
 
 
 def _estimated(sigma: float, rng: np.random.Generator) -> float:
-    """What a calibration makes of a standard deviation by its own observations."""
+    """Estimate of a standard deviation by a calibration's observations."""
     return float(sigma * np.sqrt(rng.chisquare(_CERTIFICATE) / _CERTIFICATE))
 
 
@@ -111,7 +111,7 @@ def _certificate(errors: DrawnErrors, rng: np.random.Generator) -> EarlierErrors
 def surfaces(
     count: int, first: int = 1, settings: MeasureSettings = MeasureSettings(), *, families: Sequence[str] = ("torso",)
 ) -> Iterator[Held]:
-    """Casts and every family of bodies, `count` of each, with drawn errors."""
+    """Casts and bodies of every family, `count` of each, with random errors."""
     for number in range(first, first + count):
         for family in families:
             yield from _torso(true_torso(f"{family}_{number}", 0, edge_mm=2.5), number, settings)
@@ -166,13 +166,13 @@ def _cast(name: str, seed: int, settings: MeasureSettings) -> Held:
 
 
 def half_width_cc(found: VolumeMeasurement) -> float:
-    """Of a volume's interval, cc, before it ends at zero."""
+    """Half-width of a volume's interval, cc, not cut at zero."""
     assert found.interval_cc is not None
     return found.interval_cc[1] - found.volume_cc
 
 
 def as_defined(found: VolumeMeasurement, true: TrueTorso, settings: MeasureSettings = MeasureSettings()) -> Held:
-    """A torso's volume before the wall that is named, against what the same wall makes of true skin and boundary."""
+    """A torso's volume in front of the named wall, with that of true skin and boundary."""
     assert found.as_defined_cc is not None
     exact = next(boundary for boundary in true.boundaries if boundary.name == found.name)
     breast = OpenBreast(boundary=exact, surface=true.surface, settings=settings, boundaries=true.boundaries)
@@ -182,7 +182,7 @@ def as_defined(found: VolumeMeasurement, true: TrueTorso, settings: MeasureSetti
 
 
 def to_muscle(found: VolumeMeasurement, truth_cc: float) -> Held:
-    """A woman's volume down to the muscle, of which only the skin is seen."""
+    """A woman's volume down to the muscle, measured from the skin."""
     muscle = next(one for one in found.definitions if one.meaning == "muscle")
     return Held("", f"{found.name}{_TO_MUSCLE}", muscle.volume_cc - truth_cc, muscle.interval_cc[1] - muscle.volume_cc)
 
@@ -191,7 +191,7 @@ EARLIER = EarlierErrors(scale_std=DrawnErrors().scale, point_std_mm=DrawnErrors(
 
 
 def disturbed(mesh: TriangleMesh, scale: float, rng: np.random.Generator, tails: float = np.inf) -> TriangleMesh:
-    """Skin with errors along its normals: common, of the cameras (long waves) and of matching (short ones)."""
+    """Skin with errors along its normals: common, by cameras (long waves), by matching (short ones)."""
     normals = np.zeros_like(mesh.vertices)
     for corner in range(3):
         np.add.at(normals, mesh.faces[:, corner], mesh.face_vectors())
@@ -205,7 +205,7 @@ def disturbed(mesh: TriangleMesh, scale: float, rng: np.random.Generator, tails:
 
 
 def rendered(count: int, out: Path, scale: float, first: int = 1, scheduler: str | None = None) -> Iterator[Held]:
-    """Every volume of the captures, side by side; one that was refused says so and has none."""
+    """Volumes of all captures, measured in parallel. Refused ones are printed and left out."""
     width, height = FULL_SIZE_WH
     megapixels = _CAMERAS * width * height * scale**2 / 1e6
     for numbers in in_rounds(count, first):
@@ -217,7 +217,7 @@ def rendered(count: int, out: Path, scale: float, first: int = 1, scheduler: str
 
 
 def one_capture(progress: StageProgress, number: int, out: str, scale: float) -> tuple[str, list[dict[str, Any]]]:
-    """Simulate one capture and measure it: why it was refused, or "", and its volumes, as JSON."""
+    """Refusal (or "") and volumes of one simulated capture, as JSON."""
     progress("capture", 0.0)
     wanted = recipe(number)
     session, refused = made(wanted, Path(out), scale)
@@ -242,7 +242,7 @@ def one_capture(progress: StageProgress, number: int, out: str, scale: float) ->
 
 
 def _of_both_sides(found: Sequence[VolumeMeasurement], truth_cc: Mapping[str, float]) -> Held:
-    """A torso's left breast less its right one, by the difference's own interval."""
+    """Left minus right of a torso, with the interval of the difference."""
     left, right = sorted(found, key=lambda one: one.name)
     verdict = difference(left, right, "sides")
     assert verdict.difference_interval_cc is not None
@@ -251,13 +251,13 @@ def _of_both_sides(found: Sequence[VolumeMeasurement], truth_cc: Mapping[str, fl
 
 
 def share_interval(part: int, whole: int) -> tuple[float, float]:
-    """95 % interval of a share of which `part` of `whole` were seen (Clopper and Pearson)."""
+    """95 % interval of a share, `part` of `whole` (Clopper and Pearson)."""
     low = float(beta.ppf(0.025, part, whole - part + 1)) if part else 0.0
     return low, float(beta.ppf(0.975, part + 1, whole - part)) if part < whole else 1.0
 
 
 def summary(held: list[Held]) -> Iterator[str]:
-    """Coverage with its own 95 % interval (Clopper and Pearson), by family of subjects and what the volume means."""
+    """Coverage with its 95 % interval, by family of subjects and definition of the volume."""
     groups = {"casts": [one for one in held if one.volume == "model"]}
     for family, women in (("torsos", False), ("women", True)):
         its = [one for one in held if ("woman" in one.subject) == women]
@@ -284,7 +284,7 @@ def summary(held: list[Held]) -> Iterator[str]:
 
 
 def main() -> None:
-    """Measure, print every volume and the coverage."""
+    """Measure, and print all volumes and the coverage."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--captures", type=int, default=0, help="rendered sessions, casts and torsos in turn")
     parser.add_argument("--surfaces", type=int, default=0, help="torsos, and as many casts, with drawn errors")

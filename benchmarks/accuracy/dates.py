@@ -48,7 +48,7 @@ POSES = ("same pose", "across poses")
 
 @dataclass(frozen=True)
 class TrueVisit:
-    """A torso before the cameras, and where it stands."""
+    """A torso in front of the cameras, with its pose."""
 
     torso: TrueTorso
     rig_from_solid: Transform
@@ -60,7 +60,7 @@ class TrueVisit:
 
 @dataclass(frozen=True)
 class Row:
-    """One breast at two dates."""
+    """Measured and true change of one breast between two dates."""
 
     pairing: str
     true_cc: float
@@ -77,7 +77,7 @@ class Row:
 
 
 def true_visit(shape: TorsoShape, name: str, place: int, *, edge_mm: float = 2.5) -> TrueVisit:
-    """Make a torso and place it; `place` is the seed of how it stands."""
+    """A torso with a random pose; `place` is its seed."""
     solid = torso(shape, name=name, seed=0, edge_mm=edge_mm)
     motion = rig_from_solid(solid, place)
     solid = solid.placed(motion)
@@ -88,7 +88,7 @@ def true_visit(shape: TorsoShape, name: str, place: int, *, edge_mm: float = 2.5
 
 
 def grown(shape: TorsoShape, factors: Mapping[str, float]) -> TorsoShape:
-    """Breasts of another volume: wider, and more so higher and heavier."""
+    """A torso with some breasts scaled to another volume."""
     breasts = dict(shape.breasts)
     for side, factor in factors.items():
         one = breasts[side]
@@ -103,7 +103,7 @@ def grown(shape: TorsoShape, factors: Mapping[str, float]) -> TorsoShape:
 
 
 def posed(shape: TorsoShape, lean_deg: float, arms_deg: tuple[float, float], breath: float) -> TorsoShape:
-    """The same body in another pose: lean, arms out and back, chest deeper by a share."""
+    """A body in another pose: lean, arms out and back, chest deeper by a share."""
     body = shape.body
     body = replace(
         body,
@@ -115,7 +115,7 @@ def posed(shape: TorsoShape, lean_deg: float, arms_deg: tuple[float, float], bre
 
 
 def otherwise(shape: TorsoShape, rng: np.random.Generator) -> TorsoShape:
-    """A pose drawn as patients vary."""
+    """A random pose, as patients vary."""
     arms = rng.normal(0.0, _ARM_DEG, 2)
     return posed(shape, rng.normal(0.0, _LEAN_DEG), (arms[0], arms[1]), rng.normal(0.0, _BREATH))
 
@@ -123,7 +123,7 @@ def otherwise(shape: TorsoShape, rng: np.random.Generator) -> TorsoShape:
 def as_measured(
     true: TrueVisit, settings: MeasureSettings = MeasureSettings(), rng: np.random.Generator | None = None
 ) -> DatedMeasurements:
-    """A visit with true skin and boundaries; with a generator, both with drawn errors."""
+    """A visit with true skin and boundaries. With a generator, both have random errors."""
     surface, boundaries = true.torso.surface, true.torso.boundaries
     if rng is not None:
         scale = 1 + _SCALE_STD * rng.normal()
@@ -139,7 +139,7 @@ def as_measured(
 
 
 def frame_of(true: TrueVisit, boundaries: tuple[Boundary, ...] | None = None) -> np.ndarray:
-    """Patient's left, up in the photographs, ahead: what upright cameras would say."""
+    """Frame (rows: patient's left, up, ahead) as upright cameras would give it."""
     left, right = boundaries or true.torso.boundaries
     ahead = frame_from_sides(left.points_world, right.points_world, seen_skin(true.torso.surface))[2]
     ahead = ahead - _UPRIGHT * (ahead @ _UPRIGHT)
@@ -148,7 +148,7 @@ def frame_of(true: TrueVisit, boundaries: tuple[Boundary, ...] | None = None) ->
 
 
 def rows(count: int, first: int = 1, settings: MeasureSettings = MeasureSettings()) -> Iterator[tuple[Row, Change]]:
-    """Every breast at two dates, unchanged and changed, in the same pose and in another."""
+    """Changes of all breasts: unchanged and changed, in the same pose and in another."""
     for number in range(first, first + count):
         rng = np.random.default_rng([number, 21])
         name = f"torso_{number}"
@@ -185,7 +185,7 @@ def _half_cc(measured: VolumeMeasurement) -> float:
 
 
 def _wall_mm(before: TrueVisit, after: TrueVisit, side: str, true_cc: float, settings: MeasureSettings) -> float:
-    """What the walls of both dates do not share, on true skin within true boundaries."""
+    """Error that the walls of both dates do not share, on true skin and boundaries, mm."""
     volumes: list[float] = []
     areas: list[float] = []
     for visit in (before, after):
@@ -198,7 +198,7 @@ def _wall_mm(before: TrueVisit, after: TrueVisit, side: str, true_cc: float, set
 
 
 def trunk_fits(count: int) -> Iterator[tuple[str, TrunkFit | None]]:
-    """Trunks of other bodies, and of one body in very different poses; None where nothing of them fits."""
+    """Fits of trunks of other bodies, and of one body in very different poses. None: no fit."""
     trunks = {}
     for number in range(1, count + 1):
         name = f"torso_{number}"
@@ -225,7 +225,7 @@ def _trunk(true: TrueVisit) -> TrunkSkin:
 
 
 def summary(found: list[Row]) -> Iterator[str]:
-    """One line a pairing. Nothing where there is no row."""
+    """Lines of the table, one per pairing with rows."""
     if not found:
         return
     columns = (
@@ -256,7 +256,7 @@ def summary(found: list[Row]) -> Iterator[str]:
 
 
 def trunk_summary(fits: list[tuple[str, TrunkFit | None]], settings: CompareSettings) -> Iterator[str]:
-    """How trunks agree, and what is doubted and refused."""
+    """Agreement of trunks, with numbers of warnings and refusals."""
     yield "| trunks | pairs | four fifths within mm: least, median, most | doubted | refused |\n" + "| --- " * 5 + "|"
     for kind in dict.fromkeys(kind for kind, _ in fits):
         within = np.array([math.inf if one is None else one.within_mm for each, one in fits if each == kind])

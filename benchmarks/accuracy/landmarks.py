@@ -1,4 +1,4 @@
-"""The benchmark of landmarks and borders: write meshes with their truth, and find the landmarks with our program.
+"""Benchmark of landmarks and borders: write its meshes and truth, and run our program on it.
 
     python -m benchmarks.accuracy.landmarks --write FOLDER --bodies ../shared/data
     python -m benchmarks.accuracy.landmarks --find FOLDER --out ours.json
@@ -57,7 +57,7 @@ _RIG, _PHOTOGRAPHS = "rig", "photographs"
 
 
 def of_borders(borders: Mapping[str, Float64[Array, "b 3"]]) -> Known:
-    """Borders, and what follows from them by definition: the fold and its lowest point."""
+    """Borders, with the fold and its lowest point, which they define."""
     known: Known = {}
     for side, border in borders.items():
         known[f"border_{side}"] = border
@@ -120,7 +120,7 @@ def _of_body(scans: Path, number: str, kind: str, nipples: Known) -> tuple[Virtu
 
 
 def _of_session(number: int) -> tuple[VirtualScan, Known]:
-    """The surface that our program makes of a virtual rig's photographs, in the solid's frame."""
+    """Surface from a virtual rig's photographs by our program, solid's frame."""
     with tempfile.TemporaryDirectory(prefix="mammometry-landmarks-") as folder:
         session = Path(folder) / "session"
         write_session(session, SessionRecipe(subject=f"torso_{number}", seed=number, scale=_SCALE))
@@ -141,7 +141,7 @@ def _of_session(number: int) -> tuple[VirtualScan, Known]:
 
 
 def _of_walk(walk: Path, border: Known) -> tuple[VirtualScan, Known]:
-    """The surface that our program makes of one telephone's photographs, in the body's frame."""
+    """Surface from one telephone's photographs by our program, body's frame."""
     truth = json.loads((walk / "truth" / "truth.json").read_text(encoding="utf-8"))
     with tempfile.TemporaryDirectory(prefix="mammometry-landmarks-") as folder:
         prepare_walk(walk / "photos", Path(folder) / "session")
@@ -189,7 +189,7 @@ def write(folder: Path, arguments: argparse.Namespace) -> None:
 
 
 def _shared(folder: Path, data: Path, kinds: Sequence[str], *, walks: bool) -> list[Callable[[], str]]:
-    """What is to be made of the shared bodies: those that are there."""
+    """Existing shared bodies, with the scans to be made of them."""
     scans, photos = data / "scans", data / "photos"
     wanted: list[Callable[[], str]] = []
     nipples = {body: nipples_of(photos / walk) for walk, body in _WALKS.items() if (photos / walk).is_dir()}
@@ -209,7 +209,7 @@ def _shared(folder: Path, data: Path, kinds: Sequence[str], *, walks: bool) -> l
 
 
 def found_by_us(path: Path) -> dict[str, Any]:
-    """What our program finds on one mesh, by the names of the benchmark."""
+    """Landmarks that our program finds on one mesh, with the benchmark's names."""
     row = measured(path, report=False)
     found: dict[str, Any] = dict(row["landmarks"])
     for side, own in row["sides"].items():

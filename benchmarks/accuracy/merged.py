@@ -69,7 +69,7 @@ def write_scans(solid: SubjectSolid, folder: Path, quality: str = "telephone") -
 
 
 def measured(mesh: Path, also: Sequence[Path] = ()) -> Row:
-    """Volumes and intervals of a mesh file, or of several merged, as the command finds them; or the refusal."""
+    """Volumes and intervals of one or several merged mesh files by the command, or the refusal."""
     row: Row = {"sides": {}, "refused": "", "fit": []}
     with tempfile.TemporaryDirectory(prefix="mammometry-merged-") as folder:
         try:
@@ -93,7 +93,7 @@ def rows_of(number: int) -> Iterator[Row]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Pair:
-    """What the second scan of a pair is made of."""
+    """Origin of the second scan of a pair."""
 
     woman: int = 0
     """Added to the woman's number."""
@@ -126,7 +126,7 @@ PAIRS: Mapping[str, _Pair] = MappingProxyType({
 
 
 def refusal_rows_of(number: int) -> Iterator[Row]:
-    """Yield what becomes of each pair of scans: how it was registered, or the refusal."""
+    """Yield the registration of each pair of scans, or its refusal."""
     first = scan(hanging_woman(number), QUALITIES["telephone"], _SEEDS[0])
     for name, pair in PAIRS.items():
         second = scan(hanging_woman(number + pair.woman, pair.posture), QUALITIES["telephone"], _SEEDS[1], "below")

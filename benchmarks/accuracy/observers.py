@@ -1,4 +1,4 @@
-"""Boundaries that several virtual persons draw: scatter of volumes, and intervals.
+"""Boundaries drawn by virtual observers: scatter of volumes, and intervals.
 
     python -m benchmarks.accuracy.observers --women 10 --first 1000
 
@@ -44,7 +44,7 @@ _SCALE_STD = 1e-3  # of lengths, drawn; the interval is told the same
 
 
 def drawn_by(boundary: Boundary, mesh: TriangleMesh, habit: float, rng: np.random.Generator) -> Boundary:
-    """A curve as one person draws it. Marks that are off, joined smoothly and laid onto the skin.
+    """A curve drawn by one observer: displaced marks, joined smoothly on the skin.
 
     Args:
         boundary: the true curve.
@@ -70,7 +70,7 @@ def drawn_by(boundary: Boundary, mesh: TriangleMesh, habit: float, rng: np.rando
 def rows_of(
     name: str, persons: int, edge_mm: float, rng: np.random.Generator, settings: MeasureSettings
 ) -> Iterator[dict[str, object]]:
-    """Rows of one woman: each drawing, each left less right."""
+    """Rows of one woman: each drawing, and each left minus right."""
     made = woman_named(name, 0, edge_mm=edge_mm)
     front = made.front()
     true = tuple(
@@ -102,7 +102,7 @@ def _truths(made, flat: dict[str, float], side: str) -> dict[str, float]:  # typ
 def measured(
     boundaries: Sequence[Boundary], mesh: TriangleMesh, frame: Float64[Array, "3 3"], settings: MeasureSettings
 ) -> Iterator[dict[str, object]]:
-    """Both breasts and left less right, with their intervals."""
+    """Both breasts and left minus right, with their intervals."""
     surface = scanned.as_scanned(mesh)
     both: list[VolumeMeasurement] = []
     for breast in open_breasts(boundaries, surface, settings, frame=frame):
@@ -141,7 +141,7 @@ def measured(
 
 
 def tables(rows: list[dict[str, object]]) -> Iterator[str]:
-    """Markdown: scatter between persons, then what each interval holds."""
+    """Tables in Markdown: scatter between observers, and coverage of the intervals."""
     good = [row for row in rows if "failed" not in row]
     yield f"{len(rows) - len(good)} of {len(rows)} failed"
     for family in dict.fromkeys(_family(row) for row in good):
@@ -211,7 +211,7 @@ def _held(
 
 
 def main() -> None:
-    """Make the women, let persons draw, print the tables."""
+    """Make the women, draw their boundaries, print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--women", type=int, default=10, help="of each family")
     parser.add_argument("--first", type=int, default=1000)

@@ -1,4 +1,4 @@
-"""How far in front of a cast's true base a rounded rim shows.
+"""Distance of a rounded rim's visible edge in front of a cast's true base.
 
     python -m benchmarks.accuracy.rims --scale 0.25 --radii 0 0.15 0.3 0.5 0.8
 
@@ -88,7 +88,7 @@ def _revolved(x: Float64[Array, " k"], z: Float64[Array, " k"]) -> TriangleMesh:
 
 
 def height_mm(rim_radius_mm: float, scale: float) -> float:
-    """How far in front of the true base, the middle of which it is averaged over, the cameras see it, mm."""
+    """Mean height of the visible rim over a cast's true base, mm."""
     solid, plan = dome(rim_radius_mm), find_plan("reference")[0]
     rig, place = build_rig(plan, scale, _SEED), rig_from_solid(solid, _SEED)
     scene = light_scene(solid, place, flashes(plan=plan), Room(backdrop=True), seed=_SEED)

@@ -54,7 +54,7 @@ def tables(rows: Sequence[Row]) -> Iterator[str]:
 
 
 def differences(rows: Sequence[Row]) -> Iterator[str]:
-    """Yield left less right beside the volumes: errors, and half-widths of their intervals."""
+    """Yield errors of left minus right, and half-widths of their intervals."""
     yield from _table(
         [row for row in rows if row["repetition"] == 0 and row.get("difference")],
         ("left − right − truth cc", "held", "RMS error / half-width", "of the volumes", "half-width cc median",
@@ -103,7 +103,7 @@ _WORST_PERCENT = 10.0  # beyond which a scan's volume may not differ from the cl
 
 
 def hanging_table(rows: Sequence[Row]) -> Iterator[str]:
-    """Yield what is found of hanging breasts: against the truth, and scans against the clean mesh; ptosis."""
+    """Yield the table of hanging breasts: errors against truth and clean mesh, and ptosis."""
     clean = {row["woman"]: row for row in rows if row["quality"] == CLEAN}
     yield "| bodies | scan | measured | volume − truth % | held | − clean %: median, worst | held | beyond 10 % "\
         "| ptosis graded, wrongly |"  # fmt: skip
@@ -239,7 +239,7 @@ def _landmarks(rows: Sequence[Row]) -> Iterator[str]:
 
 
 def _reasons(rows: Sequence[Row]) -> Iterator[str]:
-    """Yield why breasts that are there were not measured, numbers left out, the most frequent first."""
+    """Yield reasons why breasts were not measured, without numbers, most frequent first."""
     reasons: Counter[str] = Counter()
     for row in rows:
         for side in sides_of(row):
@@ -251,7 +251,7 @@ def _reasons(rows: Sequence[Row]) -> Iterator[str]:
 
 
 def _repeatability(rows: Sequence[Row]) -> Iterator[str]:
-    """Yield SEM, MDC and ICC of breasts that were scanned anew."""
+    """Yield SEM, MDC and ICC of breasts that were scanned again."""
     for quality in dict.fromkeys(row["quality"] for row in rows):
         volumes: dict[tuple[Any, str, str], list[float]] = {}
         for row in rows:

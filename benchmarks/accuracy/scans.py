@@ -70,7 +70,7 @@ class Body:
 
     @property
     def name(self) -> str:
-        """Of the virtual woman or the shared body."""
+        """Name of the virtual woman or the shared body."""
         return str(self.woman) if self.file is None else self.file.name.removesuffix("_truth.json")
 
     @property
@@ -88,7 +88,7 @@ _BELOW_FOLD_MM = (10.0, 60.0)  # of the nipples of hanging breasts
 
 
 def situation_of(number: int, posture: str) -> str:
-    """What is special about a woman: her posture, and an operation or a build, or breasts that hang."""
+    """Situation of a woman: her posture, and an operation, a build or hanging breasts."""
     if posture == _HANGING:
         below_mm = np.random.default_rng([number, 56]).uniform(*_BELOW_FOLD_MM)
         return f"posture=standing,hanging={below_mm:.0f}"
@@ -96,7 +96,7 @@ def situation_of(number: int, posture: str) -> str:
 
 
 def posture_of(number: int) -> str:
-    """The one posture of a woman, so that operations and postures meet evenly."""
+    """Posture of a woman, chosen so that operations and postures combine evenly."""
     return POSTURES[(number + number // len(_OPERATIONS)) % len(POSTURES)]
 
 
@@ -153,7 +153,7 @@ def measured(path: Path, units: str = "mm", *, report: bool = True, graded: bool
 
 
 def rows_of(body: Body) -> Iterator[Row]:
-    """Yield one row a scan."""
+    """Yield one row per scan."""
     for quality, repetition, own in _shared_rows(body) if body.file is not None else _rows_of_woman(body):
         yield {
             "key": body.key(quality, repetition), "woman": body.name, "posture": body.posture, "quality": quality,
@@ -244,7 +244,7 @@ def _summary(row: Row) -> str:
 
 
 def _missing(body: Body, folder: Path) -> Body:
-    """The same body with the scans of which no row is kept."""
+    """The body with only those scans that have no row."""
     scans = tuple(one for one in body.scans if not (folder / f"{body.key(*one)}.json").exists())
     return replace(body, scans=scans)
 

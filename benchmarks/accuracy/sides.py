@@ -1,4 +1,4 @@
-"""Torsos with one breast removed, and with mounds that have no fold: what is found on each side.
+"""Results for each side of torsos with one breast removed, and with mounds without a fold.
 
     python -m benchmarks.accuracy.sides
     python -m benchmarks.accuracy.sides --clinic --first 500 --torsos 12
@@ -48,7 +48,7 @@ _MOUNDS_CC = (80.0, 400.0)
 
 @dataclass(frozen=True)
 class Case:
-    """One body as it stands before the cameras."""
+    """A body in front of the cameras."""
 
     name: str
     surface: RepairedSurface
@@ -101,7 +101,7 @@ def cases(number: int, seed: int) -> Iterator[Case]:
 
 
 def clinic_cases(number: int, seed: int) -> Iterator[Case]:
-    """The same three, by the disturbances of the virtual clinic."""
+    """These three cases, made by disturbances of the virtual clinic."""
     if is_held_out(number):
         return
     rng = np.random.default_rng([seed, number, 29])
@@ -137,13 +137,13 @@ def clinic_cases(number: int, seed: int) -> Iterator[Case]:
 
 
 def same_wall_cc(case: Case, frame: Float64[Array, "3 3"]) -> dict[str, float]:
-    """What the default wall makes of the same skin within the true boundaries, cc."""
+    """Volume of true skin and boundaries with the default wall, cc."""
     opened = open_breasts(tuple(case.boundaries.values()), case.surface, frame=frame)
     return {each.boundary.name: chest_wall.fit(each).closed.volume_mm3() / 1000 for each in opened}
 
 
 def rows_of(number: int, seed: int, clinic: bool = False) -> Iterator[dict[str, object]]:
-    """One row a case."""
+    """Rows of all cases."""
     rng = np.random.default_rng([seed, number, 28])
     rough = Rotation.from_rotvec(np.deg2rad(_TILT_DEG) * rng.uniform(-1, 1, 3)).as_matrix()
     for case in (clinic_cases if clinic else cases)(number, seed):
@@ -179,7 +179,7 @@ def _volumes(case: Case, measured: tuple[VolumeMeasurement, ...], same: dict[str
 
 
 def summary(rows: list[dict[str, object]]) -> Iterator[str]:
-    """What the goals ask for."""
+    """Lines of the summary: sides that were found correctly, and errors of the mounds."""
     by_case = {name: [row for row in rows if row["case"] == name] for name in ("two", "removed", "mound")}
     yield "| right side | bodies | both sides rightly told | unclear or refused | wrong |"
     yield "| --- | --- | --- | --- | --- |"

@@ -23,7 +23,7 @@ _SPREADS = ((1.0, 0.5), (0.5, 1.0))  # standard deviations of differences betwee
 
 
 def correlations(tables: int, rng: np.random.Generator) -> TextTable:
-    """Of all six forms: faulty intervals, and coverage of ICC(2,1)."""
+    """Faulty intervals of all six forms, and coverage of ICC(2,1)."""
     rows = []
     for n, k in _SIZES:
         for rho in _CORRELATIONS:
@@ -58,7 +58,7 @@ def breasts(tables: int, rng: np.random.Generator) -> TextTable:
 
 
 def _held(difference: Float64[Array, " n"], whose: Float64[Array, " n"], limit: float) -> Float64[Array, "2 2"]:
-    """Whether bias and upper limit are held, by independent rows and by rows of women."""
+    """Whether the intervals of bias and upper limit contain the truth, by both analyses."""
     names = tuple(map(str, range(len(whose))))
     found = []
     for subjects in ((), tuple(map(str, whose))):

@@ -36,7 +36,7 @@ _EDGE_MM = 2.0
 
 @dataclass(frozen=True)
 class TrueTorso:
-    """A torso of the simulator as it stands before the cameras."""
+    """A torso of the simulator in front of the cameras."""
 
     solid: SubjectSolid
     """Placed; its frame is the rig's: x to the patient's left, y up, z towards the cameras."""
@@ -47,7 +47,7 @@ class TrueTorso:
 
 
 def true_torso(name: str, seed: int, *, edge_mm: float = _EDGE_MM) -> TrueTorso:
-    """Make a torso or a woman, and say which of her skin cameras in front would see."""
+    """A torso or a woman, with the skin that cameras in front would see."""
     solid = make_subject(name, seed, edge_mm=edge_mm)
     solid = solid.placed(rig_from_solid(solid, seed))
     return TrueTorso(solid=solid, surface=as_seen(solid.mesh), boundaries=true_boundaries(solid, solid.mesh.vertices))
@@ -72,7 +72,7 @@ def as_seen(mesh: TriangleMesh, least_cosine: float = _SEEN_COSINE) -> RepairedS
 
 
 def true_boundaries(solid: SubjectSolid, vertices: Float64[Array, "n 3"]) -> tuple[Boundary, ...]:
-    """The curves where skin and chest wall part."""
+    """Curves at which skin and chest wall separate."""
     return tuple(
         Boundary(name=name, points_world=vertices[solid.breasts[name].boundary], method="true")  # type: ignore[arg-type]
         for name in SIDES
@@ -80,7 +80,7 @@ def true_boundaries(solid: SubjectSolid, vertices: Float64[Array, "n 3"]) -> tup
 
 
 def walls_of(subject: TrueTorso, settings: MeasureSettings = MeasureSettings()) -> Iterator[dict[str, object]]:
-    """One row a breast and wall: its error, its base, its skin."""
+    """Rows of breasts and walls, with error, base and skin."""
     for breast in open_breasts(subject.boundaries, subject.surface, settings):
         boundary = breast.boundary
         truth = subject.solid.closed_breast(boundary.name).volume_mm3() / 1000
@@ -96,7 +96,7 @@ def walls_of(subject: TrueTorso, settings: MeasureSettings = MeasureSettings()) 
 
 
 def table(rows: list[dict[str, object]]) -> Iterator[str]:
-    """The comparison in Markdown: one row a wall, then what the interval's constants would be on these torsos alone."""
+    """The comparison in Markdown, one row per wall, and the interval's constants by these torsos."""
     yield "| wall | breasts | bias cc | SD cc | worst cc | error % | SD of ln(right/left) % | 95 % of error/base mm |"
     yield "| --- " * 8 + "|"
     found: dict[str, dict[tuple[str, str], tuple[float, float, float]]] = {}
