@@ -47,7 +47,7 @@ def gather(
     deidentify: bool = False,
     parts: Sequence[Part] = PARTS,
 ) -> Exported:
-    """Gather the exported content. Stale results are made first.
+    """The exported content. Stale results are computed first.
 
     A scan has no photographs, and no report without names: its pictures show the skin.
 

@@ -86,7 +86,7 @@ class Inputs:
     head_stated: bool = False
     """Whether the user stated where a mesh's head is. The program then does not check it."""
     attributions: Mapping[str, Attribution] = field(default_factory=dict)
-    """Breast → who drew its boundary, and who confirmed it by eye."""
+    """Breast → who drew its boundary, and who confirmed it."""
     landmarks: Mapping[str, Float64[Array, "k 3"]] = field(default_factory=dict)
     """Landmark (`measure.landmarks.landmarks`) → point or line picked by the user, world frame, mm."""
     scale_std: float | None = None

@@ -58,7 +58,7 @@ def gather(
     privacy: Privacy = Privacy(),
     progress: Progress = no_progress,
 ) -> ReportContent:
-    """Collect the report of a session. Products that are missing are made.
+    """Content of the report of a session. Missing products are computed.
 
     Args:
         plan: the whole job.
@@ -162,7 +162,7 @@ def gather(
 def whole_scene(plan: Plan) -> ViewerScene:
     """Scene of a session's own report in the 3D viewer.
 
-    Nothing is left out. It needs no previews. Products that are missing are made.
+    Nothing is left out. It needs no previews. Missing products are computed.
     """
     return _scene(plan, plan.value(measure.measurements) or (), plan[surface.mesh]().textured)
 

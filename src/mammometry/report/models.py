@@ -34,7 +34,7 @@ from mammometry.surface.texture.unmeasured import shown_colours
 Seen = Callable[[Float64[Array, "n 3"]], Float64[Array, "n 3"]]
 """World frame to viewing frame."""
 
-_TEXTURE_PX = 2560  # longer side of the photographs on the 3D surface, px: keeps the page small; chosen by eye
+_TEXTURE_PX = 2560  # longer side of the photographs on the 3D surface, px: keeps the page small; appearance only
 TRIANGLES = 200_000
 """Most triangles of a model: more are not visible on a screen and make the page large."""
 
@@ -159,7 +159,7 @@ class _ShownSurface:
     textured: TexturedMesh
     """Its colours."""
     measurements: Sequence[VolumeMeasurement]
-    """One a breast."""
+    """One per breast."""
     atlas: Atlas | None = None
     """The same surface textured with its photographs."""
 

@@ -12,7 +12,7 @@ from mammometry.report.figures.canvas import caption_in
 from mammometry.report.figures.catalogue import is_on_paper
 
 _PAPER_PX = 1400  # longer side of a picture in the PDF: about 190 dpi over the text width of A4
-_QUALITY = 88  # of WebP and JPEG, 0 to 100: a photograph as WebP then takes a third of a JPEG; chosen by eye
+_QUALITY = 88  # of WebP and JPEG, 0 to 100: a photograph as WebP then takes a third of a JPEG; appearance only
 _WEBP_EFFORT = 2  # of its encoder, 0 to 6: half the time of 4 for 4 % more bytes
 _SMALL_BYTES = 60_000
 """Lossless pictures below this size, bytes, stay lossless, because lines and text are sharper."""

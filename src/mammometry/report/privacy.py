@@ -17,7 +17,7 @@ from mammometry.surface.texture.texture import TexturedMesh
 
 WHOLE = "photographs of the subject, and no name except those in its heading"
 """What a full report contains."""
-_GREY = 176  # level of grey (0–255) instead of a colour; chosen by eye
+_GREY = 176  # level of grey (0–255) instead of a colour; appearance only
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -38,7 +38,7 @@ class Layer:
     help: str
     """One sentence on how to read it."""
     values: Float32[Array, " n"]
-    """One value a vertex: a category's number, or a value in `unit`. NaN where there is none."""
+    """One value per vertex: a category's number, or a value in `unit`. NaN where there is none."""
     kind: Literal["category", "sequential", "diverging"]
     unit: str = ""
     limits: tuple[float, float] = (0.0, 1.0)

@@ -1,7 +1,4 @@
-"""Warnings of a report, and what they are made from.
-
-`words.doubts` has those of the body, which a run shows in the terminal as well.
-"""
+"""Warnings of a report. Those about the body, which a run also shows in the terminal, are in `words.doubts`."""
 
 from __future__ import annotations
 
@@ -35,13 +32,13 @@ from mammometry.surface.repair.repair import Provenance, RepairedSurface
 from mammometry.walk.motion import WalkMotion
 
 _OF_PARTNER = "its partner's silhouette is not known"
-_MATCHED = 0.6  # of a silhouette that a pair should match; flanks seen obliquely cost up to a third
-_BLOCKED = 0.005  # of the subject in a photograph, hidden: less is a strap or a shadow; chosen by eye
-_SIZE_KNOWN = 0.004  # relative uncertainty of the board's size, above which it is the larger part of most intervals
-_MOVED_MM = 0.1  # size of the body's motions between photographs from which they are worth a sentence
+_MATCHED = 0.6  # least matched share of a silhouette without a note; oblique flanks cost up to a third
+_BLOCKED = 0.005  # hidden share of the subject in a photograph from which it is reported: less is a strap or a shadow
+_SIZE_KNOWN = 0.004  # relative uncertainty of the board's size above which it dominates most intervals
+_MOVED_MM = 0.1  # size of the body's motions between photographs from which they are reported
 _HUNG_UPWARDS = -0.04
-"""Share of half the boundary's height by which both breasts' mass lies above its middle (with the sign of below). 25
-virtual bodies had .05 to .6 below it; mounds, which are alike at both ends, have 0."""
+"""Mean `inferior_shift` of both breasts below which they are fuller above. 25 virtual bodies had 0.05 to 0.6; mounds,
+which are as full above as below, have 0."""
 
 
 def session_warnings(plan: Plan, settings: MeasureSettings) -> tuple[Notice, ...]:
@@ -69,21 +66,21 @@ class VolumeDoubts:
     """Results of a run on which its volumes depend."""
 
     measurements: Sequence[VolumeMeasurement]
-    """One a breast."""
+    """One per breast."""
     moved: Sequence[Notice] = ()
-    """What moved."""
+    """Warnings about motion."""
     body: BodyDirections | None = None
-    """The body's frame."""
+    """The body frame."""
     doubtful: Sequence[str] = ()
-    """Breasts on which no nipple was seen."""
+    """Breasts without a visible nipple."""
     unseparated: Mapping[str, str] = field(default_factory=dict)
-    """Camera → why its silhouette was sought and is not used."""
+    """Camera → reason why its silhouette is not used."""
     without_outline: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    """Pair → its cameras whose outlines are not known."""
+    """Pair → its cameras without an outline."""
 
 
 def volume_doubts(plan: Plan, settings: MeasureSettings) -> VolumeDoubts:
-    """Collect them from the products of a session's plan. Those that are missing are made."""
+    """The doubts from the products of a session's plan, which are computed if missing."""
     measurements = plan.value(measure.measurements) or ()
     unseparated = {} if (subjects := plan.value(match.subjects)) is None else subjects.doubts
     pairs = plan[calibrate.cameras]().rig.pair_names
@@ -100,26 +97,26 @@ def volume_doubts(plan: Plan, settings: MeasureSettings) -> VolumeDoubts:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RunResults(VolumeDoubts):
-    """Results of a run that may call for a warning."""
+    """Results of a run that may need a warning."""
 
     quality: CalibrationQuality | None
     """Verdict on the calibration. None for imported cameras."""
     calibration: Calibration | None
-    """With what was left out of it. None for imported cameras."""
+    """The calibration, with the photographs left out. None for imported cameras."""
     camera_doubts: Sequence[str] = ()
-    """Sentences on what makes imported cameras doubtful."""
+    """Reasons why imported cameras are doubtful, one sentence each."""
     shares: Mapping[str, float]
-    """Pair → share of the subject's silhouette that was matched. It lacks pairs without silhouettes."""
+    """Pair → matched share of the subject's silhouette, for pairs with silhouettes."""
     matching: Mapping[str, MatchQuality]
-    """Pair → how well it was matched."""
+    """Pair → quality of its matching."""
     foregrounds: Mapping[str, Foreground]
     """Camera → its silhouette."""
     repaired: RepairedSurface
     """The surface, world frame."""
     blocked: Mapping[str, Occlusion] = field(default_factory=dict)
-    """Camera → where something is in front of the subject."""
+    """Camera → places where something hides the subject."""
     walk: Walk | None = None
-    """What is known of one telephone's photographs. None for a rig's."""
+    """Facts about one telephone's photographs. None for a rig."""
     walk_motion: WalkMotion | None = None
     """Motion of the body between one telephone's photographs."""
 
@@ -151,7 +148,7 @@ def warnings(run: VolumeDoubts) -> Iterator[Notice]:
 
 
 def run_concerns(run: RunResults) -> Iterator[Notice]:
-    """Warn of what went less well in calibration and matching."""
+    """Yield notices about calibration, matching and coverage."""
     of_rig = rig_doubts(run.quality)
     if of_rig:
         yield Notice(code="calibration-doubtful", values={"text": sentence(of_rig[0])})
@@ -241,7 +238,7 @@ def walk_concerns(walk: Walk, motion: WalkMotion) -> Iterator[Notice]:
     """Notices on the board's size and on motion between the photographs.
 
     Args:
-        walk: what is known of the photographs.
+        walk: facts about the photographs.
         motion: of the body between them.
     """
     if walk.scale_std > _SIZE_KNOWN:

@@ -35,8 +35,8 @@ from mammometry.io.photographs.tags import read_exposure
 from mammometry.io.write import disk_errors, sync_folder
 from mammometry.job.stages import calibrate
 
-_LONGEST_PX, _QUALITY = 480, 75  # of a picture of about 20 kB; chosen by eye
-_SCREEN_PX, _SCREEN_QUALITY = 1600, 85  # of a picture that fills a screen, about 200 kB; chosen by eye
+_LONGEST_PX, _QUALITY = 480, 75  # of a picture of about 20 kB; appearance only
+_SCREEN_PX, _SCREEN_QUALITY = 1600, 85  # of a picture that fills a screen, about 200 kB; appearance only
 
 
 def thumbnail_path(upload: Upload) -> Path:

@@ -14,7 +14,7 @@ from mammometry.report.content import DISCLAIMER, Fact, ReportPicture
 from mammometry.report.figures.canvas import INK
 from mammometry.study.tables import TextTable
 
-_MARGIN_MM = 14.0  # of the page; chosen by eye
+_MARGIN_MM = 14.0  # of the page; appearance only
 _FOOTER_SIZE = 6.0  # points; smaller than all text above it
 ACCENT, FAINT = "#005a8e", "#586573"
 WARN = "#8a5a00"

@@ -31,7 +31,7 @@ from mammometry.study.tables import TextTable
 
 DOCUMENT = "report.pdf"
 _MOST_PAGES = 5
-_HEIGHT = 150.0  # of a breast's pictures, points; chosen by eye
+_HEIGHT = 150.0  # of a breast's pictures, points; appearance only
 _PICTURE_HEIGHTS = (120.0, 95.0)
 """Heights of the technical pictures, points. The document takes the largest that fits `_MOST_PAGES`."""
 _LEAST_PICTURES, _GAP = 200.0, 6.0  # least height of the first page's pictures, and space between them, points

@@ -61,7 +61,7 @@ def study_json(data: PairedMeasurements, figures: Agreement, checked: Sequence[C
     return in_json(data.notices) | agreement_json(data, figures, checked)
 
 
-_SURFACES_SHOWN = 12  # pictures of surfaces on a page; chosen by eye
+_SURFACES_SHOWN = 12  # pictures of surfaces on a page; appearance only
 _REMARKS = (
     "All volumes have the same kind of wall on the same mesh: only the curves differ.",
     "ICC(2,1) is for single measurements, and counts a constant offset as error: the observers are a sample of "

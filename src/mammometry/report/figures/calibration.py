@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from mammometry.io.drift import DriftEntry
 
 
-_PANEL_PX = 290  # width of a panel, px; chosen by eye
+_PANEL_PX = 290  # width of a panel, px; appearance only
 _FIELD_CELLS = (9, 6)  # columns, rows: square cells on pictures of 3:2
-_LEAST_IN_CELL = 3  # points for a mean residual; chosen by eye
+_LEAST_IN_CELL = 3  # points for a mean residual; appearance only
 
 
 @preview("detections", stage="calibrate", place=2, photographs=True, on_paper=True)

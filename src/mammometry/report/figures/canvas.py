@@ -38,11 +38,11 @@ DIVERGING = ("#08407e", "#2a78b5", "#7ab3d8", "#c9dfec", "#f4f3f0", "#f6d3ae", "
 DIVERGING_MISSING = "#9a9a9a"
 
 _DPI = 100  # one point of text is then 1.4 px
-_MARGIN = 14  # around a sheet, px; chosen by eye
-_GAP = 12  # between panels, px; chosen by eye
-_TITLE = 24  # height of a panel's title, px; chosen by eye
-_BAR = 84  # width of a colour bar with its labels, px; chosen by eye
-_TEXT_PT = 8.5  # size of text, points; chosen by eye
+_MARGIN = 14  # around a sheet, px; appearance only
+_GAP = 12  # between panels, px; appearance only
+_TITLE = 24  # height of a panel's title, px; appearance only
+_BAR = 84  # width of a colour bar with its labels, px; appearance only
+_TEXT_PT = 8.5  # size of text, points; appearance only
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

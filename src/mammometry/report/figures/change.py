@@ -21,11 +21,11 @@ from mammometry.surface.repair.repair import RepairedSurface
 from mammometry.surface.texture.texture import TexturedMesh
 from mammometry.surface.texture.unmeasured import WORDS, shown_colours
 
-_PANEL_PX = 330  # width of a panel, px; chosen by eye
-_VIEW_PX = 560  # size at which a view is rendered, px; chosen by eye
-_LEAST_MM = 2.0  # least end of the scale, mm; chosen by eye
-_TURN_DEG = 45.0  # of the oblique views; chosen by eye
-_ROOM_MM = 40.0  # shown around the breasts, mm; chosen by eye
+_PANEL_PX = 330  # width of a panel, px; appearance only
+_VIEW_PX = 560  # size at which a view is rendered, px; appearance only
+_LEAST_MM = 2.0  # least end of the scale, mm; appearance only
+_TURN_DEG = 45.0  # of the oblique views; appearance only
+_ROOM_MM = 40.0  # shown around the breasts, mm; appearance only
 BEFORE_LINE, AFTER_LINE = canvas.BLUE, canvas.VERMILION
 
 

@@ -19,9 +19,9 @@ from mammometry.report.figures.thinning import source_grid
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_PANEL_PX = 290  # width of a panel, px; chosen by eye
+_PANEL_PX = 290  # width of a panel, px; appearance only
 _MAP_PX = 640  # longer side of a map, px: more than its panel shows
-_EPIPOLAR_LINES = 9  # in each picture; chosen by eye
+_EPIPOLAR_LINES = 9  # in each picture; appearance only
 
 
 @preview("foreground", stage="match", place=1, photographs=True)

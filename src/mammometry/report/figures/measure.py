@@ -30,13 +30,13 @@ from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.figures.surface import show
 from mammometry.surface.texture.unmeasured import WORDS, shown_colours
 
-_PANEL_PX = 330  # width of a panel, px; chosen by eye
-_OVERVIEW_PX = 470  # size of an overview's view, px; chosen by eye
+_PANEL_PX = 330  # width of a panel, px; appearance only
+_OVERVIEW_PX = 470  # size of an overview's view, px; appearance only
 _FRONT_PX, _OBLIQUE_PX = 860, 560  # longer sides of the first page's pictures, px: about 190 dpi there
-_AROUND, _ABOVE = 1.6, 2.0  # picture's side over width and height of all boundaries; chosen by eye
-_LEAST_MM = 200.0  # side of such a picture at least; chosen by eye
-_SKIN = (0.90, 0.78, 0.70)  # colour, red green blue, 0 to 1; chosen by eye
-_WALL = (0.45, 0.66, 0.84)  # colour, red green blue, 0 to 1; chosen by eye
+_AROUND, _ABOVE = 1.6, 2.0  # picture's side over width and height of all boundaries; appearance only
+_LEAST_MM = 200.0  # side of such a picture at least; appearance only
+_SKIN = (0.90, 0.78, 0.70)  # colour, red green blue, 0 to 1; appearance only
+_WALL = (0.45, 0.66, 0.84)  # colour, red green blue, 0 to 1; appearance only
 _MIRRORED, _NONE = canvas.SKY, canvas.VERMILION  # a curve that was mirrored, and a place that is no breast's
 _WALL_LINE = canvas.BLUE
 _SKIN_LINE = canvas.VERMILION
@@ -237,10 +237,10 @@ def _turn(angle_rad: float) -> Float64[Array, "3 3"]:
     return np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
 
 
-_SYMMETRY_PANEL_PX = 300  # width of a panel, px; chosen by eye
-_VIEW_PX = 520  # size at which a view is rendered, px; chosen by eye
-_LEAST_DIFFERENCE_MM = 1.0  # least end of the scale, mm; chosen by eye
-_TURN_DEG = 50.0  # of the view from the outside; chosen by eye
+_SYMMETRY_PANEL_PX = 300  # width of a panel, px; appearance only
+_VIEW_PX = 520  # size at which a view is rendered, px; appearance only
+_LEAST_DIFFERENCE_MM = 1.0  # least end of the scale, mm; appearance only
+_TURN_DEG = 50.0  # of the view from the outside; appearance only
 
 
 @preview("symmetry", stage="measure", place=2, photographs=False)
@@ -292,7 +292,7 @@ def symmetry_map(result: MeasureResult) -> bytes | None:
 def reach_mm(symmetry: Symmetry) -> float:
     """A round end for the scale of a symmetry's map, mm.
 
-    98 % of both breasts lie within it. At least a millimetre.
+    98 % of both breasts are within it. At least 1 mm.
     """
     every_mm = np.concatenate([symmetry.left_mm, symmetry.right_mm])
     known_mm = np.abs(every_mm[np.isfinite(every_mm)])

@@ -13,7 +13,7 @@ from mammometry.report.figures.shading import picture_wh, standard_views
 from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.figures.surface import show
 
-_PANEL_PX = 470  # size of a view, px; chosen by eye
+_PANEL_PX = 470  # size of a view, px; appearance only
 _BELOW_RAD = np.deg2rad(-50.0)  # of the view from below, from which a fold is seen
 _SEVERAL = canvas.GREY
 

@@ -15,10 +15,10 @@ from mammometry.report.figures.surface import show
 from mammometry.study.agreement import Agreement, IntervalEstimate, PairedMeasurements
 from mammometry.study.observers import WHOLE, Apart, DrawnSurface, ObservedCurve, ObserverStudy
 
-_VIEW_PX = 380  # longer side of a view; chosen by eye
-_PLOT = (560, 300)  # size of a plot, px; chosen by eye
-_ROOM = (70, 46)  # for its labels, px; chosen by eye
-_LINE = 1.0  # width of a curve among many, points; chosen by eye
+_VIEW_PX = 380  # longer side of a view; appearance only
+_PLOT = (560, 300)  # size of a plot, px; appearance only
+_ROOM = (70, 46)  # for its labels, px; appearance only
+_LINE = 1.0  # width of a curve among many, points; appearance only
 _BAR = 0.38  # width of a bar, of a region's place
 
 
@@ -106,7 +106,7 @@ def _colours(observers: Sequence[str]) -> dict[str, str]:
     return {name: canvas.CYCLE[number % len(canvas.CYCLE)] for number, name in enumerate(observers)}
 
 
-_PANEL = (560, 360)  # size of the plot, px; chosen by eye
+_PANEL = (560, 360)  # size of the plot, px; appearance only
 
 
 def bland_altman(data: PairedMeasurements, figures: Agreement) -> bytes:

@@ -34,11 +34,11 @@ from mammometry.surface.ranges.visibility import Label
 OF_SURFACE = ("7",)
 """Figures of the finished surface alone, which a scan has as well."""
 FORMATS = (".pdf", ".svg", ".png")
-_PANEL_PX = 250  # width of a panel, px; chosen by eye
+_PANEL_PX = 250  # width of a panel, px; appearance only
 _PRINT_PX = 900
 """Longer side of a picture inside a figure: 300 dpi on 75 mm."""
-_SLAB_MM = 0.6  # half thickness of the section: points nearer than this to it are shown; chosen by eye
-_ARROW_MM = 40.0  # length of the arrows towards the cameras; chosen by eye
+_SLAB_MM = 0.6  # half thickness of the section: points nearer than this to it are shown; appearance only
+_ARROW_MM = 40.0  # length of the arrows towards the cameras; appearance only
 
 
 def write_figure(number: int, source: Source, path: Path, subject: str | None = None) -> None:
@@ -235,7 +235,7 @@ def _side(mesh: TriangleMesh, image: RangeImage) -> ViewDirection:
     return views_of(mesh, {image.name: sideways @ frame})[0]
 
 
-_DENT_PANEL_PX = 210  # width of a panel, px; chosen by eye
+_DENT_PANEL_PX = 210  # width of a panel, px; appearance only
 _GREYS = {Label.BEHIND: 0.95, Label.OUTSIDE: 0.78, Label.IN_FRONT: 0.60, Label.OVERLAPPING: 0.38}
 _MEANINGS = {
     Label.BEHIND: "behind (visible)",

@@ -9,7 +9,7 @@ from mammometry.job.graph import Plan
 from mammometry.job.products import STAGES, Definition, Family
 from mammometry.report.figures.canvas import INK
 
-_BOX_WH, _ROW, _COLUMN, _LEFT, _TOP = (156, 38), 58, 172, 96, 16  # px; chosen by eye
+_BOX_WH, _ROW, _COLUMN, _LEFT, _TOP = (156, 38), 58, 172, 96, 16  # px; appearance only
 _FILLS = {"current": "#dff0e4", "stale": "#fdf0c4", "damaged": "#f8d7d0", "absent": "#ffffff"}
 _WORST = tuple(reversed(_FILLS))  # a family is in the state of its worst product
 _STYLE = (
@@ -34,7 +34,7 @@ def product_graph(plan: Plan, known: Mapping[str, Known], subject: str | None = 
 
     Args:
         plan: of the session.
-        known: ``stage/product`` → what is known of it. Empty: the drawing shows neither states nor times.
+        known: ``stage/product`` → its state and time. Empty: the drawing shows neither.
         subject: identifier to store in the drawing, if any.
     """
     parents = _parents(plan)

@@ -20,9 +20,9 @@ from mammometry.report.figures.shading import ShadedMesh, picture_wh, standard_v
 from mammometry.report.figures.surface import show
 from mammometry.surface.texture.unmeasured import WORDS, shown_colours
 
-_PHOTOGRAPH_PX = 290  # width of a panel, px; chosen by eye
+_PHOTOGRAPH_PX = 290  # width of a panel, px; appearance only
 _TARGETS = 12  # views of the target that are shown; more are too small to see
-_VIEW_PX = 470  # size of a view, px; chosen by eye
+_VIEW_PX = 470  # size of a view, px; appearance only
 
 
 def photographs_seen(

@@ -24,15 +24,15 @@ from mammometry.report.figures.shading_kernels import shaded
 
 _LIGHTS = ((0.25, 0.45, 0.86, 0.72), (-0.75, 0.1, 0.65, 0.28), (0.1, -0.8, 0.6, 0.18))
 """Directions towards three lights (right, up, towards the viewer) and their strengths. Ambient light comes on top."""
-_EVEN_MM = 6.0  # standard deviation along a curve over which it is evened out to be drawn; chosen by eye
+_EVEN_MM = 6.0  # standard deviation along a curve over which it is evened out to be drawn; appearance only
 _STRENGTHS = np.array(
     [strength / np.linalg.norm(towards) * np.array(towards) for *towards, strength in _LIGHTS], dtype=np.float32
 )
 """Direction towards each light, times its strength."""
-_AMBIENT = 0.16  # strength of the ambient light; chosen by eye
+_AMBIENT = 0.16  # strength of the ambient light; appearance only
 _FOOT = 0.09
 """Height of the strip for the scale bar, relative to the mesh's."""
-_PLASTER = (0.86, 0.84, 0.80)  # colour, red green blue, 0 to 1; chosen by eye
+_PLASTER = (0.86, 0.84, 0.80)  # colour, red green blue, 0 to 1; appearance only
 
 
 @value(eq=False)
@@ -117,7 +117,7 @@ class ShadedMesh:
         face_colours: Float32[Array, "m 3"] | None = None,
         lit: bool | float = True,
     ) -> UInt8[Array, "h w 4"]:
-        """Picture of the mesh, RGBA, transparent where there is none. Edges smoothed by four samples a pixel.
+        """Picture of the mesh, RGBA, transparent where there is none. Edges are smoothed by four samples per pixel.
 
         Args:
             view: from where.

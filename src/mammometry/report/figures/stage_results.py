@@ -47,7 +47,7 @@ class CalibrationResult:
     calibration: Calibration | None = None
     """None for given cameras."""
     photographs: Mapping[tuple[str, str], Photograph] = field(default_factory=dict)
-    """(pose, camera) → photograph of the target. One a camera is read."""
+    """(pose, camera) → photograph of the target. One per camera is read."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,7 +125,7 @@ class MeasureResult:
     rig: Rig
     """For the directions to look from."""
     measurements: Sequence[VolumeMeasurement]
-    """One a breast."""
+    """One per breast."""
     textured: TexturedMesh
     """The whole surface with its colours."""
     repaired: RepairedSurface | None = None

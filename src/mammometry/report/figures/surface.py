@@ -18,7 +18,7 @@ from mammometry.study.tables import thousands
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 from mammometry.surface.texture.unmeasured import WORDS, shown_colours
 
-_PANEL_PX = 290  # width of a panel, px; chosen by eye
+_PANEL_PX = 290  # width of a panel, px; appearance only
 
 PROVENANCE_COLOURS: Mapping[Provenance, tuple[str, str]] = {
     Provenance.MEASURED: (canvas.BLUE, "measured: by at least one pair"),
@@ -189,12 +189,12 @@ def _map_sheet(shapes: Sequence[tuple[int, ...]], *, bars: bool = False, header:
     return PanelSheet(columns, rows, canvas.fitting(shapes, 270), bars=bars, header=header)
 
 
-_ERROR_PANEL_PX = 330  # width of a panel, px; chosen by eye
-_VIEW_PX = 600  # size at which a view is rendered, px; chosen by eye
+_ERROR_PANEL_PX = 330  # width of a panel, px; appearance only
+_VIEW_PX = 600  # size at which a view is rendered, px; appearance only
 _MAP = "RdBu_r"
 """Diverging colours that all common kinds of colour vision distinguish (ColorBrewer): blue inside, red outside."""
 _NOT_JUDGED = canvas.rgb("#b9b39b")
-_LEAST_MM = 0.05  # least end of the scale, mm: about the noise of the surface; chosen by eye
+_LEAST_MM = 0.05  # least end of the scale, mm: about the noise of the surface; appearance only
 
 
 def error_map(

@@ -19,7 +19,7 @@ LARGEST_WIDTH_PX = 1200
 """Largest width of a photograph in pictures of the matching, pixels."""
 _FOREGROUND_PX = 870  # width of a thinned foreground: three times its panel, for a smooth outline
 _MAP_PX = 640  # longer side of a thinned map: more than its panel shows
-_SHARE_PX = 320  # longer side of the grid on which shares are counted; chosen by eye
+_SHARE_PX = 320  # longer side of the grid on which shares are counted; appearance only
 _FAR_MM = 1000.0  # any distance: a camera at the same place projects the whole ray to one pixel
 
 

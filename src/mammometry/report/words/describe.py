@@ -404,7 +404,7 @@ def _value_words(value: object) -> str:
 
 
 SKIN_MEASURED = 0.8
-"""Smallest measured share of a breast's skin without a warning. Chosen by eye."""
+"""Smallest measured share of a breast's skin without a warning. It affects only the warning."""
 
 
 _AROUND_MM = 10.0  # around a breast: its skin is part of the surface, at most a cube's edge from its vertices

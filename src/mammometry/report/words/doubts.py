@@ -1,4 +1,4 @@
-"""Sentences on doubtful volumes of a torso, for report, first page and terminal."""
+"""Notices on doubtful volumes of a torso, for report, first page and terminal."""
 
 from __future__ import annotations
 

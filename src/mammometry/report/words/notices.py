@@ -24,7 +24,7 @@ class Text:
     concern: Concern = "volume"
     """``confirmation``: shown by the state of a clinic's visit. ``photographs``: about the matching of photographs."""
     caution: str = ""
-    """Shown beside the volumes on the first page. Empty: nothing."""
+    """Text next to the volumes on the first page. Empty: none."""
 
 
 FOLD_NOT_SEEN = (
@@ -253,7 +253,7 @@ def concerns(notice: Notice, breast: str) -> bool:
 
 
 def caution_of(notice: Notice) -> str:
-    """What the first page says beside the volumes. Empty: nothing."""
+    """Text next to the volumes on the first page. Empty: none."""
     return _filled(TEXTS[notice.code].caution, notice)
 
 
