@@ -1,7 +1,7 @@
 """Scans of a virtual body: its clean front, and a scan by a telephone.
 
 Scans resemble those of telephones: neighbouring pixels share noise, folds are bridged because a pixel averages over its
-surroundings, and rims at flat angles are ragged. Walks and light here are invented scenery; no result depends on them.
+surroundings, and rims at flat angles are ragged. Walks and light here are made up; no measurement uses them.
 """
 
 from __future__ import annotations

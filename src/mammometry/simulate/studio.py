@@ -57,7 +57,7 @@ _BACKGROUNDS = ("dark", "clutter")
 _IMAGE_FORMATS = ("jpg", "png", "tif")
 _WORKERS_AT_MOST = 8  # most threads: each stores a picture's radiance, 160 MB at full size
 _MEASURED_PX = 0.03
-"""Standard deviation of a dotted frame's points, as from a measuring program, px. Invented; no result depends on it."""
+"""Standard deviation of a dotted frame's points, as from a measuring program, px. Made up."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,6 +1,6 @@
 """Patients: mastectomy, mounds without fold, flaps, ptosis, build, arm positions, posture.
 
-All sizes here are invented scenery; no result depends on them.
+All sizes here are made up; no measurement uses them.
 """
 
 from __future__ import annotations

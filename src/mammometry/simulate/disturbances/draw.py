@@ -3,7 +3,7 @@
 The patient depends on the seed alone. The difficulty, 0 to 3, adds objects around the body and faults of the cameras,
 more and larger ones. At difficulty 0 only the patient differs from a clean capture. Seeds with remainder 2 after
 division by 3, and all from 9000, are held out: they are measured once, at the end, and not used for development. All
-shares here are invented scenery; no result depends on them.
+shares here are made up; no measurement uses them.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Drift is that of mounts that warm up or are pushed. Sway and breath are some mm/s, as of people who stand still. Lens
 effects scale with the picture. Effects of sensor and software (mosaic, sharpening, JPEG, noise) are per pixel at any
-size. All sizes here are invented scenery; no result depends on them.
+size. All sizes here are made up; no measurement uses them.
 """
 
 from __future__ import annotations

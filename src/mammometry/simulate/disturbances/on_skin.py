@@ -1,6 +1,6 @@
 """Skins and marks on them: dark, pale, older, wet, hairy, tattooed.
 
-All sizes here are invented scenery; no result depends on them.
+All sizes here are made up; no measurement uses them.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Meshes of objects, in the frame of their points: bars, sheets, boxes, cloth around a body.
 
-All sizes here are invented scenery; no result depends on them.
+All sizes here are made up; no measurement uses them.
 """
 
 from __future__ import annotations

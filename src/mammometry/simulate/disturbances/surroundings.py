@@ -1,7 +1,7 @@
 """Disturbances around the body: rails, bands, cloth, walls, a hand.
 
-In the solid's frame y = 0 is about the nipples' height, and z points out of the chest. All sizes here are invented
-scenery; no result depends on them.
+In the solid's frame y = 0 is about the nipples' height, and z points out of the chest. All sizes here are made up; no
+measurement uses them.
 """
 
 from __future__ import annotations

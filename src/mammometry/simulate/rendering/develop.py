@@ -17,7 +17,7 @@ from mammometry.geometry.arrays import Array, Float32, Float64, UInt16
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.kernels import develop as develop_kernel
 
-_SHARPENED_PX = 1.0  # σ of the blur used for sharpening, px; invented, no result depends on it
+_SHARPENED_PX = 1.0  # σ of the blur used for sharpening, px; made up
 # Malvar, He and Cutler 2004: linear interpolation of the missing colours, corrected by the gradient of the known one.
 _GREEN = np.array([[0, 0, -1, 0, 0], [0, 0, 2, 0, 0], [-1, 2, 4, 2, -1], [0, 0, 2, 0, 0], [0, 0, -1, 0, 0]]) / 8.0
 _IN_ROW = (

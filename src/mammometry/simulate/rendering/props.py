@@ -1,6 +1,6 @@
 """Objects other than the subject, in plain colours: a dark board, a cluttered room, hair.
 
-All sizes here are invented scenery; no result depends on them.
+All sizes here are made up; no measurement uses them.
 """
 
 from __future__ import annotations

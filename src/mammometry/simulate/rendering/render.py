@@ -29,7 +29,7 @@ _PLAIN_SAMPLES = 4  # rays per pixel within the subject, through a pinhole
 _EDGE_SAMPLES = 16  # rays per pixel on an edge
 _UNSHARP_PLAIN_SAMPLES = 16  # rays per pixel within the subject, through a lens's aperture
 _UNSHARP_EDGE_SAMPLES = 64  # rays per pixel on an edge, through a lens's aperture
-_PLAIN_CONTRAST = 0.2  # mottling of everything but skin, logarithm of lightness; invented, no result depends on it
+_PLAIN_CONTRAST = 0.2  # mottling of everything but skin, logarithm of lightness; made up
 AMBIENT = 0.10
 """Radiance of a white surface in the light of the surroundings."""
 _STRIP_PIXELS = 150_000  # pixels traced at a time; limits memory

@@ -37,7 +37,7 @@ class SubjectMotion:
     chest: Float64[Array, 3]
     """Point with the largest motion by breathing, mm."""
     reach_mm: float = 130.0
-    """Gaussian σ of the motion by breathing around its centre, mm: about a chest's. Invented scenery."""
+    """Gaussian σ of the motion by breathing around its centre, mm: about a chest's. Made up."""
 
     def at(self, points: Float64[Array, "n 3"], seconds: float) -> Float64[Array, "n 3"]:
         """Positions of points after some seconds. Second-order terms (a micrometre) are neglected."""
@@ -65,7 +65,7 @@ class Prop:
 
 
 SOFT_BOX_RADIUS_MM = 90.0
-"""Radius of the disc of each flash. Invented, like the other sizes here: no result depends on it."""
+"""Radius of the disc of each flash. Made up, like the other sizes here."""
 _SOFT_BOX_SAMPLES = 4  # rays from a vertex to each flash
 _SKY_SAMPLES = 10  # rays from a vertex to its surroundings
 _LIFT_MM = 0.05  # height above the skin at which a ray starts, so that it does not hit its own face

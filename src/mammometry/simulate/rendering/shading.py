@@ -1,6 +1,6 @@
 """Compiled inner loops of the renderer: colour and light on surfaces.
 
-The colour is a function of the position on the surface. All sizes here are invented scenery; no result depends on them.
+The colour is a function of the position on the surface. All sizes here are made up; no measurement uses them.
 Plain NumPy versions: tests/unit/simulate/test_kernels.py and test_shading.py. The kernels release the interpreter's
 lock, so that images are rendered by as many threads as there are cores.
 """

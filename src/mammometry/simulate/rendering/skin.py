@@ -1,7 +1,7 @@
 """Appearance of a surface: colours, mottling, pores, moles, veins, sheen, softness, hair.
 
 Only parameters: kernels compute the colours, as a function of the position on the surface, so that all cameras see the
-same. All sizes here are invented scenery; no result depends on them.
+same. All sizes here are made up; no measurement uses them.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Virtual rigs: planned positions of cameras and flashes, and rigs built with small errors.
 
-All sizes here are invented scenery; no result depends on them.
+All sizes here are made up; no measurement uses them.
 """
 
 from __future__ import annotations

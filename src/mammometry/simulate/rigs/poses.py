@@ -1,6 +1,6 @@
 """Poses of the target such that all cameras see it and neighbouring pairs share it.
 
-All numbers here are invented scenery; no result depends on them.
+All numbers here are made up; no measurement uses them.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from mammometry.calibration.targets.target import Target
 from mammometry.geometry import Array, Bool, Camera, Float64, Transform
 
 _USEFUL_DEG = 70.0
-"""Largest angle between a board's normal and the line of sight. Invented; no result depends on it."""
+"""Largest angle between a board's normal and the line of sight. Made up."""
 _DOT_USEFUL_DEG = 60.0
 """The same for a dot on a body. `find_cylinder` measures none beyond it."""
 _USEFUL_POINTS = 12

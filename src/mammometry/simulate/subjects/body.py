@@ -1,7 +1,7 @@
 """A trunk with shoulders, upper arms and neck, without breasts. Its skin is the zero level of a field.
 
 Solid's frame: x to the patient's left, y to the head, z out of the chest, mm. y = 0 is about the nipples' height, z = 0
-the trunk's axis there. All sizes here are invented scenery; no result depends on them.
+the trunk's axis there. All sizes here are made up; no measurement uses them.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Float32, Float64
 from mammometry.simulate.subjects.solid import smoothstep
 
-_SOFT_MM = 1.5  # half the width over which a mark's colour fades; invented, no result depends on it
+_SOFT_MM = 1.5  # half the width over which a mark's colour fades; made up
 
 Point = tuple[float, float]
 

@@ -26,7 +26,7 @@ _SNAP = 0.2  # share of an edge: a vertex closer than this to the boundary is mo
 _VOLUME_ROUNDS = 3  # rounds of scaling a breast to its volume
 _HANG_ROUNDS = 2  # rounds of pulling a breast down: the nipple's height is almost linear in the pull
 _ARMPIT_MM = 25.0  # height above the lowest junction of arm and trunk in which the armpit's front is searched
-# Invented scenery; no result depends on these two.
+# Made up:
 _FORWARD = 0.6  # weight of straight ahead, relative to the chest's normal, in a breast's direction
 _SLACK = 0.6  # pull down the chest relative to gravity, as stretched skin yields there
 

@@ -1,6 +1,6 @@
 """Measures of a torso and of its breasts, drawn by seed.
 
-All sizes here are invented scenery; no result depends on them.
+All sizes here are made up; no measurement uses them.
 """
 
 from __future__ import annotations
