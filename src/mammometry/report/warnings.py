@@ -1,4 +1,7 @@
-"""Warnings of a report. Those about the body, which a run also shows in the terminal, are in `words.doubts`."""
+"""Warnings of a report.
+
+Those about the body, which a run also shows in the terminal, are in `words.doubts`.
+"""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ class Score:
 
     @property
     def mean_mm(self) -> float | None:
-        """Mean of the distances, mm. None without any; likewise below."""
+        """Mean of the distances, mm. None if no place was found."""
         return float(self.distances_mm.mean()) if self.found else None
 
     @property

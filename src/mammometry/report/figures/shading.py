@@ -117,7 +117,9 @@ class ShadedMesh:
         face_colours: Float32[Array, "m 3"] | None = None,
         lit: bool | float = True,
     ) -> UInt8[Array, "h w 4"]:
-        """Picture of the mesh, RGBA, transparent where there is none. Edges are smoothed by four samples per pixel.
+        """Picture of the mesh, RGBA, transparent where there is none.
+
+        Edges are smoothed by four samples per pixel.
 
         Args:
             view: from where.
