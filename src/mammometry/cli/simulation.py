@@ -17,6 +17,8 @@ from mammometry.base.shell import command_line
 from mammometry.cli.acceptance import DEMO_FOLDER, acceptance_demo
 from mammometry.cli.common import Answer, Bars, Options, OutputOptions, command
 from mammometry.cli.compile_cache import compiled_ahead
+from mammometry.cli.photos import DEMO_FOLDER as WALK_FOLDER
+from mammometry.cli.photos import compared, photos_demo, simulated_walk
 from mammometry.cli.stages import opened, volume_lines
 from mammometry.simulate.recipe import SessionRecipe, parse_situation
 from mammometry.simulate.rendering.film import Film
@@ -63,13 +65,7 @@ def scan_demo(folder: Path, options: Options) -> Answer:
     table["stage_seconds"] = {"simulate": round(simulated, 3), **table["stage_seconds"]}
     truth = woman.volumes_cc
     table |= {"scan": str(folder), "true_volumes_cc": {name: round(value, 3) for name, value in truth.items()}}
-    lines: list[Any] = []
-    for name, true_cc in truth.items():
-        measured_cc = results.volumes_cc.get(name)
-        result = "not measured" if measured_cc is None else f"measured {measured_cc:.0f} cc"
-        off = "" if measured_cc is None else f" ({100 * (measured_cc / true_cc - 1):+.0f} %)"
-        lines.append(f"{name}: {result}, true {true_cc:.0f} cc{off}")
-    return Answer(table, [*lines, *volume_lines(results)])
+    return Answer(table, [*compared(results.volumes_cc, truth), *volume_lines(results)])
 
 
 def _woman() -> SubjectSolid:
@@ -101,7 +97,12 @@ _DEMO_RECIPE = _RECIPE
 
 
 @command(
-    app, "mammometry demo", "mammometry demo /tmp/demo --json", "mammometry demo --scan", "mammometry demo --acceptance"
+    app,
+    "mammometry demo",
+    "mammometry demo /tmp/demo --json",
+    "mammometry demo --scan",
+    "mammometry demo --photos",
+    "mammometry demo --acceptance",
 )
 def demo(
     options: Options,
@@ -109,12 +110,16 @@ def demo(
         Path | None,
         typer.Argument(
             metavar="[FOLDER]",
-            help="Folder for the virtual session, scan or test.",
-            show_default=f"{_DEMO}, {FOLDER} or {DEMO_FOLDER}",
+            help="Folder for the virtual session, scan, walk or test.",
+            show_default=f"{_DEMO}, {FOLDER}, {WALK_FOLDER} or {DEMO_FOLDER}",
         ),
     ] = None,
     scan: Annotated[
         bool, typer.Option("--scan", help="Scan a virtual standing woman with a virtual telephone, and measure that.")
+    ] = False,
+    photos: Annotated[
+        bool,
+        typer.Option("--photos", help="Photograph a virtual standing woman with a virtual telephone, and measure her."),
     ] = False,
     acceptance: Annotated[
         bool, typer.Option("--acceptance", help="Test a virtual device with virtual artefacts of known size.")
@@ -123,10 +128,12 @@ def demo(
     """Simulate, photograph and measure a plaster breast, and compare with its volume."""
     from mammometry.simulate.session import true_volumes_cc
 
+    if scan + photos + acceptance > 1:
+        raise typer.BadParameter("--scan, --photos and --acceptance are three demos: give one of them")
     if acceptance:
-        if scan:
-            raise typer.BadParameter("--scan and --acceptance are two demos: give one of them")
         return acceptance_demo(folder or DEMO_FOLDER, options)
+    if photos:
+        return photos_demo(folder or WALK_FOLDER, options)
     if scan:
         chosen = folder or FOLDER
         return scan_demo(chosen, options)
@@ -162,6 +169,8 @@ def demo(
     "mammometry simulate OUT --clinic 16 --difficulty 2",
     "mammometry simulate OUT --subject scan.ply --units mm --rig rig.toml",
     "mammometry run OUT",
+    "mammometry simulate OUT --telephone --subject torso_4 --disturb breath=0.3",
+    "mammometry photos OUT/photos",
 )
 def simulate(
     options: OutputOptions,
@@ -233,6 +242,14 @@ def simulate(
             show_default=False,
         ),
     ] = "",
+    telephone: Annotated[
+        bool,
+        typer.Option(
+            "--telephone",
+            help="Photographs by one telephone instead of a rig. --subject is a torso or a woman; the options of rigs, "
+            "targets and lenses are not used.",
+        ),
+    ] = False,
     clinic: Annotated[
         int | None, typer.Option(help="Choose a torso and all disturbances by this seed.", min=0, show_default=False)
     ] = None,
@@ -240,7 +257,7 @@ def simulate(
         int, typer.Option(help="With --clinic: 0 draws only the patient, 3 the most disturbances.", min=0, max=3)
     ] = 1,
 ) -> Answer:
-    """Render a session of a virtual rig. The truth is written to OUT/truth."""
+    """Render a session of a virtual rig, or a walk with a telephone. The truth is written to OUT/truth."""
     from mammometry.simulate.disturbances.draw import draw
     from mammometry.simulate.disturbances.registry import check
     from mammometry.simulate.rendering.skin import make_skin
@@ -249,6 +266,20 @@ def simulate(
     from mammometry.simulate.studio import Studio, refusing
 
     begun = time.monotonic()
+    if telephone:
+        if clinic is not None or rig != _RECIPE.rig:
+            raise typer.BadParameter("--telephone has no rig: leave out --rig and --clinic")
+        return simulated_walk(
+            out,
+            options,
+            subject=None if subject == _RECIPE.subject else subject,
+            seed=seed,
+            scale=None if scale == _RECIPE.scale else scale,
+            skin=None if skin == "plaster" else skin,
+            contrast=contrast,
+            noise=noise,
+            disturb=disturb,
+        )
     if rig.partition(":")[0] == _RECIPE.rig:
         _require_calibratable(scale, poses)
     mesh_file = _mesh_file(subject, units, subject_scale, subject_turn)

@@ -21,6 +21,7 @@ from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Float32, Float64, Transform, TriangleMesh, UInt8
 from mammometry.simulate.rendering.develop import srgb_encoded
 from mammometry.simulate.rendering.skin import SKINS
+from mammometry.simulate.rigs.poses import looking
 from mammometry.simulate.subjects.solid import SubjectSolid
 from mammometry.study.rays import RayScene
 from mammometry.surface.fusion.marching import march
@@ -85,16 +86,7 @@ def depth_pictures(
         a, e = np.radians(np.array([azimuth, elevation]) + rng.normal(0.0, 3.0, 2))
         away = np.array([math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e)])
         centre = target + rng.uniform(*_DISTANCE_MM) * away
-        yield _picture(scene, _looking(centre, target + rng.normal(0.0, 15.0, 3)), noise_mm, width_px, rng)
-
-
-def _looking(centre: Float64[Array, 3], target: Float64[Array, 3]) -> Transform:
-    """Frame of an upright camera: x right, y down, z ahead."""
-    ahead = (target - centre) / np.linalg.norm(target - centre)
-    right = np.cross(ahead, [0.0, 1.0, 0.0])
-    right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(ahead, right), ahead])
-    return Transform(rotation=rotation, translation_mm=-rotation @ centre)
+        yield _picture(scene, looking(centre, target + rng.normal(0.0, 15.0, 3)), noise_mm, width_px, rng)
 
 
 def _picture(scene: RayScene, camera: Transform, noise_mm: float, width: int, rng: np.random.Generator) -> DepthPicture:

@@ -22,7 +22,7 @@ from mammometry.calibration.targets.target import Target
 from mammometry.geometry import Rig, Transform
 from mammometry.simulate.disturbances.about import Surroundings
 from mammometry.simulate.disturbances.exposure import CaptureConditions, plain_exposure
-from mammometry.simulate.disturbances.registry import DISTURBANCES, disturbed
+from mammometry.simulate.disturbances.registry import DISTURBANCES, check, disturbed
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.scene import StudioScene
 from mammometry.simulate.rigs.build import build_rig, flashes, pairs_of
@@ -88,6 +88,7 @@ def write_session(
         expected="a rig, a subject, a scale and poses that can be rendered",
         remedy="Correct the argument; --help names the choices",
     ):
+        check(recipe.situation, without="walk")
         plan, wanted = find_plan(recipe.rig)
         built = build_rig(plan, recipe.scale, seed)
         built = pairs_of(built, wanted) if wanted else built

@@ -153,14 +153,14 @@ def photograph(
                     background=film.stray_light,
                 )
                 noise = _noise_seed(seed, number, index)
-                taking.append(pool.submit(_take, path, render, film, noise))
+                taking.append(pool.submit(take_picture, path, render, film, noise))
                 if studio.target.body.comes_measured:
                     taking.append(pool.submit(_measure, path, camera, placed, studio.target, noise))
         # Submitted last: when the first of them starts, the scene is ready, or nearly so.
         for index, name in enumerate(exposure.rig.cameras):
             path, film = folder / "capture" / f"{name}{suffix}", exposure.films[name]
             render = partial(_capture, lit, name, exposure, studio, seed)
-            taking.append(pool.submit(_take, path, render, film, _noise_seed(seed, 0, index)))
+            taking.append(pool.submit(take_picture, path, render, film, _noise_seed(seed, 0, index)))
         try:
             for done, future in enumerate(as_completed(taking), start=1):
                 future.result()
@@ -182,7 +182,7 @@ def _capture(
     )
 
 
-def _take(path: Path, render: Callable[[], Float32[Array, "h w *c"]], film: Film, seed: int) -> None:
+def take_picture(path: Path, render: Callable[[], Float32[Array, "h w *c"]], film: Film, seed: int) -> None:
     """Render, develop and write one picture."""
     sixteen = path.suffix == ".tif"
     pixels = develop(render(), film, name=path.name, seed=seed, bits=16 if sixteen else 8).pixels

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from mammometry.geometry import Array, Bool, Camera, Float64
 if TYPE_CHECKING:  # a manifest is read without the algorithms
     from mammometry.calibration.targets.target import Target
 
-TELEPHONE_BOARD: Mapping[str, object] = MappingProxyType(
+TELEPHONE_BOARD: Mapping[str, Any] = MappingProxyType(
     {"kind": "charuco", "squares": [11, 7], "square_mm": 24.0, "marker_mm": 17.0, "dictionary": "DICT_5X5_100"}
 )
 """``[target]`` of the board drawn by `mammometry target --telephone`: it fills an A4 page in landscape."""

@@ -60,3 +60,18 @@ def test_the_help_names_every_family(capsys: pytest.CaptureFixture[str]) -> None
     said = " ".join(capsys.readouterr().out.replace("│", " ").split())
     assert [family for family in SUBJECTS if family != "user-mesh" and family not in said] == []
     assert "leaning-woman-wide" in said
+
+
+@pytest.mark.parametrize("wrong", [["--rig", "rig.toml"], ["--clinic", "3"], ["--disturb", "drift=0.02"]])
+def test_a_telephone_has_no_rig(tmp_path, wrong):
+    assert main.run(["simulate", str(tmp_path / "walk"), "--telephone", *wrong]) != 0
+    assert not (tmp_path / "walk").exists()
+
+
+def test_a_rig_has_no_walk(tmp_path):
+    assert main.run(["simulate", str(tmp_path / "session"), "--disturb", "breath=0.3"]) != 0
+    assert not (tmp_path / "session").exists()
+
+
+def test_two_demos_at_once_are_refused(tmp_path):
+    assert main.run(["demo", str(tmp_path / "demo"), "--photos", "--scan"]) == 2

@@ -1,7 +1,8 @@
 """Registry of the disturbances.
 
 A new one is a function in one of these files, or in a new file with one line here. Each changes one value between a
-recipe and the photographs: the torso's shape, its skin, the objects around it, or how the pictures are taken. Its
+recipe and the photographs: the torso's shape, its skin, the objects around it, or how a rig or a telephone takes the
+pictures. Its
 random values depend on the session's seed and its own name, so that removing a disturbance changes nothing else.
 """
 
@@ -18,7 +19,7 @@ from mammometry.base.errors import UnknownWordError
 from mammometry.base.registry import Registry
 from mammometry.simulate.recipe import Disturbance, Situation
 
-Stage: TypeAlias = Literal["patient", "skin", "thing", "shoot"]
+Stage: TypeAlias = Literal["patient", "skin", "thing", "shoot", "walk"]
 """Value that a disturbance changes."""
 Size: TypeAlias = "float | str"
 
@@ -111,7 +112,8 @@ class DisturbanceKind:
 DISTURBANCES: Registry[DisturbanceKind] = Registry(
     "disturbance",
     modules=tuple(
-        f"mammometry.simulate.disturbances.{module}" for module in ("bodies", "on_skin", "surroundings", "exposures")
+        f"mammometry.simulate.disturbances.{module}"
+        for module in ("bodies", "on_skin", "surroundings", "exposures", "walks")
     ),
 )
 """Name → disturbance."""
@@ -143,15 +145,20 @@ def disturbed(value: Any, stage: Stage, situation: Situation, seed: int) -> Any:
     return value
 
 
-def check(situation: Situation) -> None:
+def check(situation: Situation, without: Stage | None = None) -> None:
     """Refuse unknown names and sizes.
+
+    Args:
+        situation: the disturbances.
+        without: a stage that the capture does not have: "walk" for a rig, "shoot" for a walk.
 
     Raises:
         ValueError: a disturbance or its size is unknown.
     """
+    known = [name for name, kind in DISTURBANCES.items() if kind.stage != without]
     for item in situation.disturbances:
-        if item.name not in DISTURBANCES:
-            raise UnknownWordError(f"disturbances are {', '.join(DISTURBANCES)}", f"{item.name!r}")
+        if item.name not in known:
+            raise UnknownWordError(f"disturbances are {', '.join(known)}", f"{item.name!r}")
         DISTURBANCES[item.name].sized(item)
 
 

@@ -148,3 +148,20 @@ def _plane(z: Float64[Array, 3]) -> tuple[Float64[Array, 3], Float64[Array, 3]]:
 def _unit(vector: Array) -> Float64[Array, 3]:
     unit: Float64[Array, 3] = vector / np.linalg.norm(vector)
     return unit
+
+
+def looking(centre: Float64[Array, 3], target: Float64[Array, 3], roll_rad: float = 0.0) -> Transform:
+    """Pose of a camera that looks at a point: x right, y down, z ahead, upright where y is up in the world.
+
+    Args:
+        centre: of the camera, mm.
+        target: the point, mm.
+        roll_rad: turn about its line of sight.
+    """
+    ahead = (target - centre) / np.linalg.norm(target - centre)
+    right = np.cross(ahead, [0.0, 1.0, 0.0])
+    right /= np.linalg.norm(right)
+    down = np.cross(ahead, right)
+    rolled = math.cos(roll_rad) * right + math.sin(roll_rad) * down
+    rotation = np.stack([rolled, np.cross(ahead, rolled), ahead])
+    return Transform(rotation=rotation, translation_mm=-rotation @ centre)
