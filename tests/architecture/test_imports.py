@@ -264,6 +264,7 @@ def test_truth_is_read_by_evaluation_alone(repository: Path) -> None:
     names = (
         "simulate/truth.py",
         "simulate/session.py",
+        "simulate/walk.py",
         "io/truth.py",
         "api/truth.py",
         "api/truth.py",

@@ -60,7 +60,7 @@ def photos(
 
 
 def photos_demo(folder: Path, options: Options) -> Answer:
-    """Photograph a virtual standing woman with a virtual telephone, measure her, and compare with her volumes.
+    """Photograph and measure a virtual standing woman, and compare with her volumes.
 
     Raises:
         MammometryError: the folder holds something else, or she cannot be measured.

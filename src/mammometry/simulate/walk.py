@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from functools import partial
@@ -45,13 +45,13 @@ PHOTOGRAPHS, TRUTH = "photos", "truth"
 BOARD = "board.toml"
 _STANDING, _UNDISTURBED = parse_situation("posture=standing"), Situation()
 _FILM = Film(vignetting=0.15, electrons=9000.0, jpeg_quality=92, chroma_halved=True)
-_SIZE_WH = (4032, 3024)
+_SIZE_WH = (4032, 3024)  # of a photograph at full size
 _FOCAL = 0.74  # focal length by the picture's width: 26 mm on a frame of 36 mm, as of telephones' main cameras
-_DISTORTION = (0.05, -0.1, 0.0, 0.0, 0.0)
+_DISTORTION = (0.05, -0.1, 0.0, 0.0, 0.0)  # a barrel of about 1 % in the corners
 _ARC_DEG, _HEIGHTS_DEG = 62.0, (-14.0, 18.0)  # to either side; elevations of the two rounds
 _JITTER_DEG, _AIM_MM, _ROLL_RAD = 1.5, 15.0, 0.03  # standard deviations of where the telephone is and looks
 _DISTANCE_MM = (560.0, 640.0)  # from the middle between breasts and board
-_LAMPS_MM = ((-900.0, 700.0, 1300.0), (900.0, 600.0, 1300.0), (0.0, 150.0, 1700.0))
+_LAMPS_MM = ((-900.0, 700.0, 1300.0), (900.0, 600.0, 1300.0), (0.0, 150.0, 1700.0))  # in front of the chest
 _BRIGHTNESS = 1.1  # radiance of white paper that faces the middle lamp, full scale 1
 _BELOW_FOLD_MM = 50.0  # from the lowest fold to the card's upper edge
 _GAP_MM = 2.0  # between the card and the nearest skin
@@ -148,7 +148,8 @@ def write_walk(out: Path, recipe: WalkRecipe = WalkRecipe(), *, progress: Progre
     try:
         with whole_folder(out) as made:
             (made / PHOTOGRAPHS).mkdir()
-            _photograph(made / PHOTOGRAPHS, recipe, walk, scene, skin, _chest(woman), cameras, progress)
+            shot = replace(recipe, skin=skin)
+            _photograph(made / PHOTOGRAPHS, shot, cameras, partial(_breathing, scene, walk, _chest(woman)), progress)
             (made / PHOTOGRAPHS / BOARD).write_text(_described(recipe), encoding="utf-8")
             (made / TRUTH).mkdir()
             write_ply(made / TRUTH / "body.ply", woman.mesh)
@@ -258,23 +259,18 @@ def _cameras(recipe: WalkRecipe, walk: WalkConditions, aim: Float64[Array, 3]) -
 def _photograph(
     folder: Path,
     recipe: WalkRecipe,
-    walk: WalkConditions,
-    scene: StudioScene,
-    skin: SkinReflectance,
-    chest: Float64[Array, 3],
     cameras: Mapping[str, Camera],
+    at: Callable[[int], StudioScene],
     progress: Progress,
 ) -> None:
-    still = np.zeros(3)
+    """Write all photographs. `at` gives the scene at each."""
 
     def take(number: int, camera: Camera) -> None:
-        breath_mm = walk.breath_mm[number] * np.array(_BREATH_AHEAD)
-        breath = SubjectMotion(sway_mm_s=still, turn_rad_s=still, breath_mm_s=breath_mm, chest=chest)
         render = partial(
             render_subject,
-            moved(scene, breath, 1.0) if breath_mm.any() else scene,
+            at(number),
             camera,
-            skin,
+            recipe.skin,
             seed=recipe.seed,
             aperture=recipe.film.aperture(camera),
             background=recipe.film.stray_light,
@@ -291,6 +287,14 @@ def _photograph(
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
+
+
+def _breathing(scene: StudioScene, walk: WalkConditions, chest: Float64[Array, 3], number: int) -> StudioScene:
+    """The scene at a photograph."""
+    breath_mm, still = walk.breath_mm[number] * np.array(_BREATH_AHEAD), np.zeros(3)
+    if not breath_mm.any():
+        return scene
+    return moved(scene, SubjectMotion(sway_mm_s=still, turn_rad_s=still, breath_mm_s=breath_mm, chest=chest), 1.0)
 
 
 def _truth(

@@ -151,7 +151,9 @@ def _unit(vector: Array) -> Float64[Array, 3]:
 
 
 def looking(centre: Float64[Array, 3], target: Float64[Array, 3], roll_rad: float = 0.0) -> Transform:
-    """Pose of a camera that looks at a point: x right, y down, z ahead, upright where y is up in the world.
+    """Pose of a camera that looks at a point: x right, y down, z ahead.
+
+    Without a roll the camera is upright where y is up in the world.
 
     Args:
         centre: of the camera, mm.
