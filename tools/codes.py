@@ -10,7 +10,7 @@ from pathlib import Path
 
 from mammometry.base import errors, extras
 from mammometry.base.errors import MammometryError
-from mammometry.report.words.notices import TEXTS
+from mammometry.base.notices.texts import TEXTS
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "codes.md"
 _ELSEWHERE = (

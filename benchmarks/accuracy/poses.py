@@ -37,7 +37,7 @@ def settled_frame(mesh: TriangleMesh, head: str | None = None, ahead: str | None
         MeasureError: no front, or no trunk on it.
     """
     frame = _by_axes(mesh, head, ahead)
-    scan = RepairedScan(mesh=mesh, invented=np.zeros(len(mesh.vertices), dtype=bool), notes=())
+    scan = RepairedScan(mesh=mesh, invented=np.zeros(len(mesh.vertices), dtype=bool), notices=())
     for _ in range(_ROUNDS):
         front = front_of_body(scan, frame)
         frame = find_body(scanned.as_scanned(front.mesh, front.invented), frame, stated=True).frame

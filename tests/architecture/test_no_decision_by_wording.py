@@ -21,7 +21,7 @@ METHODS = {
 }
 MESSAGES = {"error", "warning", "notice", "note", "sentence", "remark", "message"}
 FORMATS = {
-    "report/words/notices.py: sentence.startswith(begin)",  # sentences that version 1.0 stored
+    "base/notices/words.py: sentence.startswith(begin)",  # sentences that version 1.0 stored
     "io/results/codecs.py: words.removesuffix('to be confirmed by eye')",  # likewise
     "simulate/rigs/rig_file.py: first['msg'].removeprefix('Value error, ')",  # pydantic writes it before our own words
     "capture/sessions.py: first['msg'].removeprefix('Value error, ')",

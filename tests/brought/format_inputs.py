@@ -19,6 +19,7 @@ from tests.brought import test_imported_cameras as brought_cameras
 from tests.unit.measure.solids import dome
 
 from mammometry.base.errors import SessionError
+from mammometry.base.notices import words_of
 from mammometry.batch.entries import find_entries
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.calibration.targets.table import target_from_table
@@ -282,7 +283,7 @@ def read_cameras(paths: list[Path]) -> np.ndarray:
     files = [path for path in paths if path.name != "points3D.txt"]
     cameras = import_cameras(files, PAIR)
     for doubt in require_rig(paths[0].name, cameras, PAIR, "torso"):
-        raise SessionError(paths[0].name, found=doubt, expected="no doubts", remedy="Look")
+        raise SessionError(paths[0].name, found=words_of(doubt), expected="no doubts", remedy="Look")
     left, right = (cameras[name].camera_from_world for name in PAIR["front"])
     turned = right.rotation @ left.rotation.T
     moved = right.translation_mm - turned @ left.translation_mm

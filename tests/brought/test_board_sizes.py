@@ -143,6 +143,6 @@ def test_rows_of_another_pitch_than_stated_show_as_pixels_that_are_not_square() 
     stretched = replace(observations, target=replace(CYLINDER, row_pitch_mm=13.2))
     findings = list(about_pixels(calibrate(stretched, PAIRS, "rig")))
     assert len(findings) == 4
-    assert all(verdict == "refuse" for verdict, _ in findings)
-    assert "front_left are 1.1" in findings[0][1]
-    assert "[target]" in findings[0][1]
+    assert {(found.verdict, found.notice.code) for found in findings} == {("refuse", "pixels-not-square")}
+    assert findings[0].notice.about == ("front_left",)
+    assert findings[0].notice.values["ratio"] == pytest.approx(1.1, abs=0.05)

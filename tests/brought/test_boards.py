@@ -12,6 +12,7 @@ from tests.unit.calibration.virtual_rig import BOARD as CHESS_IN_RIG
 from tests.unit.calibration.virtual_rig import PAIRS, cameras_in_rig, observe, placements, shifted
 
 from mammometry.base.errors import CalibrationError
+from mammometry.base.notices import words_of
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.adjust.bundle import calibrate
 from mammometry.calibration.adjust.calibrated import Calibration
@@ -161,7 +162,7 @@ def judged(observations: Observations) -> tuple[str, str, float]:
     quality = assess(calibration)
     pair, true = calibration.rig.pair("front"), [CAMERAS[name].centre_world for name in PAIRS["front"]]
     baseline = np.linalg.norm(pair.right.centre_world - pair.left.centre_world) / np.linalg.norm(true[1] - true[0])
-    said = quality.reasons[0]
+    said = words_of(quality.notices[0])
     if quality.verdict == "refuse":
         said = str(refusal(calibration, quality, recalibrate, QualitySettings()))
     return quality.verdict, said, float(baseline) - 1.0

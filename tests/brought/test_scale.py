@@ -10,6 +10,7 @@ from tests.unit.measure.solids import dome
 from tests.unit.report import synthetic
 
 from mammometry.base.errors import CalibrationError, MammometryError, SessionError
+from mammometry.base.notices import words_of
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.judge.findings import about_scale
 from mammometry.calibration.judge.scale import require_scale
@@ -82,17 +83,17 @@ def calibrated(rig: Rig, board_mm: float, factor: float = 1.0) -> Calibration:
 
 
 def noticed(calibration: Calibration, kind: str) -> tuple[bool, str]:
-    """Whether it is refused, and what is said of its size. Empty: nothing."""
+    """Whether it is refused, and the error or the warnings about its size. Empty: nothing."""
     try:
         require_scale(calibration, kind)
     except CalibrationError as error:
         return True, str(error)
-    return False, " ".join(reason for verdict, reason in about_scale(calibration) if verdict == "warn")
+    return False, " ".join(words_of(found.notice) for found in about_scale(calibration) if found.verdict == "warn")
 
 
 def noticed_of_cameras(rig: Rig, kind: str) -> str:
     try:
-        return " ".join(require_rig("a.yml", rig.cameras, rig.pair_names, kind))
+        return " ".join(map(words_of, require_rig("a.yml", rig.cameras, rig.pair_names, kind)))
     except SessionError as error:
         return str(error)
 

@@ -231,7 +231,7 @@ def test_of_a_whole_body_the_trunks_front_is_left() -> None:
     assert 0 < low[1] < 150
     assert 550 < high[1] < 680
     assert low[0] > -60
-    assert "trunk" in scan.notes[-1]
+    assert scan.notices[-1].code == "front-of-trunk"
 
 
 # --- what else stands in a scan ---
@@ -262,9 +262,8 @@ def test_a_wall_a_floor_and_a_chair_are_left_out_and_said() -> None:
     for things in (beside, beside[:1], beside[2:]):
         scan = repair_scan(joined([*things, front()]))
         assert scan.mesh.area_mm2() == pytest.approx(front().area_mm2(), rel=1e-6)
-        assert len(scan.notes) == 1
-        assert scan.notes[0].startswith(f"{len(things)} ")
-        assert ("wall" in scan.notes[0]) == (things[0] is wall)
+        code = "mesh-planes-removed" if things[0] is wall else "mesh-pieces-removed"
+        assert [(notice.code, notice.values["pieces"]) for notice in scan.notices] == [(code, len(things))]
     assert len(repair_scan(plane(300, 300, (0, 0, 0))).mesh.faces) == 722  # alone it is what was scanned
 
 
@@ -293,8 +292,7 @@ def test_a_wall_that_hangs_on_the_body_is_cut_off() -> None:
     scan = front_of_body(repair_scan(mesh), FRAME)
     assert scan.mesh.vertices[:, 2].min() > -60
     assert np.ptp(scan.mesh.vertices[:, 0]) < 2.1 * RADIUS_MM
-    (note,) = scan.notes
-    assert "trunk" in note
+    assert [notice.code for notice in scan.notices] == ["front-of-trunk"]
 
 
 # --- unit, head, ahead ---

@@ -174,7 +174,7 @@ def test_every_unit_and_every_spelling_is_the_same_scan(tmp_path: Path, unit: st
     for suffix in ("ply", "obj", "stl", "glb"):
         read = read_foreign(written(twin, tmp_path / f"a.{suffix}"), unit)
         assert np.ptp(read.mesh.vertices, axis=0) == pytest.approx(expected, rel=1e-5)
-        assert read.assumed == ""
+        assert read.assumed is None
     for number, word in enumerate(SPELLINGS[unit]):
         assert unit_named(word) == unit
         for suffix in ("ply", "obj"):
@@ -288,6 +288,6 @@ def test_nothing_of_a_doubtful_scan_is_exported_or_compared(tmp_path: Path, caps
 def test_an_imported_scan_is_in_mm_whatever_its_file_was_in(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mesh, folder = written(in_unit(front(), "cm"), tmp_path / "a.ply"), tmp_path / "scan"
     write_outputs(folder, import_scan(mesh, ScanFacts(scanner="A", units="")), command="import mesh")
-    assert read_scan(folder).remarks[0].endswith("If it is another, import the scanner's file again with --units.")
+    assert [notice.values["unit"] for notice in read_scan(folder).notices] == ["cm"]
     assert main.run(["measure", str(folder), "--units", "in", "--out", str(tmp_path / "out")]) == 2
     assert "Import the scanner's file again" in " ".join(capsys.readouterr().err.split())

@@ -206,8 +206,8 @@ def test_bad_calibration_photographs_are_left_out_and_named(
     with Image.open(mirrored) as image:
         image.transpose(Image.Transpose.FLIP_LEFT_RIGHT).save(mirrored, quality=95)
     assert main.run(arguments) == 0
-    reasons = json.loads(capsys.readouterr().out)["reasons"]
-    assert any(reason.startswith("pose 01, front_left: ") for reason in reasons)
+    notices = json.loads(capsys.readouterr().out)["notices"]
+    assert ["calibration/01/front_left"] in [notice["photographs"] for notice in notices]
     shutil.copy(tiny / "calibration" / "00" / "front_left.jpg", tiny / "calibration" / "03" / "front_left.jpg")
     assert main.run(arguments) == 5
     message = json.loads(capsys.readouterr().out)["error"]

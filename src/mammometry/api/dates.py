@@ -14,13 +14,13 @@ from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.identity import NAMELESS, one_subject
 from mammometry.base.machine.cores import one_blas_thread
 from mammometry.base.notices import Notice
+from mammometry.base.notices.words import words_at
 from mammometry.base.progress import Progress, no_progress, part
 from mammometry.geometry.transform import Transform
 from mammometry.io.outputs import require_apart, require_free, write_outputs
 from mammometry.io.results.stamp import stamped
 from mammometry.io.results.store import Watch, unwatched
 from mammometry.job.stages import measure
-from mammometry.report.words.notices import words_at
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:

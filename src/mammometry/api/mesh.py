@@ -32,6 +32,7 @@ from mammometry.base.errors import MammometryError, MeasureError, SessionError
 from mammometry.base.identity import Identity
 from mammometry.base.machine.cores import available_cores, one_blas_thread
 from mammometry.base.notices import Notice
+from mammometry.base.notices.words import maybe_words
 from mammometry.base.progress import Progress, no_progress
 from mammometry.base.shell import command_line
 from mammometry.geometry import Array, Float64, Rig, TriangleMesh
@@ -43,7 +44,7 @@ from mammometry.io.drawn import (
     boundaries_in,
     landmarks_in,
 )
-from mammometry.io.meshes.foreign import ForeignMesh, read_foreign, unit_remark
+from mammometry.io.meshes.foreign import ForeignMesh, read_foreign, unit_notice
 from mammometry.io.meshes.measured import MeshFiles, describe, has_own_folder, with_edits
 from mammometry.io.meshes.merged import merge_scans, sigma_mm, stored_sources
 from mammometry.io.meshes.scans import skin_colours
@@ -115,11 +116,14 @@ class MeshJob(Job):
             MeasureError: the mesh cannot be measured, the boundary is not on it, or a landmark is off it or on the
                 wrong side.
         """
-        self._assumed, self._method, self._given = "", method, given
+        self._assumed: Notice | None = None
+        self._method, self._given = method, given
         try:
             self._open(files, folder, settings or Settings(), watch, edited=edited)
         except MammometryError as error:
-            raise (error.of_mesh() if isinstance(error, MeasureError) else error).with_remark(self._assumed) from None
+            raise (error.of_mesh() if isinstance(error, MeasureError) else error).with_remark(
+                maybe_words(self._assumed)
+            ) from None
 
     def _open(self, files: MeshFiles, folder: Path, settings: Settings, watch: Watch, *, edited: bool) -> None:
         from mammometry.measure import scanned
@@ -139,7 +143,7 @@ class MeshJob(Job):
         drawn = DrawnBoundaries() if files.boundary is None else boundaries_in(files.boundary, _NAMES)
         of_torso = "model" not in drawn.curves
         foreign = read_foreign(files.mesh, files.units, of_torso=of_torso)
-        self._assumed = foreign.assumed if files.scan is None else unit_remark(files.scan.units, imported=True)
+        self._assumed = foreign.assumed if files.scan is None else unit_notice(files.scan.units)
         if files.boundary is None and files.landmarks is None and not files.automatic:
             remedy = "Add --boundary b.json, or --landmarks l.json with the protocol's landmarks, or --automatic"
             expected = "the boundary of the breast on this mesh"
@@ -194,10 +198,11 @@ class MeshJob(Job):
             scan = front_of_body(scan, frame)
         checked = files.sides_checked or (files.scan is not None and bool(files.scan.sides))
         self.sides_doubtful = self.kind == "torso" and scan.inside_out and not checked
-        of_file = foreign.notes if files.scan is None else files.scan.remarks or filter(None, [self._assumed])
+        of_file = foreign.notices if files.scan is None else files.scan.notices or filter(None, [self._assumed])
         self.notices: tuple[Notice, ...] = (
             *([Notice(code="sides-doubtful")] if self.sides_doubtful else []),
-            *(Notice(code="mesh-repaired", level="note", values={"text": note}) for note in (*of_file, *scan.notes)),
+            *of_file,
+            *scan.notices,
         )
         mesh = scan.mesh
         curves = {name: scanned.in_mesh_unit(curve, mesh, foreign.mm_per_unit) for name, curve in curves.items()}
@@ -339,7 +344,7 @@ class MeshJob(Job):
                 pictures = None if begin is None else begin()
                 self.plan.ensure("measure")
             except MeasureError as refused:
-                error = refused.with_remark(self._assumed or f"The unit of the mesh: {self.units}")
+                error = refused.with_remark(maybe_words(self._assumed) or f"The unit of the mesh: {self.units}")
                 if drawn:
                     show_refusal(self.store.folder, self.identity, error, self._refused)
                 raise error from None

@@ -59,7 +59,7 @@ class Results:
     @property
     def notes(self) -> tuple[str, ...]:
         """The notices as text, one sentence each."""
-        from mammometry.report.words.notices import words_of
+        from mammometry.base.notices.words import words_of
 
         return tuple(map(words_of, self.notices))
 

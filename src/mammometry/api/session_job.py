@@ -27,7 +27,7 @@ from mammometry.base.errors import (
 )
 from mammometry.base.machine.cores import one_blas_thread
 from mammometry.base.machine.system import peak_memory_mb, reuse_freed_memory
-from mammometry.base.notices import Notice
+from mammometry.base.notices import Notice, words_of
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
@@ -282,7 +282,7 @@ class Job(Reported):
     def no_breast(self) -> dict[str, str]:
         """Side of a torso without a volume → reason: no breast, unclear or refused."""
         self.ensure("measure")
-        return {side.name: side.why for side in self.plan.value(measure.absent) or ()}
+        return {side.name: words_of(side.reason) for side in self.plan.value(measure.absent) or ()}
 
     def lacking(self) -> tuple[VolumeDeficit, ...]:
         """Volume deficit of the smaller side of a torso relative to the mirrored larger one."""

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from mammometry.base.errors import StorageError
 from mammometry.base.identity import NAMELESS, Identity
 from mammometry.base.machine.cores import one_blas_thread
+from mammometry.base.notices.words import words_of
 from mammometry.base.progress import Progress
 from mammometry.io.drawn import read_boundaries
 from mammometry.io.outputs import require_apart, require_free, write_outputs
@@ -26,7 +27,6 @@ from mammometry.job.stages import surface
 from mammometry.job.stages.report import PageInputs, report_key
 from mammometry.report.content import ReportContent, ReportPicture
 from mammometry.report.scene import SCENE
-from mammometry.report.words.notices import words_of
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:

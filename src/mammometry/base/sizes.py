@@ -21,6 +21,8 @@ class Size:
     """A length computed from the user's values, mm, with its possible and usual range."""
 
     mm: float
+    name: str
+    """Names the length in codes: ``view``."""
     possible_mm: Range
     usual_mm: Range
     words: str
@@ -47,7 +49,9 @@ class Size:
 
 def subject_extent(mm: float) -> Size:
     """Longest side of a surface to be measured."""
-    return Size(mm=mm, possible_mm=SUBJECT_MM, usual_mm=_USUAL_SUBJECT_MM, words="its longest side is {}")
+    return Size(
+        mm=mm, name="extent", possible_mm=SUBJECT_MM, usual_mm=_USUAL_SUBJECT_MM, words="its longest side is {}"
+    )
 
 
 def likely_units(sizes: Sequence[Size]) -> dict[str, float]:
@@ -55,15 +59,16 @@ def likely_units(sizes: Sequence[Size]) -> dict[str, float]:
     return {unit: factor for unit, factor in UNITS.items() if all(size.is_usual(factor) for size in sizes)}
 
 
-def fitting(stated_mm: float, sizes: Sequence[Size]) -> str:
-    """Suggest the value that would make all sizes usual, if the given one is not in mm.
-
-    Returns:
-        The end of a sentence, such as ``: 25 mm would fit``. Empty if no unit fits.
-    """
+def fitting_values(stated_mm: float, sizes: Sequence[Size]) -> list[str]:
+    """Values that would make all sizes usual, if the given one is not in mm, such as ``25 mm``."""
     units = likely_units(sizes)
-    values = [
+    return [
         f"{stated_mm * factor:.4g} mm" + (" (if it was in inches)" if unit == "inches" and len(units) > 1 else "")
         for unit, factor in units.items()
     ]
+
+
+def fitting(stated_mm: float, sizes: Sequence[Size]) -> str:
+    """Those values as the end of a sentence: ``: 25 mm would fit``. Empty if no unit fits."""
+    values = fitting_values(stated_mm, sizes)
     return f": {' or '.join(values)} would fit" if values else ""

@@ -228,6 +228,7 @@ def mesh(
     pictures. The original file names are not kept, because they may contain a patient's name. Scans merged with --also
     become one scan.ply, whose vertices have the property source: 1 the first scan, 2 the second, 3 both.
     """
+    from mammometry.base.notices import words_of
     from mammometry.io.meshes.scans import FILES, MESH, ScanFacts, import_scan, read_scan
     from mammometry.io.outputs import require_apart, require_free, write_outputs
 
@@ -243,7 +244,8 @@ def mesh(
     pictures = sum(name.startswith("texture-") for name in made)
     sentence = f"{out / MESH}: with {pictures} pictures" if pictures else f"{out / MESH}: without pictures"
     taken = read_scan(out)
-    notes = list(taken.remarks)
+    notes = list(map(words_of, taken.notices))
     table: dict[str, Any] = {"folder": str(out), "mesh": str(out / MESH), "files": sorted(made), "notes": notes}
+    table["notices"] = [notice.as_table() for notice in taken.notices]
     table |= {"merged_scans": [scan.as_table() for scan in taken.also]} if taken.also else {}
     return Answer(table, [sentence, *(f"note: {note}" for note in notes)])

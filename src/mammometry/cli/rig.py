@@ -43,9 +43,9 @@ def check(
     The photograph shows the calibration target. The exit code is 10 if a camera has moved. Photographs of the
     calibration itself, of an earlier check, or older than the calibration by their time stamps are refused.
     """
+    from mammometry.base.notices.words import in_json, lines_of
     from mammometry.cli.stages import opened
     from mammometry.io import drift
-    from mammometry.report.words.notices import in_json, lines_of
 
     if history == (image_set is not None):
         raise typer.BadParameter("give either --image-set FOLDER or --history")
@@ -89,10 +89,10 @@ def check(
 def _history(session: Path, history: History, drawn: Path, limit_mm: float) -> Answer:
     from rich.table import Table
 
+    from mammometry.base.notices.words import in_json, lines_of
     from mammometry.io import drift
     from mammometry.io.outputs import write_output
     from mammometry.report.figures.calibration import drift as draw
-    from mammometry.report.words.notices import in_json, lines_of
 
     warnings = lines_of(history.notices)
     if not history.entries:
@@ -138,14 +138,12 @@ def import_cameras(
     import json as json_module
 
     from mammometry.base.errors import SessionError
-    from mammometry.base.notices import Notice
+    from mammometry.base.notices.words import in_json, lines_of
     from mammometry.io.cameras import formats
     from mammometry.io.cameras.formats import require_rig
     from mammometry.io.cameras.own import cameras_table
     from mammometry.io.outputs import require_apart, require_free, write_output
     from mammometry.io.session import Session
-    from mammometry.report.content import sentence
-    from mammometry.report.words.notices import in_json, lines_of
 
     opened = Session.open(session)
     path = session / "cameras.json"
@@ -162,8 +160,7 @@ def import_cameras(
         )
     names = ", ".join(file.name for file in files)
     upside_down = [name for name, mounting in opened.manifest.rig.turned.items() if mounting == "upside-down"]
-    doubts = require_rig(names, cameras, opened.pair_names, opened.manifest.subject.kind, upside_down)
-    notices = [Notice(code="imported-camera-doubtful", values={"text": sentence(doubt)}) for doubt in doubts]
+    notices = require_rig(names, cameras, opened.pair_names, opened.manifest.subject.kind, upside_down)
     content = json_module.dumps(cameras_table(cameras), indent=1) + "\n"
     write_output(path, content.encode(), command="import-cameras")
     return Answer(

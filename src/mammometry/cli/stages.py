@@ -90,6 +90,7 @@ def calibrate(options: Options, session: SessionFolder) -> Answer:
     cameras = job.plan[product]()
     table |= {"rms_px": cameras.rms_px, "world": cameras.world, "cameras": len(cameras.rig.cameras)}
     table |= {"verdict": cameras.verdict, "reasons": list(cameras.reasons)}
+    table |= {"notices": [notice.as_table() for notice in cameras.notices]}
     rms = "ready-made" if cameras.rms_px is None else f"verdict: {cameras.verdict}"
     reasons = [f"- {reason}" for reason in cameras.reasons]
     return Answer(table, [f"{len(cameras.rig.cameras)} cameras, {rms}. World: {cameras.world}", *reasons, _made(table)])
@@ -104,8 +105,8 @@ def match(options: Options, session: SessionFolder) -> Answer:
     from mammometry.job.stages.match import disparity
 
     job, table = _stage("match", session, options)
+    from mammometry.base.notices.words import in_json, lines_of
     from mammometry.matching.quality import assess, concerns
-    from mammometry.report.words.notices import in_json, lines_of
 
     missing = _without_outline(job)
     table |= {"matched_pixels": {}, "weak_percent": {}, "d_v_px": {}}
@@ -144,7 +145,7 @@ def surface(options: Options, session: SessionFolder) -> Answer:
     from mammometry.job.stages.surface import stillness as product
 
     job, table = _stage("surface", session, options)
-    from mammometry.report.words.notices import in_json, lines_of
+    from mammometry.base.notices.words import in_json, lines_of
     from mammometry.surface.motion.motion_detection import concerns, summary
 
     mesh, stillness = job.surface().repaired.mesh, job.plan[product]()
@@ -253,7 +254,7 @@ def report(
 
 def volume_lines(results: Results) -> list[Any]:
     """Volumes in words, and where the report is."""
-    from mammometry.report.words.notices import lines_of
+    from mammometry.base.notices.words import lines_of
     from mammometry.report.words.volumes import MEANINGS, definition_words, measured_words, verdict_words
 
     lines: list[Any] = []

@@ -66,7 +66,7 @@ def info(options: Options, session: SessionOrScan) -> Answer:
 
 def _scan_info(folder: Path, scan: MeshJob, stages: dict[str, Any], options: Options) -> Answer:
     """Contents of a scan, its current results, and the next step."""
-    from mammometry.report.words.notices import words_of
+    from mammometry.base.notices.words import words_of
 
     words = _drawn_words(scan.plan, scan.inputs)
     drawn = [f"boundary {name}: {how}" for name, how in words.items()]

@@ -80,7 +80,7 @@ def compare(
 
 
 def _lines(comparison: Comparison) -> list[Any]:
-    from mammometry.report.words.notices import lines_of
+    from mammometry.base.notices.words import lines_of
 
     lines: list[Any] = lines_of(comparison.notices)
     lines += [breast["verdict"] for breast in comparison.table["breasts"].values()]
@@ -378,8 +378,8 @@ def interval_table(results: Sequence[PhantomResult]) -> TextTable:
 def _answer(
     folder: Path, data: PairedMeasurements, figures: Agreement, checked: Sequence[CheckedFigure], *more: TextTable
 ) -> Answer:
+    from mammometry.base.notices.words import lines_of
     from mammometry.report.documents.study_pages import study_json
-    from mammometry.report.words.notices import lines_of
     from mammometry.study.agreement_tables import agreement_tables, summary
 
     tables = (*agreement_tables(data, figures, checked), *more)

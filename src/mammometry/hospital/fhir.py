@@ -10,6 +10,7 @@ import json
 from collections.abc import Iterator
 from typing import Any, Literal
 
+from mammometry.base.notices.words import concerns, words_of
 from mammometry.hospital import codes
 from mammometry.hospital.codes import Coded, identifier
 from mammometry.hospital.exported import (
@@ -22,7 +23,6 @@ from mammometry.hospital.exported import (
     as_patient_id,
 )
 from mammometry.report.content import Signed
-from mammometry.report.words.notices import concerns, words_of
 
 Release = Literal["R4", "R5"]
 _PACKAGES = {"R4": "fhir.resources.R4B", "R5": "fhir.resources"}

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 from mammometry.base.listing import visible
+from mammometry.base.notices import words_of
 from mammometry.hospital.exported import Absent, CoveredModel, CoveredModels, Exported, ExportedMesh, Quantity, Side
 from mammometry.io.photographs.images import EXTENSIONS
 from mammometry.job.stages import measure, surface
@@ -222,7 +223,7 @@ def _difference(measured: Sequence[VolumeMeasurement]) -> Iterator[Quantity]:
 
 def _absent(side: NoBreast) -> Absent:
     kind: Literal["none", "unclear", "refused"] = "refused" if side.refused else "unclear" if side.unclear else "none"
-    return Absent(side="left" if side.name == "left" else "right", why=side.why, kind=kind)
+    return Absent(side="left" if side.name == "left" else "right", why=words_of(side.reason), kind=kind)
 
 
 def _models(measured: Sequence[VolumeMeasurement], surface: TriangleMesh) -> Iterator[ExportedMesh]:

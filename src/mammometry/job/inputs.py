@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from mammometry.base.errors import CalibrationError
+from mammometry.base.notices import Notice, words_of
 from mammometry.base.photograph import Photograph
 from mammometry.geometry import Array, Bool, Camera, Float64, Rig, TriangleMesh
 
@@ -187,8 +188,13 @@ class CameraSet:
     """Root mean square reprojection error, px. None for given cameras."""
     verdict: str | None = None
     """``pass`` or ``warn`` (`judge.quality`). None for given cameras. A refused calibration gives no cameras."""
-    reasons: tuple[str, ...] = ()
-    """Reasons for the verdict, one sentence each, worst first. For given cameras: why their lengths are doubtful."""
+    notices: tuple[Notice, ...] = ()
+    """Reasons for the verdict, worst first. For given cameras: why their lengths are doubtful."""
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """The notices as text."""
+        return tuple(map(words_of, self.notices))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

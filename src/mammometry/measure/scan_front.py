@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from mammometry.base.errors import MeasureError
+from mammometry.base.notices import Notice
 from mammometry.geometry import Array, Bool, Float64, TriangleMesh
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.scan_repair import RepairedScan
@@ -44,7 +45,7 @@ def front_of_body(scan: RepairedScan, frame: Float64[Array, "3 3"]) -> RepairedS
         cut = _above(cut, frame[2], depth)
     if cut.mesh.area_mm2() > (1 - _NOTED) * scan.mesh.area_mm2():
         return cut
-    return replace(cut, notes=(*scan.notes, "Of the body, the front of the trunk alone is measured and shown."))
+    return replace(cut, notices=(*scan.notices, Notice(code="front-of-trunk", level="note")))
 
 
 def ahead_by_feet(mesh: TriangleMesh, up: Float64[Array, 3]) -> Float64[Array, 3] | None:

@@ -1,4 +1,4 @@
-"""Repair of a scan's mesh where the result is unambiguous, with notes on what was changed.
+"""Repair of a scan's mesh where the result is unambiguous, with notices of what was changed.
 
 Touching seams are joined, crumbs removed, faces turned outwards, small holes closed. Skin in a closed hole is marked as
 invented, so that it widens a volume's interval. All other faults are refused by `scanned.check_mesh`.
@@ -14,6 +14,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from mammometry.base.errors import MeasureError
+from mammometry.base.notices import Notice
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Float64, Int32, Int64, mesh_kernels
 from mammometry.geometry.mesh import TriangleMesh, edge_table, split_edges
@@ -51,8 +52,8 @@ class RepairedScan:
     """mm. Vertices of closed holes come last."""
     invented: Bool[Array, " n"]
     """Vertices of closed holes."""
-    notes: tuple[str, ...]
-    """What was changed, one sentence each."""
+    notices: tuple[Notice, ...]
+    """What was changed."""
     inside_out: bool = False
     """Whether most of its faces pointed inwards, as in a mirror image."""
 
@@ -78,19 +79,19 @@ def repair_scan(
             expected=f"the surface of a body or a cast, with at least {_FEWEST_FACES} triangles",
             remedy="Export the whole scan with its faces",
         )
-    notes: list[str] = []
+    notices: list[Notice] = []
     mesh = _without_doubles(mesh)
-    mesh = _without_fins(_joined(mesh, notes))
-    mesh = _body(mesh, notes, largest=largest)
-    turned = _facing_out(mesh, notes)
+    mesh = _without_fins(_joined(mesh, notices))
+    mesh = _body(mesh, notices, largest=largest)
+    turned = _facing_out(mesh, notices)
     if turned is None:  # `scanned.check_mesh` reports the fault
-        return RepairedScan(mesh=mesh, invented=np.zeros(len(mesh.vertices), dtype=bool), notes=tuple(notes))
+        return RepairedScan(mesh=mesh, invented=np.zeros(len(mesh.vertices), dtype=bool), notices=tuple(notices))
     out, inside_out = turned
     if skin_alone:
-        out = _without_lids(out, notes)
+        out = _without_lids(out, notices)
     mesh = _without_loose_triangles(out)
-    mesh, invented = _filled(mesh, notes) if holes else (mesh, np.zeros(len(mesh.vertices), dtype=bool))
-    return RepairedScan(mesh=mesh, invented=invented, notes=tuple(notes), inside_out=inside_out)
+    mesh, invented = _filled(mesh, notices) if holes else (mesh, np.zeros(len(mesh.vertices), dtype=bool))
+    return RepairedScan(mesh=mesh, invented=invented, notices=tuple(notices), inside_out=inside_out)
 
 
 def largest_part(mesh: TriangleMesh) -> TriangleMesh:
@@ -112,13 +113,13 @@ def _without_doubles(mesh: TriangleMesh) -> TriangleMesh:
     return mesh if len(first) == len(mesh.faces) else mesh.submesh(np.sort(first))
 
 
-def _joined(mesh: TriangleMesh, notes: list[str]) -> TriangleMesh:
+def _joined(mesh: TriangleMesh, notices: list[Notice]) -> TriangleMesh:
     """Join coincident open edges."""
     before = mesh.components()[0]
     joined = _merged(_split_at_neighbours(mesh))
     after = joined.components()[0]
     if after < before:
-        notes.append(f"{before} pieces that touch were joined along their seams.")
+        notices.append(Notice(code="mesh-seams-joined", level="note", values={"pieces": before}))
     return joined
 
 
@@ -132,7 +133,7 @@ def _without_fins(mesh: TriangleMesh) -> TriangleMesh:
     return left if len(left.faces) >= (1 - _FEW_FINS) * len(mesh.faces) else mesh
 
 
-def _without_lids(mesh: TriangleMesh, notes: list[str]) -> TriangleMesh:
+def _without_lids(mesh: TriangleMesh, notices: list[Notice]) -> TriangleMesh:
     """Remove flat lids if the rest is most of the mesh."""
     planar = planar_faces(mesh)
     if not planar.any() or planar.all():
@@ -141,7 +142,7 @@ def _without_lids(mesh: TriangleMesh, notes: list[str]) -> TriangleMesh:
     lids_mm2, whole_mm2 = mesh.submesh(planar).area_mm2(), mesh.area_mm2()
     if skin.area_mm2() < (1 - _BESIDE) * (whole_mm2 - lids_mm2):
         return mesh
-    notes.append(f"{lids_mm2 / 100:.0f} cm² of flat lids were removed: a plane is not skin.")
+    notices.append(Notice(code="mesh-lids-removed", level="note", values={"cm2": lids_mm2 / 100}))
     return skin
 
 
@@ -215,7 +216,7 @@ def _merged(mesh: TriangleMesh) -> TriangleMesh:
     return merged.submesh(np.arange(len(merged.faces)))
 
 
-def _body(mesh: TriangleMesh, notes: list[str], *, largest: bool) -> TriangleMesh:
+def _body(mesh: TriangleMesh, notices: list[Notice], *, largest: bool) -> TriangleMesh:
     """Remove all pieces but the body. Raise a MeasureError if others are too large."""
     areas, part = _areas_mm2(mesh)
     if len(areas) == 1:
@@ -233,13 +234,9 @@ def _body(mesh: TriangleMesh, notes: list[str], *, largest: bool) -> TriangleMes
             expected="one connected surface, with at most a few small fragments",
             remedy="Delete the others in the program that made it, or measure only the largest with --largest",
         )
-    count = len(areas) - 1
-    kind = ", flat like a wall or a floor" if any(flat) else ""
-    share = 1 - areas.max() / total
-    notes.append(
-        f"{count} other piece{'s' if count > 1 else ''}{kind}, {100 * share:.2g} % of the area, "
-        f"{'were' if count > 1 else 'was'} removed."
-    )
+    values = {"pieces": len(areas) - 1, "percent": 100 * float(1 - areas.max() / total)}
+    code = "mesh-planes-removed" if any(flat) else "mesh-pieces-removed"
+    notices.append(Notice(code=code, level="note", values=values))
     return mesh.submesh(part == np.argmax(areas))
 
 
@@ -250,7 +247,7 @@ def _is_flat(mesh: TriangleMesh) -> bool:
     return bool(variance[0] < _FLAT_MM**2 and variance[1] > _WIDE_MM**2)
 
 
-def _facing_out(mesh: TriangleMesh, notes: list[str]) -> tuple[TriangleMesh, bool] | None:
+def _facing_out(mesh: TriangleMesh, notices: list[Notice]) -> tuple[TriangleMesh, bool] | None:
     """The mesh with all faces outwards, and whether most of its area pointed inwards.
 
     None if more than two faces meet at an edge, or the surface is not orientable.
@@ -274,9 +271,9 @@ def _facing_out(mesh: TriangleMesh, notes: list[str]) -> tuple[TriangleMesh, boo
         mesh, turned_mm2 = mesh.turned_over(), whole_mm2 - turned_mm2
     inside_out = turned_mm2 > whole_mm2 / 2
     if inside_out:
-        notes.append("The mesh was inside out: its faces were turned outwards.")
+        notices.append(Notice(code="mesh-inside-out", level="note"))
     elif unlike.any():
-        notes.append("Neighbouring faces pointed to opposite sides: all were turned outwards.")
+        notices.append(Notice(code="mesh-faces-turned", level="note"))
     return mesh, inside_out
 
 
@@ -307,7 +304,7 @@ def _stands_out_mm3(mesh: TriangleMesh) -> float:
     return volume
 
 
-def _filled(mesh: TriangleMesh, notes: list[str]) -> tuple[TriangleMesh, Bool[Array, " n"]]:
+def _filled(mesh: TriangleMesh, notices: list[Notice]) -> tuple[TriangleMesh, Bool[Array, " n"]]:
     """Close holes up to `WIDEST_HOLE_MM` wide."""
     loops = opening_loops(mesh.faces.astype(np.int64), len(mesh.vertices))
     holes = [
@@ -334,11 +331,8 @@ def _filled(mesh: TriangleMesh, notes: list[str]) -> tuple[TriangleMesh, Bool[Ar
     invented = np.arange(count) >= len(mesh.vertices)
     invented_mm2 = filled.area_mm2() - mesh.area_mm2()
     if invented_mm2 > _NOTED_MM2:
-        holes_words = "1 hole was" if len(patches) == 1 else f"{len(patches)} holes were"
-        notes.append(
-            f"{holes_words} closed, up to {widest_mm:.0f} mm wide: {invented_mm2 / 100:.1f} cm² of skin are invented. "
-            "The interval includes their uncertainty."
-        )
+        values = {"holes": len(patches), "mm": widest_mm, "cm2": invented_mm2 / 100}
+        notices.append(Notice(code="mesh-holes-closed", level="note", values=values))
     return filled, invented
 
 

@@ -263,7 +263,7 @@ def _ahead_by_breasts(mesh: TriangleMesh, up: Float64[Array, 3]) -> Float64[Arra
     """
     level = mesh.vertices - np.outer(mesh.vertices @ up, up)
     across, aside = np.linalg.eigh(np.cov(level.T) + np.outer(up, up) * np.ptp(level) ** 2)[1].T[:2]
-    whole = RepairedScan(mesh=mesh, invented=np.zeros(len(mesh.vertices), dtype=bool), notes=())
+    whole = RepairedScan(mesh=mesh, invented=np.zeros(len(mesh.vertices), dtype=bool), notices=())
     for line in (across, aside):
         worth = []
         for forward in (line, -line):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
 
 from mammometry.base.identity import Identity
 from mammometry.base.notices import Notice
@@ -75,23 +74,35 @@ class BreastReport:
     """Its title."""
     number: LargeNumber
     """Its volume, on the first page."""
-    interval_note: str
     facts: tuple[Fact, ...]
     """Further measures of the breast."""
-    wall_label: str
+    interval_note: str = ""
+    wall_label: str = ""
     """Name of this subject's wall: "Chest wall", or "Base" of a cast."""
-    wall: str
+    wall: str = ""
     """Name and definition of the wall."""
-    boundary: str
-    """Origin of the boundary, or reason why a side was not measured."""
+    boundary: str = ""
+    """Origin of the boundary. This, wall and interval are empty for a side that was not measured."""
     boundary_remarks: tuple[BoundaryRemark, ...] = ()
     """Facts about the boundary used by the report."""
     curve: str = ""
     """Digest of the measured boundary. Empty for a side that was not measured."""
-    unmeasured: Literal["", "none", "unclear", "refused"] = ""
-    """Reason for having no volume. Empty if there is one."""
+    absence: Notice | None = None
+    """Reason for having no volume. None if there is one."""
     tables: tuple[TextTable, ...] = ()
     """Terms of the interval, and the volume with other walls."""
+
+    @property
+    def rows(self) -> tuple[Fact, ...]:
+        """All rows of its table."""
+        if self.absence is not None:
+            return self.facts
+        return (
+            Fact("Boundary", self.boundary),
+            Fact(self.wall_label, self.wall),
+            Fact("95 % interval", self.interval_note),
+            *self.facts,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 from mammometry.base.letters import isolated
 from mammometry.base.notices import Notice
+from mammometry.base.notices.words import caution_of, concerns
 from mammometry.measure.volume.attribution import Attribution
 from mammometry.report.content import BreastReport, Clinical, LargeNumber, ReportContent, ReportPicture, Signed
 from mammometry.report.figures.canvas import CYCLE
-from mammometry.report.words.notices import caution_of, concerns
 from mammometry.report.words.volumes import date_words
 
 NOT_CONFIRMED = "not confirmed"
@@ -56,7 +56,7 @@ def first_page(
         named: whether names and dates are included.
     """
     known = clinical or Clinical()
-    measured = [breast for breast in content.breasts if not breast.unmeasured]
+    measured = [breast for breast in content.breasts if breast.absence is None]
     confirmation, is_confirmed = _confirmation(measured, attributions, clinical, named=named)
     conclusions = known.conclusions
     born = None if known.born is None else _birth_words(known.born, known.taken)
@@ -124,7 +124,7 @@ def _confirmation(
 def _volumes(breasts: Sequence[BreastReport]) -> list[LargeNumber]:
     """Volumes in the colours that `figures.measure` gives to the boundaries."""
     colours = iter(CYCLE)
-    return [breast.number if breast.unmeasured else replace(breast.number, colour=next(colours)) for breast in breasts]
+    return [breast.number if breast.absence else replace(breast.number, colour=next(colours)) for breast in breasts]
 
 
 def _cautions(measured: Sequence[BreastReport], notices: Sequence[Notice]) -> tuple[str, ...]:

@@ -120,7 +120,7 @@ def gather(
     run = RunResults(
         quality=quality,
         calibration=calibration,
-        camera_doubts=cameras.reasons,
+        camera_doubts=cameras.notices,
         shares=matched.shares,
         matching=matched.quality,
         foregrounds=matched.foregrounds,
@@ -141,7 +141,7 @@ def gather(
         world=plan[calibrate.cameras]().world,
         warnings=(*body_doubts(plan), *warnings(run)),
         concerns=tuple(run_concerns(run)),
-        calibration_doubts=photograph_doubts(quality, calibration),
+        calibration_doubts=photograph_doubts(quality),
         breasts=tuple(sorted(breasts, key=lambda breast: breast.name)),
         comparison=comparison(measurements, absent=absent, lacking=less) + symmetry_facts(sides),
         difference=difference_number(measurements),

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from PIL import Image
 
+from mammometry.base.notices.words import NAMES
 from mammometry.base.rounding import at_95
 from mammometry.geometry import Array, Float64, Transform
 from mammometry.geometry.mesh import TriangleMesh, joined
@@ -21,7 +22,6 @@ from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures.change import Dated
 from mammometry.report.figures.measure import reach_mm
-from mammometry.report.figures.names import NAMES
 from mammometry.report.figures.shading import even_curve
 from mammometry.report.figures.surface import PROVENANCE_COLOURS
 from mammometry.report.scene import Layer, Texture, ViewedSurface, ViewerScene

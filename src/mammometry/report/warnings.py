@@ -6,7 +6,7 @@ Those about the body, which a run also shows in the terminal, are in `words.doub
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -25,7 +25,6 @@ from mammometry.matching.quality import MatchQuality
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import BodyDirections
 from mammometry.measure.volume.measurement import VolumeMeasurement
-from mammometry.report.content import sentence
 from mammometry.report.words import describe
 from mammometry.report.words.anthropometry import without_nipple
 from mammometry.report.words.doubts import body_doubts
@@ -106,8 +105,8 @@ class RunResults(VolumeDoubts):
     """Verdict on the calibration. None for imported cameras."""
     calibration: Calibration | None
     """The calibration, with the photographs left out. None for imported cameras."""
-    camera_doubts: Sequence[str] = ()
-    """Reasons why imported cameras are doubtful, one sentence each."""
+    camera_doubts: Sequence[Notice] = ()
+    """Warnings about imported cameras."""
     shares: Mapping[str, float]
     """Pair → matched share of the subject's silhouette, for pairs with silhouettes."""
     matching: Mapping[str, MatchQuality]
@@ -135,7 +134,7 @@ def warnings(run: VolumeDoubts) -> Iterator[Notice]:
         if not measured.watertight:
             yield Notice(code="solid-not-watertight", about=(measured.name,))
     if run.body is not None and run.body.plane is None:
-        yield Notice(code="upright-unknown", values={"text": sentence(run.body.how)})
+        yield Notice(code="upright-from-breasts" if run.body.by_breasts else "upright-unknown")
     if run.doubtful:
         yield Notice(code="nipple-not-seen", about=tuple(run.doubtful))
     if run.unseparated:
@@ -152,18 +151,15 @@ def warnings(run: VolumeDoubts) -> Iterator[Notice]:
 
 def run_concerns(run: RunResults) -> Iterator[Notice]:
     """Yield notices about calibration, matching and coverage."""
-    of_rig = rig_doubts(run.quality)
-    if of_rig:
-        yield Notice(code="calibration-doubtful", values={"text": sentence(of_rig[0])})
+    yield from rig_doubts(run.quality)[:1]
     if run.walk is not None and run.walk_motion is not None:
         yield from walk_concerns(run.walk, run.walk_motion)
     elif run.calibration is None:
         yield Notice(code="cameras-imported")
-        for doubt in run.camera_doubts:
-            yield Notice(code="imported-camera-doubtful", values={"text": sentence(doubt)})
+        yield from run.camera_doubts
     extent = subject_extent(float(np.ptp(run.repaired.mesh.vertices, axis=0).max()))
     if not extent.is_usual():
-        yield Notice(code="size-unusual", values={"text": str(extent)})
+        yield Notice(code="size-unusual", values={"mm": extent.mm})
     for name, judged in run.matching.items() if run.walk is None else ():  # a walk's pairs are tested by `walk.motion`
         yield from match_quality.concerns(name, judged, run.without_outline.get(name, ()))
     for name, share in run.shares.items():
@@ -203,38 +199,15 @@ def mesh_warnings(measurements: Sequence[VolumeMeasurement], body: BodyDirection
             yield Notice(code="solid-not-watertight", about=(measurement.name,))
 
 
-def rig_doubts(quality: CalibrationQuality | None) -> list[str]:
+def rig_doubts(quality: CalibrationQuality | None) -> list[Notice]:
     """Warnings of a whole calibration."""
-    return [] if quality is None else [doubt.sentence for doubt in quality.doubts if not doubt.shots]
+    return [] if quality is None else [doubt for doubt in quality.doubts if not doubt.photographs]
 
 
-def photograph_doubts(quality: CalibrationQuality | None, calibration: Calibration | None) -> tuple[Notice, ...]:
+def photograph_doubts(quality: CalibrationQuality | None) -> tuple[Notice, ...]:
     """Warnings of single photographs of a calibration, which a technician may leave out."""
     doubts = () if quality is None else quality.doubts
-    left_out = () if calibration is None else calibration.set_aside
-    return (
-        *(
-            Notice(
-                code="board-photograph-doubtful",
-                level="note",
-                about=tuple(dict.fromkeys(shot.camera for shot in doubt.shots)),
-                photographs=tuple(f"calibration/{shot.pose}/{shot.camera}" for shot in doubt.shots),
-                values={"text": sentence(doubt.sentence)},
-            )
-            for doubt in doubts
-            if doubt.shots
-        ),
-        *(
-            Notice(
-                code="board-photograph-left-out",
-                level="note",
-                about=(away.camera,),
-                photographs=(f"calibration/{away.pose}/{away.camera}",),
-                values={"pose": away.pose, "px": away.residual_px},
-            )
-            for away in left_out
-        ),
-    )
+    return tuple(replace(doubt, level="note") for doubt in doubts if doubt.photographs)
 
 
 def walk_concerns(walk: Walk, motion: WalkMotion) -> Iterator[Notice]:

@@ -105,7 +105,7 @@ def put_results(folder: Path, true: TrueVisit, boundaries: tuple[Boundary, ...] 
     measured = tuple(
         volumes.measure(breast.boundary, chest_wall.fit(breast), settings, evidence=evidence) for breast in breasts
     )
-    own = BodyDirections(frame=frame, point_world=np.zeros(3), plane_sigma_mm=None, scatter_mm=None, how="")
+    own = BodyDirections(frame=frame, point_world=np.zeros(3), plane_sigma_mm=None, scatter_mm=None)
     marks = find_landmarks(surface, colours, measured, job.inputs.landmarks, own, settings)
     sizes = dimensions(surface.mesh, measured, marks, frame, settings)
     for definition, value in (

@@ -58,4 +58,5 @@ def test_a_white_on_black_target_is_named(inverse, said):
     seen = SimpleNamespace(detections=[SimpleNamespace(inverse=one) for one in inverse])
     findings = list(about_inverse(SimpleNamespace(observations=seen)))
     assert len(findings) == said
-    assert all(verdict == "pass" and "1 of 2" in words for verdict, words in findings)
+    assert all(found.verdict == "pass" for found in findings)
+    assert [found.notice.values for found in findings] == [{"photographs": 1, "total": 2}] * said

@@ -16,10 +16,10 @@ from pydicom.encaps import generate_frames
 from tests.unit.hospital.exports import ANNA, NAMES, ORDER, deidentified, exported, one_sided, quantities, signed
 
 from mammometry.base.notices import Notice
+from mammometry.base.notices.words import words_of
 from mammometry.hospital.dicom.frame import encoded
 from mammometry.hospital.dicom.objects import baseline, files, objects
 from mammometry.hospital.fhir import bundle
-from mammometry.report.words.notices import words_of
 
 DCMTK = pytest.mark.skipif(shutil.which("dsrdump") is None, reason="dcmtk is not installed (apt-get install dcmtk)")
 

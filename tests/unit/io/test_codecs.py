@@ -15,6 +15,7 @@ import trimesh
 from PIL import Image
 
 from mammometry.base.errors import StorageError
+from mammometry.base.notices import Notice
 from mammometry.calibration.detection.detect import Detection, MissedView, Observations
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.geometry.camera import Camera, Rig
@@ -124,7 +125,7 @@ def test_cameras_json_is_documented_and_whole(tmp_path: Path) -> None:
         world="the board of pose 00",
         rms_px=0.03,
         verdict="warn",
-        reasons=("why",),
+        notices=(Notice(code="residuals", level="note", values={"px": 0.1}),),
     )
     encode(value, tmp_path, "cameras")
     table = json.loads((tmp_path / "cameras.json").read_text())
@@ -135,6 +136,7 @@ def test_cameras_json_is_documented_and_whole(tmp_path: Path) -> None:
     uv = np.array(left["K"]) @ [x / z, y / z, 1]
     np.testing.assert_allclose(uv[:2], camera().project(point), atol=1e-9)
     read = decode(tmp_path, "cameras")
+    assert read.notices == value.notices
     assert (read.std, read.world, read.rms_px) == ({"left": {"fx_px": 0.02}}, value.world, 0.03)
     assert dict(read.rig.pair_names) == {"front": ("left", "right")}
 

@@ -82,7 +82,7 @@ def test_two_scans_are_one_mesh_that_says_who_showed_what_and_how_they_fit(two: 
     assert also.within_mm < 0.2
     assert abs(also.scale) < 1e-3
     assert np.allclose(np.reshape(also.first_from_this, (4, 4)), np.eye(4), atol=0.05)
-    assert "merged" in read.remarks[-1]
+    assert (read.notices[-1].code, read.notices[-1].values["number"]) == ("scan-merged", 2)
     mesh, properties, _ = read_ply(two / MESH)
     assert set(properties["source"][mesh.vertices[:, 1] < -100]) == {1}
     assert set(properties["source"][mesh.vertices[:, 1] > 100]) == {2}

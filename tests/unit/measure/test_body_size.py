@@ -18,7 +18,6 @@ from mammometry.measure import scanned
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.shape.body_size import ADULTS, BodySize, require_adult
 from mammometry.measure.trunk.thorax import seen_skin, trunk_breadth_mm
-from mammometry.report.words.doubts import _size_notices
 from mammometry.settings import Settings
 
 # Trunk breadth, nipple distance, notch to nipple, mm.
@@ -77,13 +76,14 @@ def test_one_length_that_is_too_large_is_warned_of_though_the_others_are_usual(
 def test_a_size_that_is_unknown_is_said() -> None:
     unknown = BodySize(lengths_mm={})
     assert (unknown.is_rare, unknown.is_impossible, unknown.factor) == (False, False, 1.0)
-    assert (unknown.warning, size_of(*ORDINARY["average woman"]).warning) == ("", "")
-    assert [notice.code for notice in _size_notices(unknown)] == ["body-size-unknown"]
-    assert not list(_size_notices(size_of(*ORDINARY["average woman"])))
+    assert unknown.notice is not None
+    assert unknown.notice.code == "body-size-unknown"
+    assert size_of(*ORDINARY["average woman"]).notice is None
     rare = size_of(327, 327, 205)
-    assert f"{rare.factor:.2g}" in rare.warning
-    assert f"{rare.factor**3:.2g}" in rare.warning
-    assert [notice.code for notice in _size_notices(rare)] == ["body-size-rare"]
+    assert rare.notice is not None
+    assert rare.notice.code == "body-size-rare"
+    assert rare.notice.values["factor"] == rare.factor
+    assert rare.notice.values["volume_factor"] == pytest.approx(rare.factor**3)
 
 
 def test_one_length_alone_refuses_what_is_absurd_and_several_that_disagree_nothing() -> None:

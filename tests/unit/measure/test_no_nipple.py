@@ -14,7 +14,7 @@ from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
 
 FRAME = np.eye(3)
-BODY = BodyDirections(frame=FRAME, point_world=np.zeros(3), plane_sigma_mm=None, scatter_mm=None, how="")
+BODY = BodyDirections(frame=FRAME, point_world=np.zeros(3), plane_sigma_mm=None, scatter_mm=None)
 MIDDLE = MirrorPlane(point_world=np.zeros(3), normal_world=FRAME[0], sigma_mm=0.1, scatter_mm=0.5)
 AREOLA_MM = 17.0
 

@@ -25,7 +25,7 @@ from mammometry.surface.repair.repair import RepairedSurface
 
 TWIN = (-LEFT[0], *LEFT[1:])
 HIGH = (*LEFT[:3], 75.0)  # as round as women's breasts
-MIDDLE = BodyDirections(frame=np.eye(3), point_world=np.zeros(3), plane_sigma_mm=0.1, scatter_mm=0.3, how="known")
+MIDDLE = BodyDirections(frame=np.eye(3), point_world=np.zeros(3), plane_sigma_mm=0.1, scatter_mm=0.3)
 ROLLED = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # cameras on their side
 ASIDE = Rotation.from_euler("y", 55, degrees=True).as_matrix()
 FLAT = 0.72  # depth over width of a body's trunk

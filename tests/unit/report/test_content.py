@@ -10,7 +10,8 @@ import synthetic
 import test_pdf
 
 from mammometry.base.notices import Notice
-from mammometry.calibration.judge.findings import Doubt, PhotographKey
+from mammometry.base.notices.words import caution_of, words_of
+from mammometry.calibration.judge.findings import CalibrationFinding
 from mammometry.calibration.judge.quality import assess
 from mammometry.measure.volume.measurement import DefinedVolume, Meaning
 from mammometry.report.figures.thinning import thinned_ranges
@@ -19,7 +20,6 @@ from mammometry.report.warnings import RunResults, photograph_doubts, run_concer
 from mammometry.report.words import describe
 from mammometry.report.words.anthropometry import comparison
 from mammometry.report.words.describe import skin_shares
-from mammometry.report.words.notices import caution_of, words_of
 from mammometry.report.words.volumes import MEANINGS, meaning_sentences, measured_words, volume_words
 from mammometry.settings import Settings
 from mammometry.surface.occlusion import Occlusion
@@ -145,6 +145,14 @@ def test_both_sides_are_compared() -> None:
     assert gap == f"{said}The interval of the difference covers surface."
 
 
+LITTLE = Notice(code="space-little-covered", values={"percent": 9.0})
+WELL = CalibrationFinding("pass", Notice(code="target-not-measured", level="note"))
+
+
+def finding(notice: Notice) -> CalibrationFinding:
+    return CalibrationFinding("warn", notice)
+
+
 def warned(rig, **changes) -> str:
     calibration = synthetic.calibration(rig)
     values = {
@@ -157,19 +165,19 @@ def warned(rig, **changes) -> str:
         "repaired": synthetic.repaired(synthetic.ball()),
     }
     run = RunResults(**(values | changes))
-    notices = [*warnings(run), *run_concerns(run), *photograph_doubts(run.quality, run.calibration)]
+    notices = [*warnings(run), *run_concerns(run), *photograph_doubts(run.quality)]
     return "\n".join(map(words_of, notices))
 
 
 def test_a_clean_run_warns_of_nothing_but_what_the_calibration_says(rig) -> None:
     calibration = synthetic.calibration(rig)
-    quality = replace(assess(calibration), verdict="pass", doubts=())
+    quality = replace(assess(calibration), findings=(WELL,))
     assert warned(rig, quality=quality) == ""
 
 
 def test_each_fault_has_its_warning(rig) -> None:
-    quality = replace(assess(synthetic.calibration(rig)), verdict="warn", doubts=(Doubt("camera one_left moved"),))
-    assert "Check the calibration. Camera one_left moved." in warned(rig, quality=quality)
+    quality = replace(assess(synthetic.calibration(rig)), findings=(finding(LITTLE),))
+    assert words_of(LITTLE) in warned(rig, quality=quality)
     assert "cameras were imported" in warned(rig, calibration=None, quality=None)
     assert "vertical disparity of 0.50 ± 0.00 px" in warned(rig, matching=synthetic.matching(rig, d_v_px=0.5))
     assert "matched only 40 %" in warned(rig, shares={"one": 0.4, "two": 0.9})
@@ -186,22 +194,22 @@ def test_each_fault_has_its_warning(rig) -> None:
     assert "Something hides part of the subject in the photographs of one_left (12 %)." in hidden
     leaking = replace(synthetic.measurement(), watertight=False)
     assert warned(rig, measurements=[leaking]).startswith("The closed solid of the cast is not watertight")
-    from mammometry.calibration.adjust.calibrated import SetAside
-
-    aside = replace(synthetic.calibration(rig), set_aside=(SetAside(camera="one_left", pose="02", residual_px=7.25),))
-    assert "Pose 02 of camera one_left was left out" in warned(rig, calibration=aside)
 
 
 def test_a_poor_photograph_of_the_board_comes_last_and_the_rig_first(rig) -> None:
     calibration = synthetic.calibration(rig)
     view = calibration.observations.detections[0]
-    poor = Doubt("9 of 50 points were left out as outliers", (PhotographKey(view.camera, view.pose),))
-    doubts = (poor, Doubt("the target was shown in only 9 % of the space"))
-    said = warned(rig, quality=replace(assess(calibration), verdict="warn", doubts=doubts)).splitlines()
-    assert said[0] == "Check the calibration. The target was shown in only 9 % of the space."
-    assert said[-1] == "9 of 50 points were left out as outliers."
-    alone = warned(rig, quality=replace(assess(calibration), verdict="warn", doubts=doubts[:1]))
-    assert "Check the calibration" not in alone
+    poor = Notice(
+        code="points-left-out",
+        about=(view.camera,),
+        photographs=(f"calibration/{view.pose}/{view.camera}",),
+        values={"pose": view.pose, "points": 9, "total": 50},
+    )
+    findings = (finding(poor), finding(LITTLE))
+    said = warned(rig, quality=replace(assess(calibration), findings=findings)).splitlines()
+    assert (said[0], said[-1]) == (words_of(LITTLE), words_of(poor))
+    alone = warned(rig, quality=replace(assess(calibration), findings=findings[:1]))
+    assert alone == words_of(poor)
 
 
 def test_sides_that_rest_on_the_mounting_alone_are_warned_of(rig) -> None:

@@ -220,7 +220,7 @@ def test_the_wall_is_told_from_the_skin() -> None:
 def test_the_front_view_is_the_bodys_own_where_it_is_known() -> None:
     cameras = synthetic.rig()
     turned = Rotation.from_euler("xyz", (5, -8, 20), degrees=True).as_matrix()
-    body = BodyDirections(frame=turned, point_world=np.zeros(3), plane_sigma_mm=0.2, scatter_mm=0.5, how="known")
+    body = BodyDirections(frame=turned, point_world=np.zeros(3), plane_sigma_mm=0.2, scatter_mm=0.5)
     np.testing.assert_array_equal(front_of(cameras, body), turned)
     np.testing.assert_array_equal(front_of(cameras, None), front_frame(cameras))
     upside_down = front_frame(cameras, mounting=dict.fromkeys(cameras.cameras, "upside-down"))

@@ -9,7 +9,8 @@ import pytest
 from tools.codes import PAGE, page
 
 from mammometry.base.notices import Notice, from_table
-from mammometry.report.words.notices import TEXTS, code_of_1_0, words_of
+from mammometry.base.notices.texts import TEXTS
+from mammometry.base.notices.words import code_of_1_0, words_of
 
 SOURCE = Path(__file__).resolve().parents[3] / "src" / "mammometry"
 

@@ -13,6 +13,7 @@ from synthetic import sentence_notice
 
 from mammometry.base.identity import Identity
 from mammometry.base.notices import Notice
+from mammometry.base.notices.words import words_of
 from mammometry.report import content
 from mammometry.report.content import Clinical, ReportContent, Signed
 from mammometry.report.documents import pdf
@@ -25,7 +26,6 @@ from mammometry.report.first_page import first_page
 from mammometry.report.pictures import all_encoded
 from mammometry.report.words import describe
 from mammometry.report.words.anthropometry import comparison, difference_number
-from mammometry.report.words.notices import words_of
 from mammometry.settings import Settings
 from mammometry.study.tables import TextTable
 

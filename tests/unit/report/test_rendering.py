@@ -30,7 +30,8 @@ def automatic() -> ReportContent:
 
 def test_photographs_of_the_board_are_no_matter_of_a_clinics_report() -> None:
     content = replace(
-        automatic(), calibration_doubts=(Notice(code="board-photograph-doubtful", values={"text": "Pose 01."}),)
+        automatic(),
+        calibration_doubts=(Notice(code="photograph-unfitting", about=("a",), values={"pose": "01", "px": 2.0}),),
     )
     assert attributed_content(content, {}, None, named=True).warnings[-1] == content.calibration_doubts[0]
     assert (

@@ -24,7 +24,7 @@ def pyramid(name: str, tip_y_mm: float) -> VolumeMeasurement:
 
 def body(up: float) -> BodyDirections:
     frame = np.array([[up, 0, 0], [0, up, 0], [0, 0, 1.0]])
-    return BodyDirections(frame=frame, point_world=np.zeros(3), plane_sigma_mm=None, scatter_mm=None, how="drawn")
+    return BodyDirections(frame=frame, point_world=np.zeros(3), plane_sigma_mm=None, scatter_mm=None)
 
 
 def said(tip_y_mm: float, up: float, names: tuple[str, ...] = ("left", "right")) -> bool:

@@ -1,18 +1,18 @@
-"""Findings about a calibration, each a sentence with its consequence in millimetres."""
+"""Findings about a calibration, as notices with their consequence in millimetres."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
 
-from mammometry.base.sizes import fitting
+from mammometry.base.notices import Level, Notice
+from mammometry.base.sizes import fitting_values
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.adjust.initialise import LEAST_POINTS
 from mammometry.calibration.detection.detect import Detection
-from mammometry.calibration.features.pixels import Cause
 from mammometry.calibration.judge.pose_motion import MovedCameras
 from mammometry.calibration.judge.reconstruction import PairQuality, ViewQuality, sees_badly
 from mammometry.calibration.judge.scale import calibrated_sizes
@@ -89,17 +89,26 @@ _REJECTED_WARN = 0.15
 board's rim, or out of focus, err more than their σ."""
 
 Verdict: TypeAlias = Literal["pass", "warn", "refuse"]
-Finding: TypeAlias = tuple[Verdict, str, *tuple[PhotographKey, ...]]
-"""Verdict, sentence, and the photographs that it is about."""
+Values: TypeAlias = Mapping[str, float | str]
 
 
 @dataclass(frozen=True, slots=True)
-class Doubt:
-    """A finding that deserves a look."""
+class CalibrationFinding:
+    """A fact about a calibration, and its verdict."""
 
-    sentence: str
-    shots: tuple[PhotographKey, ...] = ()
-    """The photographs that it is about. Empty: it is about the whole calibration."""
+    verdict: Verdict
+    notice: Notice
+    """Its ``photographs`` are those that it is about; none: it is about the whole calibration."""
+
+
+def _found(
+    verdict: Verdict, code: str, *about: str, shots: Iterable[PhotographKey] = (), values: Values | None = None
+) -> CalibrationFinding:
+    photographs = tuple(f"calibration/{shot.pose}/{shot.camera}" for shot in shots)
+    level: Level = "note" if verdict == "pass" else "warning"
+    return CalibrationFinding(
+        verdict, Notice(code=code, level=level, about=about, photographs=photographs, values=values or {})
+    )
 
 
 _SQUARE_PIXELS, _SURE_SIGMA = 0.01, 5.0
@@ -107,7 +116,7 @@ _SQUARE_PIXELS, _SURE_SIGMA = 0.01, 5.0
 below .001; prints are stretched by up to .005."""
 
 
-def about_names(calibration: Calibration) -> Iterator[Finding]:
+def about_names(calibration: Calibration) -> Iterator[CalibrationFinding]:
     """Report pictures under the wrong name."""
     aside = {(view.camera, view.pose): view.residual_px for view in calibration.set_aside}
     by_shot = {(seen.camera, seen.pose): seen for seen in calibration.observations.detections}
@@ -115,105 +124,92 @@ def about_names(calibration: Calibration) -> Iterator[Finding]:
     reported = set()
     for (camera, pose), residual_px in aside.items():
         other = truly.get((camera, pose))
+        own = PhotographKey(camera, pose)
         if other is None:
-            yield (
-                "warn",
-                f"pose {pose}: the picture of {camera} does not fit the others (off by {residual_px:.2g} px) and was "
-                "set aside. Check that it is the right file, and was exposed together with the others",
-                PhotographKey(camera, pose),
-            )
-        elif truly.get((other.camera, other.pose)) == PhotographKey(camera, pose):
-            if (other.camera, other.pose) not in reported:
-                reported.add((camera, pose))
-                where = f"pose {pose}" if other.pose == pose else f"poses {pose} and {other.pose}"
-                names = f"{camera} and {other.camera}" if other.camera != camera else camera
-                sentence = f"{where}: the pictures of {names} are exchanged. They were set aside"
-                yield "warn", sentence, PhotographKey(camera, pose), other
-        else:
-            yield (
-                "warn",
-                f"pose {pose}: the picture of {camera} does not fit the others. It is the one of {other.camera} in "
-                f"pose {other.pose}. It was set aside",
-                PhotographKey(camera, pose),
-                other,
-            )
+            yield _found("warn", "photograph-unfitting", camera, shots=[own], values={"pose": pose, "px": residual_px})
+            continue
+        exchanged = truly.get((other.camera, other.pose)) == own
+        if exchanged and (other.camera, other.pose) in reported:
+            continue
+        reported.add((camera, pose))
+        yield _found(
+            "warn",
+            "photographs-exchanged" if exchanged else "photograph-of-another",
+            *dict.fromkeys((camera, other.camera)),
+            shots=[own, other],
+            values={"camera": camera, "pose": pose, "other_camera": other.camera, "other_pose": other.pose},
+        )
 
 
-def about_missed(calibration: Calibration) -> Iterator[Finding]:
+def about_missed(calibration: Calibration) -> Iterator[CalibrationFinding]:
     """Report photographs that should show the target and cannot be used.
 
     Where the finished calibration says that the camera looked at the target's back, its edge or past it, all is well.
     """
     for view in calibration.observations.missed:
         if view.remedy and not sees_badly(calibration, view.camera, view.pose):
-            yield "warn", str(view), PhotographKey(view.camera, view.pose)
+            shots = [PhotographKey(view.camera, view.pose)]
+            values = {"pose": view.pose, "found": view.found, "remedy": view.remedy.rstrip(".")}
+            yield _found("warn", "target-not-found", view.camera, shots=shots, values=values)
 
 
-def about_inverse(calibration: Calibration) -> Iterator[Finding]:
+def about_inverse(calibration: Calibration) -> Iterator[CalibrationFinding]:
     """Report a target that is printed white on black."""
     seen = calibration.observations.detections
     count = sum(view.inverse for view in seen)
     if count:
-        yield (
-            "pass",
-            f"the target is white on black in {count} of {len(seen)} photographs, which were read in the inverse. If "
-            "it is printed black on white, these photographs are negatives",
-        )
+        yield _found("pass", "target-inverse", values={"photographs": count, "total": len(seen)})
 
 
-def about_movements(movements: Sequence[MovedCameras]) -> Iterator[Finding]:
+def about_movements(movements: Sequence[MovedCameras]) -> Iterator[CalibrationFinding]:
     """Report cameras that moved during the calibration."""
     for movement in movements:
-        size = f"{np.linalg.norm(movement.shift_mm):.3f} mm and {np.degrees(np.linalg.norm(movement.turn_rad)):.4f}°"
-        seen = f"{movement.shift_px:.2f} px on the target, {movement.sigma:.0f} standard errors"
+        values: dict[str, float | str] = {
+            "pose": movement.first,
+            "mm": float(np.linalg.norm(movement.shift_mm)),
+            "deg": float(np.degrees(np.linalg.norm(movement.turn_rad))),
+            "px": movement.shift_px,
+            "sigma": movement.sigma,
+        }
         if len(movement.cameras) > 1:
-            sentence = f"pose {movement.first}: {' and '.join(movement.cameras)} were not exposed together with the "
-            sentence += f"others, or the target moved between ({size}; {seen})"
+            code = "cameras-not-together"
         elif movement.only:
-            sentence = f"pose {movement.first}: {movement.cameras[0]} was not exposed together with the "
-            sentence += f"others, or moved in this pose alone ({size}; {seen}). Take this picture out"
+            code = "camera-not-together"
         else:
-            sentence = f"{movement.cameras[0]} moved before pose {movement.first}, by {size} ({seen}). "
-            sentence += (
-                f"Poses before and after do not belong together. Points would be {movement.effect_mm:.2f} mm off"
-            )
-        shots = (PhotographKey(camera, movement.first) for camera in movement.cameras)
-        yield "refuse" if movement.effect_mm > _MOVED_REFUSE_MM else "warn", sentence, *shots
+            code, values = "camera-moved", {**values, "effect_mm": movement.effect_mm}
+        shots = [PhotographKey(camera, movement.first) for camera in movement.cameras]
+        verdict: Verdict = "refuse" if movement.effect_mm > _MOVED_REFUSE_MM else "warn"
+        yield _found(verdict, code, *movement.cameras, shots=shots, values=values)
 
 
-def about_fit(calibration: Calibration, views: Sequence[ViewQuality]) -> Iterator[Finding]:
-    """Findings about an adjustment that did not settle, and views that fit badly or lost many points."""
+def about_fit(calibration: Calibration, views: Sequence[ViewQuality]) -> Iterator[CalibrationFinding]:
+    """Report an adjustment that did not converge, and views that fit badly or lost many points."""
     if not calibration.converged:
-        yield "warn", f"the adjustment had not settled after {calibration.iterations} steps"
+        yield _found("warn", "not-converged", values={"iterations": calibration.iterations})
     aside = {(view.camera, view.pose) for view in calibration.set_aside}
     taking_part = [view for view in views if (view.camera, view.pose) not in aside]
-    typical = float(np.nanmedian([view.rms_px for view in taking_part])) if taking_part else float("nan")
+    typical_px = float(np.nanmedian([view.rms_px for view in taking_part])) if taking_part else float("nan")
     for view in sorted(taking_part, key=lambda view: -view.rejected):
+        shots = [PhotographKey(view.camera, view.pose)]
         if view.rejected > _REJECTED_WARN * view.points and view.rejected > 1:
-            yield (
-                "warn",
-                f"pose {view.pose}: {view.rejected} of {view.points} points of {view.camera} were left out as outliers",
-                PhotographKey(view.camera, view.pose),
-            )
-        if view.rms_px > _BLURRED_RATIO * typical:
-            yield (
-                "warn",
-                f"pose {view.pose}: points of {view.camera} are measured only to {view.rms_px:.2f} px, others to "
-                f"{typical:.2f} px. Is the picture blurred, shaken or badly lit?",
-                PhotographKey(view.camera, view.pose),
-            )
+            counts: Values = {"pose": view.pose, "points": view.rejected, "total": view.points}
+            yield _found("warn", "points-left-out", view.camera, shots=shots, values=counts)
+        if view.rms_px > _BLURRED_RATIO * typical_px:
+            sizes: Values = {"pose": view.pose, "px": view.rms_px, "typical_px": typical_px}
+            yield _found("warn", "photograph-blurred", view.camera, shots=shots, values=sizes)
 
 
-def about_bias(calibration: Calibration, views: Sequence[ViewQuality]) -> Iterator[Finding]:
-    """Findings about views with one-sided residuals without a rigid movement."""
+def about_bias(calibration: Calibration, views: Sequence[ViewQuality]) -> Iterator[CalibrationFinding]:
+    """Report views with one-sided residuals without a rigid movement."""
     aside = {(view.camera, view.pose) for view in calibration.set_aside}
     for view in sorted(views, key=lambda view: -view.bias):
         if view.bias > _BIAS_WARN and (view.camera, view.pose) not in aside:
-            yield (
+            yield _found(
                 "refuse" if view.bias > BIAS_REFUSE else "warn",
-                f"pose {view.pose}: all points that {view.camera} saw are shifted together by {view.bias:.0f} standard "
-                f"errors (limit {BIAS_REFUSE:.0f}). A camera or the target moved, or the target bent",
-                PhotographKey(view.camera, view.pose),
+                "points-shifted",
+                view.camera,
+                shots=[PhotographKey(view.camera, view.pose)],
+                values={"pose": view.pose, "sigma": view.bias, "limit": BIAS_REFUSE},
             )
 
 
@@ -223,7 +219,7 @@ def about_cameras(
     coverage: Mapping[str, float],
     volume_coverage: float,
     settings: QualitySettings,
-) -> Iterator[Finding]:
+) -> Iterator[CalibrationFinding]:
     """Report how well each lens is known, and what was never tested."""
     places = np.median([placed.translation_mm for placed in calibration.world_from_target.values()], axis=0)
     for name, std in focal_std.items():
@@ -231,25 +227,25 @@ def about_cameras(
             depth_mm = float(np.linalg.norm(places - calibration.rig.cameras[name].centre_world)) * std
             separate = calibration.intrinsics_observations.get(name)
             seen = calibration.observations.detections + (separate.detections if separate else ())
-            views = sum(view.camera == name for view in seen)
-            yield (
+            yield _found(
                 "refuse" if std > settings.focal_std_refuse else "warn",
-                f"the focal length of {name} is known only to {100 * std:.3f} % (limit "
-                f"{100 * settings.focal_std_refuse:.2f} %) from {views} views. That is {depth_mm:.2f} mm in depth. Add "
-                "poses, and tilt the target more",
+                "focal-length-uncertain",
+                name,
+                values={
+                    "percent": 100 * std,
+                    "limit_percent": 100 * settings.focal_std_refuse,
+                    "views": sum(view.camera == name for view in seen),
+                    "mm": depth_mm,
+                },
             )
     for name, share in coverage.items():
         if share < _COVERAGE_WARN:
-            yield "warn", f"the target covered only {100 * share:.0f} % of the photographs of {name}. Add poses there"
+            yield _found("warn", "lens-little-covered", name, values={"percent": 100 * share})
     if volume_coverage < _VOLUME_COVERAGE_WARN:
-        yield (
-            "warn",
-            f"the target was shown in only {100 * volume_coverage:.0f} % of the space that the pairs see. Hold it also "
-            "nearer, farther and to the sides, where skin will be",
-        )
+        yield _found("warn", "space-little-covered", values={"percent": 100 * volume_coverage})
 
 
-def about_pixels(calibration: Calibration) -> Iterator[Finding]:
+def about_pixels(calibration: Calibration) -> Iterator[CalibrationFinding]:
     """Report pixels that are not square: two of the target's sizes, or the pictures, are stretched."""
     for name, camera in calibration.rig.cameras.items():
         std = calibration.independent_std[name]
@@ -257,98 +253,77 @@ def about_pixels(calibration: Calibration) -> Iterator[Finding]:
         ratio_std = float(np.hypot(std["fx_px"], std["fy_px"]) / camera.matrix[1, 1])
         if abs(ratio - 1.0) > max(_SQUARE_PIXELS, _SURE_SIGMA * ratio_std):
             solid = calibration.observations.target.is_surveyed
-            yield (
-                "refuse" if solid else "warn",
-                f"the pixels of {name} are {ratio:.3f} times as high as wide, where cameras have square ones. "
-                + ("Two sizes in [target] contradict one another, or" if solid else "The board or")
-                + " the photographs were stretched",
-            )
+            yield _found("refuse" if solid else "warn", "pixels-not-square", name, values={"ratio": ratio})
 
 
-def about_pairs(pairs: Sequence[PairQuality]) -> Iterator[Finding]:
+def about_pairs(pairs: Sequence[PairQuality]) -> Iterator[CalibrationFinding]:
     """Report how each pair reconstructs the target."""
     for pair in pairs:
         if not pair.poses:
-            yield "warn", f"pair {pair.pair}: both cameras never saw the target in the same pose"
+            yield _found("warn", "pair-without-target", pair.pair)
             continue
         if pair.geometry_mm > _GEOMETRY_WARN_MM:
-            yield (
-                "refuse" if pair.geometry_mm > _GEOMETRY_REFUSE_MM else "warn",
-                f"pair {pair.pair} reconstructs the target to {pair.geometry_mm:.2f} mm RMS (limit "
-                f"{_GEOMETRY_REFUSE_MM} mm)",
-            )
+            verdict: Verdict = "refuse" if pair.geometry_mm > _GEOMETRY_REFUSE_MM else "warn"
+            sizes = {"mm": pair.geometry_mm, "limit_mm": _GEOMETRY_REFUSE_MM}
+            yield _found(verdict, "pair-reconstruction-error", pair.pair, values=sizes)
         if abs(pair.scale_ppm) > _SCALE_WARN_PPM:
-            yield (
-                "refuse" if abs(pair.scale_ppm) > _SCALE_REFUSE_PPM else "warn",
-                f"pair {pair.pair} reconstructs the target {pair.scale_ppm / 1e4:+.3f} % too large, "
-                f"{3 * pair.scale_ppm / 1e4:+.2f} % in volume",
+            verdict = "refuse" if abs(pair.scale_ppm) > _SCALE_REFUSE_PPM else "warn"
+            percent = pair.scale_ppm / 1e4
+            yield _found(
+                verdict, "pair-scale-error", pair.pair, values={"percent": percent, "volume_percent": 3 * percent}
             )
 
 
-def about_expected(expected_mm: Mapping[str, float]) -> Iterator[Finding]:
+def about_expected(expected_mm: Mapping[str, float]) -> Iterator[CalibrationFinding]:
     """Report the error of measured points by the cameras' uncertainty."""
     known = {pair: error_mm for pair, error_mm in expected_mm.items() if np.isfinite(error_mm)}
     if known:
         pair = max(known, key=lambda name: known[name])
-        error_mm = known[pair]
-        verdict: Verdict = "pass"
-        if error_mm > _EXPECTED_WARN_MM:
-            verdict = "refuse" if error_mm > _EXPECTED_REFUSE_MM else "warn"
-        advice = "" if verdict == "pass" else f", refused above {_EXPECTED_REFUSE_MM} mm. Add poses"
-        yield (
-            verdict,
-            f"the cameras' uncertainty moves measured points by {error_mm:.3f} mm RMS (worst pair: {pair}, good up to "
-            f"{_EXPECTED_WARN_MM} mm){advice}",
-        )
+        values = {"mm": known[pair], "good_mm": _EXPECTED_WARN_MM}
+        if known[pair] <= _EXPECTED_WARN_MM:
+            yield _found("pass", "expected-error", pair, values=values)
+        else:
+            verdict: Verdict = "refuse" if known[pair] > _EXPECTED_REFUSE_MM else "warn"
+            yield _found(verdict, "expected-error-large", pair, values={**values, "limit_mm": _EXPECTED_REFUSE_MM})
 
 
-def about_left_out(calibration: Calibration) -> Iterator[Finding]:
+def about_left_out(calibration: Calibration) -> Iterator[CalibrationFinding]:
     """Report whether poses left out fit as well as those adjusted."""
     left_out = calibration.left_out
     if left_out is None:
         if not calibration.observations.target.is_surveyed:  # of a surveyed target one exposure is enough
-            yield "warn", "no pose could be left out for a test, because every one is needed. Add poses"
+            yield _found("warn", "no-pose-left-out")
         return
-    many = left_out.excess > _LEFT_OUT_WARN
-    yield (
-        "warn" if many else "pass",
-        f"as a test, poses were left out of the adjustment. They fit to {left_out.left_out_px:.3f} px, "
-        f"{left_out.ratio:.2f} times as far as the others and {left_out.excess:.2f} times as far as expected"
-        + (f" (limit {_LEFT_OUT_WARN}). Do not trust the cameras where no target was shown. Add poses" if many else ""),
-    )
+    values = {"px": left_out.left_out_px, "ratio": left_out.ratio, "excess": left_out.excess}
+    if left_out.excess > _LEFT_OUT_WARN:
+        yield _found("warn", "left-out-misfit", values={**values, "limit": _LEFT_OUT_WARN})
+    else:
+        yield _found("pass", "left-out-fit", values=values)
 
 
-def about_scale(calibration: Calibration) -> Iterator[Finding]:
+def about_scale(calibration: Calibration) -> Iterator[CalibrationFinding]:
     """Report how well all lengths are known. No residual shows a print of another scale."""
     name, stated_mm = calibration.observations.target.stated_size
     sizes = calibrated_sizes(calibration)
-    if rare := [size for size in sizes if not size.is_usual()]:
-        yield (
-            "warn",
-            f"by target.{name} = {stated_mm:g} mm, {' and '.join(map(str, rare))}, which is rare. If the subject is "
-            f"of another size than that, check that the target's sizes are in millimetres{fitting(stated_mm, sizes)}",
-        )
+    for size in sizes:
+        if not size.is_usual():
+            fits = " or ".join(fitting_values(stated_mm, sizes)) or "none"
+            values: dict[str, float | str] = {"name": name, "stated_mm": stated_mm, "mm": size.mm, "fits": fits}
+            yield _found("warn", f"target-{size.name}-rare", values=values)
     std = calibration.scale_std
     if std is None:
-        yield (
-            "pass",
-            "the printed board was not measured. If it is 0.1 % too large, volumes are 0.3 % too large. Measure its "
-            "edge, and enter edge_mm and edge_std_mm",
-        )
+        yield _found("pass", "target-not-measured")
     else:
-        yield ("pass", f"the target was measured: sizes are known to {100 * std:.3f} %, volumes to {300 * std:.2f} %")
+        yield _found("pass", "target-measured", values={"percent": 100 * std, "volume_percent": 300 * std})
 
 
-def about_residuals(rms_px: float, rms_mm: float) -> Finding:
+def about_residuals(rms_px: float, rms_mm: float) -> CalibrationFinding:
     """Report whether the residuals are large, by what they are in millimetres."""
-    good = rms_mm <= RESIDUAL_GOOD_MM
-    fair = rms_mm <= _RESIDUAL_WARN_MM
-    word = "good" if good else "fair" if fair else "poor: blur, noise, or a board that is not as described"
-    return (
-        "pass" if fair else "warn",
-        f"the residuals are {rms_px:.3f} px RMS, {rms_mm:.3f} mm at the target (good up to "
-        f"{RESIDUAL_GOOD_MM} mm), which is {word}",
-    )
+    values: dict[str, float | str] = {"px": rms_px, "mm": rms_mm, "good_mm": RESIDUAL_GOOD_MM}
+    if rms_mm > _RESIDUAL_WARN_MM:
+        return _found("warn", "residuals-large", values=values)
+    grade = "good" if rms_mm <= RESIDUAL_GOOD_MM else "fair"
+    return _found("pass", "residuals", values={**values, "grade": grade})
 
 
 _STRETCH_WARN, _STRETCH_REFUSE = 3e-3, 1e-2
@@ -357,27 +332,23 @@ _BOW_WARN_MM = 1.0
 """Bow above which a board hardly keeps its shape while it is moved. Chosen by eye."""
 
 
-def board_faults(calibration: Calibration) -> Iterator[tuple[bool, Cause]]:
-    """Yield what is wrong with a board's shape as it was adjusted, and whether sizes are lost by it."""
+def about_target(calibration: Calibration) -> Iterator[CalibrationFinding]:
+    """Report a board that is stretched or bent, as it was adjusted. A stretched one is refused if sizes are lost."""
     if not isinstance(calibration.observations.target, Board):
         return
     stretch, bow_mm = _stretch_and_bow(calibration.observations.target.points_target, calibration.target_points)
     if abs(stretch) > _STRETCH_WARN:
-        found = (
-            f"a board that is {100 * abs(stretch):.2f} % {'shorter' if stretch < 0 else 'longer'} along its rows than "
-            f"[target] says, compared with its columns. Volumes may be {150 * abs(stretch):.1f} % off"
+        yield _found(
+            "refuse" if abs(stretch) > _STRETCH_REFUSE else "warn",
+            "board-stretched",
+            values={
+                "percent": 100 * abs(stretch),
+                "longer": "shorter" if stretch < 0 else "longer",
+                "volume_percent": 150 * abs(stretch),
+            },
         )
-        remedy = "Print it without scaling, the same both ways, and measure both edges"
-        yield abs(stretch) > _STRETCH_REFUSE, Cause(found=found, remedy=remedy)
     if bow_mm > _BOW_WARN_MM:
-        found = f"a board that is bent by {bow_mm:.1f} mm"
-        yield False, Cause(found=found, remedy="Fix it on a flat, stiff plate, so that it keeps its shape")
-
-
-def about_target(calibration: Calibration) -> Iterator[Finding]:
-    """Report a board that is stretched or bent, if its points were adjusted."""
-    for sizes_are_lost, fault in board_faults(calibration):
-        yield "refuse" if sizes_are_lost else "warn", f"the calibration shows {fault.found}. {fault.remedy}"
+        yield _found("warn", "board-bent", values={"mm": bow_mm})
 
 
 def _stretch_and_bow(nominal: Float64[Array, "n 3"], points: Float64[Array, "n 3"]) -> tuple[float, float]:

@@ -11,12 +11,12 @@ from functools import lru_cache
 
 import numpy as np
 
+from mammometry.base.notices import Notice
 from mammometry.base.value import value
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.judge.expected_error import expected_error
 from mammometry.calibration.judge.findings import (
-    Doubt,
-    Finding,
+    CalibrationFinding,
     Verdict,
     about_bias,
     about_cameras,
@@ -56,15 +56,10 @@ _GRAVITY: Mapping[Verdict, int] = {"refuse": 0, "warn": 1, "pass": 2}
 
 @value(eq=False)
 class CalibrationQuality:
-    """The verdict, its reasons, and the figures behind them."""
+    """The findings with their verdicts, and the figures behind them."""
 
-    verdict: Verdict
-    reasons: tuple[str, ...]
-    """One sentence each, worst first. Good findings are listed too."""
-    refusals: tuple[str, ...]
-    """Those of the reasons for which the calibration is refused."""
-    doubts: tuple[Doubt, ...]
-    """Those of the reasons that deserve a look."""
+    findings: tuple[CalibrationFinding, ...]
+    """Worst first. Good ones are included."""
     rms_px: float
     rms_px_per_camera: Mapping[str, float]
     rms_px_per_pose: Mapping[str, float]
@@ -84,6 +79,26 @@ class CalibrationQuality:
     pairs: tuple[PairQuality, ...]
     movements: tuple[MovedCameras, ...]
     """What moved while the rig was calibrated, the most certain first."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """That of the worst finding."""
+        return self.findings[0].verdict
+
+    @property
+    def notices(self) -> tuple[Notice, ...]:
+        """All findings."""
+        return tuple(finding.notice for finding in self.findings)
+
+    @property
+    def refusals(self) -> tuple[Notice, ...]:
+        """Findings for which the calibration is refused."""
+        return tuple(finding.notice for finding in self.findings if finding.verdict == "refuse")
+
+    @property
+    def doubts(self) -> tuple[Notice, ...]:
+        """Findings to be checked."""
+        return tuple(finding.notice for finding in self.findings if finding.verdict == "warn")
 
 
 def assess(calibration: Calibration, settings: QualitySettings = QualitySettings()) -> CalibrationQuality:
@@ -108,7 +123,7 @@ def _assessed(calibration: Calibration, settings: QualitySettings) -> Calibratio
         for name, camera in calibration.rig.cameras.items()
     }
     rms_mm = _rms_mm(calibration)
-    findings: list[Finding] = [
+    findings = [
         *about_names(calibration),
         *about_missed(calibration),
         *about_target(calibration),
@@ -124,12 +139,9 @@ def _assessed(calibration: Calibration, settings: QualitySettings) -> Calibratio
         *about_left_out(calibration),
         *about_scale(calibration),
     ]
-    findings.sort(key=lambda finding: _GRAVITY[finding[0]])
+    findings.sort(key=lambda finding: _GRAVITY[finding.verdict])
     return CalibrationQuality(
-        verdict=findings[0][0],
-        reasons=tuple(reason for _, reason, *_ in findings),
-        refusals=tuple(reason for verdict, reason, *_ in findings if verdict == "refuse"),
-        doubts=tuple(Doubt(reason, tuple(shots)) for verdict, reason, *shots in findings if verdict == "warn"),
+        findings=tuple(findings),
         rms_px=calibration.rms_px,
         rms_px_per_camera={name: pooled_rms([v for v in views if v.camera == name]) for name in coverage},
         rms_px_per_pose={

@@ -11,6 +11,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from mammometry.base.errors import CalibrationError, SessionError
+from mammometry.base.notices import Notice
 from mammometry.base.sizes import SUBJECT_MM, Range, Size, fitting, likely_units
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.judge.expected_error import meeting_point
@@ -53,7 +54,7 @@ def require_scale(calibration: Calibration, subject_kind: str) -> None:
     )
 
 
-def require_camera_scale(file: str, rig: Rig, subject_kind: str) -> tuple[str, ...]:
+def require_camera_scale(file: str, rig: Rig, subject_kind: str) -> tuple[Notice, ...]:
     """Refuse imported cameras that cannot see their subject.
 
     Args:
@@ -62,7 +63,7 @@ def require_camera_scale(file: str, rig: Rig, subject_kind: str) -> tuple[str, .
         subject_kind: ``model``, ``torso`` or ``surface``.
 
     Returns:
-        Sentences on why their lengths are doubtful. Empty if they are usual.
+        Warnings about doubtful lengths. Empty if they are usual.
 
     Raises:
         SessionError: names the file and the unit that would fit.
@@ -78,11 +79,12 @@ def require_camera_scale(file: str, rig: Rig, subject_kind: str) -> tuple[str, .
             expected=wrong.expected,
             remedy=f"Give the cameras' translations in millimetres{seem}",
         )
-    rare = [str(size) for size in sizes if not size.is_usual()]
-    if not rare:
-        return ()
-    doubt = f"With the imported cameras {' and '.join(rare)}, which is rare. If this is not the subject's size"
-    return (f"{doubt}, check the cameras' unit{seem}",)
+    fits = " or ".join(units) or "none"
+    return tuple(
+        Notice(code=f"imported-{size.name}-rare", values={"mm": size.mm, "units": fits})
+        for size in sizes
+        if not size.is_usual()
+    )
 
 
 def _impossible(sizes: Sequence[Size]) -> Size | None:
@@ -132,6 +134,7 @@ def _sizes(rig: Rig, depths_mm: Mapping[str, float], subject_kind: str, where: s
         sizes.append(
             Size(
                 mm=float(np.median(views)),
+                name="view",
                 possible_mm=possible_mm,
                 usual_mm=possible_mm if subject_kind == "surface" else _USUAL_VIEW_MM,
                 words=f"the shorter side of the field of view is {{}} {where}",
@@ -141,6 +144,7 @@ def _sizes(rig: Rig, depths_mm: Mapping[str, float], subject_kind: str, where: s
         sizes.append(
             Size(
                 mm=float(np.median(baselines)),
+                name="baseline",
                 possible_mm=_BASELINE_MM,
                 usual_mm=_BASELINE_MM if subject_kind == "surface" else _USUAL_BASELINE_MM,
                 words="the two cameras of a pair are {} apart",

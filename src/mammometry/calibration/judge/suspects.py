@@ -14,10 +14,10 @@ from typing import TypeAlias
 import numpy as np
 
 from mammometry.base.errors import CalibrationError
+from mammometry.base.notices import Notice, words_of
 from mammometry.calibration.adjust.calibrated import Calibration, SetAside
 from mammometry.calibration.detection.detect import Observations
-from mammometry.calibration.features.pixels import Cause
-from mammometry.calibration.judge.findings import BIAS_REFUSE, board_faults
+from mammometry.calibration.judge.findings import BIAS_REFUSE, about_target
 from mammometry.calibration.judge.quality import CalibrationQuality, assess
 from mammometry.calibration.settings import QualitySettings
 
@@ -59,7 +59,7 @@ class Suspects:
             f"Without them, {len(self.rest.rms_px_per_pose)} poses are left, at least {min(self.views.values())} "
             f"for each camera. Residuals are then {self.rest.rms_px:.3f} px, and points known to {worst_mm:.3f} mm"
         )
-        return words if self.suffices else f"{words}. It would be refused too: {self.rest.refusals[0]}"
+        return words if self.suffices else f"{words}. It would be refused too: {words_of(self.rest.refusals[0])}"
 
 
 class SuspectPhotographsError(CalibrationError):
@@ -98,40 +98,49 @@ def refusal(
         settings: limits.
     """
     fault = _board_fault(calibration, recalibrate)
+    reasons = tuple(map(words_of, quality.notices))
     suspects = None if fault else find_suspects(calibration, quality, recalibrate, settings)
     if suspects is not None:
         return SuspectPhotographsError(suspects)
     error = (
         CalibrationError(
             "calibration target",
-            found=fault.found,
+            found=_phrase(fault),
             expected="a flat board, printed at the same scale in both directions, as described in [target]",
-            remedy=fault.remedy,
+            remedy="Correct the board, and take the calibration photographs again",
         )
         if fault
         else CalibrationError(
             "calibration",
-            found=f"that {quality.refusals[0].rstrip('.')}",
+            found=_phrase(quality.refusals[0]),
             expected="a calibration that is good enough to measure with",
             remedy="Take the calibration photographs again",
         )
     )
-    error.details = quality.reasons if fault else quality.reasons[1:]
+    error.details = reasons if fault else reasons[1:]
     return error
 
 
-def _board_fault(calibration: Calibration, recalibrate: Recalibrate) -> Cause | None:
+def _phrase(notice: Notice) -> str:
+    """A finding as a clause of a sentence."""
+    words = words_of(notice).rstrip(".")
+    return f"that {words[0].lower()}{words[1:]}"
+
+
+def _board_fault(calibration: Calibration, recalibrate: Recalibrate) -> Notice | None:
     """Test whether the board is at fault, if its shape was not adjusted.
 
     A few poses hardly separate it from the cameras, but show how much better they fit with an adjusted board.
     """
     if np.ptp(calibration.target_points - calibration.observations.target.points_target) > 0:
-        return next((fault for sizes_are_lost, fault in board_faults(calibration) if sizes_are_lost), None)
+        return next((fault.notice for fault in about_target(calibration) if fault.verdict == "refuse"), None)
     try:
         freed = recalibrate(calibration.observations, _ANY_SHAPE_MM)
     except CalibrationError:
         return None
-    return next((fault for _, fault in board_faults(freed)), None) if freed.rms_px < calibration.rms_px / 2 else None
+    if freed.rms_px >= calibration.rms_px / 2:
+        return None
+    return next((fault.notice for fault in about_target(freed)), None)
 
 
 def find_suspects(

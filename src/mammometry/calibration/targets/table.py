@@ -68,6 +68,7 @@ def _require_size(target: Target) -> None:
     """Refuse impossible sizes. `judge.scale` finds smaller errors by means of the cameras."""
     span = Size(
         mm=float(np.ptp(target.points_target, axis=0).max()),
+        name="span",
         possible_mm=_TARGET_MM,
         usual_mm=_USUAL_TARGET_MM,
         words="its points span {}",

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import mammometry
 from mammometry.api.job import open_session
 from mammometry.base.errors import SessionError
+from mammometry.base.notices import words_of
 from mammometry.base.progress import StageProgress
 from mammometry.batch.record import BatchEntry
 from mammometry.batch.session import measure_entry, watched
@@ -191,7 +192,10 @@ def calibrate(progress: StageProgress, session: str, settings: str) -> dict[str,
         quality = assess(result, job.settings.calibration.quality)
         figures |= {
             "doubts": [
-                {"sentence": doubt.sentence, "photographs": [f"{shot.pose}/{shot.camera}" for shot in doubt.shots]}
+                {
+                    "sentence": words_of(doubt),
+                    "photographs": [name.removeprefix("calibration/") for name in doubt.photographs],
+                }
                 for doubt in quality.doubts
             ],
             "rms_mm": quality.rms_mm,

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING
 
 from mammometry.api.results import FOLDER
 from mammometry.base.errors import SessionError
+from mammometry.base.notices.texts import TEXTS
+from mammometry.base.notices.words import code_of_1_0
 from mammometry.clinic.models import Measurement, Visit, Volume
 from mammometry.clinic.records.charts import ChartReading
 from mammometry.clinic.records.clinical import clinical_of
 from mammometry.clinic.records.comparability import Basis, basis_of, why_apart
 from mammometry.clinic.records.confirmations import CHANGED
 from mammometry.clinic.site import the_clinic
-from mammometry.report.words.notices import TEXTS, code_of_1_0
 from mammometry.report.words.volumes import MEANINGS
 
 if TYPE_CHECKING:

@@ -11,13 +11,9 @@ from mammometry.geometry.arrays import Array, Float64, Int32, Int64, UInt8
 
 GREY = 128
 """sRGB of points without a colour."""
-MIRRORED = (
-    "A part of the mesh is mirrored in the file (negative scale), and was read so. Compare left and right with "
-    "the patient: a mole, the operated side or a tattoo."
-)
-HIDDEN = "Hidden parts of the file were not read."
-SUBDIVIDED = "The file asks for a smoothed surface (subdivision). The mesh was read without smoothing."
-ANIMATED = "The file has an animation. The mesh was read at its first moment."
+MIRRORED, HIDDEN = "mesh-part-mirrored", "mesh-parts-hidden"
+SUBDIVIDED, ANIMATED = "mesh-subdivided", "mesh-animated"
+"""Codes of notices about a file."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -45,7 +41,7 @@ class SceneContent:
     metres_per_unit: float | None = None
     """None if the file does not state it."""
     remarks: tuple[str, ...] = ()
-    """Sentences about parts that were not read or need a check."""
+    """Codes of notices about parts that were not read or need a check."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -57,7 +53,7 @@ class MeshContent:
     colours: UInt8[Array, "n 3"]
     """sRGB of each point. `GREY` if the file has none."""
     remarks: tuple[str, ...] = ()
-    """Sentences about parts that were not read or need a check."""
+    """Codes of notices about parts that were not read or need a check."""
 
 
 def joined_parts(

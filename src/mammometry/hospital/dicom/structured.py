@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 from pydicom import Dataset
 
 from mammometry.base.notices import Notice
+from mammometry.base.notices.words import words_of
 from mammometry.hospital import codes
 from mammometry.hospital.codes import Coded, uid
 from mammometry.hospital.dicom.frame import Study, coded, describe, finished
 from mammometry.hospital.exported import Quantity, Side, person_name
 from mammometry.report.content import Signed
-from mammometry.report.words.notices import words_of
 
 if TYPE_CHECKING:
     from highdicom.sr import CodedConcept

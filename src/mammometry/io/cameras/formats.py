@@ -9,6 +9,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from mammometry.base.errors import SessionError
+from mammometry.base.notices import Notice
 from mammometry.calibration.judge.scale import require_camera_scale, require_sides
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.io.cameras.agisoft import read_agisoft
@@ -132,7 +133,7 @@ def require_rig(
     pair_names: Mapping[str, tuple[str, str]],
     subject_kind: str,
     upside_down: Collection[str] = (),
-) -> tuple[str, ...]:
+) -> tuple[Notice, ...]:
     """Refuse imported cameras that are at one position, swapped, or in another unit.
 
     Args:
@@ -143,7 +144,7 @@ def require_rig(
         upside_down: cameras that are mounted upside down.
 
     Returns:
-        Sentences on why their lengths are doubtful. Empty if they are usual.
+        Warnings about doubtful lengths. Empty if they are usual.
 
     Raises:
         SessionError: names the files, what was found, and the unit that would fit.

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import codecs
 import re
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
 from mammometry.base.errors import SessionError
+from mammometry.base.notices import Notice
+from mammometry.base.notices.words import maybe_words
 from mammometry.base.parse import require_file
 from mammometry.base.sizes import subject_extent
 from mammometry.base.units import (
@@ -47,33 +51,28 @@ class ForeignMesh:
     """Its unit and the source of it, as text."""
     mm_per_unit: float = 1.0
     """Size of its unit, mm."""
-    lengths: str = ""
-    """A sentence on its length in the assumed unit and in others. Empty if there is no doubt."""
-    remarks: tuple[str, ...] = ()
-    """What its reader omitted or assumed, one sentence each."""
+    assumed: Notice | None = None
+    """Note on an assumed unit. None if it was stated."""
+    remarks: tuple[Notice, ...] = ()
+    """What its reader omitted or assumed."""
 
     @property
-    def assumed(self) -> str:
-        """A sentence about an assumed unit. Empty if it was stated."""
-        return " ".join(filter(None, (unit_remark(self.units), self.lengths)))
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Notes on how it was read, one sentence each."""
+    def notices(self) -> tuple[Notice, ...]:
+        """Notes on how it was read."""
         return (*filter(None, [self.assumed]), *self.remarks)
 
 
-def unit_remark(units: str, *, imported: bool = False) -> str:
-    """A sentence about an assumed unit. Empty if it was stated.
+def unit_notice(units: str, lengths: Mapping[str, float | str] = MappingProxyType({})) -> Notice | None:
+    """A note on an assumed unit. None if it was stated.
 
     Args:
         units: the unit and its source, as in a `ForeignMesh`.
-        imported: whether the scan was imported, and is in mm.
+        lengths: values on its length in other units that fit.
     """
     if not units.endswith(_BY_SIZE):
-        return ""
-    remedy = ", import the scanner's file again with --units" if imported else ": --units"
-    return f"The unit of the mesh is taken to be {units}. If it is another{remedy}."
+        return None
+    values = {"unit": units.removesuffix(f", {_BY_SIZE}"), **lengths}
+    return Notice(code="mesh-unit-doubtful" if lengths else "mesh-unit-assumed", level="note", values=values)
 
 
 def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False) -> ForeignMesh:
@@ -96,7 +95,7 @@ def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False
     unit, who = (unit_named(units), "as stated") if units is not None else _stated_unit(path)
     content = read_mesh_file(path)
     extent_units = float(np.ptp(content.points, axis=0).max())
-    lengths = ""
+    lengths: dict[str, float | str] = {}
     if unit is None and of_torso:
         unit, lengths = _unit_of_torso(extent_units)
         who = _BY_SIZE
@@ -122,26 +121,25 @@ def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False
             f"coordinates in steps of {step_mm:.2g} mm, {np.abs(vertices).max() / 1000:.3g} m from the origin",
             f"steps of at most {_COARSEST_STEP_MM:g} mm",
             "Move the mesh to its origin in the program that made it, and export it again",
-        ).with_remark(unit_remark(f"{unit}, {who}"))
+        ).with_remark(maybe_words(unit_notice(f"{unit}, {who}")))
     return ForeignMesh(
         mesh=TriangleMesh(vertices=vertices, faces=content.faces),
         colours=content.colours,
         units=f"{unit}, {who}",
         mm_per_unit=mm_per_unit,
-        lengths=lengths,
-        remarks=content.remarks,
+        assumed=unit_notice(f"{unit}, {who}", lengths),
+        remarks=tuple(Notice(code=code, level="note") for code in content.remarks),
     )
 
 
-def _unit_of_torso(extent: float) -> tuple[str | None, str]:
-    """Unit in which this is the length of a torso or a whole body, and a remark on others that fit."""
+def _unit_of_torso(extent: float) -> tuple[str | None, dict[str, float | str]]:
+    """Unit in which this is the length of a torso or a whole body, and the lengths in other units that fit."""
     fits = {unit: extent * mm for unit, mm in MM_PER_UNIT.items() if _TORSO_MM[0] <= extent * mm < _TORSO_MM[1]}
     unit = next((unit for unit in _USUAL if unit in fits), None)
     if unit is None:
-        return None, ""
+        return None, {}
     others = [f"{mm:.0f} mm in {UNIT_TITLES[name]}" for name, mm in fits.items() if name not in _USUAL]
-    lengths = f"It is {fits[unit]:.0f} mm long in {unit}, and would be {' or '.join(others)}." if others else ""
-    return unit, lengths
+    return unit, {"mm": fits[unit], "others": " or ".join(others)} if others else {}
 
 
 def _step(vertices: Float64[Array, "n 3"]) -> float:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from mammometry.base.errors import MeasureError
+from mammometry.base.notices import Notice
 from mammometry.base.value import value
 from mammometry.geometry import Array, Float64, Int64, UInt8
 from mammometry.io.meshes.foreign import ForeignMesh
@@ -105,21 +106,21 @@ def merge_scans(
     from mammometry.measure.scan_repair import repair_scan
     from mammometry.measure.scanned import check_mesh
 
-    def repaired(scan: ForeignMesh) -> tuple[ColouredMesh, tuple[str, ...], bool]:
+    def repaired(scan: ForeignMesh) -> tuple[ColouredMesh, tuple[Notice, ...], bool]:
         made = repair_scan(scan.mesh, largest=largest, skin_alone=of_torso, holes=False)
         check_mesh(made.mesh)
         return (
             ColouredMesh(mesh=made.mesh, colours=scan.colours[_nearest(made.mesh.vertices, scan.mesh.vertices)]),
-            made.notes,
+            made.notices,
             made.inside_out,
         )
 
-    own, notes, inside_out = repaired(first)
-    remarks = [*first.remarks, *(f"First scan: {note}" for note in notes if not inside_out)]
+    own, of_repair, inside_out = repaired(first)
+    remarks = [*first.remarks, *(_of_scan(1, notice) for notice in of_repair if not inside_out)]
     scans, also = [own], []
     for path, foreign in others:
         try:
-            scan, own_notes, _ = repaired(foreign)
+            scan, own_notices, _ = repaired(foreign)
             fit = fit_scans(own.mesh, scan.mesh)
         except MeasureError as error:
             raise MeasureError(str(path), found=error.found, expected=error.expected, remedy=error.remedy) from None
@@ -134,19 +135,26 @@ def merge_scans(
                 first_from_this=tuple(fit.first_from_second.matrix.ravel().tolist()),
             )
         )
-        which = f"Scan {len(scans)}"
-        also_words = also[-1].words
-        remarks += [f"{which}: {note}" for note in (*foreign.remarks, *own_notes)]
-        remarks.append(f"{which} was merged with the first one: {also_words}.")
+        number = len(scans)
+        remarks += [_of_scan(number, notice) for notice in (*foreign.remarks, *own_notices)]
+        values = {
+            "number": number,
+            "overlap_percent": 100 * fit.overlap,
+            "within_mm": fit.within_mm,
+            "scale_percent": round(100 * fit.scale, 1) + 0.0,
+            "std_mm": fit.sigma_mm,
+        }
+        remarks.append(Notice(code="scan-merged", level="note", values=values))
         if fit.doubtful:
-            remarks.append(
-                f"{which} fits worse than a scan in the same posture. The patient may have moved between the scans: "
-                "compare the volumes with those of a single scan, or scan again."
-            )
+            remarks.append(Notice(code="scan-fits-badly", level="note", values={"number": number}))
     fused = fuse_scans(scans)
     mesh = fused.mesh.turned_over() if inside_out else fused.mesh  # mirroring is tested later
     merged = replace(first, mesh=mesh, colours=fused.colours, remarks=tuple(remarks))
     return MergedScans(foreign=merged, sources=fused.sources, also=tuple(also))
+
+
+def _of_scan(number: int, notice: Notice) -> Notice:
+    return replace(notice, values={**notice.values, "scan": number})
 
 
 def stored_sources(path: Path, points: Float64[Array, "m 3"]) -> UInt8[Array, " m"] | None:

@@ -10,7 +10,7 @@ import json
 import re
 import tempfile
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
@@ -21,13 +21,16 @@ from PIL import Image
 
 from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.identity import subject_id
+from mammometry.base.notices import Notice
+from mammometry.base.notices.texts import TEXTS
+from mammometry.base.notices.words import maybe_words
 from mammometry.base.parse import LimitSettings, read_bytes, read_text, toml_table
 from mammometry.base.units import mm_of_unit
 from mammometry.geometry import Array, Float64, TriangleMesh, UInt8
 from mammometry.geometry.mesh_files.in_child import read_in_child
 from mammometry.geometry.mesh_files.obj import parse_obj
 from mammometry.geometry.mesh_files.ply import write_ply
-from mammometry.io.meshes.foreign import ForeignMesh, read_foreign, unit_remark
+from mammometry.io.meshes.foreign import ForeignMesh, read_foreign
 from mammometry.io.meshes.merged import SOURCE, AlsoScan, also_in, also_text, merge_scans, sha256_of
 from mammometry.io.meshes.own import read_ply
 from mammometry.io.meshes.textures import CoveredObj, covered_parts, parse_covered_obj, texture_at
@@ -51,7 +54,9 @@ _MOST_OBJ_MIB = 1024  # largest OBJ
 _ON_SKIN_MM = 1.0  # largest distance from the scanner's surface; seams are joined within 0.05 mm
 _SAME_AREA = 1e-3  # largest relative difference of the written area: faces without area are removed
 _LONGEST = 100  # most characters of a scanner's name
-_KEYS = {"format", "scanner", "units", "head", "ahead", "subject", "posture", "sha256", "sides", "remarks", "also"}
+_KEYS = {"format", "scanner", "units", "head", "ahead", "subject", "posture", "sha256", "sides", "notices", "remarks",
+    "also",
+}  # fmt: skip
 _CHECKED = "checked"
 _MAP_OPTION = re.compile(r"-(?:blendu|blendv|cc|clamp|texres|bm|boost|type|imfchan|mm|o|s|t)(?=\s)", re.IGNORECASE)
 """Option before the name of a map's picture (specification of OBJ, "Texture map statements")."""
@@ -80,8 +85,8 @@ class ScanFacts:
     """SHA-256 of the scanner's own mesh file."""
     sides: str = ""
     """``checked``: a person confirmed that left and right are the patient's. Empty: not checked."""
-    remarks: tuple[str, ...] = ()
-    """What was omitted or assumed when the scanner's file was read, one sentence each."""
+    notices: tuple[Notice, ...] = ()
+    """What was omitted or assumed when the scanner's file was read."""
     also: tuple[AlsoScan, ...] = ()
     """Further scans of the visit, merged into the folder's mesh."""
 
@@ -119,9 +124,8 @@ def import_scan(
         foreign, about = merged.foreign, replace(about, also=merged.also)
         files = {MESH: _ply(foreign, {SOURCE: merged.sources})}
     _check_written(mesh, files, foreign)
-    assumed = (unit_remark(foreign.units, imported=True), foreign.lengths)
-    remarks = (*filter(None, assumed), *foreign.remarks)
-    files[ABOUT] = scan_text(replace(about, units=foreign.units, sha256=sha256_of(mesh), remarks=remarks)).encode()
+    about = replace(about, units=foreign.units, sha256=sha256_of(mesh), notices=foreign.notices)
+    files[ABOUT] = scan_text(about).encode()
     return files
 
 
@@ -153,9 +157,11 @@ def scan_text(scan: ScanFacts) -> str:
         "format": 1, "scanner": scan.scanner.strip(), "units": scan.units, "head": scan.head, "ahead": scan.ahead,
         **({} if scan.subject is None else {"subject": scan.subject}),
         **{name: value for name in ("posture", "sha256", "sides") if (value := getattr(scan, name))},
-        **({"remarks": list(scan.remarks)} if scan.remarks else {}),
     }  # fmt: skip
     lines = [f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in made.items()]
+    for notice in scan.notices:
+        values = ", ".join(f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in notice.values.items())
+        lines += ["", "[[notices]]", f'code = "{notice.code}"', f"values = {{ {values} }}"]
     return "# A scan of another device. scan.ply is in mm.\n" + "\n".join(lines) + "\n" + also_text(scan.also)
 
 
@@ -173,7 +179,7 @@ def _check_written(mesh: Path, files: Mapping[str, bytes], foreign: ForeignMesh)
     try:
         check_mesh(repair_scan(foreign.mesh).mesh)
     except MeasureError as error:
-        raise error.of_mesh().with_remark(foreign.assumed) from None
+        raise error.of_mesh().with_remark(maybe_words(foreign.assumed)) from None
     with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
         path = Path(folder) / MESH
         path.write_bytes(files[MESH])
@@ -233,16 +239,25 @@ def read_scan(folder: Path) -> ScanFacts:
             remedy="Import the mesh again: mammometry import mesh",
         )  # fmt: skip
     read = {name: value for name, value in table.items() if name != "format" and isinstance(value, str)}
-    remarks = table.get("remarks", [])
     also = also_in(table.get("also", []))
     if also is None:
         raise SessionError(
             str(path), found="invalid tables under also", expected="a table for each further scan, as import writes it",
             remedy="Import the meshes again: mammometry import mesh --also",
         )  # fmt: skip
-    made = ScanFacts(**read, remarks=tuple(map(str, remarks)) if isinstance(remarks, list) else (), also=also)
+    made = ScanFacts(**read, notices=tuple(_notices_in(table)), also=also)
     _check(made)
     return made
+
+
+def _notices_in(table: Mapping[str, Any]) -> Iterator[Notice]:
+    """Notices of scan.toml. Until version 1.0 it had sentences, under ``remarks``."""
+    for stored in table.get("notices", []):
+        code, values = stored.get("code"), stored.get("values", {})
+        if code in TEXTS and isinstance(values, dict):
+            yield Notice(code=code, level="note", values=values)
+    for words in table.get("remarks", []):
+        yield Notice(code="sentence", level="note", values={"text": str(words)})
 
 
 def confirm_sides(folder: Path) -> None:

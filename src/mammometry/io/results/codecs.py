@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from mammometry.base.errors import MammometryError, StorageError
+from mammometry.base.notices import Notice
 from mammometry.base.registry import Registry
 from mammometry.calibration.targets.target import TARGETS
 from mammometry.geometry.arrays import Array, UInt8
@@ -29,6 +30,7 @@ from mammometry.measure.boundary import BoundaryRemark
 
 STORED_TYPES: Mapping[str, str] = MappingProxyType(
     {
+        "base.notices:Notice": "mammometry.base.notices.notice:Notice",
         "calibration.calibrated:Calibration": "mammometry.calibration.adjust.calibrated:Calibration",
         "calibration.calibrated:ParameterCovariance": "mammometry.calibration.adjust.calibrated:ParameterCovariance",
         "calibration.calibrated:SetAside": "mammometry.calibration.adjust.calibrated:SetAside",
@@ -104,6 +106,7 @@ _CODES_OF_1_0: Mapping[str, BoundaryRemark] = MappingProxyType(
 )
 """Parts of those sentences → codes."""
 _OF_PARTNER = "its partner's silhouette is not known"  # reason in version 1.0 for a camera without its own silhouette
+_BY_BREASTS = "as the breasts lie"  # part of version 1.0's sentence on the body's directions
 _TARGET = "target:"  # prefix of the label of a kind of target
 
 
@@ -179,6 +182,13 @@ def _without_sentences(label: str, members: dict[str, Any]) -> dict[str, Any]:
         return members | {
             "doubts": {name: "" if why == _OF_PARTNER else why for name, why in members["doubts"].items()}
         }
+    if label == "measure.body:Body" and "how" in members:
+        return {name: value for name, value in members.items() if name != "how"} | {
+            "by_breasts": _BY_BREASTS in members["how"]
+        }
+    if label == "measure.boundary:NoBreast" and "why" in members:
+        reason = Notice(code="sentence", values={"text": members["why"]})
+        return {name: value for name, value in members.items() if name != "why"} | {"reason": reason}
     sentence, codes = _SENTENCES.get(label, ("", ""))
     if not codes or codes in members:
         return members

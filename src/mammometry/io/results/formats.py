@@ -12,6 +12,7 @@ import numpy as np
 
 from mammometry.base.errors import MammometryError
 from mammometry.base.machine.cores import available_cores
+from mammometry.base.notices import Notice, from_table
 from mammometry.base.parse import error_text
 from mammometry.geometry import Rig, TriangleMesh
 from mammometry.geometry.mesh_files.ply import write_ply
@@ -151,6 +152,7 @@ def _cameras_write(path: Path, value: CameraSet) -> None:
         "rms_px": value.rms_px,
         "verdict": value.verdict,
         "reasons": list(value.reasons),
+        "notices": [notice.as_table() for notice in value.notices],
     }
     write_json(path, {**about, **cameras_table(value.rig.cameras, value.std)})
 
@@ -172,7 +174,9 @@ def _cameras_read(path: Path) -> CameraSet:
         world=table["world"],
         rms_px=table["rms_px"],
         verdict=table["verdict"],
-        reasons=tuple(table["reasons"]),
+        notices=tuple(map(from_table, table["notices"]))
+        if "notices" in table
+        else tuple(Notice(code="sentence", values={"text": reason}) for reason in table["reasons"]),  # of version 1.0
     )
 
 

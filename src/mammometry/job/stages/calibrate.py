@@ -175,7 +175,7 @@ def cameras(calibration: Calibration | None, *, job: Context) -> CameraSet:
         world=calibration.world,
         rms_px=float(calibration.rms_px),
         verdict=assessed.verdict,
-        reasons=assessed.reasons,
+        notices=assessed.notices,
     )
 
 
@@ -198,7 +198,7 @@ def _imported(inputs: Inputs) -> CameraSet:
     require_sides(rig, inputs.upside_down)
     doubts = require_camera_scale("cameras.json: t", rig, inputs.subject_kind)
     world = "The world frame of the cameras that were imported."
-    return CameraSet(rig=rig, std={}, world=world, rms_px=None, reasons=doubts)
+    return CameraSet(rig=rig, std={}, world=world, rms_px=None, notices=doubts)
 
 
 class _OnePose(Mapping[tuple[str, str], Photograph]):

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from mammometry.base.errors import MeasureError
+from mammometry.base.notices.words import maybe_words
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.job.inputs import CameraSet, FinishedSurface, Inputs, earlier_errors
 from mammometry.job.products import Context, product
@@ -226,7 +227,7 @@ def measurements(
 
     if size is not None:
         require_adult(size, job.settings.measure)
-    remark = size.warning if size is not None and size.is_rare else ""  # a wrong scale may be the cause
+    remark = maybe_words(size.notice if size is not None and size.is_rare else None)  # a wrong scale may be the cause
     outcomes: dict[str, VolumeMeasurement | MeasureError] = {**_covered(overlaps, job)}
     bare = [breast for breast in breasts if breast.boundary.name not in outcomes]
     results = measured_or_refused(bare, evidence, progress=job.progress)

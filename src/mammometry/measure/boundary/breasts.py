@@ -8,6 +8,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from mammometry.base.errors import MeasureError
+from mammometry.base.notices import Notice
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Float64, TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
@@ -95,8 +96,7 @@ class NoBreast:
     """Highest point of the skin on that side, mm, world frame."""
     prominence: Prominence | None
     """Prominence there. None if there is none."""
-    why: str
-    """The reason, one sentence."""
+    reason: Notice
     unclear: bool = False
     """Whether there may be a breast, but without a clear border or base; it is not measured."""
     refused: bool = False
@@ -147,8 +147,11 @@ def find_breasts(surface: RepairedSurface, frame: Float64[Array, "3 3"], *, head
         except MeasureError as error:
             refused.append(error)
             place = _on_skin(side.middle[None], relief, thorax, surface.mesh)[0]
-            why = f"What stands out there cannot be outlined: found {error.found}, expected {error.expected}"
-            results[name] = NoBreast(name=name, place_world=place, prominence=side.prominence, why=why, unclear=True)
+            values = {"found": error.found, "expected": error.expected}
+            reason = Notice(code="breast-not-outlined", about=(name,), values=values)
+            results[name] = NoBreast(
+                name=name, place_world=place, prominence=side.prominence, reason=reason, unclear=True
+            )
     if refused and not any(isinstance(side, Outline) for side in results.values()):
         raise refused[0]
     return Breasts(left=results["left"], right=results["right"], thorax=thorax, body=body, head=head)
@@ -332,12 +335,13 @@ def _result(
     """
     if side.verdict == "none":
         place = _on_skin(side.middle[None], relief, thorax, surface.mesh)[0]
-        return NoBreast(name=name, place_world=place, prominence=side.prominence, why=_why_none(side.prominence))
+        reason = _low("no-breast", name, side.prominence)
+        return NoBreast(name=name, place_world=place, prominence=side.prominence, reason=reason)
     crease = side.crease
     if side.verdict == "unclear" and (side.prominence is None or side.prominence.top_mm < MIN_PROMINENCE_MM):
         place = _on_skin(side.middle[None], relief, thorax, surface.mesh)[0]
-        why = f"{_why_none(side.prominence)}. Whether a breast is missing there is not clear"
-        return NoBreast(name=name, place_world=place, prominence=side.prominence, why=why, unclear=True)
+        reason = _low("breast-unclear", name, side.prominence)
+        return NoBreast(name=name, place_world=place, prominence=side.prominence, reason=reason, unclear=True)
     creased = creased_share(crease, name)
     if side.verdict == "unclear":
         raise _no_crease(creased, name, LOW_CREASED)
@@ -356,13 +360,12 @@ def _result(
     )
 
 
-def _why_none(prominence: Prominence | None) -> str:
+def _low(code: str, name: SideName, prominence: Prominence | None) -> Notice:
+    """The notice of this code, or with ``-low`` the one that states the height of a low prominence."""
     if prominence is None:
-        return "Nothing on that side stands out from the trunk all around"
-    return (
-        f"The highest place stands out {prominence.top_mm:.0f} mm from the skin around it, and "
-        f"{prominence.mean_mm:.0f} mm on average: a chest's form, not a breast's"
-    )
+        return Notice(code=code, about=(name,))
+    values = {"top_mm": prominence.top_mm, "mean_mm": prominence.mean_mm}
+    return Notice(code=f"{code}-low", about=(name,), values=values)
 
 
 def _on_skin(flat: Float64[Array, "n 2"], relief: Relief, thorax: Thorax, mesh: TriangleMesh) -> Float64[Array, "n 3"]:

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from mammometry.base.errors import MeasureError
+from mammometry.base.notices.words import maybe_words
 from mammometry.geometry import Array, Float64
 from mammometry.measure.landmarks.proposals import propose_nipple, propose_on_midline
 from mammometry.measure.settings import MeasureSettings
@@ -27,7 +28,7 @@ def size_remarked(surface: RepairedSurface, frame: Float64[Array, "3 3"]) -> Ite
         yield
     except MeasureError as error:
         size = BodySize(lengths_mm=_trunk(surface, frame, None))
-        raise error.with_remark(size.warning if size.is_rare else "") from None
+        raise error.with_remark(maybe_words(size.notice if size.is_rare else None)) from None
 
 
 def find_body_size(

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mammometry.base.errors import MeasureError
+from mammometry.base.notices import Notice
 from mammometry.base.value import value
 from mammometry.measure.settings import MeasureSettings
 
@@ -121,19 +122,33 @@ class BodySize:
         """The lengths, as a phrase."""
         return " and ".join(ADULTS[name].words.format(f"{mm:.0f} mm") for name, mm in self.lengths_mm.items())
 
-    def usual(self, deviations: float = _RARE) -> str:
+    def usual(self, deviations: float) -> str:
         """The ranges of these lengths among adults, as a phrase."""
         ranges = (ADULTS[name].within_mm(deviations) for name in self.lengths_mm)
         return " and ".join(f"{low:.0f} to {high:.0f} mm" for low, high in ranges)
 
     @property
-    def warning(self) -> str:
-        """Warning if the size is rare, else an empty string."""
+    def notice(self) -> Notice | None:
+        """Warning if the size is rare or unknown."""
+        if not self.lengths_mm:
+            return Notice(code="body-size-unknown")
         if not self.is_rare:
-            return ""
-        return (
-            f"The body is {self.words} for an adult: {self.found()}; 98 of 100 adults have {self.usual()}. Check the "
-            f"unit or the printed board: lengths × {self.factor:.2g} would be usual, volumes × {self.factor**3:.2g}."
+            return None
+        ranges = {name: ADULTS[name].within_mm(_RARE) for name in self.lengths_mm}
+        lengths = [
+            f"{ADULTS[name].words.format(f'{mm:.0f} mm')} ({ranges[name][0]:.0f} to {ranges[name][1]:.0f} mm in 98 of "
+            "100 adults)"
+            for name, mm in self.lengths_mm.items()
+        ]
+        factor = self.factor
+        return Notice(
+            code="body-size-rare",
+            values={
+                "size": self.words,
+                "lengths": " and ".join(lengths),
+                "factor": factor,
+                "volume_factor": factor**3,
+            },
         )
 
 

@@ -58,8 +58,8 @@ class BodyDirections:
     of the cameras."""
     scatter_mm: float | None
     """Robust standard deviation of the trunk, without the breasts, from its mirror image, mm. None without a plane."""
-    how: str
-    """How the frame was found, one sentence."""
+    by_breasts: bool = False
+    """Whether left is along the line between the breasts, because the trunk has no plane of symmetry."""
 
     @property
     def left(self) -> Float64[Array, 3]:
@@ -142,24 +142,20 @@ def find_body(
         trunk = _facing_ahead(skin, find_trunk(skin, rough, height_of=middle), middle)
         frame, point = trunk.frame, trunk.origin
         plane = _plane(skin, trunk, boundaries, middle)
-    except MeasureError as error:
-        left_as = "roughly as given"
-        if len(boundaries) == 2:
-            frame, left_as = _level_with(boundaries, frame), "as the breasts lie"
+    except MeasureError:
+        by_breasts = len(boundaries) == 2
         return BodyDirections(
-            frame=frame,
+            frame=_level_with(boundaries, frame) if by_breasts else frame,
             point_world=point,
             plane_sigma_mm=None,
             scatter_mm=None,
-            how=f"Left and ahead are {left_as}, because the trunk shows no plane of symmetry ({error.found})",
+            by_breasts=by_breasts,
         )
     return BodyDirections(
         frame=_frame(plane.normal_world, trunk.frame[1], trunk.frame[2]),
         point_world=plane.point_world,
         plane_sigma_mm=plane.sigma_mm,
         scatter_mm=plane.scatter_mm,
-        how="Up is along the trunk's axis, and left across its mid-sagittal plane, about which the trunk is its own "
-        f"mirror image within {plane.scatter_mm:.1f} mm",
     )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.machine.cores import available_cores
+from mammometry.base.notices import Notice, words_of
 from mammometry.base.progress import Progress, no_progress
 from mammometry.measure.boundary.boundary import Boundary, TorsoSides
 from mammometry.measure.boundary.breasts import NoBreast
@@ -210,19 +211,21 @@ def refused_side(breast: OpenBreast, refusal: MeasureError | None = None) -> NoB
     """
     points = breast.boundary.points_world
     vertices = breast.surface.mesh.vertices
-    why = "The errors that the earlier stages left make its volume uncertain by more than half"
+    name = cast(Literal["left", "right"], breast.boundary.name)
+    reason = Notice(code="volume-uncertain", about=(name,))
     if refusal is None:
         try:
             measure_volume(breast)
         except MeasureError as error:
             refusal = error
     if refusal is not None:
-        why = f"{refusal.subject}: found {refusal.found}, expected {refusal.expected}"
+        values = {"subject": refusal.subject, "found": refusal.found, "expected": refusal.expected}
+        reason = Notice(code="volume-refused", about=(name,), values=values)
     return NoBreast(
-        name=cast(Literal["left", "right"], breast.boundary.name),
+        name=name,
         place_world=vertices[np.linalg.norm(vertices - points.mean(axis=0), axis=1).argmin()],
         prominence=None,
-        why=why,
+        reason=reason,
         unclear=True,
         refused=True,
     )
@@ -242,15 +245,16 @@ def wanted_boundaries(sides: TorsoSides, removed: Sequence[str], *, required: bo
     wanted = tuple(boundary for boundary in sides.boundaries if boundary.name not in removed)
     if wanted or not required:
         return wanted
-    why = "; ".join(f"{side.name}: {side.why}" for side in sides.absent if side.name not in removed)
-    raise MeasureError(
+    error = MeasureError(
         "torso",
-        found=f"no breast on either side ({why})",
+        found="no breast on either side",
         expected="one on at least one side, unless both are recorded as removed",
         remedy="Draw the boundaries with `mammometry edit`, or state in boundaries.json that a side was removed: "
         '{"boundaries": {"left": {"removed": true}, "right": {"removed": true}}}',
         mesh_remedy="Draw the boundaries with `mammometry edit`, or state in their file that a side was removed",
     )
+    error.details = tuple(words_of(side.reason) for side in sides.absent if side.name not in removed)
+    raise error
 
 
 def removed_side(name: Literal["left", "right"], body: BodyDirections, surface: RepairedSurface) -> NoBreast:
@@ -259,6 +263,5 @@ def removed_side(name: Literal["left", "right"], body: BodyDirections, surface: 
     vertices = surface.mesh.vertices
     from_middle = (vertices - body.point_world) @ np.stack([aside, body.up, body.frame[2]], axis=1)
     distance = np.hypot(from_middle[:, 0] - _ASIDE_MM, from_middle[:, 1]) - from_middle[:, 2]
-    return NoBreast(
-        name=name, place_world=vertices[np.argmin(distance)], prominence=None, why="It is said to be removed"
-    )
+    reason = Notice(code="breast-removed", level="note", about=(name,))
+    return NoBreast(name=name, place_world=vertices[np.argmin(distance)], prominence=None, reason=reason)

@@ -14,9 +14,9 @@ import numpy as np
 from mammometry.base.csv_cells import csv_text
 from mammometry.base.identity import as_utf_8
 from mammometry.base.notices import Notice
+from mammometry.base.notices.words import words_of
 from mammometry.report.documents.pages import embed, render
 from mammometry.report.figures.observers import bland_altman, scatter
-from mammometry.report.words.notices import words_of
 from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements, agreement
 from mammometry.study.agreement_tables import agreement_tables, summary
 from mammometry.study.tables import TextTable, number

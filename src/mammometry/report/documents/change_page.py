@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mammometry.base.notices import Notice
+from mammometry.base.notices.words import NAMES, words_at
 from mammometry.base.rounding import at_95, half_width, rounded_words
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.measure.change import BreastChange, Change, LengthChange
@@ -17,12 +18,10 @@ from mammometry.report.documents import paper
 from mammometry.report.documents.pages import STYLE, embed, render, viewer_program
 from mammometry.report.figures import change as change_figures
 from mammometry.report.figures.change import Dated
-from mammometry.report.figures.names import NAMES
 from mammometry.report.models import change_scene
 from mammometry.report.pictures import encoded
 from mammometry.report.scene import SCENE, to_json
 from mammometry.report.words.describe import versions
-from mammometry.report.words.notices import words_at
 from mammometry.report.words.volumes import change_sentence, measured_words, span_words, term_words
 from mammometry.study.tables import TextTable
 

@@ -6,11 +6,11 @@ Pictures, style and 3D viewer are embedded. It needs no network.
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
+from mammometry.base.notices.words import words_of
 from mammometry.report.content import DISCLAIMER, ReportContent, ReportPicture
 from mammometry.report.documents import pages
 from mammometry.report.documents.pages import breast_pictures, stage_pictures, whole_pictures
 from mammometry.report.first_page import FirstPage, signature
-from mammometry.report.words.notices import words_of
 from mammometry.report.words.volumes import MEANINGS_INTRODUCTION
 
 PAGE = "report.html"

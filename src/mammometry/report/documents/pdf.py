@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
+from mammometry.base.notices.words import words_of
 from mammometry.report.content import Fact, LargeNumber, ReportContent, ReportPicture
 from mammometry.report.documents import paper
 from mammometry.report.documents.pages import breast_pictures, paper_pictures, whole_pictures
@@ -25,7 +26,6 @@ from mammometry.report.documents.paper import (
 )
 from mammometry.report.figures.canvas import INK
 from mammometry.report.first_page import FirstPage, signature
-from mammometry.report.words.notices import words_of
 from mammometry.report.words.volumes import MEANINGS_INTRODUCTION
 from mammometry.study.tables import TextTable
 
@@ -168,14 +168,7 @@ def _in_words(content: ReportContent, first: FirstPage, width: float) -> Iterato
         yield from facts(content.comparison)
     for breast in content.breasts:
         yield text(f"{breast.title}: measured values", size=12, bold=True, before=8)
-        yield from facts(
-            [
-                Fact("Boundary", breast.boundary),
-                Fact(breast.wall_label, breast.wall),
-                Fact("95 % interval", breast.interval_note),
-                *breast.facts,
-            ]
-        )
+        yield from facts(breast.rows)
         if breast.tables:
             yield side_by_side([[_title(data), table(data, width / 2 - 12)] for data in breast.tables], width)
         yield from pictures(breast_pictures(content, breast.name), width, _HEIGHT)

@@ -69,7 +69,7 @@ def attributed_content(
             at = "" if signed is None else signed.at.isoformat()
             seen = None if signed is None else CurveConfirmation(by=signed.by, at=at, curve=breast.curve)
             attribution = replace(attribution, confirmation=seen)
-        if not breast.unmeasured:
+        if breast.absence is None:
             remarks, curve = breast.boundary_remarks, breast.curve
             breast = replace(
                 breast,
@@ -91,11 +91,10 @@ def attributed_content(
 
 def _boundary_warnings(breasts: Sequence[BreastReport], *, in_clinic: bool) -> Iterator[Notice]:
     for breast in breasts:
-        if breast.unmeasured:
-            code = "no-breast" if breast.unmeasured == "none" else "side-not-measured"
-            yield Notice(code=code, about=(breast.name,), values={"text": sentence(breast.boundary)})
+        if breast.absence is not None:
+            yield breast.absence
     unconfirmed = tuple(breast.name for breast in breasts if "to-be-confirmed" in breast.boundary_remarks)
     if unconfirmed:
         yield Notice(code="boundary-not-confirmed", about=unconfirmed)
-    if not in_clinic and (unconfirmed or any(breast.unmeasured for breast in breasts)):
+    if not in_clinic and (unconfirmed or any(breast.absence for breast in breasts)):
         yield Notice(code="boundaries-drawn-with-edit", level="note")

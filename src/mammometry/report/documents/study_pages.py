@@ -4,9 +4,9 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
+from mammometry.base.notices.words import in_json, lines_of
 from mammometry.report.documents.pages import embed, render
 from mammometry.report.figures.observers import bland_altman, curves_on, regions, scatter, volumes
-from mammometry.report.words.notices import in_json, lines_of
 from mammometry.study.agreement import Agreement, CheckedFigure, PairedMeasurements
 from mammometry.study.agreement_tables import agreement_json, agreement_tables, summary
 from mammometry.study.observers import (

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from mammometry.base.notices.words import NAMES
 from mammometry.geometry import Array, Float64, Transform, TriangleMesh
 from mammometry.measure.change import Change
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import PanelSheet
 from mammometry.report.figures.measure import curve
-from mammometry.report.figures.names import NAMES
 from mammometry.report.figures.shading import ShadedMesh, join_segments, picture_wh, section, views_of
 from mammometry.report.figures.surface import show
 from mammometry.surface.repair.repair import RepairedSurface

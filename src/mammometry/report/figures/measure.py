@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from mammometry.base.notices.words import NAMES
 from mammometry.geometry import Array, Float64, TriangleMesh, bounds
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.shape.symmetry import Symmetry
@@ -14,7 +15,6 @@ from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import PanelSheet
 from mammometry.report.figures.catalogue import preview
-from mammometry.report.figures.names import NAMES
 from mammometry.report.figures.shading import (
     ShadedMesh,
     ViewDirection,

@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
+from mammometry.base.notices.words import NAMES
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.detection.detect import Observations
 from mammometry.geometry import TriangleMesh
@@ -15,7 +16,6 @@ from mammometry.measure.boundary.boundary import Boundary
 from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import PanelSheet
 from mammometry.report.figures.measure import curve
-from mammometry.report.figures.names import NAMES
 from mammometry.report.figures.shading import ShadedMesh, picture_wh, standard_views, views_of
 from mammometry.report.figures.surface import show
 from mammometry.surface.texture.unmeasured import WORDS, shown_colours

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mammometry.base.normal import COVERAGE_95
+from mammometry.base.notices.words import NAMES
 from mammometry.base.rounding import at_95, rounded_words
 from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.landmarks.landmarks import LANDMARKS, Landmark
@@ -15,7 +16,6 @@ from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.difference import difference
 from mammometry.measure.volume.measurement import VolumeDeficit, VolumeMeasurement
 from mammometry.report.content import Fact, LargeNumber, sentence
-from mammometry.report.figures.names import NAMES
 from mammometry.report.words.volumes import measured_words, span_words, verdict_words, volume_words
 from mammometry.study.tables import TextTable, signed
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from mammometry.base.machine.cores import available_cores
+from mammometry.base.notices.words import NAMES, words_of
 from mammometry.base.rounding import half_width, rounded_words
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.judge.quality import CalibrationQuality
@@ -24,7 +25,6 @@ from mammometry.measure.settings import NOT_TO_BE_COMPARED
 from mammometry.measure.volume.attribution import curve_digest
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.content import BreastReport, Fact, LargeNumber, Meaning, StageReport, sentence
-from mammometry.report.figures.names import NAMES
 from mammometry.report.figures.shading import wall_faces
 from mammometry.report.figures.surface import provenance_shares
 from mammometry.report.figures.thinning import ThinnedRange
@@ -106,7 +106,7 @@ def meanings(measurements: Sequence[VolumeMeasurement]) -> tuple[Meaning, ...]:
 def absent_report(absent: NoBreast) -> BreastReport:
     """Content for a side without a breast, with the evidence."""
     seen = absent.prominence
-    facts = [Fact("Based on", sentence(absent.why))]
+    facts = [Fact("Based on", words_of(absent.reason))]
     if seen is not None:
         facts.append(Fact("Largest possible volume there", f"{seen.volume_cc:.0f} cc"))
     return BreastReport(
@@ -117,12 +117,8 @@ def absent_report(absent: NoBreast) -> BreastReport:
             value="not measured" if absent.unclear or absent.refused else "none",
             interval=_without(absent),
         ),
-        interval_note="There is no volume, so there is no interval.",
         facts=tuple(facts),
-        wall_label="Chest wall",
-        wall="None is needed.",
-        boundary=absent.why,
-        unmeasured="refused" if absent.refused else "unclear" if absent.unclear else "none",
+        absence=absent.reason,
     )
 
 
@@ -170,7 +166,7 @@ def calibration_report(rig: Rig, calibration: Calibration | None, quality: Calib
     total = sum(len(part) for part in calibration.residuals_px)
     facts = (
         Fact("Verdict", quality.verdict),
-        Fact("Reasons", "\n".join(map(sentence, quality.reasons))),
+        Fact("Reasons", "\n".join(map(words_of, quality.notices))),
         Fact("Target", target_words(observations.target)),
         Fact(
             "Photographs",

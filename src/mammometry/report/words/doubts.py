@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 from mammometry.base.notices import Notice
 from mammometry.job.graph import Plan
 from mammometry.job.stages import measure
-from mammometry.measure.shape.body_size import BodySize
 
 
 def body_doubts(plan: Plan) -> tuple[Notice, ...]:
@@ -24,14 +21,8 @@ def body_doubts(plan: Plan) -> tuple[Notice, ...]:
         for curve in plan.value(measure.boundaries) or ()
         if curve.hidden_fold_cm2 and curve.name in measured
     )
-    return (*covered, *hidden, *(() if size is None else _size_notices(size)))
-
-
-def _size_notices(size: BodySize) -> Iterator[Notice]:
-    if not size.lengths_mm:
-        yield Notice(code="body-size-unknown")
-    elif size.is_rare:
-        yield Notice(code="body-size-rare", values={"text": size.warning, "size": size.words})
+    sized = None if size is None else size.notice
+    return (*covered, *hidden, *filter(None, [sized]))
 
 
 def torso_notices(plan: Plan, posture: str | None) -> tuple[Notice, ...]:

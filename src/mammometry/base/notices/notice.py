@@ -1,6 +1,6 @@
 """Notices: remarks on results, as codes with values.
 
-Products and programs store and compare notices. Their texts are in `report.words.notices`, so that no sentence is used
+Products and programs store and compare notices. Their texts are in `base.notices.texts`, so that no sentence is used
 for a decision, and another language is another catalogue.
 """
 
