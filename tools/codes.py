@@ -21,7 +21,7 @@ _ELSEWHERE = (
 )
 _TOP = """# Codes
 
-`python -m tools.codes` makes this page. Programs decide by codes: a code keeps its meaning, words may change.
+`python -m tools.codes` makes this page. Programs decide by codes: a code keeps its meaning, its text may change.
 
 ## Errors
 
@@ -34,18 +34,18 @@ With `--json` an error is one object with `code`, `kind`, `exit_code`, `error` (
 _NOTICES = """
 ## Notices
 
-A notice is a warning or a remark. With `--json`, commands give their notices under `notices`, and the same in words
-under `warnings` or `notes`. `results/report/warnings.json` has both for the report, in the same order. A notice has:
+A notice is a warning or a remark. With `--json`, commands give their notices under `notices`, and the same as text under
+`warnings`, `notes` or (`calibrate`) `reasons`. `results/report/warnings.json` has both for the report, in the same order. A notice has:
 
 | field | content |
 | --- | --- |
 | `code` | one of the table below |
-| `level` | `warning`: it changes what the volumes mean; `note`: it may be read later |
-| `about` | breasts, cameras or pairs |
+| `level` | `warning`: it affects the meaning of the volumes; `note`: for information |
+| `about` | breasts, cameras or pairs that it concerns |
 | `photographs` | photographs that show it, as `capture/CAMERA` or `calibration/POSE/CAMERA` |
-| `values` | what the words contain, by name; the name ends with the unit |
+| `values` | numbers and names in the text; the name ends with the unit. `scan` is the number of the scan, if several were merged |
 
-| code | words |
+| code | text |
 | --- | --- |
 """
 

@@ -252,7 +252,7 @@ def spared(moved_mm: Mapping[tuple[str, str], tuple[float, float, float]], poses
     found = spared_photograph(calibration, quality, recalibrate, QualitySettings())
     if found is not None:
         assert found[1].verdict == "warn"
-        assert "set aside" in found[1].reasons[0]
+        assert found[1].notices[0].code == "photograph-unfitting"
         return found[0]
     return None
 

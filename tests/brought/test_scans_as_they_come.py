@@ -308,8 +308,7 @@ def test_a_torsos_size_shows_its_unit(tmp_path: Path, unit: str, factor: float) 
         read_foreign(path)
     if unit == "m":
         job = MeshJob(MeshFiles(mesh=path, automatic=True), tmp_path / "out")
-        said = "The unit of the mesh is taken to be m, as the body's size shows. If it is another: --units."
-        assert job.notices[0].values == {"text": said}
+        assert (job.notices[0].code, job.notices[0].values) == ("mesh-unit-assumed", {"unit": "m"})
 
 
 def test_a_size_that_no_torso_has_in_any_unit_leaves_the_question(tmp_path: Path) -> None:

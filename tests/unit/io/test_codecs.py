@@ -125,7 +125,7 @@ def test_cameras_json_is_documented_and_whole(tmp_path: Path) -> None:
         world="the board of pose 00",
         rms_px=0.03,
         verdict="warn",
-        notices=(Notice(code="residuals", level="note", values={"px": 0.1}),),
+        notices=(Notice(code="pair-without-target", about=("front",)),),
     )
     encode(value, tmp_path, "cameras")
     table = json.loads((tmp_path / "cameras.json").read_text())
@@ -189,6 +189,24 @@ def test_codes_are_read_out_of_sentences_of_version_1_0() -> None:
     written: dict[str, np.ndarray] = {}
     made = Boundary(name="left", points_world=curve, method="given: as one may write; to be confirmed by eye")
     assert from_tree(to_tree(made, written), written).remarks == ()
+
+
+def test_sentences_of_version_1_0_on_a_side_without_a_breast_and_the_body_are_read() -> None:
+    point = np.zeros(3)
+    tree = {
+        "$value": "measure.boundary:NoBreast", "name": "left", "place_world": {"$array": "a"}, "standing": None,
+        "why": "It is said to be removed", "unclear": False, "refused": False,
+    }  # fmt: skip
+    side = from_tree(tree, {"a": point})
+    assert (side.reason.code, side.reason.values) == ("sentence", {"text": "It is said to be removed"})
+    assert from_tree(to_tree(side, arrays := {}), arrays).reason == side.reason
+    body = {
+        "$value": "measure.body:Body", "frame": {"$array": "f"}, "point_world": {"$array": "a"},
+        "plane_sigma_mm": None, "scatter_mm": None,
+    }  # fmt: skip
+    arrays = {"a": point, "f": np.eye(3)}
+    for how, by_breasts in (("Left and ahead are as the breasts lie, because", True), ("roughly as given", False)):
+        assert from_tree(body | {"how": how}, arrays).by_breasts is by_breasts
 
 
 def test_infinite_and_missing_numbers_survive() -> None:
@@ -282,7 +300,8 @@ def test_a_renamed_field_keeps_its_first_name_on_disk(label: str, first_names: M
     names = {field.name for field in dataclasses.fields(getattr(importlib.import_module(module), name))}
     assert set(first_names) <= names
     assert names.isdisjoint(first_names.values())
-    own = {"name": "left", "why": "low", "unclear": True, "refused": False, "standing": None}  # types are checked
+    reason = to_tree(Notice(code="no-breast", about=("left",)), {})
+    own = {"name": "left", "reason": reason, "unclear": True, "refused": False, "standing": None}  # types are checked
     tree = {"$value": label, **{field: own.get(field, 1.0) for field in names - set(first_names)}}
     tree |= {field: own.get(field, 1.0) for field in first_names.values()}
     assert to_tree(from_tree(tree, {}), {}) == tree

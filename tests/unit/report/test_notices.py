@@ -10,7 +10,7 @@ from tools.codes import PAGE, page
 
 from mammometry.base.notices import Notice, from_table
 from mammometry.base.notices.texts import TEXTS
-from mammometry.base.notices.words import code_of_1_0, words_of
+from mammometry.base.notices.words import caution_of, code_of_1_0, words_of
 
 SOURCE = Path(__file__).resolve().parents[3] / "src" / "mammometry"
 
@@ -39,10 +39,20 @@ def test_every_notice_that_is_made_has_words_that_say_its_values() -> None:
         assert fields == values, code
 
 
-def test_a_notice_with_a_value_that_its_text_no_longer_has_is_read() -> None:
-    """Earlier versions stored a sentence for this code."""
-    stored = from_table({**Notice(code="body-size-unknown").as_table(), "values": {"text": "A sentence."}})
-    assert words_of(stored) == words_of(Notice(code="body-size-unknown"))
+def test_no_notice_holds_a_sentence_but_those_that_were_stored_so() -> None:
+    assert [code for code, text in TEXTS.items() if "{text}" in text.words] == ["sentence"]
+
+
+@pytest.mark.parametrize("code", ["body-size-rare", "mesh-repaired", "calibration-doubtful"])
+def test_a_notice_that_was_stored_with_a_sentence_is_read(code: str) -> None:
+    stored = from_table({**Notice(code="sentence").as_table(), "code": code, "values": {"text": "A sentence."}})
+    assert (words_of(stored), caution_of(stored)) == ("A sentence.", "")
+
+
+def test_a_notice_about_one_of_several_scans_names_it() -> None:
+    joined = Notice(code="mesh-seams-joined", values={"pieces": 2})
+    of_second = Notice(code=joined.code, values={**joined.values, "scan": 2})
+    assert words_of(of_second) == f"Scan 2: {words_of(joined)}"
 
 
 def test_codes_are_in_one_form() -> None:
