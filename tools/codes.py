@@ -34,8 +34,9 @@ With `--json` an error is one object with `code`, `kind`, `exit_code`, `error` (
 _NOTICES = """
 ## Notices
 
-A notice is a warning or a remark. With `--json`, commands give their notices under `notices`, and the same as text under
-`warnings`, `notes` or (`calibrate`) `reasons`. `results/report/warnings.json` has both for the report, in the same order. A notice has:
+A notice is a warning or a remark. With `--json`, commands give their notices under `notices`, and the same as text
+under `warnings`, `notes` or (`calibrate`) `reasons`. `results/report/warnings.json` has both for the report, in the same
+order. A notice has:
 
 | field | content |
 | --- | --- |
@@ -43,7 +44,7 @@ A notice is a warning or a remark. With `--json`, commands give their notices un
 | `level` | `warning`: it affects the meaning of the volumes; `note`: for information |
 | `about` | breasts, cameras or pairs that it concerns |
 | `photographs` | photographs that show it, as `capture/CAMERA` or `calibration/POSE/CAMERA` |
-| `values` | numbers and names in the text; the name ends with the unit. `scan` is the number of the scan, if several were merged |
+| `values` | numbers and names in the text; the name ends with the unit. `scan`: number of a merged scan |
 
 | code | text |
 | --- | --- |

@@ -13,6 +13,7 @@ from tests.unit.measure.trunks import LEFT, RIGHT, edge_of, trunk_mesh
 from mammometry.api.job import open_session
 from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.base.errors import MammometryError, SessionError
+from mammometry.base.notices import Notice
 from mammometry.base.units import MM_PER_UNIT, unit_in_comment, unit_named
 from mammometry.cli import main
 from mammometry.geometry.mesh import TriangleMesh
@@ -80,7 +81,7 @@ def test_a_mirrored_scan_is_warned_of_until_somebody_compared_its_sides(tmp_path
     assert doubtful.notices[0].code == "sides-doubtful"
     checked = drawn_job(wrong, tmp_path / "wrong", -1.0, units=units, sides_checked=True)
     assert not checked.sides_doubtful
-    assert any("inside out" in str(notice.values) for notice in checked.notices)  # it is said all the same
+    assert "mesh-inside-out" in {notice.code for notice in checked.notices}
 
 
 @pytest.mark.requirement("R-SIDE-4")
@@ -96,13 +97,31 @@ def test_a_cast_has_no_sides(tmp_path: Path) -> None:
 
 
 def test_a_scans_text_is_read_back_whole(tmp_path: Path) -> None:
-    scan = ScanFacts(
-        scanner="A", units="mm, as stated", head="y", posture="standing", sha256="0", remarks=("One.", "Two.")
+    notices = (
+        Notice(code="mesh-animated", level="note"),
+        Notice(code="mesh-unit-doubtful", level="note", values={"unit": "m", "mm": 500.5, "others": "5 “mm”"}),
     )
+    scan = ScanFacts(scanner="A", units="mm, as stated", head="y", posture="standing", sha256="0", notices=notices)
     (tmp_path / ABOUT).write_text(scan_text(scan))
     assert read_scan(tmp_path) == scan
     confirm_sides(tmp_path)
     assert read_scan(tmp_path) == replace(scan, sides="checked")
+
+
+@pytest.mark.parametrize(
+    ("line", "codes"),
+    [
+        ('remarks = ["One.", "Two."]', ["sentence", "sentence"]),  # of version 1.0
+        ('notices = [{code = "mesh-animated"}, {code = "of-a-later-version"}]', ["mesh-animated"]),
+        ('notices = [{code = "mesh-lids-removed", values = {}}, 5, {}]', []),
+        ("notices = 5", []),
+    ],
+)
+def test_notices_of_other_versions_and_by_hand_are_read_or_left_out(
+    tmp_path: Path, line: str, codes: list[str]
+) -> None:
+    (tmp_path / ABOUT).write_text(f'format = 1\nscanner = "A"\nunits = "mm"\n{line}\n')
+    assert [notice.code for notice in read_scan(tmp_path).notices] == codes
 
 
 @pytest.mark.slow

@@ -333,7 +333,7 @@ _BOW_WARN_MM = 1.0
 
 
 def about_target(calibration: Calibration) -> Iterator[CalibrationFinding]:
-    """Report a board that is stretched or bent, as it was adjusted. A stretched one is refused if sizes are lost."""
+    """Report a board that is stretched or bent, if its points were adjusted."""
     if not isinstance(calibration.observations.target, Board):
         return
     stretch, bow_mm = _stretch_and_bow(calibration.observations.target.points_target, calibration.target_points)

@@ -11,6 +11,7 @@ import re
 import tempfile
 import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
@@ -21,8 +22,7 @@ from PIL import Image
 
 from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.identity import subject_id
-from mammometry.base.notices import Notice
-from mammometry.base.notices.texts import TEXTS
+from mammometry.base.notices import Notice, words_of
 from mammometry.base.notices.words import maybe_words
 from mammometry.base.parse import LimitSettings, read_bytes, read_text, toml_table
 from mammometry.base.units import mm_of_unit
@@ -252,11 +252,13 @@ def read_scan(folder: Path) -> ScanFacts:
 
 def _notices_in(table: Mapping[str, Any]) -> Iterator[Notice]:
     """Notices of scan.toml. Until version 1.0 it had sentences, under ``remarks``."""
-    for stored in table.get("notices", []):
-        code, values = stored.get("code"), stored.get("values", {})
-        if code in TEXTS and isinstance(values, dict):
-            yield Notice(code=code, level="note", values=values)
-    for words in table.get("remarks", []):
+    notices, remarks = table.get("notices"), table.get("remarks")
+    for stored in notices if isinstance(notices, list) else ():
+        with suppress(AttributeError, KeyError, TypeError, ValueError):  # edited by hand, or of a later version
+            notice = Notice(code=stored["code"], level="note", values=stored.get("values", {}))
+            words_of(notice)
+            yield notice
+    for words in remarks if isinstance(remarks, list) else ():
         yield Notice(code="sentence", level="note", values={"text": str(words)})
 
 
