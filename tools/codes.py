@@ -35,8 +35,8 @@ _NOTICES = """
 ## Notices
 
 A notice is a warning or a remark. With `--json`, commands give their notices under `notices`, and the same as text
-under `warnings`, `notes` or (`calibrate`) `reasons`. `results/report/warnings.json` has both for the report, in the same
-order. A notice has:
+under `warnings`, `notes` or (`calibrate`) `reasons`. `results/report/warnings.json` has both for the report, in the
+same order. A notice has:
 
 | field | content |
 | --- | --- |
