@@ -202,6 +202,7 @@ def test_a_print_at_another_scale_one_way_is_noticed(share: float, poses: int, v
 @pytest.mark.parametrize(
     ("bow_mm", "poses", "verdict"), [(3.0, 5, "refuse"), pytest.param(3.0, 7, "warn", marks=pytest.mark.slow)]
 )
+@pytest.mark.slow
 def test_a_bent_board_is_named_and_with_enough_poses_measured(bow_mm: float, poses: int, verdict: str) -> None:
     found, said, off = judged(reshaped(bent(bow_mm), poses))
     assert found == verdict
@@ -257,6 +258,7 @@ def spared(moved_mm: Mapping[tuple[str, str], tuple[float, float, float]], poses
     return None
 
 
+@pytest.mark.slow
 def test_one_photograph_that_all_others_contradict_is_left_out_and_named() -> None:
     calibration = spared({("03", "front_left"): (0.2, 0.0, 0.0)}, 8)
     assert calibration is not None
@@ -277,6 +279,7 @@ def test_one_photograph_that_all_others_contradict_is_left_out_and_named() -> No
     ],
     ids=["its last", "half of its own", "two cameras' in two poses", "both of a pair"],
 )
+@pytest.mark.slow
 def test_photographs_that_contradict_one_another_stay_a_refusal(moved_mm) -> None:
     assert spared(moved_mm, 8) is None
 

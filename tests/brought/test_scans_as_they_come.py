@@ -369,6 +369,7 @@ def test_a_torso_without_breasts_is_refused_with_a_picture_unless_both_are_said_
 
 
 @pytest.mark.requirement("R-VOL-6")
+@pytest.mark.slow
 def test_a_volume_that_is_known_no_better_than_by_half_is_refused() -> None:
     scan = scanned.finer_scan(repair_scan(front()), [CURVES["left"]])
     surface = scanned.as_scanned(scan.mesh, scan.invented)

@@ -38,6 +38,7 @@ def said(capsys: pytest.CaptureFixture[str], *arguments: str | Path, code: int =
 
 
 @pytest.mark.requirement("R-FIRE-1")
+@pytest.mark.slow
 def test_poses_are_taken_before_there_is_a_calibration(
     rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

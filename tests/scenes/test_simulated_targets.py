@@ -38,6 +38,7 @@ def drawn(name: str) -> tuple[Rig, dict[str, Transform]]:
 @pytest.mark.parametrize(
     "name", [name if name == "charuco" else pytest.param(name, marks=pytest.mark.slow) for name in VIRTUAL_TARGETS]
 )
+@pytest.mark.slow
 def test_cameras_see_every_target_and_neighbours_share_views(name):
     target = VIRTUAL_TARGETS[name]
     rig, poses = drawn(name)

@@ -84,6 +84,7 @@ def test_what_is_refused_is_measured_once(tmp_path: Path, monkeypatch: pytest.Mo
     assert len(tried) == 1
 
 
+@pytest.mark.slow
 def test_what_the_second_process_cannot_draw_is_drawn_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = export(dome(sink_mm=10.0), tmp_path / "dome.ply")
     files = MeshFiles(mesh=mesh, units="mm", boundary=curves(tmp_path / "b.json", model=RIM))

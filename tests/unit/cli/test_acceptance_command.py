@@ -100,6 +100,7 @@ def test_scans_meshes_and_obj_files_are_read(tmp_path: Path) -> None:
         assert abs(result.findings[1].error) < 0.01
 
 
+@pytest.mark.slow
 def test_the_results_beside_a_test_are_its_history(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for day, scale in ((3, 0.001), (1, 0.0), (2, 0.002)):
         text = (ABOUT + CAST).replace("2026-11-29", f"2026-11-0{day}")

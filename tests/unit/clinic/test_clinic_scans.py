@@ -103,6 +103,7 @@ def test_the_shape_alone_is_enough(client_of: Callable[..., Client], patient: Pa
 
 
 @pytest.mark.requirement("R-MERGE-4")
+@pytest.mark.slow
 def test_a_second_scan_of_the_visit_is_merged_and_another_body_is_refused(
     client_of: Callable[..., Client], patient: Patient, tmp_path: Path, clinic: ClinicConfig
 ) -> None:

@@ -78,6 +78,7 @@ def test_the_margin_is_kept_around_the_silhouette(monkeypatch: pytest.MonkeyPatc
     np.testing.assert_array_equal(shapes[1] - shapes[0], 28)
 
 
+@pytest.mark.slow
 def test_so_many_pixels_are_taken_off_the_silhouette(
     noisy: tuple[RectifiedPair, np.ndarray], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,6 +9,7 @@ from mammometry.matching.settings import MatchSettings
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_a_plaster_pair_reaches_what_the_recipe_measured(
     shared_data: Path, repository: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -110,6 +110,7 @@ def test_the_pose_is_told_from_the_photographs_upright() -> None:
     assert half[3] > half[1]
 
 
+@pytest.mark.slow
 def test_swapped_dates_turn_every_sign() -> None:
     back = compare(visit(place=3, growth=GROWTH)[1], visit()[1])
     forth = changed()

@@ -101,6 +101,7 @@ def outlined() -> TorsoSides:
 
 
 @pytest.mark.parametrize("dressed", [with_belly, with_trousers, with_arms, with_one_arm])
+@pytest.mark.slow
 def test_the_trunk_and_its_breasts_are_as_without(dressed: Callable[[], TriangleMesh]) -> None:
     surface = seen(dressed())
     trunk, alone = (

@@ -116,6 +116,7 @@ def test_a_correction_that_features_confirm_is_made(disagreeing):
 
 
 @pytest.mark.parametrize(("left", "made"), [(0.5, True), (0.0, False)])
+@pytest.mark.slow
 def test_where_features_are_silent_a_correction_must_explain_the_disagreement(disagreeing, left, made, monkeypatch):
     monkeypatch.setattr("mammometry.surface.motion.motion_detection._EXPLAINED_SHARE", left)
     _, images, rows = disagreeing

@@ -269,6 +269,7 @@ def test_far_motions_are_refused_by_name():
 
 
 @pytest.mark.requirement("R-MASK-2")
+@pytest.mark.slow
 def test_missing_outlines_are_named_before_cameras_are_said_to_have_moved():
     """Where everything was matched, the pairs may disagree because one saw the background."""
     _, images, rows = capture({"right_l": np.array([0.0, np.radians(0.3), 0.0])})
@@ -313,6 +314,7 @@ def test_pairs_without_common_skin_are_not_compared():
     assert "compared" in summary(found)
 
 
+@pytest.mark.slow
 def test_a_pair_that_no_other_sees_moves_by_as_much_as_the_others_for_all_we_know():
     rng = np.random.default_rng(3)
     _, images, rows = capture({name: np.radians(0.08) * _unit(rng) for name in RIG.cameras})

@@ -137,7 +137,8 @@ def _draw(
         FigureCanvasPdf(figure)
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0.0, page_mm[0]), ylim=(page_mm[1], 0.0))
         axes.set_axis_off()
-        axes.add_patch(PathPatch(_outline(sheet, corner_mm), facecolor="black", edgecolor="none", linewidth=0))
+        # Not add_patch: it computes the extent of each curve, twelve seconds for a page of speckles.
+        axes.add_artist(PathPatch(_outline(sheet, corner_mm), facecolor="black", edgecolor="none", linewidth=0))
         foot_mm = page_mm[1] - margin_mm
         if sheet.cut_at_sides:
             _cuts(axes, sheet, corner_mm)
