@@ -19,7 +19,6 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
@@ -54,6 +53,7 @@ _EDGE_MM = 2.5  # of its triangles
 _SCALE = 0.15  # of a virtual rig's photographs, of 4504 × 3000 pixels
 _WALKS = {"clean": "4", "disturbed": "3"}  # walk → shared body
 _RIG, _PHOTOGRAPHS = "rig", "photographs"
+_SESSIONS, _RESULTS = "sessions", "results"  # folders of what is kept between calls
 
 
 def of_borders(borders: Mapping[str, Float64[Array, "b 3"]]) -> Known:
@@ -119,33 +119,31 @@ def _of_body(scans: Path, number: str, kind: str, nipples: Known) -> tuple[Virtu
     return VirtualScan(mesh=read.mesh, colours=read.colours), of_borders(borders) | nipples
 
 
-def _of_session(number: int) -> tuple[VirtualScan, Known]:
+def _of_session(session: Path, number: int) -> tuple[VirtualScan, Known]:
     """Surface from a virtual rig's photographs by our program, solid's frame."""
-    with tempfile.TemporaryDirectory(prefix="mammometry-landmarks-") as folder:
-        session = Path(folder) / "session"
+    if not session.exists():
         write_session(session, SessionRecipe(subject=f"torso_{number}", seed=number, scale=_SCALE))
-        truth = session / "truth"
-        facts = json.loads((truth / "truth.json").read_text(encoding="utf-8"))
-        boards = json.loads((truth / "boards.json").read_text(encoding="utf-8"))
-        rig_from_solid = Transform.from_matrix(np.array(facts["rig_from_solid"]))
-        rig_from_world = Transform.from_matrix(np.array(boards["rig_from_board"][min(boards["rig_from_board"])]))
-        solid_from_rig = rig_from_solid.inverse()
-        made = _reconstructed(session, solid_from_rig @ rig_from_world)
-        marks = json.loads((truth / "landmarks.json").read_text(encoding="utf-8"))["landmarks"]
-        known = of_borders(
-            {side: solid_from_rig.apply(np.loadtxt(truth / f"boundary_{side}.xyz")) for side in SIDES
-             if (truth / f"boundary_{side}.xyz").exists()}
-        )  # fmt: skip
-        names = ("nipple_left", "nipple_right", "midline", "sternal_notch")
-        return made, known | {name: solid_from_rig.apply(np.array(marks[name])) for name in names if name in marks}
+    truth = session / "truth"
+    facts = json.loads((truth / "truth.json").read_text(encoding="utf-8"))
+    boards = json.loads((truth / "boards.json").read_text(encoding="utf-8"))
+    rig_from_solid = Transform.from_matrix(np.array(facts["rig_from_solid"]))
+    rig_from_world = Transform.from_matrix(np.array(boards["rig_from_board"][min(boards["rig_from_board"])]))
+    solid_from_rig = rig_from_solid.inverse()
+    made = _reconstructed(session, solid_from_rig @ rig_from_world)
+    marks = json.loads((truth / "landmarks.json").read_text(encoding="utf-8"))["landmarks"]
+    known = of_borders(
+        {side: solid_from_rig.apply(np.loadtxt(truth / f"boundary_{side}.xyz")) for side in SIDES
+         if (truth / f"boundary_{side}.xyz").exists()}
+    )  # fmt: skip
+    names = ("nipple_left", "nipple_right", "midline", "sternal_notch")
+    return made, known | {name: solid_from_rig.apply(np.array(marks[name])) for name in names if name in marks}
 
 
-def _of_walk(walk: Path, border: Known) -> tuple[VirtualScan, Known]:
+def _of_walk(session: Path, walk: Path, border: Known) -> tuple[VirtualScan, Known]:
     """Surface from one telephone's photographs by our program, body's frame."""
     truth = json.loads((walk / "truth" / "truth.json").read_text(encoding="utf-8"))
-    with tempfile.TemporaryDirectory(prefix="mammometry-landmarks-") as folder:
-        prepare_walk(walk / "photos", Path(folder) / "session")
-        made = _reconstructed(Path(folder) / "session", Transform.from_matrix(np.array(truth["board_pose"])))
+    prepare_walk(walk / "photos", session)
+    made = _reconstructed(session, Transform.from_matrix(np.array(truth["board_pose"])))
     return made, border | nipples_of(walk)
 
 
@@ -156,9 +154,7 @@ def nipples_of(walk: Path) -> Known:
 
 
 def _reconstructed(session: Path, solid_from_world: Transform) -> VirtualScan:
-    job = mm.open_session(session)
-    job.run()
-    finished = job.plan[surface.mesh]()
+    finished = mm.open_session(session).plan[surface.mesh]()
     mesh = finished.repaired.mesh
     moved = TriangleMesh(vertices=solid_from_world.apply(mesh.vertices), faces=mesh.faces)
     return VirtualScan(mesh=moved, colours=finished.textured.colours)
@@ -166,7 +162,8 @@ def _reconstructed(session: Path, solid_from_world: Transform) -> VirtualScan:
 
 def write(folder: Path, arguments: argparse.Namespace) -> None:
     """Write all meshes and the truth."""
-    folder.mkdir(parents=True, exist_ok=True)
+    sessions = folder / _SESSIONS
+    sessions.mkdir(parents=True, exist_ok=True)
     wanted: list[Callable[[], str]] = []
     makers = {"torso": (_of_torso, arguments.women), "woman": (_of_woman, arguments.others)}
     for kind in arguments.kinds:
@@ -175,7 +172,8 @@ def write(folder: Path, arguments: argparse.Namespace) -> None:
                 name = f"{generator}-{number}-{kind}"
                 wanted.append(partial(add, folder, name, kind, generator, partial(make, number, kind)))
     for number in arguments.sessions:
-        wanted.append(partial(add, folder, f"torso-{number}-rig", _RIG, "torso", partial(_of_session, number)))
+        name = f"torso-{number}-rig"
+        wanted.append(partial(add, folder, name, _RIG, "torso", partial(_of_session, sessions / name, number)))
     if arguments.bodies is not None:
         wanted += _shared(folder, arguments.bodies, arguments.kinds, walks=arguments.walks)
     with ProcessPoolExecutor(arguments.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
@@ -203,14 +201,15 @@ def _shared(folder: Path, data: Path, kinds: Sequence[str], *, walks: bool) -> l
         if (photos / walk).is_dir():
             table = json.loads((scans / f"body_{body}_truth.json").read_text(encoding="utf-8"))
             border = of_borders({side: np.array(points) for side, points in table["outline_10_percent"].items()})
-            make = partial(_of_walk, photos / walk, border)
-            wanted.append(partial(add, folder, f"body-{body}-photographs", _PHOTOGRAPHS, "shared", make))
+            name = f"body-{body}-photographs"
+            make = partial(_of_walk, folder / _SESSIONS / name, photos / walk, border)
+            wanted.append(partial(add, folder, name, _PHOTOGRAPHS, "shared", make))
     return wanted
 
 
 def found_by_us(path: Path) -> dict[str, Any]:
     """Landmarks that our program finds on one mesh, with the benchmark's names."""
-    row = measured(path, report=False)
+    row = measured(path, report=False, results=path.parent / _RESULTS / path.stem)
     found: dict[str, Any] = dict(row["landmarks"])
     for side, own in row["sides"].items():
         border = np.array(own["outline"])

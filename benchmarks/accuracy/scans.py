@@ -110,7 +110,9 @@ def woman(number: int, posture: str) -> SubjectSolid:
     return make_subject(f"torso_{number}", 0, edge_mm=_EDGE_MM, reshape=reshape)
 
 
-def measured(path: Path, units: str = "mm", *, report: bool = True, graded: bool = False) -> Row:
+def measured(
+    path: Path, units: str = "mm", *, report: bool = True, graded: bool = False, results: Path | None = None
+) -> Row:
     """Measure a mesh file as the command does: volumes, outlines, landmarks, seconds, or the refusal.
 
     Args:
@@ -118,12 +120,14 @@ def measured(path: Path, units: str = "mm", *, report: bool = True, graded: bool
         units: of the mesh.
         report: whether the report is made, too.
         graded: whether the ptosis is graded: its possible grades by side.
+        results: folder to keep the results in. What is current there is not computed again.
     """
     row: Row = {"sides": {}, "landmarks": {}, "no_breast": {}, "refused": ""}
     begun = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="mammometry-scans-") as folder:
         try:
-            job = MeshJob(MeshFiles(mesh=path, units=units, automatic=True), Path(folder) / "results")
+            kept = Path(folder) / "results" if results is None else results
+            job = MeshJob(MeshFiles(mesh=path, units=units, automatic=True), kept)
             if report:
                 job.run()
                 row["seconds"] = time.monotonic() - begun

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 from solids import as_surface, ball
 from trunks import LEFT, RADIUS_MM, RIGHT, edge_of, radius_mm, trunk_mesh
@@ -15,7 +16,7 @@ from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.measure.landmarks.landmarks import Landmark, picked_landmarks
-from mammometry.measure.landmarks.proposals import propose_nipple
+from mammometry.measure.landmarks.nipple import propose_nipple
 from mammometry.measure.settings import NippleSettings
 from mammometry.measure.shape.anthropometry import shape_of, volume_within_mm3
 from mammometry.measure.shape.lengths import by_name, linear_measures, ptosis
@@ -223,20 +224,31 @@ def test_landmarks_of_the_wrong_side_and_off_the_surface_are_named() -> None:
 # --- nipples
 
 
-def _breast_with_nipple(tip_mm: float, red: float) -> tuple[TriangleMesh, np.ndarray, np.ndarray, np.ndarray]:
-    """A cap on a plane, a nipple beside its highest point, an areola around that; colours under slanting light."""
+def _breast_with_nipple(
+    tip_mm: float, red: float, *, off_mm: tuple[float, float] = (0.0, 0.0), noise_mm: float = 0.0, seed: int = 1
+) -> tuple[TriangleMesh, np.ndarray, np.ndarray, np.ndarray]:
+    """A cap on a plane, a nipple beside its highest point, an areola around that; colours under slanting light.
+
+    `off_mm`: of the areola's middle from the nipple. `noise_mm`: of the skin, smoothed as a telephone's scan is.
+    """
     x, y = np.meshgrid(np.arange(-70.0, 70.1, 1.75), np.arange(-70.0, 70.1, 1.75))
     nipple = np.array([12.0, -9.0])
     away = np.hypot(x - nipple[0], y - nipple[1])
     z = 32.0 * np.clip(1 - (x**2 + y**2) / 65.0**2, 0, None) ** 2 + tip_mm * np.exp(-((away / 5.0) ** 2))
+    rng = np.random.default_rng(seed)
+    if noise_mm:
+        rough = gaussian_filter(rng.normal(size=z.shape), 2.0)
+        z += noise_mm * rough / rough.std()
     n = len(x)
     a = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
     faces = np.concatenate([np.stack([a, a + 1, a + n + 1], axis=1), np.stack([a, a + n + 1, a + n], axis=1)])
     mesh = TriangleMesh(vertices=np.stack([x, y, z], axis=-1).reshape(-1, 3), faces=faces.astype(np.int32))
-    rng = np.random.default_rng(1)
     light = np.clip(mesh.vertex_normals() @ (0.6, 0.3, 0.74), 0.15, None) * rng.normal(1, 0.03, len(mesh.vertices))
     linear = light[:, None] * np.array([0.55, 0.35, 0.27]) * rng.normal(1, 0.01, (len(mesh.vertices), 3))
-    linear[(away < 18.0).ravel(), 1:] *= 1 - red
+    centre = nipple + off_mm
+    height = 32.0 * (1 - (centre**2).sum() / 65.0**2) ** 2
+    coloured = np.linalg.norm(mesh.vertices - [*centre, height], axis=1) < 18.0
+    linear[coloured, 1:] *= 1 - red
     colours = np.clip(255 * np.clip(linear, 0, 1) ** (1 / 2.2), 0, 255).astype(np.uint8)
     angle = np.linspace(0, 2 * np.pi, 120, endpoint=False)
     boundary = np.stack([65 * np.cos(angle), 65 * np.sin(angle), 0 * angle], axis=1)
@@ -255,6 +267,25 @@ def test_nipples_are_proposed_by_colour_and_shape(tip_mm: float, red: float, how
     assert found.probability >= NippleSettings().least_probability
     assert np.linalg.norm(found.points_world[0, :2] - nipple) < within_mm  # samples are 2.5 mm apart
     assert found.sigma_mm >= 1.5
+
+
+def test_a_clear_tip_decides_within_an_areola_that_is_not_centred_on_it() -> None:
+    for off_mm in ((4.0, 0.0), (0.0, -4.0)):
+        mesh, colours, boundary, nipple = _breast_with_nipple(5.0, 0.15, off_mm=off_mm)
+        found = propose_nipple("nipple_left", mesh, colours, boundary)
+        assert found is not None
+        assert np.linalg.norm(found.points_world[0, :2] - nipple) < 1.0
+
+
+def test_the_areola_decides_where_a_scan_flattened_the_tip() -> None:
+    """Noise alike over 4 mm, a quarter as high as the tip that is left."""
+    away = []
+    for seed in range(6):
+        mesh, colours, boundary, nipple = _breast_with_nipple(2.2, 0.15, noise_mm=0.5, seed=seed)
+        found = propose_nipple("nipple_left", mesh, colours, boundary)
+        assert found is not None
+        away.append(np.linalg.norm(found.points_world[0, :2] - nipple))
+    assert np.mean(away) < 1.0
 
 
 def test_no_nipple_is_proposed_where_neither_areola_nor_tip_is_seen() -> None:

@@ -18,7 +18,7 @@ from mammometry.measure.boundary.cast_rim import AdjustedBase
 from mammometry.measure.boundary.crease import Crease, follow_crease
 from mammometry.measure.boundary.prominence import Prominence
 from mammometry.measure.change import Change, TrunkFit, judged
-from mammometry.measure.landmarks.proposals import propose_nipple
+from mammometry.measure.landmarks.nipple import propose_nipple
 from mammometry.measure.settings import CompareSettings, LayerSettings
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 from mammometry.measure.trunk.thorax import SkinSamples, Trunk, find_trunk, fit_thorax
@@ -197,7 +197,7 @@ def test_each_way_to_find_a_nipple_has_its_own_uncertainty(
 def test_what_counts_as_areola_and_tip(
     name: str, limit: float, how: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(f"mammometry.measure.landmarks.proposals.{name}", limit)
+    monkeypatch.setattr(f"mammometry.measure.landmarks.nipple.{name}", limit)
     mesh, colours, boundary, _ = _breast_with_nipple(5.0, 0.15)
     found = propose_nipple("nipple_left", mesh, colours, boundary)
     assert (found is None) if how is None else (found is not None and how in found.method)

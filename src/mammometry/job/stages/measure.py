@@ -292,7 +292,7 @@ def lacking(
     return () if deficit is None else (deficit,)
 
 
-@product("measure", version=9, settings="measure", inputs=("landmarks",), threads=1)
+@product("measure", version=10, settings="measure", inputs=("landmarks",), threads=1)
 def landmarks(
     mesh: FinishedSurface,
     boundaries: tuple[Boundary, ...],

@@ -91,6 +91,20 @@ class Landmark:
             raise ValueError(f"landmark {self.name} needs finite points, found {len(self.points_world)}")
 
 
+def proposed_landmark(
+    name: str, points: Float64[Array, "k 3"], how: str, sigma_mm: float, probability: float = 1.0
+) -> Landmark:
+    """A landmark that was found automatically. `how`: a noun phrase that says how."""
+    return Landmark(
+        name=name,
+        points_world=points,
+        method=f"proposed: {how}; to be confirmed by eye",
+        sigma_mm=sigma_mm,
+        probability=probability,
+        proposed=True,
+    )
+
+
 def picked_landmarks(
     places: Mapping[str, Float64[Array, "k 3"]],
     mesh: TriangleMesh,

@@ -17,7 +17,8 @@ from mammometry.geometry import Array, Bool, Float64, TriangleMesh, UInt8
 from mammometry.geometry.nearest import closest_on_mesh, point_tree
 from mammometry.measure.boundary.boundary import Boundary, BreastName
 from mammometry.measure.landmarks.landmarks import PICKED_SIGMA_MM, Landmark, picked_landmarks
-from mammometry.measure.landmarks.proposals import EndSigmas, propose_ends, propose_nipple, propose_on_midline
+from mammometry.measure.landmarks.nipple import propose_nipple
+from mammometry.measure.landmarks.proposals import EndSigmas, propose_ends, propose_on_midline
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.shape.lengths import LinearMeasure, Ptosis, by_name, linear_measures, ptosis
 from mammometry.measure.trunk.body import BodyDirections

@@ -10,7 +10,8 @@ import numpy as np
 from mammometry.base.errors import MeasureError
 from mammometry.base.notices.words import maybe_words
 from mammometry.geometry import Array, Float64
-from mammometry.measure.landmarks.proposals import propose_nipple, propose_on_midline
+from mammometry.measure.landmarks.nipple import propose_nipple
+from mammometry.measure.landmarks.proposals import propose_on_midline
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.shape.body_size import BodySize
 from mammometry.measure.trunk.body import BodyDirections
