@@ -3,11 +3,11 @@
 Colour is ln R − ln G of linear light, which shading does not change: areolae are redder than the skin around them. A
 tip protrudes from the ring of skin around it. Nothing is proposed where neither is visible.
 
-An areola's middle is that of a disc with a soft edge, fitted to the colours; distances from its middle are in space,
-so that an areola on curved skin is still round. The nipple is then where the skin's shape and the areola together put
-it: a bump is fitted at every place around the areola's middle, its gain over smooth skin gives the place's
-likelihood, and the distance from the middle its prior. On a scan that shows the tip well, shape decides; on a scan
-that has flattened it, the areola does. Without a visible areola it is the tip near the most projecting point.
+A disc with a soft edge is fitted to the areola's colours. Distances from its middle are straight, in three dimensions:
+an areola on curved skin is round, and its projection is not. At each place near the middle a bump is fitted to the
+skin. Its gain over smooth skin gives the place's likelihood, and the distance from the areola's middle its prior. The
+nipple is the mean of all places with these weights. If the surface shows the tip well, the shape decides; if a scan
+has flattened the tip, the areola does. Without a visible areola it is the tip near the most projecting point.
 """
 
 from __future__ import annotations
@@ -249,7 +249,7 @@ def _patch(skin: TriangleMesh, colours: UInt8[Array, "n 3"], centre: Float64[Arr
 
 
 def _disc_middle(patch: _Patch) -> Float64[Array, 3] | None:
-    """Middle of the areola, on the smoothed skin. None if the fit ran away."""
+    """Middle of the areola, on the smoothed skin. None if the fit diverged."""
     weight = patch.weight / max(float(np.sqrt(np.mean(patch.weight**2))), 1e-9)
     redness = patch.redness * weight
     base = np.linalg.lstsq(patch.smooth(patch.flat) * weight[:, None], patch.height * weight, rcond=None)[0]

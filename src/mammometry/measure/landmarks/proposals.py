@@ -1,4 +1,4 @@
-"""Proposed landmarks: sternal notch and umbilicus, the midline, and the ends of a breast. Nipples: `nipple`.
+"""Proposed landmarks on the midline, and the ends of a breast.
 
 The skin's distance ahead of the coronal plane is averaged on a grid. A hollow (sternal notch, umbilicus) is a local
 minimum below the ring around it both along and across the body. A groove, such as that over the breastbone, is below
