@@ -268,7 +268,8 @@ def _disc_middle(patch: _Patch) -> Float64[Array, 3] | None:
         (np.array([0.0, 0.0, radius]) for radius in _AREOLAE_MM), key=lambda disc: float((off(disc) ** 2).sum())
     )
     scatter = MAD * float(np.median(np.abs(off(start))))
-    found = least_squares(off, start, loss="soft_l1", f_scale=max(2 * scatter, 1e-3), diff_step=[1e-2] * 3, x_scale=3.0).x[:2]
+    edge = max(2 * scatter, 1e-3)
+    found = least_squares(off, start, loss="soft_l1", f_scale=edge, diff_step=[1e-2] * 3, x_scale=3.0).x[:2]
     return patch.at(found, height(found)) if np.hypot(*found) < _FURTHEST_MM else None
 
 
