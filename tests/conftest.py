@@ -1,13 +1,16 @@
 """Annotated shapes and dtypes are checked while the tests run; third-party data are found or skipped."""
 
+import functools
 import gc
 import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import is_dataclass
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, Self
 
 # Tests fill the cores already; BLAS reads this when NumPy is loaded first, by the next import at the earliest.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -43,19 +46,58 @@ raise SystemExit(not all(is_cached(kernel_named(name)) for name, _ in listed()))
 """
 
 
+_CHECKED_CALLS = 50
+"""Calls of each function that are checked in each test: small functions are called many thousand times, and a check
+costs as much as they do."""
+_test = 0  # number of the test that runs
+
+
 def _check_arrays(checked: Any = jaxtyping.jaxtyped, **checker: Any) -> Callable[[Any], Any]:
-    """Check what names an array; a check costs as much as a short function, and the other types are mypy's."""
+    """Check what names an array; the other types are mypy's. A checked function is made at its first call."""
+
+    def check(function: Any) -> Any:
+        left, within, made = 0, -1, None
+
+        @functools.wraps(function)
+        def call(*args: Any, **kwargs: Any) -> Any:
+            nonlocal left, within, made
+            if within != _test:
+                left, within = _CHECKED_CALLS, _test
+            if not left:
+                return function(*args, **kwargs)
+            left -= 1
+            made = made or checked(function, **checker)
+            return made(*args, **kwargs)
+
+        return call
 
     def decorate(item: Any) -> Any:
         function = item.__init__ if isinstance(item, type) else item
         named = map(str, getattr(function, "__annotations__", {}).values())
-        return checked(item, **checker) if any("Array" in name or "jaxtyping" in name for name in named) else item
+        if not any("Array" in name or "jaxtyping" in name for name in named):
+            return item
+        if not isinstance(item, type):
+            return check(item)
+        if is_dataclass(item):
+            item.__init__ = check(function)
+        return item
 
     return decorate
 
 
+def pytest_runtest_setup() -> None:
+    global _test
+    _test += 1
+
+
 jaxtyping.jaxtyped = _check_arrays  # by which the hook decorates
 jaxtyping.install_import_hook([f"mammometry.{name}" for name in (*_CHECKED, *_WITHOUT_KERNELS)], "beartype.beartype")
+
+
+# After the hook, which sees only what is imported later.
+from mammometry.base.child_process import CallError, ChildProcess  # noqa: E402
+from mammometry.base.errors import MammometryError  # noqa: E402
+from mammometry.geometry.mesh_files import in_child  # noqa: E402
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -142,15 +184,38 @@ def shared_data() -> Path:
     return folder
 
 
+class _InThisProcess:
+    """Stands for the child in which mesh files are read, half a second each. USD's library may crash: it has one."""
+
+    def __init__(self) -> None:
+        self.process = SimpleNamespace(kill=lambda: None)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
+    def call(self, within: Any, read: Any, path: Path, arguments: Any, named: Any) -> Any:
+        if path.suffix.lower() == ".usdz":
+            with ChildProcess() as child:
+                return child.call(within, read, path, arguments, named)
+        try:
+            return read(path, *arguments, **named)
+        except MammometryError as error:
+            return error
+        except Exception as error:
+            raise CallError from error
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _meshes_in_this_process() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(in_child, "ChildProcess", _InThisProcess)
+        yield
+
+
 @pytest.fixture
-def meshes_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Read mesh files without a child process, a quarter of a second each. Not USD, whose library may crash."""
-    from mammometry.geometry.mesh_files import in_child, mesh_file
-    from mammometry.io.meshes import scans, textures
-
-    def read(reader: Callable[..., Any], path: Path, *arguments: Any, **named: Any) -> Any:
-        call = in_child.read_in_child if path.suffix.lower() == ".usdz" else None
-        return call(reader, path, *arguments, **named) if call else reader(path, *arguments, **named)
-
-    for module in (mesh_file, scans, textures):
-        monkeypatch.setattr(module, "read_in_child", read)
+def meshes_in_a_child(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Read mesh files in a child process, as in use."""
+    monkeypatch.setattr(in_child, "ChildProcess", ChildProcess)

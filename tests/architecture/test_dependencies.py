@@ -6,6 +6,7 @@ import tomllib
 from importlib.metadata import PackageNotFoundError, files
 
 import pytest
+from tests.architecture.test_imports import modules, nodes, syntax
 
 LOADED_BY = {
     "embreex": "trimesh: trimesh.ray finds it",
@@ -45,8 +46,8 @@ def modules_of(distribution):
 def named(repository):
     """Modules that the source imports, or names in a text of its own."""
     found = set()
-    for path in (repository / "src").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for path in modules(repository):
+        for node in nodes(syntax(path)):
             if isinstance(node, ast.Import):
                 found |= {name.name.split(".")[0] for name in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
+from tests.architecture.test_imports import PACKAGE, modules, nodes, syntax
 
-SOURCE = Path(__file__).resolve().parents[2] / "src" / "mammometry"
 PARTS = {"found", "expected", "remedy"}
 METHODS = {
     "startswith",
@@ -58,7 +58,7 @@ def named_words(trees: Iterable[ast.Module]) -> set[str]:
 
 def known_words(tree: ast.Module, everywhere: set[str]) -> set[str]:
     """Such names that a module defines or imports."""
-    imported = {name.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for name in node.names}
+    imported = {name.name for node in nodes(tree) if isinstance(node, ast.ImportFrom) for name in node.names}
     return named_words([tree]) | (imported & everywhere)
 
 
@@ -84,7 +84,7 @@ def decisions(tree: ast.Module, words: set[str]) -> Iterator[str]:
     def says(node: ast.expr) -> bool:
         return any(map(is_words, constants(node))) or (isinstance(node, ast.Name) and node.id in words)
 
-    for node in ast.walk(tree):
+    for node in nodes(tree):
         if isinstance(node, ast.Compare):
             sides, within = [node.left, *node.comparators], isinstance(node.ops[0], ast.In | ast.NotIn)
             literal = any(constants(side) or says(side) for side in sides)
@@ -100,11 +100,11 @@ def decisions(tree: ast.Module, words: set[str]) -> Iterator[str]:
                 yield ast.unparse(node)
 
 
-def test_no_sentence_decides() -> None:
-    trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(SOURCE.rglob("*.py"))}
+def test_no_sentence_decides(repository: Path) -> None:
+    trees = {path: syntax(path) for path in modules(repository)}
     words = named_words(trees.values())
     found = {
-        f"{path.relative_to(SOURCE).as_posix()}: {decision}"
+        f"{path.relative_to(repository / PACKAGE).as_posix()}: {decision}"
         for path, tree in trees.items()
         for decision in decisions(tree, known_words(tree, words))
     }

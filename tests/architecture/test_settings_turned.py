@@ -44,7 +44,9 @@ def given_in_table(table: dict[str, object], *within: str) -> Iterator[str]:
 def never_turned(settings: object, texts: list[str], pythons: list[str], tables: list[dict[str, object]]) -> list[str]:
     """Settings that nothing names with their section."""
     text = "\n".join([*texts, *pythons])
-    calls = {call for python in pythons for call in given_in_calls(python)}
+    groups = {group.__name__ for group, _ in names(settings)}
+    naming = [python for python in pythons if any(group in python for group in groups)]  # a third: others need no parse
+    calls = {call for python in naming for call in given_in_calls(python)}
     given = {name for table in tables for name in given_in_table(table)}
     return [
         dotted

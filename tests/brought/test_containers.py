@@ -13,8 +13,6 @@ from mammometry.base.errors import SessionError
 from mammometry.io.meshes.foreign import read_foreign
 from mammometry.io.meshes.scans import ABOUT, ScanFacts, import_scan, read_scan
 
-pytestmark = pytest.mark.usefixtures("meshes_in_this_process")
-
 
 def require_right(container: Container, path: Path) -> None:
     path.write_bytes(container.make())

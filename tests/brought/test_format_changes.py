@@ -23,8 +23,6 @@ from tests.brought.format_inputs import INPUTS, Files, Input
 from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.base.errors import MammometryError
 
-pytestmark = pytest.mark.usefixtures("meshes_in_this_process")
-
 SEED = int(os.environ.get("MAMMOMETRY_MUTATIONS_SEED", "39"))
 COUNT, DEFAULT, PARTS = 800, 60, 4
 ODD_NAMES = (

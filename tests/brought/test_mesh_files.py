@@ -19,8 +19,6 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.meshes.foreign import read_foreign
 from mammometry.io.meshes.scans import ScanFacts, import_scan
 
-pytestmark = pytest.mark.usefixtures("meshes_in_this_process")
-
 MESH = dome(sink_mm=10.0, rings=20, around=60)
 AREA_MM2 = MESH.area_mm2()
 

@@ -22,8 +22,6 @@ from mammometry.io.meshes.scans import ABOUT, ScanFacts, confirm_sides, import_s
 from mammometry.io.outputs import write_outputs
 from mammometry.measure.scan_repair import repair_scan
 
-pytestmark = pytest.mark.usefixtures("meshes_in_this_process")
-
 SHARED = Path(__file__).parents[3] / "shared" / "data" / "scans"
 BODIES = [f"body_{number}" for number in range(1, 7)] + [f"hanging_{number}" for number in range(1, 4)]
 

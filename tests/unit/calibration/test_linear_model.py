@@ -57,7 +57,7 @@ def test_evidence_is_the_probability_of_the_values(observed):
         std[3] = 0.0
         drawn = design * std
         expected = multivariate_normal(cov=covariance + drawn @ drawn.T).logpdf(values) - constant
-        assert model.log_evidence(std) == pytest.approx(expected, abs=1e-8)
+        assert model.log_evidence(std[None]) == pytest.approx(expected, abs=1e-8)
         fit = model.fit(std)
         assert fit.log_evidence == pytest.approx(expected, abs=1e-8)
         gain = drawn.T @ np.linalg.inv(covariance + drawn @ drawn.T)

@@ -82,7 +82,7 @@ STAGGERED = CirclesTarget(grid=(4, 9), pitch_mm=18.0, diameter_mm=13.0, asymmetr
 )
 def test_what_another_program_draws_has_its_size(target, tmp_path):
     """Every dark shape's place and size on the page as poppler rasterises it, 10 pixels a millimetre."""
-    (tmp_path / "page.pdf").write_bytes(target_pdf(target, page="A3"))
+    (tmp_path / "page.pdf").write_bytes(target_pdf(target, page="A4"))
     command = ["pdftoppm", "-r", "254", "-gray", "-singlefile", str(tmp_path / "page.pdf"), str(tmp_path / "page")]
     subprocess.run(command, check=True)
     page = cv2.imread(str(tmp_path / "page.pgm"), cv2.IMREAD_GRAYSCALE)

@@ -1,6 +1,8 @@
 """Every limit does what its docstring says: turned, it changes the finding or the adjustment that it belongs to."""
 
 from dataclasses import replace
+from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,8 +52,17 @@ def calibration() -> Calibration:
         return calibrate(seen, PAIRS, "virtual", STIFF)
 
 
+@pytest.fixture(scope="module")
+def computed() -> dict[str, Any]:
+    """What the judge computes and no limit changes, kept: most of its time."""
+    names = ("view_qualities", "reconstruct", "sightings", "expected_error", "_coverage")
+    return {name: cache(getattr(quality, name)) for name in names}
+
+
 @pytest.fixture
-def warning_of_nothing(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+def warning_of_nothing(monkeypatch: pytest.MonkeyPatch, computed: dict[str, Any]) -> pytest.MonkeyPatch:
+    for name, function in computed.items():
+        monkeypatch.setattr(quality, name, function)
     for warn, refuse, _ in LIMITS.values():
         monkeypatch.setattr(FINDINGS + warn, 0.0 if "COVERAGE" in warn else 1e9)
         if refuse.isupper():

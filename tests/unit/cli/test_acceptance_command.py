@@ -18,6 +18,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.acceptance_file import DESCRIPTION, position_files, read_test, template
 from mammometry.io.meshes.scans import ScanFacts, import_scan
 from mammometry.io.outputs import write_outputs
+from mammometry.report.documents.acceptance_page import DOCUMENT, PAGE
 from mammometry.simulate.artefacts import DeviceErrors, artefact_mesh, measured_mesh
 from mammometry.study.acceptance.artefacts import POSITIONS, Cast, Sphere
 
@@ -64,6 +65,21 @@ def answered(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[in
     return code, json.loads(capsys.readouterr().out)
 
 
+@pytest.fixture
+def without_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Page, document and pictures are left out: most of the time of a run."""
+    monkeypatch.setattr("mammometry.api.acceptance.acceptance_page_files", lambda *_: {})
+
+
+def test_results_are_stored_with_page_and_document(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, table = answered(capsys, "acceptance", "run", casts(tmp_path / "test", places=1))
+    assert code == UNDECIDED
+    assert {PAGE, DOCUMENT, NUMBERS, "acceptance.csv", "history.csv"} <= {
+        path.name for path in Path(table["results"]).iterdir()
+    }
+
+
+@pytest.mark.usefixtures("without_page")
 @pytest.mark.requirement("R-ACCEPT-2")
 @pytest.mark.parametrize(
     ("scale", "places", "code", "decision"),
@@ -100,7 +116,7 @@ def test_scans_meshes_and_obj_files_are_read(tmp_path: Path) -> None:
         assert abs(result.findings[1].error) < 0.01
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("without_page")
 def test_the_results_beside_a_test_are_its_history(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for day, scale in ((3, 0.001), (1, 0.0), (2, 0.002)):
         text = (ABOUT + CAST).replace("2026-11-29", f"2026-11-0{day}")

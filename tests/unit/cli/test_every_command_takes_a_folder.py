@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from functools import partialmethod
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from tests.unit.measure.solids import dome
 
 import mammometry as mm
 from mammometry.api.job import drawable
+from mammometry.api.mesh import MeshJob
 from mammometry.base.errors import MeasureError, SessionError, StorageError
 from mammometry.batch.record import stats_of
 from mammometry.cli.main import run
@@ -45,6 +47,12 @@ def place(tmp_path_factory: pytest.TempPathFactory, tmp_path: Path) -> Path:
     """Both folders, with the mesh beside them."""
     shutil.copytree(made_once(tmp_path_factory, "folders-of-scans", _fill), tmp_path / "place")
     return tmp_path / "place"
+
+
+@pytest.fixture
+def without_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands measure and draw no report, which takes most of their time."""
+    monkeypatch.setattr(MeshJob, "run", partialmethod(MeshJob.run, report=False))
 
 
 def _answer(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, dict[str, Any]]:
@@ -131,6 +139,7 @@ def test_a_refused_drawing_can_be_corrected(place: Path) -> None:
     assert len(desk.job.surface().repaired.mesh.faces) > 0
 
 
+@pytest.mark.usefixtures("without_report")
 @pytest.mark.requirement("R-FOLDER-2")
 def test_another_drawing_never_replaces_an_edited_one(place: Path) -> None:
     folder, given = place / "measured", place / "b.json"
@@ -161,6 +170,7 @@ def test_both_are_moved_together(place: Path) -> None:
     assert mm.open_session(moved / "measured").run(report=False).made == ()
 
 
+@pytest.mark.usefixtures("without_report")
 def test_results_of_1_0_are_described_when_they_are_measured_again(place: Path) -> None:
     """Version 1.0 left no description. Nothing is computed again."""
     folder = place / "measured"

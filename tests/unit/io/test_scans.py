@@ -22,8 +22,6 @@ from mammometry.io.meshes.merged import stored_sources
 from mammometry.io.meshes.own import read_ply
 from mammometry.io.meshes.scans import ABOUT, MESH, MTL, OBJ, ScanFacts, import_scan, is_scan, read_scan, skin_colours
 
-pytestmark = pytest.mark.usefixtures("meshes_in_this_process")
-
 ABOUT_IT = ScanFacts(scanner="Vectra M5", units="", subject="P-1")
 
 

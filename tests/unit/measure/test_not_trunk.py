@@ -10,7 +10,7 @@ from trunks import LEFT, LENGTH_MM, RADIUS_MM, bump_mm, trunk_mesh
 
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.boundary import TorsoSides, outline_torso
-from mammometry.measure.trunk.thorax import find_trunk, seen_skin
+from mammometry.measure.trunk.thorax import Trunk, find_trunk, seen_skin
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 TWIN = (-LEFT[0], *LEFT[1:])
@@ -95,22 +95,25 @@ def seen(mesh: TriangleMesh) -> RepairedSurface:
     )
 
 
+def trunk_of(surface: RepairedSurface) -> Trunk:
+    return find_trunk(seen_skin(surface), np.eye(3), height_of=np.array([0, 10.0, 0]))
+
+
 @cache
-def outlined() -> TorsoSides:
-    return outline_torso(seen(bare()), np.eye(3))
+def undressed() -> tuple[Trunk, TorsoSides]:
+    surface = seen(bare())
+    return trunk_of(surface), outline_torso(surface, np.eye(3))
 
 
 @pytest.mark.parametrize("dressed", [with_belly, with_trousers, with_arms, with_one_arm])
 @pytest.mark.slow
 def test_the_trunk_and_its_breasts_are_as_without(dressed: Callable[[], TriangleMesh]) -> None:
     surface = seen(dressed())
-    trunk, alone = (
-        find_trunk(seen_skin(each), np.eye(3), height_of=np.array([0, 10.0, 0])) for each in (surface, seen(bare()))
-    )
+    trunk, (alone, outlined) = trunk_of(surface), undressed()
     assert trunk.half_width_mm == pytest.approx(alone.half_width_mm, abs=4.0)
     assert trunk.origin[[0, 2]] == pytest.approx(alone.origin[[0, 2]], abs=6.0)
     found = outline_torso(surface, np.eye(3))
     assert [each.name for each in found.boundaries] == ["left", "right"]
-    for mine, other in zip(found.boundaries, outlined().boundaries, strict=True):
+    for mine, other in zip(found.boundaries, outlined.boundaries, strict=True):
         away = np.linalg.norm(mine.points_world[:, None] - other.points_world[None], axis=2).min(axis=1)
         assert away.max() < 4.0  # two pixels of the relief

@@ -249,7 +249,13 @@ def test_a_screenshot_is_saved(viewer: Locator) -> None:
 def test_it_fits_a_telephone_and_no_length_covers_another(viewer: Locator) -> None:
     viewer.page.set_viewport_size({"width": 360, "height": 740})
     try:
-        viewer.page.wait_for_timeout(250)
+        # The canvas follows its holder, then lengths are placed in the next frame.
+        viewer.page.wait_for_function(
+            "canvas => canvas.parentElement.clientWidth <= 360"
+            " && canvas.clientWidth === canvas.parentElement.clientWidth",
+            arg=viewer.locator("canvas").element_handle(),
+        )
+        viewer.page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
         boxes = viewer.locator(".mm-lengths text").evaluate_all(
             "all => all.map(words => words.getBBox()).map(box => [box.x, box.y, box.width, box.height])"
         )

@@ -314,7 +314,6 @@ def test_pairs_without_common_skin_are_not_compared():
     assert "compared" in summary(found)
 
 
-@pytest.mark.slow
 def test_a_pair_that_no_other_sees_moves_by_as_much_as_the_others_for_all_we_know():
     rng = np.random.default_rng(3)
     _, images, rows = capture({name: np.radians(0.08) * _unit(rng) for name in RIG.cameras})

@@ -59,9 +59,15 @@ class LinearModel:
     log_det: float = 0.0
     """Log determinant of the noise's covariance."""
 
-    def log_evidence(self, std: Float64[Array, " p"]) -> float:
-        """Log evidence of a hypothesis, as `fit` gives it."""
-        return self._solved(std)[-1]
+    def log_evidence(self, std: Float64[Array, "h p"]) -> Float64[Array, " h"]:
+        """Log evidence of hypotheses in which every unknown has a prior, as `fit` gives it."""
+        scaled = self.matrix * std[:, :, None] * std[:, None, :]
+        scaled[:, range(len(self.right)), range(len(self.right))] += 1.0
+        lower = np.linalg.cholesky(scaled)
+        right = self.right * std
+        explained = np.sum(right * np.linalg.solve(scaled, right[:, :, None])[:, :, 0], axis=1)
+        log_det: Float64[Array, " h"] = np.sum(np.log(np.diagonal(lower, axis1=1, axis2=2)), axis=1)
+        return -(self.squares - explained + self.log_det) / 2 - log_det
 
     def fit(self, std: Float64[Array, " p"]) -> Fit:
         """Estimate the motions under a hypothesis.

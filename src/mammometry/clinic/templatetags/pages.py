@@ -3,6 +3,7 @@
 import datetime
 import re
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 from uuid import uuid4
 
@@ -26,6 +27,7 @@ from mammometry.clinic.records.confirmations import CHANGED
 from mammometry.clinic.records.operations import sides_of
 from mammometry.clinic.records.results import VisitResult, age
 from mammometry.clinic.roles import Role
+from mammometry.clinic.web.access import Access
 from mammometry.clinic.web.once import FIELD
 from mammometry.report.words.anthropometry import Length, length_words
 
@@ -332,10 +334,17 @@ def volumes_over_time(readings: list[ChartReading], events: list[ChartEvent], wo
 
 def allowed(request: HttpRequest, address: str) -> bool:
     """Whether this person may open an address."""
-    access = getattr(resolve(address).func, "access", None)
+    access = _access(address)
     if access is None:
         return False
     return access.roles is None or not access.roles.isdisjoint(getattr(request.user, "roles", ()))
+
+
+@lru_cache(maxsize=1000)  # each page asks for every entry of its menu
+def _access(address: str) -> Access | None:
+    """Who may open an address. None if no view of the clinic's own is there."""
+    found: Access | None = getattr(resolve(address).func, "access", None)
+    return found
 
 
 def _places(request: HttpRequest, named: tuple[tuple[str, str], ...]) -> list[Place]:

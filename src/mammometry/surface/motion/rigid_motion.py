@@ -349,19 +349,22 @@ def most_probable(seen: Observed, parameters: MotionParameters, breaths_mm: Sequ
     rests_mm = _RESTS_MM if seen.distances.any() else _RESTS_MM[:1]  # rows alone do not determine it
     models = {rest_mm: seen.model(rest_mm) for rest_mm in rests_mm}
     none = np.zeros(parameters.count)
-    still_rest_mm = max(models, key=lambda rest_mm: models[rest_mm].log_evidence(none))
-    sizes = [parameters.prior_std(*size) for size in product(np.radians(_TURNS_DEG).tolist(), _SHIFTS_MM, breaths_mm)]
-    tried = [(models[rest_mm].log_evidence(std), rest_mm, std) for rest_mm, std in product(models, sizes)]
+    still_rest_mm = max(models, key=lambda rest_mm: float(models[rest_mm].log_evidence(none[None])[0]))
+    sizes = product(np.radians(_TURNS_DEG).tolist(), _SHIFTS_MM, breaths_mm)
+    stds = np.array([parameters.prior_std(*size) for size in sizes])
+    tried = [(evidence, rest_mm, std) for rest_mm in rests_mm
+             for evidence, std in zip(models[rest_mm].log_evidence(stds).tolist(), stds, strict=True)]  # fmt: skip
     evidence, rest_mm, std = max(tried, key=lambda hypothesis: hypothesis[0])
     likely = [models[rest].fit(std) for log_evidence, rest, std in tried if log_evidence > evidence - LEAST_EVIDENCE]
-    alone = ((name, models[rest_mm].fit(std)) for name, std in _alone(parameters))
-    named = max(alone, key=lambda part: part[1].log_evidence)
+    names, alone = zip(*_alone(parameters), strict=True)
+    by_one = models[rest_mm].log_evidence(np.array(alone))
+    most = int(np.argmax(by_one))
     return Found(
         still=models[still_rest_mm].fit(none),
         still_rest_mm=still_rest_mm,
         expected=_expected(likely, models[rest_mm].fit(std)),
         rest_mm=rest_mm,
-        alone=named if named[1].log_evidence > evidence else None,
+        alone=(names[most], models[rest_mm].fit(alone[most])) if by_one[most] > evidence else None,
     )
 
 
