@@ -73,6 +73,19 @@ def nipple_skin(path, nipples):
     return vertices[np.linalg.norm(vertices[:, None] - nipples[None], axis=2).min(axis=1) < 70.0]
 
 
+@pytest.mark.slow
+def test_the_demo_measures_a_virtual_woman_and_goes_on_where_it_was(tmp_path, capsys):
+    """Another generator, renderer and room than the shared walks'."""
+    for made in (True, False):
+        assert run(["demo", str(tmp_path / "demo"), "--photos", "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert bool(found["made"]) == made
+    assert len(found["walk"]["used"]) >= 16
+    for side, true_cc in found["true_volumes_cc"].items():
+        low, high = found["intervals_cc"][side]
+        assert low < true_cc < high
+
+
 def test_a_folder_without_photographs_is_refused(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(SessionError):

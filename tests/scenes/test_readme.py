@@ -29,6 +29,9 @@ ELSEWHERE = {
     "capture SESSION --rig rig.toml": "tests/scenes/test_capture_measured.py",
     "clinic serve my-clinic": "tests/unit/clinic/test_clinic_server.py",  # and below, at another address
     "photos FOLDER": "tests/scenes/test_photos.py",  # needs a telephone's photographs
+    "demo --photos": "tests/scenes/test_photos.py",
+    "acceptance run TEST": "tests/unit/cli/test_acceptance_command.py",  # needs measured artefacts
+    "study landmarks FOUND.json TRUTH.json": "tests/unit/study/test_landmarks.py",
     "check SESSION --image-set DIR": "tests/unit/cli/test_rig.py",  # needs a later exposure
     "study observers curves --mesh front.ply": "tests/unit/cli/test_study.py",
     "study phantoms STUDY": "tests/unit/cli/test_study.py",
@@ -56,6 +59,13 @@ def test_the_commands_of_the_readme_work_as_they_stand(repository: Path, tmp_pat
     (tmp_path / "table.csv").write_text(
         "subject,reference_cc,measured_cc\n"
         + "".join(f"s{n},{100 + 30 * n},{101 + 30 * n + n % 3}\n" for n in range(8))
+    )
+    (tmp_path / "women.csv").write_text(
+        "woman,capture,volume_cc\n" + "".join(f"W{n},{k},{300 + 40 * n + 5 * k}\n" for n in range(6) for k in range(2))
+    )
+    (tmp_path / "specimens.csv").write_text(
+        "woman,side,displaced_g,water_c,flat_chest_cc\n"
+        + "".join(f"W{n},left,{300 + 40 * n},21,{304 + 41 * n - 5 * (n % 3)}\n" for n in range(8))
     )
     commands = [command for command in readme_commands(repository) if command not in ELSEWHERE]
     # The others look at the simulated session, and measure the demo's scan.

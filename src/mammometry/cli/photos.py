@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 DEMO_FOLDER = Path("demo-photos")
+_DEMO_SEED = 0  # the woman of the scan's demo
 _DEMO_PICTURES, _DEMO_SCALE = 20, 0.3  # enough for both breasts, in about two minutes
 
 
@@ -68,7 +69,7 @@ def photos_demo(folder: Path, options: Options) -> Answer:
     from mammometry.simulate.walk import BOARD, PHOTOGRAPHS, WalkRecipe, woman_of, write_walk
 
     options.settings()  # a wrong name shows at once, not after a minute
-    recipe = WalkRecipe(pictures=_DEMO_PICTURES, scale=_DEMO_SCALE)
+    recipe = WalkRecipe(seed=_DEMO_SEED, pictures=_DEMO_PICTURES, scale=_DEMO_SCALE)
     begun = time.monotonic()
     try:
         present = recipe.line in (folder / PHOTOGRAPHS / BOARD).read_text(encoding="utf-8").splitlines()
