@@ -5,17 +5,20 @@ import re
 import time
 from dataclasses import asdict, replace
 
+import numpy as np
 import pytest
 import test_pdf
 
 from mammometry.api.stored_report import packed, unpacked
 from mammometry.base.errors import StorageError
-from mammometry.base.notices import Notice
+from mammometry.base.notices import Notice, words_of
+from mammometry.measure.boundary.breasts import NoBreast
+from mammometry.measure.boundary.prominence import Prominence
 from mammometry.measure.volume.attribution import Attribution, CurveConfirmation
 from mammometry.report.content import Clinical, Fact, ReportContent, Signed, StageReport
 from mammometry.report.documents.rendering import attributed_content, render
 from mammometry.report.first_page import first_page
-from mammometry.report.words.describe import posture_fact
+from mammometry.report.words.describe import absent_report, posture_fact
 
 SEEN = datetime.datetime(2026, 11, 22, 10, 0, tzinfo=datetime.UTC)
 
@@ -122,3 +125,15 @@ def test_it_is_rendered_in_a_moment() -> None:
     begun = time.process_time()
     render(unpacked(stored), {}, Clinical(patient="Moser, Anna"))
     assert time.process_time() - begun < 1.0
+
+
+@pytest.mark.parametrize("prominence", [None, Prominence(top_mm=9.0, volume_cc=31.0, area_cm2=50.0, creased=0.2)])
+def test_the_reason_for_a_missing_volume_is_stated_once(prominence: Prominence | None) -> None:
+    reason = Notice(code="breast-not-outlined", about=("left",), values={"found": "no fold", "expected": "a fold"})
+    side = NoBreast(name="left", place_world=np.zeros(3), prominence=prominence, reason=reason, unclear=True)
+    content = replace(automatic(), breasts=(absent_report(side), automatic().breasts[-1]))
+    made = render(content, {}, None)
+    assert reason in made.warnings
+    page = made.html.decode()
+    assert page.count(words_of(reason).replace("'", "&#39;")) == 1
+    assert ("31\N{NO-BREAK SPACE}cc" in page) == (prominence is not None)

@@ -200,8 +200,8 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
         ),
         "breast-removed": Text("The patient's {side} breast is recorded as removed."),
         "volume-refused": Text(
-            "The {side} breast was outlined, but its volume was refused: {subject}: found {found}, expected "
-            "{expected}. Check its boundary, or draw a better one."
+            "The {side} breast was outlined, but its volume was refused ({subject}: found {found}, expected "
+            "{expected}). Check its boundary, or draw a better one."
         ),
         "volume-uncertain": Text(
             "The {side} breast was outlined, but its volume was refused: the errors of the earlier stages make it "

@@ -15,7 +15,7 @@ from mammometry.job.stages import calibrate
 from mammometry.measure.volume.attribution import Attribution
 from mammometry.settings import Settings, key_table
 
-VERSIONS: Mapping[str, int] = MappingProxyType({"previews": 10, "content": 10, "report": 21})
+VERSIONS: Mapping[str, int] = MappingProxyType({"previews": 10, "content": 11, "report": 22})
 """Kind of page → its version. Raise it when a page changes for the same products."""
 
 

@@ -166,7 +166,7 @@ def _in_words(content: ReportContent, first: FirstPage, width: float) -> Iterato
     if content.comparison:
         yield text("Left and right", size=12, bold=True, before=8)
         yield from facts(content.comparison)
-    for breast in content.breasts:
+    for breast in (breast for breast in content.breasts if breast.rows):
         yield text(f"{breast.title}: measured values", size=12, bold=True, before=8)
         yield from facts(breast.rows)
         if breast.tables:

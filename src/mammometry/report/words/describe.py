@@ -104,11 +104,9 @@ def meanings(measurements: Sequence[VolumeMeasurement]) -> tuple[Meaning, ...]:
 
 
 def absent_report(absent: NoBreast) -> BreastReport:
-    """Content for a side without a breast, with the evidence."""
+    """Content for a side without a breast, whose reason is a warning."""
     seen = absent.prominence
-    facts = [Fact("Based on", words_of(absent.reason))]
-    if seen is not None:
-        facts.append(Fact("Largest possible volume there", f"{seen.volume_cc:.0f} cc"))
+    facts = () if seen is None else (Fact("Largest possible volume there", f"{seen.volume_cc:.0f} cc"),)
     return BreastReport(
         name=absent.name,
         title=f"{absent.name.capitalize()} side",
@@ -117,7 +115,7 @@ def absent_report(absent: NoBreast) -> BreastReport:
             value="not measured" if absent.unclear or absent.refused else "none",
             interval=_without(absent),
         ),
-        facts=tuple(facts),
+        facts=facts,
         absence=absent.reason,
     )
 
