@@ -17,7 +17,7 @@ import numpy as np
 
 from mammometry.simulate.artefacts import DeviceErrors, artefact_mesh, shared_errors
 from mammometry.study.acceptance.artefacts import POSITIONS, Bar, Limits, Sphere
-from mammometry.study.acceptance.evaluate import Finding, bar_result, sphere_result
+from mammometry.study.acceptance.evaluate import AcceptanceFinding, bar_result, sphere_result
 from mammometry.study.acceptance.fits import fit_sphere, within_rule
 from mammometry.study.acceptance.patches import SpherePatch, find_sphere, find_two_spheres
 
@@ -40,7 +40,7 @@ def again(patch: SpherePatch, errors: DeviceErrors, rng: np.random.Generator) ->
     return replace(patch, points=points, fit=fit_sphere(points[kept], patch.weights[kept], patch.fit))
 
 
-def draws(errors: DeviceErrors, count: int) -> Iterator[Finding]:
+def draws(errors: DeviceErrors, count: int) -> Iterator[AcceptanceFinding]:
     """Findings whose errors should lie within their uncertainty."""
     rng = np.random.default_rng(1)
     ball = find_sphere(artefact_mesh(BALL, POSITIONS["sphere"][0]), BALL.diameter_mm)

@@ -22,7 +22,14 @@ from mammometry.study.acceptance.artefacts import (
     breast_area_mm2,
     effect_cc,
 )
-from mammometry.study.acceptance.evaluate import Finding, Outcome, PositionResult, decide, evaluate_mesh, worst_of
+from mammometry.study.acceptance.evaluate import (
+    AcceptanceFinding,
+    Outcome,
+    PositionResult,
+    decide,
+    evaluate_mesh,
+    worst_of,
+)
 from mammometry.study.acceptance.patches import PatchError
 
 BALL = Sphere(diameter_mm=145.0, diameter_std_mm=0.01, form_std_mm=0.01, source="drawn")
@@ -32,7 +39,9 @@ CAST = Cast(volume_cc=400.0, volume_std_cc=0.2, source="drawn")
 ARTEFACTS: dict[Kind, Artefact] = {"sphere": BALL, "bar": BAR, "plane": FLAT, "cast": CAST}
 
 
-def found(kind: Kind, errors: DeviceErrors, *, place: int = 0, seed: int = 0, also: Any = None) -> dict[str, Finding]:
+def found(
+    kind: Kind, errors: DeviceErrors, *, place: int = 0, seed: int = 0, also: Any = None
+) -> dict[str, AcceptanceFinding]:
     """Errors of a drawn artefact at a position, by quantity."""
     position = POSITIONS[kind][place]
     mesh = artefact_mesh(ARTEFACTS[kind], position, edge_mm=3.0)
@@ -162,7 +171,7 @@ def outcome(*kinds: Kind, places: slice = slice(None), error_mm: float = 0.0) ->
             kind=kind,
             position=position.name,
             findings=(
-                Finding(
+                AcceptanceFinding(
                     kind=kind, position=position.name, quantity="size", measured=145.0 + error_mm, reference=145.0,
                     limit=0.2, artefact_std=0.01, fit_std=0.01,
                 ),
@@ -194,8 +203,8 @@ def test_the_fewest_positions_are_the_standards() -> None:
 
 
 def test_the_worst_finding_decides() -> None:
-    def one(measured: float, limit: float) -> Finding:
-        return Finding(
+    def one(measured: float, limit: float) -> AcceptanceFinding:
+        return AcceptanceFinding(
             kind="sphere", position="1", quantity="size", measured=measured, reference=100.0, limit=limit,
             artefact_std=0.05, fit_std=0.0,
         )  # fmt: skip

@@ -48,7 +48,7 @@ class BackupFile:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
+class BackupResult:
     """Outcome of a backup or of a restore test."""
 
     at: str
@@ -68,9 +68,9 @@ class BackupState:
 
     files: list[BackupFile]
     """Newest first."""
-    backup: Outcome | None
+    backup: BackupResult | None
     """Of the last backup; None: none was tried."""
-    restore: Outcome | None
+    restore: BackupResult | None
     """Of the last restore test."""
     at_work: bool
     """Whether a backup or a test is being made now."""
@@ -137,7 +137,7 @@ def make_kept_backup(config: ClinicConfig) -> Path:
 
 def note(config: ClinicConfig, kind: str, *, passed: bool, sentence: str) -> None:
     """Store the outcome of a backup or a restore test for the page."""
-    outcome = Outcome(at=datetime.datetime.now(datetime.UTC).isoformat(), passed=passed, sentence=sentence)
+    outcome = BackupResult(at=datetime.datetime.now(datetime.UTC).isoformat(), passed=passed, sentence=sentence)
     table = {key: asdict(value) for key, value in {**_outcomes(config), kind: outcome}.items()}
     write_private(config.backups / _OUTCOMES, json.dumps(table, indent=1))
 
@@ -251,10 +251,10 @@ def _require_room(config: ClinicConfig) -> None:
         )  # fmt: skip
 
 
-def _outcomes(config: ClinicConfig) -> dict[str, Outcome]:
+def _outcomes(config: ClinicConfig) -> dict[str, BackupResult]:
     try:
         table = json.loads((config.backups / _OUTCOMES).read_text(encoding="utf-8"))
-        return {kind: Outcome(**table[kind]) for kind in ("backup", "restore") if kind in table}
+        return {kind: BackupResult(**table[kind]) for kind in ("backup", "restore") if kind in table}
     except (OSError, ValueError, TypeError):
         return {}
 

@@ -50,7 +50,7 @@ _HOW: Mapping[Kind, str] = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Part:
+class PageSection:
     """A section of the page."""
 
     title: str
@@ -70,7 +70,7 @@ def acceptance_page_files(outcome: Outcome, history: Sequence[PastTest]) -> dict
     pictures = acceptance_pictures(outcome, history)
     worst, *tables = acceptance_tables(outcome)
     parts = [
-        Part(
+        PageSection(
             title=TITLES[kind],
             sentences=[_reference(outcome, kind)],
             pictures=[embed(png) for name, png in pictures.items() if name.endswith(f"-{kind}.png")],
@@ -80,7 +80,7 @@ def acceptance_page_files(outcome: Outcome, history: Sequence[PastTest]) -> dict
         if kind in outcome.test.artefacts
     ]
     if "control-chart.png" in pictures:
-        parts.append(Part(title="History of this device", pictures=[embed(pictures["control-chart.png"])]))
+        parts.append(PageSection(title="History of this device", pictures=[embed(pictures["control-chart.png"])]))
     page = render(
         "acceptance.html.j2",
         kind="acceptance test",
@@ -120,7 +120,7 @@ def picture_names() -> tuple[str, ...]:
 def protocol_page(device: str) -> bytes:
     """Positions of all artefacts as pictures, to tick off."""
     parts = [
-        Part(
+        PageSection(
             title=f"{TITLES[kind]}: {len(POSITIONS[kind])} positions",
             sentences=[_HOW[kind].replace("`", ""), f"Save position 1 as {kind}/1, position 2 as {kind}/2, and so on."],
             ticks=[f"{place.name}: {place.words}" for place in POSITIONS[kind]],

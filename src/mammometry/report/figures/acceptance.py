@@ -13,7 +13,7 @@ from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import PanelSheet
 from mammometry.study.acceptance.artefacts import POSITIONS, QUANTITIES, TITLES, VOLUME_MM, Kind, Position
 from mammometry.study.acceptance.evaluate import PositionResult
-from mammometry.study.acceptance.patches import Patch, PlanePatch, SpherePatch
+from mammometry.study.acceptance.patches import ArtefactPatch, PlanePatch, SpherePatch
 from mammometry.study.acceptance.tables import QUANTITY_WORDS, PastTest, unit_of
 
 _PANEL = (190, 170)  # of one position, px; chosen by eye
@@ -121,7 +121,7 @@ def deviations(kind: Kind, results: Sequence[PositionResult]) -> bytes:
     )
 
 
-def _seen_from_front(patch: Patch) -> Float64[Array, "n 2"]:
+def _seen_from_front(patch: ArtefactPatch) -> Float64[Array, "n 2"]:
     """Points as seen along the mean direction in which the surface faces, mm."""
     match patch:
         case SpherePatch():

@@ -60,7 +60,7 @@ class ViewDirection:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Cast:
+class VisibleFaces:
     """Faces and depths that a view shows, pixel by pixel."""
 
     faces: Int32[Array, "h w"]
@@ -81,14 +81,14 @@ class ShadedMesh:
 
     def __init__(self, mesh: TriangleMesh) -> None:
         self.mesh = mesh
-        self._casts: dict[tuple[ViewDirection, int], Cast] = {}
+        self._casts: dict[tuple[ViewDirection, int], VisibleFaces] = {}
 
     @cached_property
     def normals(self) -> Float32[Array, "n 3"]:
         """Unit vertex normals."""
         return self.mesh.vertex_normals().astype(np.float32)
 
-    def cast(self, view: ViewDirection, size_px: int) -> Cast:
+    def cast(self, view: ViewDirection, size_px: int) -> VisibleFaces:
         """Find what is seen in the middle of each pixel.
 
         The picture's longer side has `size_px` pixels. What was found is kept, so that one view can be coloured in
@@ -99,14 +99,14 @@ class ShadedMesh:
             self._casts[key] = self._cast(view, size_px)
         return self._casts[key]
 
-    def _cast(self, view: ViewDirection, size_px: int) -> Cast:
+    def _cast(self, view: ViewDirection, size_px: int) -> VisibleFaces:
         width, height = picture_wh(view, size_px)
         left_mm, right_mm, bottom_mm, top_mm = view.extent_mm
         corners = view.project(self.mesh.vertices)
         corners[:, 0] = (corners[:, 0] - left_mm) * (width / (right_mm - left_mm)) - 0.5
         corners[:, 1] = (top_mm - corners[:, 1]) * (height / (top_mm - bottom_mm)) - 0.5
         faces, weights, towards_mm = nearest_faces(corners, self.mesh.faces, height, width)
-        return Cast(faces=faces, weights=weights, towards_mm=towards_mm)
+        return VisibleFaces(faces=faces, weights=weights, towards_mm=towards_mm)
 
     def render(
         self,
@@ -249,7 +249,7 @@ def section(
 
 
 def visible(
-    points_world: Float64[Array, "n 3"], view: ViewDirection, cast: Cast, *, slack_mm: float = 1.5
+    points_world: Float64[Array, "n 3"], view: ViewDirection, cast: VisibleFaces, *, slack_mm: float = 1.5
 ) -> Bool[Array, " n"]:
     """Mask of the points on or near the mesh that are visible in a view."""
     x, y, towards = view.project(points_world).T

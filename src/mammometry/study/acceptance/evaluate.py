@@ -50,7 +50,7 @@ COVERAGE = 2.0
 
 
 @value
-class Finding:
+class AcceptanceFinding:
     """One error of the device at one position."""
 
     kind: Kind
@@ -94,7 +94,7 @@ class PositionResult:
 
     kind: Kind
     position: str
-    findings: tuple[Finding, ...]
+    findings: tuple[AcceptanceFinding, ...]
     patches: tuple[SpherePatch | PlanePatch, ...] = ()
     """Evaluated surfaces, for pictures. None of a cast."""
 
@@ -118,7 +118,7 @@ class Outcome:
     results: tuple[PositionResult, ...]
 
     @property
-    def findings(self) -> tuple[Finding, ...]:
+    def findings(self) -> tuple[AcceptanceFinding, ...]:
         """All errors."""
         return tuple(finding for result in self.results for finding in result.findings)
 
@@ -139,7 +139,7 @@ class Outcome:
         return tuple(result for result in self.results if result.share_left_out > LEFT_OUT)
 
     @property
-    def worst(self) -> Mapping[tuple[Kind, Quantity], Finding]:
+    def worst(self) -> Mapping[tuple[Kind, Quantity], AcceptanceFinding]:
         """Error that decides on each quantity."""
         return {
             (kind, quantity): worst_of(found)
@@ -174,7 +174,7 @@ def decide(error: float, expanded: float, limit: float) -> Decision:
     return "reject" if abs(error) - expanded > limit else "undecided"
 
 
-def worst_of(findings: Iterable[Finding]) -> Finding:
+def worst_of(findings: Iterable[AcceptanceFinding]) -> AcceptanceFinding:
     """Finding that decides on a quantity: see `severity`."""
     return min(findings, key=lambda one: severity(one.error, one.expanded, one.limit))
 
@@ -214,7 +214,7 @@ def evaluate_mesh(mesh: TriangleMesh, kind: Kind, position: str, artefact: Artef
 
 def evaluate_volume(volume_cc: float, position: str, cast: Cast, limits: Limits) -> PositionResult:
     """Evaluate the volume of a cast at one position."""
-    finding = Finding(
+    finding = AcceptanceFinding(
         kind="cast", position=position, quantity="volume", measured=volume_cc, reference=cast.volume_cc,
         limit=limits.volume_share * cast.volume_cc, artefact_std=cast.volume_std_cc, fit_std=0.0,
     )  # fmt: skip
@@ -225,11 +225,11 @@ def sphere_result(patch: SpherePatch, position: str, ball: Sphere, limits: Limit
     """Form and size of a ball at one position."""
     size_std = 2 * float(jackknife_std(_shifts(patch))[3])
     findings = (
-        Finding(
+        AcceptanceFinding(
             kind="sphere", position=position, quantity="form", reference=0.0, limit=limits.form_mm,
             artefact_std=ball.form_std_mm, **_width(patch),
         ),
-        Finding(
+        AcceptanceFinding(
             kind="sphere", position=position, quantity="size", measured=2 * patch.fit.radius_mm,
             reference=ball.diameter_mm, limit=limits.size_mm, artefact_std=ball.diameter_std_mm, fit_std=size_std,
         ),
@@ -263,11 +263,11 @@ def bar_result(patches: tuple[SpherePatch, SpherePatch], position: str, bar: Bar
     reference = bar.distance_mm + bar.diameter_mm
     spacing_std, length_std = np.sqrt(variances)
     findings = (
-        Finding(
+        AcceptanceFinding(
             kind="bar", position=position, quantity="spacing", measured=distance, reference=bar.distance_mm,
             limit=limits.length_share * bar.distance_mm, artefact_std=bar.distance_std_mm, fit_std=float(spacing_std),
         ),
-        Finding(
+        AcceptanceFinding(
             kind="bar", position=position, quantity="length", measured=length, reference=reference,
             limit=limits.length_share * reference + limits.size_mm,
             artefact_std=float(np.hypot(bar.distance_std_mm, bar.diameter_std_mm)), fit_std=float(length_std),
@@ -277,7 +277,7 @@ def bar_result(patches: tuple[SpherePatch, SpherePatch], position: str, bar: Bar
 
 
 def _plane(patch: PlanePatch, position: str, plane: Plane, limits: Limits) -> PositionResult:
-    finding = Finding(
+    finding = AcceptanceFinding(
         kind="plane", position=position, quantity="flatness", reference=0.0, limit=limits.flatness_mm,
         artefact_std=plane.flatness_std_mm, **_width(patch),
     )  # fmt: skip

@@ -59,7 +59,7 @@ class PatchError(ValueError):
 
 
 @value(eq=False)
-class Patch:
+class ArtefactPatch:
     """Measured points of one artefact's surface."""
 
     points: Float64[Array, "n 3"]
@@ -82,14 +82,14 @@ class Patch:
 
 
 @value(eq=False)
-class SpherePatch(Patch):
+class SpherePatch(ArtefactPatch):
     """Points of a sphere."""
 
     fit: SphereFit
 
 
 @value(eq=False)
-class PlanePatch(Patch):
+class PlanePatch(ArtefactPatch):
     """Points of a plane."""
 
     fit: PlaneFit

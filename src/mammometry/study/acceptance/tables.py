@@ -23,7 +23,7 @@ from mammometry.study.acceptance.artefacts import (
     Quantity,
     Sphere,
 )
-from mammometry.study.acceptance.evaluate import Decision, Finding, Outcome
+from mammometry.study.acceptance.evaluate import AcceptanceFinding, Decision, Outcome
 from mammometry.study.tables import TextTable, number, signed
 
 FORMAT = 1
@@ -89,7 +89,7 @@ def missing_sentences(outcome: Outcome) -> list[str]:
     return lines
 
 
-def meaning(finding: Finding) -> str:
+def meaning(finding: AcceptanceFinding) -> str:
     """An error, its uncertainty, limit and decision, and what it means for a breast of 400 cc."""
     spoken = shown(finding.quantity, finding.error, sign=finding.reference != 0)
     around = shown(finding.quantity, finding.expanded)
@@ -100,7 +100,7 @@ def meaning(finding: Finding) -> str:
     )
 
 
-def effect_words(finding: Finding) -> str:
+def effect_words(finding: AcceptanceFinding) -> str:
     """Effect of an error on the volume of a breast of 400 cc, one sentence."""
     error, cc = shown(finding.quantity, abs(finding.error)), number(abs(finding.effect_cc), ".1f")
     most = "at most" if finding.quantity in ("form", "flatness") else "about"
@@ -141,7 +141,7 @@ def acceptance_tables(outcome: Outcome) -> list[TextTable]:
     return [table for table in tables if table.rows]
 
 
-def _cells(one: Finding) -> tuple[str, ...]:
+def _cells(one: AcceptanceFinding) -> tuple[str, ...]:
     error = number(one.error, "+.2f" if one.reference else ".2f")
     return (
         f"{error} ± {number(one.expanded, '.2f')} {unit_of(one.quantity)}",
@@ -185,7 +185,7 @@ def acceptance_json(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _finding(one: Finding) -> dict[str, Any]:
+def _finding(one: AcceptanceFinding) -> dict[str, Any]:
     return {
         "artefact": one.kind,
         "position": one.position,

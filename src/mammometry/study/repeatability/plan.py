@@ -26,7 +26,7 @@ Verdict: TypeAlias = Literal["shown", "undecided", "contradicted"]
 
 
 @value
-class Plan:
+class CapturePlan:
     """Women and captures for a claim."""
 
     claim_cc: float
@@ -39,12 +39,12 @@ class Plan:
     """Captures of each woman, and the number of women. Empty: the expected error does not allow the claim."""
 
 
-def plan(claim_cc: float, sem_cc: float, power: float = 0.8) -> Plan:
+def plan(claim_cc: float, sem_cc: float, power: float = 0.8) -> CapturePlan:
     """Find the least number of women for each number of captures.
 
     Each woman counts once, even if both breasts are measured: they share a capture.
     """
-    return Plan(claim_cc=claim_cc, sem_cc=sem_cc, power=power, sizes=tuple(_sizes(claim_cc, sem_cc, power)))
+    return CapturePlan(claim_cc=claim_cc, sem_cc=sem_cc, power=power, sizes=tuple(_sizes(claim_cc, sem_cc, power)))
 
 
 def _sizes(claim_cc: float, sem_cc: float, power: float) -> Iterator[tuple[int, int]]:

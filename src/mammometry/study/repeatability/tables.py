@@ -10,7 +10,7 @@ from typing import Any
 from mammometry.base.csv_cells import csv_text
 from mammometry.study.agreement import IntervalEstimate
 from mammometry.study.repeatability.design import ANOTHER_DAY, ANYBODY, SAME_DAY, Reading
-from mammometry.study.repeatability.plan import DETECTABLE, ClaimCheck, Plan, plan
+from mammometry.study.repeatability.plan import DETECTABLE, CapturePlan, ClaimCheck, plan
 from mammometry.study.repeatability.study import MOVED_MM, RepeatabilityStudy, Repetition, SizeClass
 from mammometry.study.tables import TextTable, number, p_words, plain
 
@@ -210,7 +210,7 @@ def _women_needed(one: Repetition, claim_cc: float) -> str:
     return str(max(sizes[2], _LEAST_WOMEN) if 2 in sizes else _USUAL_WOMEN)
 
 
-def plan_table(planned: Plan) -> TextTable:
+def plan_table(planned: CapturePlan) -> TextTable:
     """Women for each number of captures."""
     return TextTable(
         title=f"For a claim of {number(planned.claim_cc, 'g')} cc, if one volume scatters by "
