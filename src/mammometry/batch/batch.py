@@ -19,7 +19,7 @@ from mammometry.io.photographs.images import megapixels_of
 from mammometry.settings import Settings
 
 State: TypeAlias = Literal["current", "measured", "failed", "stopped"]
-_READERS = 8  # threads that read records: network disks are slow; chosen by eye
+_READERS = 8  # threads that read records: they wait for network disks, and not for a core
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

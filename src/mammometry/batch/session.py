@@ -41,7 +41,7 @@ from mammometry.settings import Settings
 
 _R = TypeVar("_R")
 _PICTURES = ("measure/overview.png", "surface/views.png")
-_THUMBNAIL_PX, _THUMBNAIL_QUALITY = 160, 70  # about 3 kB; chosen by eye
+_THUMBNAIL_PX, _THUMBNAIL_QUALITY = 160, 70  # about 3 kB each
 _SCRATCH = "mammometry-batch-"
 _WAIT_S, _STEP_S = 30.0, 1.0
 """Wait for the previous run of a restarted task, which may still be ending in the session."""

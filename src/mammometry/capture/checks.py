@@ -237,8 +237,7 @@ def _whole(seen: Seen, subject_kind: str) -> Finding:
 
 _TOGETHER_S = 20.0
 """Clocks of cameras are set by hand, to a second or two, if no calibration shows how they differ. Two exposures of one
-visit are further apart. Chosen by eye.
-"""
+visit are further apart."""
 _TOGETHER_KNOWN_S = 2.5  # if the calibration shows how the clocks differ: EXIF has whole seconds, clocks drift
 
 

@@ -29,11 +29,11 @@ _RING_PX = 3.0
 _RING_LIMIT = 0.85
 """Largest radius of the background ring, as a share of the distance to the neighbouring dot."""
 _MIN_RING_PIXELS = 20
-"""Fewest pixels of the ring for a plane of background light. Chosen by eye."""
+"""Fewest pixels of the ring for a plane of background light, whose three parameters then have six pixels each."""
 _MIN_CORE_PIXELS = 12
-"""Fewest pixels in the middle of a dot for a plane of its own light. Chosen by eye."""
+"""Fewest pixels in the middle of a dot for a plane of its own light: four for each of its three parameters."""
 _MIN_CONTRAST = 0.15
-"""Least share of the background's light that a dot absorbs. Chosen by eye."""
+"""Least share of the background's light that a dot absorbs. Assumed; its effect has not been measured."""
 _QUADRATURE = 6
 """Gauss nodes along an axis, exact to the eleventh order."""
 _MIN_HALF_PX = 1.5

@@ -42,7 +42,8 @@ _LENS_RATIO = 3.0
 
 CheckVerdict: TypeAlias = Literal["unmoved", "moved", "refuse"]
 _ROUNDS = 3
-"""Linearisations about the placements. Chosen by eye."""
+"""Linearisations about the placements. With small residuals each squares the relative
+error of a motion: of 0.1, three leave 1e-8."""
 _UNKNOWN_ERRORS = 5.0  # what ready-made cameras may disagree by more than one exposure's noise says
 
 

@@ -329,7 +329,7 @@ def about_residuals(rms_px: float, rms_mm: float) -> CalibrationFinding:
 _STRETCH_WARN, _STRETCH_REFUSE = 3e-3, 1e-2
 """Difference of a board's two scales, relative. Half of it may be in every length, one and a half times in volumes."""
 _BOW_WARN_MM = 1.0
-"""Bow above which a board hardly keeps its shape while it is moved. Chosen by eye."""
+"""Bow above which a board may not keep its shape while it is moved, mm. Assumed."""
 
 
 def about_target(calibration: Calibration) -> Iterator[CalibrationFinding]:

@@ -50,7 +50,7 @@ _MOVED_SIGMA = 8.0
 __all__ = ["CalibrationQuality", "Verdict", "ViewQuality", "assess"]
 
 _GRID_WH = (8, 6)
-"""Cells of a photograph in which coverage is counted, across and down. Chosen by eye."""
+"""Cells of a photograph in which coverage is counted, across and down. They define the coverage that is reported."""
 _GRAVITY: Mapping[Verdict, int] = {"refuse": 0, "warn": 1, "pass": 2}
 
 

@@ -16,14 +16,14 @@ from mammometry.study.acceptance.evaluate import PositionResult
 from mammometry.study.acceptance.patches import ArtefactPatch, PlanePatch, SpherePatch
 from mammometry.study.acceptance.tables import QUANTITY_WORDS, PastTest, unit_of
 
-_PANEL = (190, 170)  # of one position, px; chosen by eye
+_PANEL = (190, 170)  # of one position, px; layout only
 _COLUMNS = 5  # of positions in a row
 _DEPTH = np.array([-0.32, -0.22])  # shift right and up of a millimetre towards the device, in oblique projection
 _POINTS = 6000  # of a surface that are drawn at most
-_DOT = 2.2  # area of a point, points²; chosen by eye
+_DOT = 2.2  # area of a point, points²; layout only
 _LEAST_SCALE_MM = 0.1  # end of the colours at least: the skin moved by it changes a breast of 400 cc by 2 cc
-_CHART = (330, 190)  # of one quantity's chart, px; chosen by eye
-_ROOM = (64, 40)  # for its labels, px; chosen by eye
+_CHART = (330, 190)  # of one quantity's chart, px; layout only
+_ROOM = (64, 40)  # for its labels, px; layout only
 
 
 def positions(kind: Kind, measured: Collection[str] = ()) -> bytes:

@@ -13,7 +13,7 @@ from mammometry.calibration.targets.kinds.circles import CirclesTarget
 from mammometry.geometry.arrays import Array, Float64, UInt8
 
 _MIN_AREA_PX = 12.0
-"""Smallest blob in the reduced picture, px²: a circle 4 px wide, chosen by eye."""
+"""Smallest blob in the reduced picture, px²: a circle 4 px wide."""
 _MAX_MISFIT = 0.15
 """RMS distance from the map, in pitches, above which the grid was read in the wrong order."""
 

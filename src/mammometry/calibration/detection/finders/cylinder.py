@@ -23,9 +23,9 @@ from mammometry.calibration.targets.kinds.cylinder import DottedCylinderTarget
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, UInt8
 
 _MAP_ROUNDS = 4
-"""Fits of projection and lens in turn. Chosen by eye."""
+"""Fits of projection and lens in turn. Assumed; their effect has not been measured."""
 _LEAST = 24
-"""Fewest dots for a map: eleven parameters and a lens need many more than six. Chosen by eye."""
+"""Fewest dots for a map: 48 equations for 31 unknowns, eleven of the projection and twenty of the lens."""
 _FORM_TOLERANCE = 0.05
 """Largest distance of a dot from its place, as a share of the pitch: printed rows and wrapped sheets reach it."""
 
@@ -138,11 +138,12 @@ _NEIGHBOURHOODS = (0.04, 0.12)
 _MIN_FACING = 0.5
 """Dots seen at more than 60° are excluded: form errors of the target have their full effect there."""
 _START_FACING = 0.3
-"""Least cosine between a dot's normal and the line of sight while the cylinder is located. Chosen by eye."""
+"""Least cosine between a dot's normal and the line of sight while the cylinder is located. Below `_MIN_FACING`,
+because the first position is inexact."""
 _START_HALF = 0.18
-"""Starting half side of a dot of unknown size, in pitches. Chosen by eye."""
+"""Starting half side of a dot of unknown size, in pitches. Assumed."""
 _MIN_ROW_DOTS = 3
-"""Fewest dots that make a row. Chosen by eye."""
+"""Fewest dots that make a row: two are always on a line."""
 _LABEL_HEIGHTS = (0.4, 1.4)
 """The labels' strip beyond the last row, in row pitches."""
 _STRIP_SAMPLES = 24
@@ -291,7 +292,7 @@ def _unroll_labels(
 _MIN_COMMON_COLUMNS = 2
 """Fewest columns that both photographs must show: a single label may resemble another."""
 _MIN_CORRELATION = 0.5
-"""Least correlation of two strips with the same labels. Chosen by eye."""
+"""Least correlation of two strips with the same labels. Assumed; its effect has not been measured."""
 _MIN_MARGIN = 0.1
 """The best offset must correlate by this much more than the next."""
 _WIGGLE = 3

@@ -26,7 +26,7 @@ _SEARCH_WIDTHS = 2
 _NEIGHBOURHOODS = (0.05, 0.12)
 """Size of the neighbourhood that a dot must be darker than, image widths."""
 _MOST_DOTS = 250
-"""More dots than this are texture. Chosen by eye."""
+"""More dots than this are texture. Assumed; its effect has not been measured."""
 _START_HALF = 0.15
 """Initial radius if the diameter is unknown, in distances between neighbouring points."""
 _AROUND = 6
