@@ -247,7 +247,7 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
         ),
         "texture-weak": Text(
             "Pair {about}: the texture is too weak for matching on {percent:.0f} % of the surface, which was "
-            "left open. Use more light, focus, or paint a pattern on a model.",
+            "not measured. Use more light, check the focus, or paint a pattern on a cast.",
             "photographs",
         ),
         "pair-little-matched": Text(
@@ -272,12 +272,12 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
             "be compared."
         ),
         "trunks-fit-badly": Text(
-            "The trunks fit badly: 20 % of the skin around the breasts is more than {within_mm:.1f} mm apart. "
+            "The trunks fit badly: 20 % of the skin around the breasts differs by more than {within_mm:.1f} mm. "
             "Check that both sessions show the same patient, with the same arm position and breathing."
         ),
         "trunks-lean-differently": Text(
-            "The trunk leaned differently by {turned_deg:.0f}°. Breasts then hang differently, by more than the "
-            "interval includes."
+            "The trunk leaned differently by {turned_deg:.0f}°. The breasts then hang differently, and "
+            "the interval does not include this."
         ),
         "volume-at-one-date": Text("The {of} has a volume only at the {date} date, and is not compared."),
         "date-not-confirmed": Text(
@@ -298,13 +298,13 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
         "dates-exchanged": Text("The sessions were given in the wrong order. The dates in their manifests were used."),
         "date-missing": Text("A session has no date. The first one given counts as the earlier one."),
         "measured-again": Text("The {date} session was measured again, because its settings were different."),
-        "value-may-be-missing": Text("{column} is {value:g} for {row}: leave the row out if it stands for no value."),
+        "value-may-be-missing": Text('{column} is {value:g} for {row}: leave the row out if it means "no value".'),
         "column-constant": Text("Every value of {column} is {value:g}."),
-        "unit-assumed": Text("Column {column} states no unit; {unit} was taken, as the other's."),
+        "unit-assumed": Text("Column {column} states no unit. {unit} was assumed, as in the other column."),
         "columns-differ": Text(
             "{measured} is typically {ratio:.3g} times {reference}: check that both have the same unit."
         ),
-        "check-unreadable": Text("{file}, line {line}: no entry of a check ({error}); it is left out."),
+        "check-unreadable": Text("{file}, line {line}: not a valid entry of a check ({error}). It was skipped."),
         "photograph-unfitting": Text(
             "Pose {pose}: the photograph of {about} does not fit the others (off by {px:.2g} px) and was left out. "
             "Check that it is the right file, and was exposed together with the others.",
