@@ -239,7 +239,7 @@ def _named(names: Names, rig: Rig) -> Iterator[Finding]:
 
 
 def _stillness(names: Names) -> Finding:
-    known = {name: pair for name, pair in names.pairs.items() if pair.tells and np.isfinite(pair.offset_mm)}
+    known = {name: pair for name, pair in names.pairs.items() if pair.is_sufficient and np.isfinite(pair.offset_mm)}
     if not known:
         return Finding("moved", "unknown", "Too little texture to check whether the patient moved.")
     worst = max(known, key=lambda name: abs(known[name].offset_mm))

@@ -187,12 +187,12 @@ def run_concerns(run: RunResults) -> Iterator[Notice]:
 def mesh_warnings(measurements: Sequence[VolumeMeasurement], body: BodyDirections | None) -> Iterator[Notice]:
     """Warnings of another scanner's mesh."""
     yield Notice(code="mesh-of-another-scanner")
-    sunk = (
+    shifts = (
         []
         if body is None
         else [measurement.inferior_shift(body.up) for measurement in measurements if measurement.name != "model"]
     )
-    if len(sunk) == 2 and sum(sunk) / 2 < _HUNG_UPWARDS:
+    if len(shifts) == 2 and sum(shifts) / 2 < _HUNG_UPWARDS:
         yield Notice(code="breasts-fuller-above")
     for measurement in measurements:
         if not measurement.watertight:

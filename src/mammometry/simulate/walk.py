@@ -90,7 +90,6 @@ class SimulatedWalk:
     folder: Path
     cameras: Mapping[str, Camera]
     """Number of a photograph → its camera."""
-    body_from_board: Transform
     true_volumes_cc: Mapping[str, float]
     """Side → exact volume, cc."""
 
@@ -165,7 +164,6 @@ def write_walk(out: Path, recipe: WalkRecipe = WalkRecipe(), *, progress: Progre
     return SimulatedWalk(
         folder=out,
         cameras=MappingProxyType(cameras),
-        body_from_board=placed,
         true_volumes_cc=MappingProxyType(woman.volumes_cc),
     )
 

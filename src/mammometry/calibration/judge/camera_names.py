@@ -27,14 +27,14 @@ _FAR_PX = 16.0  # the same, if something moved; a startled patient moves 10 mm, 
 _DEPTH = (0.5, 2.0)  # range of the subject's distance, relative to the target's
 _FEWEST = 12  # fewest matches of a pair for a decision
 _RIGHT = 0.5  # smallest share of matches that fit if the names are right (benchmarks.accuracy.exchanged)
-_FOREIGN = 0.25  # largest share for two unrelated photographs, measured likewise; in between: undecided
+_FOREIGN = 0.25  # largest share for two unrelated photographs, by the same benchmark; in between: undecided
 _UNLIKELY = 1e-5  # probability of a chance fit below which matches count as fitting
 _UNLIKELY_NEARER = 1e-3  # the same, for being on the lines rather than near them
-_MANY = 30  # fewest matches of photographs of the same subject; others have 5 to 24 by chance, measured likewise
-_RICH = 200  # features of a photograph from which on its partner shares at least a sixteenth, measured likewise
-_BY_CHANCE = 5  # fitting matches; photographs of different subjects have at most two, measured likewise
+_MANY = 30  # fewest matches of photographs of the same subject; others have 5 to 24 by chance, by the same benchmark
+_RICH = 200  # features of a photograph from which on its partner shares at least a sixteenth, by the same benchmark
+_BY_CHANCE = 5  # fitting matches; photographs of different subjects have at most two, by the same benchmark
 _WIDER = 1.3  # largest angle of a pair that must share features, relative to other pairs that do
-_ASTRAY_MM = 3.0  # offset from the lines that no touch of a camera explains; what moved less is put right later
+_BUMPED_MM = 3.0  # largest offset from the lines after a bump; smaller motions are corrected later
 _GAIN = 0.2  # smallest gain of the two shares, summed, by swapping two pairs: 0.4 with wrong names, 0 with right ones
 _STILL_MM = 1.0  # largest offset from the epipolar lines of a rig at rest; calibrated ones have below 0.1 mm
 """For a pair with its own two photographs swapped, the share is 0 to 0.9, the larger the more symmetric the two cameras
@@ -54,14 +54,14 @@ class PairAgreement:
     """Whether more matches fit than by chance, even if their share is small."""
 
     @property
-    def tells(self) -> bool:
+    def is_sufficient(self) -> bool:
         """Whether there are enough matches for a decision."""
         return self.matches >= _FEWEST
 
     @property
     def fits(self) -> bool:
         """Whether the photographs are of these cameras."""
-        return self.tells and self.fitting >= _RIGHT
+        return self.is_sufficient and self.fitting >= _RIGHT
 
     @property
     def fitting_matches(self) -> int:
@@ -210,9 +210,9 @@ def check_names(rig: Rig, seen: Mapping[str, Keypoints]) -> Names:
     poor = {pair: both for pair, both in unsolved.items() if own[pair].fitting < _FOREIGN and not own[pair].supported}
     shared = [pair for pair in unsolved if own[pair].matches >= _MANY]
     misfitting = tuple(pair for pair in shared if pair in poor and show_the_same(*correspondences(*pairs[pair])))
-    astray = tuple(pair for pair in shared if pair in misfitting or abs(own[pair].offset_mm) > _ASTRAY_MM)
-    if len(astray) > max(1, len(pairs) / 2):  # one pair may have moved that far, but not most pairs
-        misfitting = astray
+    misplaced = tuple(pair for pair in shared if pair in misfitting or abs(own[pair].offset_mm) > _BUMPED_MM)
+    if len(misplaced) > max(1, len(pairs) / 2):  # one pair may have moved that far, but not most pairs
+        misfitting = misplaced
     rich = {name for name, features in seen.items() if len(features.uv) >= _RICH}
     reach = max((_angle_deg(rig, pairs[pair]) for pair in _plain(own, pairs, rich)), default=0.0)
     unrelated = {
@@ -346,7 +346,7 @@ def check_board_names(rig: Rig, seen: Mapping[str, Detection]) -> tuple[str, str
         _, rows, columns = np.intersect1d(one.ids, other.ids, return_indices=True)
         cameras = rig.cameras[left], rig.cameras[right]
         found = pair_agreement(*cameras, one.uv[rows], other.uv[columns], rig.target_middle_world)
-        return found if found.tells else None
+        return found if found.is_sufficient else None
 
     def judged(source: Mapping[str, str]) -> dict[tuple[str, str], bool]:
         """Two cameras → whether their images agree, if that can be decided."""

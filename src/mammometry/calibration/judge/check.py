@@ -107,7 +107,7 @@ class RigCheck:
     verdict: CheckVerdict
     """``unmoved``: within noise. ``moved``: certain, but too small to matter. ``refuse``: calibrate again."""
     reasons: tuple[str, ...]
-    """One sentence each, the gravest first."""
+    """One sentence each, worst first."""
     cameras: Mapping[str, CameraCheck]
     """Camera → its check, for those that saw the target. Read-only."""
     unseen: tuple[str, ...]
@@ -117,7 +117,7 @@ class RigCheck:
     pairs: Mapping[str, MovedPair]
     """Pair of a moved camera → effect on the points it measures. Read-only."""
     world_from_target: Mapping[str, Transform]
-    """Exposure → where the cameras that stood still see the target. Read-only."""
+    """Exposure → position of the target as seen by the cameras that did not move. Read-only."""
     exchanged: tuple[str, ...] = ()
     """Two cameras whose pictures, exchanged, agree with the calibration. Empty where none do."""
 

@@ -52,7 +52,7 @@ _BIAS_WARN = 8.0
 """Bias of a view (its median residual in standard errors) that gives a warning. Clean ones reach 4–5, a camera moved by
 0.01 mm 7–9 at a quarter of the size, 36–46 at full size."""
 BIAS_REFUSE = 20.0
-"""Bias above which the cameras cannot have stood still."""
+"""Bias above which a camera must have moved."""
 _FOCAL_STD_WARN = 2.5e-4
 """Relative standard deviation of a focal length that gives a warning: 0.2 mm of depth at 0.8 m."""
 _GEOMETRY_WARN_MM = 0.1
@@ -67,7 +67,7 @@ _EXPECTED_WARN_MM = 0.1
 """Expected error of reconstructed points in the working volume, from the cameras' uncertainty, that gives a warning.
 Over the 300 cm² that a pair sees, 0.1 mm is 3 cc."""
 _EXPECTED_REFUSE_MM = _GEOMETRY_REFUSE_MM
-"""Expected error above which measuring is not worthwhile, likewise."""
+"""Expected error above which measuring is not worthwhile."""
 _MOVED_REFUSE_MM = 0.05
 """Displacement of measured points by a movement between poses above which the poses must not be used together."""
 _COVERAGE_WARN = 0.4

@@ -29,7 +29,7 @@ _SAME = 6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraMotion:
-    """Motion of a camera against those that stood still, world frame."""
+    """Motion of a camera relative to those that did not move, world frame."""
 
     motion: Transform
     """Transform from the calibrated to the current camera: of the simplest kind that fits."""
@@ -105,14 +105,14 @@ class MotionProblem:
         return [self.cameras[1:]]
 
     def placements(self, moved: Sequence[str]) -> dict[str, Transform]:
-        """Exposure → target placement, from the cameras that stood still."""
+        """Exposure → target placement, from the cameras that did not move."""
         twists = self._fit(moved).motions.reshape(-1, 6)
         return {
             pose: as_motion(twist) @ place for twist, (pose, place) in zip(twists, self.placed.items(), strict=False)
         }
 
     def motion(self, camera: Camera, moved: Sequence[str], chance: float) -> CameraMotion:
-        """Motion of a camera against those that stood still. The camera itself is not counted among them."""
+        """Motion of a camera relative to the others that did not move."""
         fit, own = self._fit({*moved, camera.name}), self._of_camera(camera.name)
         motion = as_motion(-fit.motions[own]).inverse()  # exact for one exposure, however far it moved
         centre = camera.centre_world

@@ -23,7 +23,7 @@ from mammometry.geometry import Array, Float64, StereoPair
 from mammometry.geometry.twist import as_motion, moved_camera
 
 _MOST_MOVEMENTS = 6
-"""Movements that are named, at most: with more, nothing stood still."""
+"""Most movements that are reported. With more, everything moved."""
 _MEDIAN = float(chdtri(6, 0.5))
 """Median of χ² with the six degrees of freedom of one sighting."""
 _EXPLAINED = 1e-10

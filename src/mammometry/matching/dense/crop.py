@@ -79,7 +79,7 @@ def _cut(level: Level, mask: Bool[Array, "h w"], part: Window) -> Level:
 
 
 def cut_solved(solved: LevelResult, window: Window, level: int) -> LevelResult:
-    """A level's results within a window. Both images are cropped alike, so shifts are unchanged."""
+    """A level's results within a window. Both images have the same crop, so shifts are unchanged."""
 
     def one(match: MatchEstimate) -> MatchEstimate:
         return MatchEstimate(

@@ -52,7 +52,7 @@ class Subjects:
     blind: tuple[str, ...]
     """Cameras whose silhouette is unknown: everything that they see may be the subject."""
     doubts: Mapping[str, str]
-    """Camera → reason why its silhouette is unknown. Empty: its partner's is; both pictures are treated alike."""
+    """Camera → reason why its silhouette is unknown. Empty: its partner's is unknown, and both are treated the same."""
 
 
 def find_subjects(
@@ -124,7 +124,7 @@ def _depths(rig: Rig, photographs: Mapping[str, Photograph]) -> list[CoarseDepth
 
 
 def _partners(rig: Rig, names: set[str]) -> set[str]:
-    """These cameras and their partners: both images of a pair are cropped alike."""
+    """These cameras and their partners: both images of a pair get the same crop."""
     while True:
         more = {name for pair in rig.pair_names.values() if names & set(pair) for name in pair}
         if more <= names:

@@ -127,7 +127,7 @@ def picked_landmarks(
     """
     if not places:
         return ()
-    from mammometry.geometry.nearest import closest_on_mesh  # whoever needs only the names need not wait for a compiler
+    from mammometry.geometry.nearest import closest_on_mesh  # who needs only the names does not load compiled kernels
 
     nearest = closest_on_mesh(np.concatenate(list(places.values())), mesh)
     found, stop = [], 0
