@@ -26,9 +26,9 @@ _REMARKS = {
     "weight": "Truth: weight by density, plus the skin that the operation left. Density from the composition (fat "
     "0.93, gland 1.04 g/cc; ± 0.02), else from the age (0.96 ± 0.04 from 50 years on, 1.01 ± 0.08 below; Yi 2019), "
     "else 0.97 ± 0.04 g/cc.",
-    "segmentation": "Truth: the volume inside the closed mesh, or that of the segment's voxels. The person who segmented "
-    "the breast chose where it ends at the back. Most MRI is taken lying prone: the breast has the same volume, but its "
-    "border may shift.",
+    "segmentation": "Truth: the volume inside the closed mesh, or that of the segment's voxels. The person who "
+    "segmented the breast chose where it ends at the back. Most MRI is taken lying prone: the breast has the same "
+    "volume, but its border may shift.",
     "volume": "Truth: as in the table.",
 }
 
