@@ -129,7 +129,7 @@ def _adjusted_without(without: Adjustment, state: State, equations: NormalEquati
 
 
 def _of_views(problem: Adjustment, members: Int64[Array, " v"], state: State) -> NormalEquations:
-    """Contribution of these views to the normal equations, with nothing held."""
+    """Contribution of these views to the normal equations, without fixed parameters."""
     network = problem.network.of_views(members.tolist())
     network = replace(
         network,

@@ -19,7 +19,7 @@ from scipy.linalg import cholesky, solve_triangular
 from mammometry.geometry.arrays import Array, Float64, Int64
 
 FREE = np.inf
-"""Prior standard deviation of an unknown of which nothing is known."""
+"""Prior standard deviation of an unknown without prior information."""
 _UNDETERMINED = 1e-12
 """Eigenvalue of the scaled matrix, relative to the largest, below which a direction is not determined: rounding leaves
 1e-16 of those that are not, and the weakest that rigs and boards determine has 1e-4."""
@@ -34,7 +34,7 @@ class Fit:
     covariance: Float64[Array, "p p"]
     """Of the motions, after the observations. 0 where held, and in directions that are not determined."""
     misfit: float
-    """χ² of what the motions leave, and of the motions by their priors."""
+    """χ² of the residuals, and of the motions by their priors."""
     freedom: int
     """Observations less determined unknowns."""
     log_evidence: float

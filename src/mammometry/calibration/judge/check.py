@@ -1,9 +1,8 @@
-"""Check from one later exposure whether the rig still stands as calibrated.
+"""Check from one later exposure whether a camera of the rig has moved, and which one.
 
-It also finds the camera that moved. Each camera alone gives the target's placement (`sighting`). As long as nothing
-moved, all agree within their noise and the calibration's. If they disagree, the fewest cameras are sought without
-which the rest agree again: those moved (`moved_cameras`). Only relative motion shows: if most cameras moved in the
-same way, the others are named.
+Each camera alone gives the target's placement (`sighting`). If nothing moved, all agree within their noise and that of
+the calibration. If they disagree, the smallest set of cameras without which the rest agree has moved (`moved_cameras`).
+Only relative motion is visible: if most cameras moved in the same way, the others are named.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ CheckVerdict: TypeAlias = Literal["unmoved", "moved", "refuse"]
 _ROUNDS = 3
 """Linearisations about the placements. With small residuals each squares the relative
 error of a motion: of 0.1, three leave 1e-8."""
-_UNKNOWN_ERRORS = 5.0  # what ready-made cameras may disagree by more than one exposure's noise says
+_UNKNOWN_ERRORS = 5.0  # factor on one exposure's noise for given cameras, whose errors are unknown
 
 
 @value(eq=False)
@@ -55,19 +54,19 @@ class Reference:
     target_points: Float64[Array, "p 3"]
     """Target frame, mm."""
     volume_world: Float64[Array, "v 3"]
-    """Points of the working volume, mm: where the calibration saw the target. None: where the exposure shows it."""
+    """Points of the working volume, mm: target points of the calibration. Without any, those of the exposure."""
     covariance: ParameterCovariance | None = None
-    """Of the cameras. None where they came ready-made."""
+    """Of the cameras. None for given cameras."""
     noise_factor: float = 1.0
     """Standard deviation of the residuals in units of the detections' own."""
     inflation: float = _UNKNOWN_ERRORS
     """Factor by which views of one pose disagree beyond their own noise."""
     rms_px: Mapping[str, float] = field(default_factory=dict)
-    """Camera → what was left of its views in the calibration, px."""
+    """Camera → median residual of its views in the calibration, px."""
 
     @classmethod
     def of(cls, calibration: Calibration) -> Reference:
-        """Return all that a calibration knows of its rig."""
+        """Reference of a calibration."""
         seen = sightings(calibration)
         places = [placed.apply(calibration.target_points) for placed in calibration.world_from_target.values()]
         cameras = dict.fromkeys(sighting.camera for sighting in seen)
@@ -83,13 +82,13 @@ class Reference:
 
     @classmethod
     def of_cameras(cls, rig: Rig, target: Target) -> Reference:
-        """Return a reference of ready-made cameras, whose errors are not known."""
+        """Reference of given cameras, whose errors are not known."""
         return cls(rig=rig, target_points=target.points_target, volume_world=np.empty((0, 3)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraCheck:
-    """Motion of one camera against those that did not move."""
+    """Motion of one camera relative to those that did not move."""
 
     camera: str
     moved: bool
@@ -119,7 +118,7 @@ class RigCheck:
     world_from_target: Mapping[str, Transform]
     """Exposure → position of the target as seen by the cameras that did not move. Read-only."""
     exchanged: tuple[str, ...] = ()
-    """Two cameras whose pictures, exchanged, agree with the calibration. Empty where none do."""
+    """Two cameras whose pictures agree with the calibration if exchanged. Empty: none."""
 
     @property
     def effect_mm(self) -> float:

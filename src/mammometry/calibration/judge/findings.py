@@ -75,7 +75,7 @@ _COVERAGE_WARN = 0.4
 _VOLUME_COVERAGE_WARN = 0.25
 """Share of the working volume near which the target was shown. Below it the volume is untested where skin will be."""
 RESIDUAL_GOOD_MM = _GEOMETRY_REFUSE_MM / 10
-"""RMS residual at the target's distance up to which it is called good: a tenth of what the paper's plate allows."""
+"""RMS residual at the target's distance up to which it is called good: a tenth of the limit from the paper's plate."""
 _RESIDUAL_WARN_MM = 0.2
 """RMS residual at the target's distance above which the pictures or the target are wrong."""
 _LEFT_OUT_WARN = 1.2
@@ -220,7 +220,7 @@ def about_cameras(
     volume_coverage: float,
     settings: QualitySettings,
 ) -> Iterator[CalibrationFinding]:
-    """Report how well each lens is known, and what was never tested."""
+    """Report how well each lens is known, and parts that were never tested."""
     places = np.median([placed.translation_mm for placed in calibration.world_from_target.values()], axis=0)
     for name, std in focal_std.items():
         if std > min(_FOCAL_STD_WARN, settings.focal_std_refuse):
@@ -318,7 +318,7 @@ def about_scale(calibration: Calibration) -> Iterator[CalibrationFinding]:
 
 
 def about_residuals(rms_px: float, rms_mm: float) -> CalibrationFinding:
-    """Report whether the residuals are large, by what they are in millimetres."""
+    """Report whether the residuals are large, in millimetres."""
     values: dict[str, float | str] = {"px": rms_px, "mm": rms_mm, "good_mm": RESIDUAL_GOOD_MM}
     if rms_mm > _RESIDUAL_WARN_MM:
         return _found("warn", "residuals-large", values=values)

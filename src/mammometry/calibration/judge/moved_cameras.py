@@ -20,11 +20,11 @@ Kind: TypeAlias = Literal["shift", "turn", "either", "both"]
 """Motion of a camera: displacement, rotation about its perspective centre, either as far as the data show, or certainly
 both."""
 _MOST_SETS = 5000
-"""Sets of cameras after which no larger ones are tried. A rig of twelve cameras has 4,095, so all of its are tried."""
+"""Number of tried sets after which no larger sets are tried. Twelve cameras have 4,095 sets, so all are tried."""
 _SINGULAR = 1e-14
-"""Relative eigenvalue of a covariance below which nothing is known of a direction: rounding."""
+"""Relative eigenvalue of a covariance below which a direction is undetermined: rounding."""
 _SAME = 6
-"""Decimals of χ² that count: all sets that leave a single camera explain the same, apart from rounding."""
+"""Decimals of χ² that are compared: all sets that leave one camera have the same χ², apart from rounding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -40,12 +40,12 @@ class CameraMotion:
     shift_std_mm: float
     """Largest standard deviation of the displacement over all directions. 0 for a pure rotation."""
     turn_std_rad: float
-    """Likewise of the rotation."""
+    """The same of the rotation, rad."""
     kind: Kind
     alone_mm: float
-    """Size of the motion if it was a displacement alone."""
+    """Size of the motion if it was only a displacement, mm."""
     alone_rad: float
-    """Size of the motion if it was a rotation alone."""
+    """Size of the motion if it was only a rotation, rad."""
     sigma: float
     """Length of the six-parameter motion in its standard errors: 2.3 by chance (median of χ with six degrees of
     freedom). 0 without a camera to compare."""
@@ -121,7 +121,7 @@ class MotionProblem:
         about_centre[3:, :3] = -_cross(centre)
         covariance = about_centre @ fit.covariance[own, own] @ about_centre.T
         std = np.sqrt(np.maximum(np.diag(covariance), np.finfo(np.float64).tiny))
-        units = np.outer(std, std)  # radians beside millimetres
+        units = np.outer(std, std)  # radians and millimetres
         information = np.linalg.pinv(covariance / units, rcond=_SINGULAR, hermitian=True) / units
         model = LinearModel(
             matrix=information, right=information @ both, squares=float(both @ information @ both), count=6

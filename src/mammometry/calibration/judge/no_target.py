@@ -29,7 +29,7 @@ class _Reading:
 
 
 def no_target(target: Target, parts: Sequence[Observations], photographs: Photographs) -> CalibrationError:
-    """Return the error that no photograph shows the target, with what they show instead.
+    """Error that no photograph shows the target, with their likely content.
 
     Args:
         target: as described.

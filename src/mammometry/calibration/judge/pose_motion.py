@@ -1,8 +1,7 @@
-"""Find what moved while the rig was calibrated.
+"""Find motion during the calibration: which camera, between which poses, and how far.
 
-Which camera, between which poses, and how far. Every view by itself gives the target's placement (`sighting`). Each
-thing that may have moved explains a part of the disagreement by six numbers. The one that explains most is named
-first. Then the search is repeated on what is left.
+Each view alone gives the target's placement (`sighting`). Each possible motion explains part of the disagreement with
+six parameters. The one that explains most is reported first. Then the search is repeated on the remainder.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ _MEDIAN = float(chdtri(6, 0.5))
 _EXPLAINED = 1e-10
 """Share of a motion's information below which the motions found so far explain it as well: rounding leaves 1e-13."""
 _ALIKE = 1e-6
-"""Relative difference of what two motions explain below which they are the same motion, apart from rounding."""
+"""Relative difference of the χ² explained by two motions below which they are the same, apart from rounding."""
 _LEAST_FREEDOM = 0.05
 """Least share of the observations that is left for the noise."""
 
@@ -39,11 +38,11 @@ class MovedCameras:
     """One or two cameras that moved relative to the others. From one pose on, or in one pose only."""
 
     cameras: tuple[str, ...]
-    """One camera. Or both of a pair, which an unsteadily held target also looks like."""
+    """One camera, or both of a pair: an unsteady target looks the same."""
     first: str
-    """The pose from which on."""
+    """First pose of the motion."""
     only: bool
-    """Whether in that pose alone: not exposed together with the others, or pushed and back again."""
+    """Whether in that pose alone: not exposed together with the others, or moved back afterwards."""
     shift_mm: Float64[Array, 3]
     """Displacement of the first camera's perspective centre, world axes."""
     turn_rad: Float64[Array, 3]
@@ -65,11 +64,11 @@ class _Suspicion:
 
 
 def movements(calibration: Calibration, seen: Sequence[Sighting], least_sigma: float) -> tuple[MovedCameras, ...]:
-    """Find all movements that stand out, the most certain first.
+    """Find all significant movements, the most certain first.
 
     Args:
         calibration: the adjusted rig.
-        seen: its views, each by itself (`sighting.sightings`).
+        seen: its single views (`sighting.sightings`).
         least_sigma: length in standard errors from which on a movement is reported.
     """
     poses = [pose for pose in calibration.world_from_target if pose in {sighting.pose for sighting in seen}]

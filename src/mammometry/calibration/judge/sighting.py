@@ -1,8 +1,8 @@
 """Placement of the target by one camera alone, with covariance.
 
 It shows whether the camera moved. If the target is displaced by the twist w (`geometry.twist`) and the camera by the
-twist m, the camera sees the target displaced by w − m. So whatever moved, everything that a view of a known target
-shows is linear in the twists.
+twist m, the camera sees the target displaced by w − m. So each view of a known target is
+linear in the twists, whatever moved.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _SETTLED_PX = 1e-7
 _OUTLIER_SIGMA = 6.0
 """Points farther off than this many robust standard deviations are left out."""
 _OUTLIER_ROUNDS = 3
-"""Times that outliers are sought again."""
+"""Most searches for outliers."""
 
 
 @value(eq=False)
@@ -53,7 +53,7 @@ class Sighting:
         return float(np.sqrt(np.mean(np.sum(self.residual_px**2, axis=1))))
 
     def twist_from(self, world_from_target: Transform) -> Float64[Array, 6]:
-        """The motion that carries `world_from_target` to where this camera sees the target."""
+        """Twist from `world_from_target` to the placement that this camera sees."""
         return as_twist(self.world_from_target @ world_from_target.inverse())
 
     def shift_px(self, twist: Float64[Array, 6]) -> float:
