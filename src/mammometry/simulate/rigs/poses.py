@@ -12,7 +12,7 @@ import numpy as np
 from mammometry.base.errors import UnknownWordError
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry import Array, Camera, Float64, Rig, Transform
-from mammometry.simulate.rigs.targets import sees_target, visible_points
+from mammometry.simulate.rigs.targets import useful_points
 
 _GRAZING_DEG = 65.0  # angle between a board's normal and the line of sight above which a view is useless
 _FADE_DEG = 5.0  # degrees below `_GRAZING_DEG` over which a view's value falls to 0
@@ -114,13 +114,11 @@ _HELD = {"facing": _facing, "upright": _upright, "any": _turned_at_random}
 
 def _usefulness(camera: Camera, pose: Transform, target: Target) -> float:
     """Share of the points that are well seen, falling to 0 where the view is too oblique."""
-    if not sees_target(camera, pose, target):
-        return 0.0
-    share = float(visible_points(camera, pose, target).mean())
-    if target.is_surveyed:
-        return share
-    straightness = float(np.clip((_GRAZING_DEG - _obliquity_deg(camera, pose, target)) / _FADE_DEG, 0.0, 1.0))
-    return straightness * share
+    straightness = 1.0
+    if not target.is_surveyed:
+        straightness = float(np.clip((_GRAZING_DEG - _obliquity_deg(camera, pose, target)) / _FADE_DEG, 0.0, 1.0))
+    seen = useful_points(camera, pose, target) if straightness > 0.0 else None
+    return 0.0 if seen is None else straightness * float(seen.mean())
 
 
 def _obliquity_deg(camera: Camera, pose: Transform, target: Target) -> float:

@@ -96,20 +96,26 @@ def visible_points(camera: Camera, rig_from_target: Transform, target: Target) -
 
 
 def sees_target(camera: Camera, rig_from_target: Transform, target: Target) -> bool:
-    """Whether the camera's picture of the target is kept.
+    """Whether the camera's picture of the target is kept."""
+    return useful_points(camera, rig_from_target, target) is not None
+
+
+def useful_points(camera: Camera, rig_from_target: Transform, target: Target) -> Bool[Array, " n"] | None:
+    """Mask of the visible points of a picture that is kept. None if it is not.
 
     It must have enough points and everything that detection needs. A target that looks the same after half a turn must
     also have its x axis to the right in every picture.
     """
     seen = visible_points(camera, rig_from_target, target)
     if int(seen.sum()) < _USEFUL_POINTS:
-        return False
+        return None
 
     def in_picture(points_target: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
         return _in_frame(camera, camera.project(rig_from_target.apply(points_target)))
 
     body = target.body
-    return body.is_whole(seen, in_picture) and (not body.looks_alike_turned or _points_right(camera, rig_from_target))
+    whole = body.is_whole(seen, in_picture)
+    return seen if whole and (not body.looks_alike_turned or _points_right(camera, rig_from_target)) else None
 
 
 def _in_frame(camera: Camera, uv: Float64[Array, "n 2"]) -> Bool[Array, " n"]:
