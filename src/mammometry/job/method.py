@@ -58,7 +58,8 @@ def method(plan: Plan) -> None:
     strands = plan(surface.strands, cameras, ranges) if subject == "torso" else None
     data = plan(surface.valid_patches, moved, kept, strands)
     occluded = plan(surface.occlusions, corrected, data, foregrounds)
-    solid = plan(surface.solid, corrected, data, foregrounds, occluded, subjects)
+    outlines = plan(surface.walk_outlines, corrected, data, foregrounds) if inputs.walk is not None else foregrounds
+    solid = plan(surface.solid, corrected, data, outlines, occluded, subjects)
     first = plan(surface.initial_surface, data, solid)
     repaired = plan(surface.repaired, first, data)
     plan(surface.model, corrected, repaired)

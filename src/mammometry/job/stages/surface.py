@@ -176,6 +176,16 @@ def occlusions(
     return find_occlusions(valid_patches.range_images, foregrounds, corrected_cameras.rig)
 
 
+@product("surface", version=1, stored=False, large=True)
+def walk_outlines(
+    corrected_cameras: CameraSet, valid_patches: ValidPatches, foregrounds: Mapping[str, Foreground], *, job: Context
+) -> Mapping[str, Foreground]:
+    """Camera → what may be the body in a walk's photograph."""
+    from mammometry.walk.outlines import outlines
+
+    return outlines(valid_patches.range_images, foregrounds, corrected_cameras.rig)
+
+
 @product("surface", large=True)
 def solid(
     corrected_cameras: CameraSet,

@@ -1,0 +1,70 @@
+"""Outlines of the body in a walk's photographs, from the measured skin itself.
+
+In a room no colour tells the body from what is behind it, so the masks of a walk contain everything near the body. But
+what is far from all measured skin, in any photograph, is not the body: the room shows there. Without this, the surface
+is closed along the walls of the region (`region.Region`) instead of behind the skin.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy import ndimage
+
+from mammometry.geometry import Array, Camera, Float32, Float64, Rig
+from mammometry.matching.foreground.foreground import Foreground
+from mammometry.surface.ranges.range_image import RangeImage
+
+_REACH_MM = 30.0
+"""Skin that no pair measured is at most so far from measured skin, as seen in a photograph. Holes inside are filled."""
+_CELL_PX = 4  # side of the cells in which distances are computed
+_STEP = 3  # every third pixel of a range image, in both directions, is far denser than a cell
+
+
+def outlines(range_images: Sequence[RangeImage], given: Mapping[str, Foreground], rig: Rig) -> dict[str, Foreground]:
+    """Camera → what may be the body: within `_REACH_MM` of the measured skin, and in the given mask.
+
+    Args:
+        range_images: the measured skin, of all pairs.
+        given: camera → mask of the region around the body.
+        rig: the cameras.
+    """
+    skin_world = np.concatenate([_few(image) for image in range_images])
+    return {name: _outlined(mask, rig.cameras[name], skin_world) for name, mask in given.items()}
+
+
+def _few(image: RangeImage) -> Float64[Array, "n 3"]:
+    kept = np.zeros_like(image.valid)
+    kept[::_STEP, ::_STEP] = image.valid[::_STEP, ::_STEP]
+    points: Float64[Array, "n 3"] = image.keeping(kept).valid_points_world()
+    return points
+
+
+def _outlined(given: Foreground, camera: Camera, skin_world: Float64[Array, "n 3"]) -> Foreground:
+    height, width = camera.shape_hw
+    depth_mm = camera.camera_from_world.apply(skin_world)[:, 2]
+    uv = camera.project(skin_world[depth_mm > 0])
+    cells = (math.ceil(height / _CELL_PX), math.ceil(width / _CELL_PX))
+    column, row = np.floor((uv + 0.5) / _CELL_PX).astype(int).T
+    inside = (row >= 0) & (row < cells[0]) & (column >= 0) & (column < cells[1])
+    if not inside.any():
+        return given
+    skin = np.zeros(cells, dtype=bool)
+    skin[row[inside], column[inside]] = True
+    reach = _REACH_MM * float(camera.matrix[0, 0]) / float(np.median(depth_mm[depth_mm > 0])) / _CELL_PX
+    filled = ndimage.binary_fill_holes(ndimage.distance_transform_edt(~skin) <= reach)
+    coverage = np.minimum(given.coverage, _smooth(filled, (height, width)))
+    return replace(given, coverage=coverage)
+
+
+def _smooth(cells: Array, shape_hw: tuple[int, int]) -> Float32[Array, "h w"]:
+    """Share of each pixel, from a mask of cells: linear between the cells' middles, ½ at their border."""
+    at = [(np.arange(side) + 0.5) / _CELL_PX - 0.5 for side in shape_hw]
+    grid = np.meshgrid(*at, indexing="ij")
+    share: Float32[Array, "h w"] = ndimage.map_coordinates(
+        cells.astype(np.float32), grid, order=1, mode="nearest", output=np.float32
+    )
+    return share
