@@ -37,6 +37,7 @@ from mammometry.base.errors import MammometryError
 from mammometry.base.machine.cores import available_cores
 from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.io.meshes.foreign import read_foreign
+from mammometry.io.outputs import take_folder
 from mammometry.io.write import write_text
 from mammometry.job.stages import measure
 from mammometry.measure.settings import POSTURES
@@ -127,6 +128,7 @@ def measured(
     with tempfile.TemporaryDirectory(prefix="mammometry-scans-") as folder:
         try:
             kept = Path(folder) / "results" if results is None else results
+            take_folder(kept, command="measure")  # without a run nothing else marks it as ours
             job = MeshJob(MeshFiles(mesh=path, units=units, automatic=True), kept)
             if report:
                 job.run()
