@@ -146,7 +146,7 @@ def measured(
             if {"left", "right"} <= both.keys():
                 apart = difference(both["left"], both["right"], "sides")
                 row["difference"] = {"cc": apart.difference_cc, "interval_cc": apart.difference_interval_cc}
-            row["no_breast"] = {side.name: side.why for side in job.plan.value(measure.absent) or ()}
+            row["no_breast"] = {side.name: side.reason.code for side in job.plan.value(measure.absent) or ()}
             marks = job.plan.value(measure.landmarks) or ()
             row["landmarks"] = {mark.name: np.round(mark.points_world, 3).tolist() for mark in marks}
             shape = job.plan.value(measure.dimensions) if graded else None
