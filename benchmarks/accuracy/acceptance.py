@@ -15,7 +15,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mammometry.simulate.artefacts import DeviceErrors, artefact_mesh, shared_errors
+from mammometry.simulate.artefacts import DeviceErrors, shared_errors
+from mammometry.simulate.subjects.artefacts import artefact_mesh
 from mammometry.study.acceptance.artefacts import POSITIONS, Bar, Limits, Sphere
 from mammometry.study.acceptance.evaluate import AcceptanceFinding, bar_result, sphere_result
 from mammometry.study.acceptance.fits import fit_sphere, within_rule

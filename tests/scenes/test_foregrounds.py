@@ -99,3 +99,24 @@ def test_a_torso_before_a_pale_wall_is_found(skin: str, tmp_path: Path) -> None:
         true = scene.cast(camera.centre_world, camera.rays_world(pixel_grid(camera))).hit
         assert (true & ~found).sum() < 0.01 * true.sum()
         assert (found & ~true).sum() < 0.01 * true.sum()
+
+
+@pytest.mark.slow
+@pytest.mark.requirement("R-MASK-1")
+@pytest.mark.parametrize("artefact", ["bar", "plane"])
+def test_an_artefact_of_an_acceptance_test_is_found(artefact: str, tmp_path: Path) -> None:
+    """A thin bar, whose surroundings are larger than it, and a plane, which is no board under something else."""
+    session, names = tmp_path / "session", ("front_left", "front_right")
+    rig = Path(boards.__file__).parent / "rigs" / "stand.toml"
+    recipe = SessionRecipe(rig=f"{rig}:front", subject=f"test-{artefact}_1", scale=0.6, seed=3, poses=1)
+    write_session(session, recipe, Studio(skin=make_skin("speckled")))
+    truth = read_truth(session / "truth", {"front": names})
+    scene = RayScene(truth.mesh)
+    shots = {name: read_photograph(next((session / "capture").glob(f"{name}.*")), name) for name in names}
+    subjects = find_subjects(truth.rig, shots)
+    assert subjects.doubts == {}
+    for name, shot in shots.items():
+        found = estimate_foreground(shot, name, subject=subjects.blocks[name]).mask
+        camera = truth.rig.cameras[name]
+        true = scene.cast(camera.centre_world, camera.rays_world(pixel_grid(camera))).hit
+        assert (true ^ found).sum() < 0.03 * true.sum()

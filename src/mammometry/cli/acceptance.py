@@ -118,7 +118,8 @@ def acceptance_demo(folder: Path, options: Options) -> Answer:
     from mammometry.geometry.mesh_files.ply import write_ply
     from mammometry.io.acceptance_file import DESCRIPTION, RESULTS, read_test
     from mammometry.io.outputs import require_free, write_outputs
-    from mammometry.simulate.artefacts import DEMO_DEVICE, DEMO_ERRORS, artefact_mesh, measured_mesh
+    from mammometry.simulate.artefacts import DEMO_DEVICE, DEMO_ERRORS, measured_mesh
+    from mammometry.simulate.subjects.artefacts import artefact_mesh
     from mammometry.study.acceptance.artefacts import POSITIONS
 
     options.settings()

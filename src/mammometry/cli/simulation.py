@@ -215,7 +215,9 @@ def simulate(
     target: Annotated[
         str, typer.Option(help="charuco, chessboard, circles, circles-asymmetric, dotted-cylinder or frame.")
     ] = "charuco",
-    skin: Annotated[str, typer.Option(help="plaster, plain, skin, dark-skin, pale-skin or sweat.")] = "plaster",
+    skin: Annotated[
+        str, typer.Option(help="plaster, plain, speckled, skin, dark-skin, pale-skin or sweat.")
+    ] = "plaster",
     contrast: Annotated[
         float | None,
         typer.Option(help="Contrast of the skin's texture. 0.005 is nearly none.", show_default="the skin's"),

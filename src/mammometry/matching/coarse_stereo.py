@@ -167,7 +167,9 @@ def sort_depths(depths: Sequence[CoarseDepths], middle_world: Float64[Array, 3])
     nears = [_is_near(one, middle_world) for one in depths]
     supports = find_supports(
         [
-            NearDepths(camera=one.ideal[0], depth_mm=one.depth_mm[0], near=cleaned(near[0], 0.0))
+            NearDepths(
+                camera=one.ideal[0], depth_mm=one.depth_mm[0], near=cleaned(near[0], 0.0), textured=one.textured
+            )
             for one, near in zip(depths, nears, strict=True)
         ]
     )
@@ -280,12 +282,15 @@ def _depths(
 
 
 def _textured(image: Float32[Array, "h w"]) -> Bool[Array, "h w"]:
-    """Mask of the pixels around which an image varies by more than its noise."""
+    """Mask of the pixels in areas that vary by more than their noise.
+
+    An area's neighbourhood varies too, because its border does. It is removed: nothing is there on a dark background.
+    """
     mean, square, noise = (
         ndimage.uniform_filter(values, _AROUND_PX)
         for values in (image, image**2, checkerboard_residual(image).astype(np.float32) ** 2)
     )
-    shown: Bool[Array, "h w"] = square - mean**2 > _TEXTURE * noise
+    shown: Bool[Array, "h w"] = ndimage.minimum_filter(square - mean**2 > _TEXTURE * noise, _AROUND_PX)
     return shown
 
 

@@ -40,6 +40,8 @@ class NearDepths:
     """z of each of its pixels, mm. NaN if unknown."""
     near: Bool[Array, "h w"]
     """Pixels in the working volume. Some have no depth, since small gaps are closed."""
+    textured: Bool[Array, "h w"]
+    """Pixels whose depth is reliable. A dark background matches by chance, in front of a plane as well as behind it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,17 +155,18 @@ def _best_plane(view: NearDepths) -> Float64[Array, 4] | None:
 
 
 def _split(view: NearDepths, plane_world: Float64[Array, 4]) -> _Split:
-    """Parts of what a pair sees nearby. Pixels without a depth are in none of them."""
+    """Parts of what a pair sees nearby. Pixels without a reliable depth are neither in front of the plane nor behind it."""
     rows, columns = np.indices(view.depth_mm.shape)
     a, b, c = reciprocal_depth(plane_world, view.camera)
     known = view.near & np.isfinite(view.depth_mm)
+    reliable = known & view.textured
     ahead = np.where(known, 1 - (a * columns + b * rows + c) * view.depth_mm, 0.0)
-    before, beyond = known & (ahead >= _FLATNESS), known & (ahead <= -_FLATNESS)
+    before, beyond = reliable & (ahead >= _FLATNESS), reliable & (ahead <= -_FLATNESS)
     return _Split(
-        lying=int(np.count_nonzero(known & ~before & ~beyond)),
+        lying=int(np.count_nonzero(known & (np.abs(ahead) < _FLATNESS))),
         standing=int(np.count_nonzero(before)),
         behind=int(np.count_nonzero(beyond)),
-        standing_share=float(cleaned(known & (ahead >= _STANDING * _FLATNESS), 0.0).mean()),
+        standing_share=float(cleaned(reliable & (ahead >= _STANDING * _FLATNESS), 0.0).mean()),
         behind_share=float(cleaned(beyond, 0.0).mean()),
     )
 

@@ -19,7 +19,8 @@ from mammometry.io.acceptance_file import DESCRIPTION, position_files, read_test
 from mammometry.io.meshes.scans import ScanFacts, import_scan
 from mammometry.io.outputs import write_outputs
 from mammometry.report.documents.acceptance_page import DOCUMENT, PAGE
-from mammometry.simulate.artefacts import DeviceErrors, artefact_mesh, measured_mesh
+from mammometry.simulate.artefacts import DeviceErrors, measured_mesh
+from mammometry.simulate.subjects.artefacts import artefact_mesh
 from mammometry.study.acceptance.artefacts import POSITIONS, Cast, Sphere
 
 ABOUT = """\

@@ -14,9 +14,19 @@ V, U = np.mgrid[:240, :320].astype(float)
 TILTED = 1 / (1 / 800 + 1e-7 * (U - 160) + 1.5e-7 * (V - 120))
 
 
-def seen(depth_mm: NDArray[np.float64], near: NDArray[np.bool_] | None = None, camera: Camera = CAMERA) -> NearDepths:
+def seen(
+    depth_mm: NDArray[np.float64],
+    near: NDArray[np.bool_] | None = None,
+    camera: Camera = CAMERA,
+    textured: NDArray[np.bool_] | None = None,
+) -> NearDepths:
     whole = np.ones(depth_mm.shape, dtype=bool)
-    return NearDepths(camera=camera, depth_mm=depth_mm.astype(np.float32), near=whole if near is None else near)
+    return NearDepths(
+        camera=camera,
+        depth_mm=depth_mm.astype(np.float32),
+        near=whole if near is None else near,
+        textured=whole if textured is None else textured,
+    )
 
 
 def hill(height_mm: float = 60.0) -> NDArray[np.float64]:
@@ -36,6 +46,17 @@ def test_a_board_is_told_from_a_body() -> None:
     depth = 800 - np.sqrt(np.where(away < 110, 110**2 - away**2, 0))
     assert find_supports([seen(depth, away < 110)]) == [None]
     assert find_supports([seen(TILTED)]) == [None]  # nothing stands before it
+
+
+def test_random_matches_before_a_plane_make_it_no_support() -> None:
+    """A plate before a dark background, which matches by chance at some places in front of the plate."""
+    plate = (np.abs(U - 160) < 80) & (np.abs(V - 120) < 90)
+    chance = (V > 220) & (U < 160)
+    depth = np.where(chance, 0.9 * TILTED, TILTED)
+    depth[~plate & ~chance] = np.nan
+    (plane,) = find_supports([seen(depth, plate | chance)])
+    assert plane is not None  # all of it would be a subject on a board
+    assert find_supports([seen(depth, plate | chance, textured=plate)]) == [None]
 
 
 @pytest.mark.requirement("R-MASK-1")

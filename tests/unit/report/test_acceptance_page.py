@@ -14,7 +14,8 @@ from mammometry.report.documents.acceptance_page import (
     protocol_page,
 )
 from mammometry.report.figures.canvas import caption_of
-from mammometry.simulate.artefacts import DeviceErrors, artefact_mesh, measured_mesh
+from mammometry.simulate.artefacts import DeviceErrors, measured_mesh
+from mammometry.simulate.subjects.artefacts import artefact_mesh
 from mammometry.study.acceptance.artefacts import KINDS, POSITIONS, AcceptanceTest, Limits
 from mammometry.study.acceptance.evaluate import Outcome, evaluate_mesh
 from mammometry.study.acceptance.tables import PastTest, acceptance_tables, as_past, meaning, shown

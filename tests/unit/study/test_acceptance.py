@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from mammometry.geometry.mesh import TriangleMesh, joined
-from mammometry.simulate.artefacts import DeviceErrors, artefact_mesh, measured_mesh
+from mammometry.simulate.artefacts import DeviceErrors, measured_mesh
+from mammometry.simulate.subjects.artefacts import artefact_mesh
 from mammometry.simulate.subjects.shapes import plate
 from mammometry.study.acceptance.artefacts import (
     POSITIONS,

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.simulate.artefacts import artefact_mesh
+from mammometry.simulate.subjects.artefacts import artefact_mesh
 from mammometry.study.acceptance.artefacts import POSITIONS, VOLUME_MM, Bar, Limits, Plane
 from mammometry.study.acceptance.evaluate import evaluate_mesh
 

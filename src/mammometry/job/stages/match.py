@@ -63,7 +63,7 @@ def photograph(*, job: Context) -> Photograph:
     return job.inputs.photographs[job.item]
 
 
-@product("match", version=4, settings="matching.foreground", inputs=("capture", "masks"))
+@product("match", version=5, settings="matching.foreground", inputs=("capture", "masks"))
 def subjects(cameras: CameraSet, *, job: Context) -> Subjects:
     """Position of the subject, and its blocks in each photograph. None where all masks are given."""
     from mammometry.matching.foreground.all_cameras import find_subjects

@@ -16,8 +16,8 @@ from mammometry.base.errors import UnknownWordError
 from mammometry.simulate.disturbances.registry import DISTURBANCES, DisturbanceKind, Stage
 from mammometry.simulate.recipe import Disturbance, Situation
 
-OF_OTHER_CAPTURES = ("board", "grey", "soft-focus", "table")
-"""Disturbances of heads, figures and casts, which a clinic's captures do not get."""
+OF_OTHER_CAPTURES = ("board", "grey", "lens", "soft-focus", "table")
+"""Disturbances of heads, figures, casts and artefacts, which a clinic's captures do not get."""
 HARDEST = 3
 """Greatest difficulty."""
 _THIRD, _HELD_OUT_FROM = 3, 9000  # one seed in three is held out, and all from this one

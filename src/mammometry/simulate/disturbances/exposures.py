@@ -47,6 +47,22 @@ def _drift_one(exposure: CaptureConditions, angle_deg: float, rng: np.random.Gen
 
 
 @disturbance(
+    "lens",
+    "shoot",
+    "every lens's radial distortion k1 changed after the calibration",
+    Number(usual=0.02, within=(-0.2, 0.2)),
+)
+def _lens(exposure: CaptureConditions, change: float, rng: np.random.Generator) -> CaptureConditions:
+    first = np.array([change, 0.0, 0.0, 0.0, 0.0])
+    return replace(
+        exposure,
+        capture_rig=with_cameras(
+            exposure.capture_rig, lambda camera: replace(camera, distortion=camera.distortion + first)
+        ),
+    )
+
+
+@disturbance(
     "pair-shift",
     "shoot",
     "one pair shifted as a whole after the calibration",

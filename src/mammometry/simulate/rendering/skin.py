@@ -108,6 +108,7 @@ SKINS: Mapping[str, SkinReflectance] = MappingProxyType(
     {
         "plaster": SkinReflectance(),
         "plain": SkinReflectance(contrast=0.005, colour_contrast=0.003),
+        "speckled": SkinReflectance(base_rgb=(0.5, 0.5, 0.5), contrast=0.1, colour_contrast=0.0, specular=0.0),
         "skin": _LIVING,
         "dark-skin": replace(
             _LIVING, base_rgb=(0.19, 0.105, 0.07), areola_rgb=(0.09, 0.045, 0.035), specular=0.03, veins=0.0
@@ -118,7 +119,7 @@ SKINS: Mapping[str, SkinReflectance] = MappingProxyType(
         "sweat": replace(_LIVING, specular=0.10, exponent=70.0, sheen_patches=0.8, roughness=0.18),
     }
 )
-"""Name on the command line → appearance: painted plaster, nearly textureless plaster, four skins."""
+"""Name on the command line → appearance: painted plaster, nearly textureless plaster, matt speckles, four skins."""
 
 
 def make_skin(name: str, *, contrast: float | None = None, hair_per_cm2: float = 0.0) -> SkinReflectance:

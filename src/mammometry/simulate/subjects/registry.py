@@ -50,6 +50,7 @@ class SubjectFamily:
 SUBJECTS: Registry[SubjectFamily] = Registry(
     "virtual subject",
     modules=(
+        "mammometry.simulate.subjects.artefacts",
         "mammometry.simulate.subjects.plaster",
         "mammometry.simulate.subjects.shapes",
         "mammometry.simulate.subjects.torso",
