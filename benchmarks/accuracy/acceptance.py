@@ -1,10 +1,13 @@
 """Coverage of the uncertainty that an acceptance test states.
 
     python -m benchmarks.accuracy.acceptance --draws 1000
+    python -m benchmarks.accuracy.acceptance --rig
 
-Draws a ball of 145 mm and a bar of 300 mm with balls of 60 mm again and again, each time with new errors of the device
-and a new reference value within the artefact's uncertainty. Prints how often the expanded uncertainty (95 %) contains
-the error, with errors that are independent from point to point, and with ones that neighbouring points share.
+The first draws a ball of 145 mm and a bar of 300 mm with balls of 60 mm again and again, each time with new errors of
+the device and a new reference value within the artefact's uncertainty. Prints how often the expanded uncertainty (95 %)
+contains the error, with errors that are independent from point to point, and with ones that neighbouring points share.
+
+The second tests a virtual rig with errors put in, from photographs to verdict: see `acceptance_photographs`.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from benchmarks.accuracy.acceptance_photographs import print_table
 from mammometry.simulate.artefacts import DeviceErrors, shared_errors
 from mammometry.simulate.subjects.artefacts import artefact_mesh
 from mammometry.study.acceptance.artefacts import POSITIONS, Bar, Limits, Sphere
@@ -61,7 +65,12 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--draws", type=int, default=1000)
-    count = parser.parse_args().draws
+    parser.add_argument("--rig", action="store_true", help="a virtual rig with errors put in")
+    chosen = parser.parse_args()
+    if chosen.rig:
+        print_table()
+        return
+    count = chosen.draws
     print("| errors of the device | error | within ± 95 % | SD of the error, mm | mean ± 95 %, mm |")
     print("| --- | --- | --- | --- | --- |")
     for errors in ERRORS:

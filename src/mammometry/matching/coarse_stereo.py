@@ -167,9 +167,7 @@ def sort_depths(depths: Sequence[CoarseDepths], middle_world: Float64[Array, 3])
     nears = [_is_near(one, middle_world) for one in depths]
     supports = find_supports(
         [
-            NearDepths(
-                camera=one.ideal[0], depth_mm=one.depth_mm[0], near=cleaned(near[0], 0.0), textured=one.textured
-            )
+            NearDepths(camera=one.ideal[0], depth_mm=one.depth_mm[0], near=cleaned(near[0], 0.0), textured=one.textured)
             for one, near in zip(depths, nears, strict=True)
         ]
     )

@@ -155,7 +155,7 @@ def _best_plane(view: NearDepths) -> Float64[Array, 4] | None:
 
 
 def _split(view: NearDepths, plane_world: Float64[Array, 4]) -> _Split:
-    """Parts of what a pair sees nearby. Pixels without a reliable depth are neither in front of the plane nor behind it."""
+    """Parts of what a pair sees nearby. Only pixels with a reliable depth are in front of the plane or behind it."""
     rows, columns = np.indices(view.depth_mm.shape)
     a, b, c = reciprocal_depth(plane_world, view.camera)
     known = view.near & np.isfinite(view.depth_mm)
