@@ -14,7 +14,7 @@ from mammometry.base.errors import SessionError, TableError
 from mammometry.base.identity import folded
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.csv_tables import CsvTable, read_table
-from mammometry.io.label_maps import SUFFIX, segment_cc
+from mammometry.io.label_maps.read import is_label_map, segment_cc
 from mammometry.io.meshes.foreign import read_foreign
 from mammometry.io.subject_columns import SIDES, SUBJECTS, column_named, side_in
 from mammometry.study.validation.truths import TrueVolume, skin_left, water, weight
@@ -181,9 +181,9 @@ def _optional(table: CsvTable, name: str, *, needed: bool) -> Float64[Array, " n
 
 
 def _segmented_cc(file: Path, units: str | None, segment: str) -> float:
-    """Volume of a closed mesh, or of a segment of a DICOM segmentation, cc."""
-    if file.suffix.lower() == SUFFIX:
-        return segment_cc(file, segment)
+    """Volume of a closed mesh, or of a segment of a label map, cc."""
+    if is_label_map(file):
+        return segment_cc(file, segment, units)
     mesh = read_foreign(file, units).mesh
     if not mesh.is_watertight():
         raise SessionError(

@@ -10,7 +10,7 @@ from pydicom.sr.codedict import codes
 from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian, generate_uid
 
 from mammometry.base.errors import SessionError
-from mammometry.io.label_maps import segment_cc
+from mammometry.io.label_maps.read import segment_cc
 
 
 def slices(count: int, spacing_mm: tuple[float, float, float]) -> list[Dataset]:

@@ -1,0 +1,1 @@
+"""Volumes of segmented breasts in label maps: DICOM segmentations, NRRD, NIfTI."""
