@@ -178,9 +178,11 @@ def _triangulated(known: Rig, used: Rig, points: Float64[Array, "n 3"]) -> Float
 
 def _sphere(points: Float64[Array, "n 3"]) -> tuple[Float64[Array, 3], float]:
     middle = points.mean(axis=0)
-    found = least_squares(
-        lambda x: np.linalg.norm(points - middle - x[:3], axis=1) - x[3], np.array([0.0, 0.0, -30.0, 50.0])
-    ).x
+
+    def deviations(unknown: Float64[Array, " 4"]) -> Float64[Array, " n"]:
+        return np.asarray(np.linalg.norm(points - middle - unknown[:3], axis=1) - unknown[3])
+
+    found = least_squares(deviations, np.array([0.0, 0.0, -30.0, 50.0])).x
     return found[:3] + middle, float(found[3])
 
 

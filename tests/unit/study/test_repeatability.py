@@ -13,7 +13,8 @@ from mammometry.study.repeatability.limits import repeated_limits
 from mammometry.study.repeatability.plan import DETECTABLE, chance_to_show, check_claim, plan
 from mammometry.study.repeatability.study import repeatability
 
-# Bland and Altman, BMJ 313 (1996) 744: peak expiratory flow of 20 children, four times each, l/min.
+# Bland and Altman, BMJ 313 (1996) 744, Table 1 (doi 10.1136/bmj.313.7059.744): peak expiratory flow of 20 children,
+# four times each, l/min.
 FLOWS = """190 220 200 200  220 200 240 230  260 260 240 280  210 300 280 265  270 265 280 270
 280 280 270 275  260 280 280 300  275 275 275 305  280 290 300 290  320 290 300 290
 300 300 310 300  270 250 330 370  320 330 330 330  335 320 335 375  350 320 340 365

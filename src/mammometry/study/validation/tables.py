@@ -20,12 +20,12 @@ _TRUTHS = {
 }
 _REMARKS = {
     "water": "Truth: displaced water at its temperature, plus the skin that the operation left on the woman: its area "
-    "by its thickness, 1.45 ± 0.30 mm where the table gives none (Huang 2008). Uncertainty of the displacement: 1 %, "
-    "at least 3 cc, where the table gives none (assumed). A specimen that lacks the fat at the breast's edge is "
-    "smaller than the breast.",
+    "by its thickness, 1.44 ± 0.25 mm where the table gives none (doi 10.1118/1.4793257). Uncertainty of the "
+    "displacement: 1 %, at least 3 cc, where the table gives none (assumed). A specimen that lacks the fat at the "
+    "breast's edge is smaller than the breast.",
     "weight": "Truth: weight by density, plus the skin that the operation left. Density from the composition (fat "
-    "0.93, gland 1.04 g/cc; ± 0.02), else from the age (0.96 ± 0.04 from 50 years on, 1.01 ± 0.08 below; Yi 2019), "
-    "else 0.97 ± 0.04 g/cc.",
+    "0.93, gland 1.04 g/cc, assumed; ± 0.02), else from the age (0.96 ± 0.04 from 50 years on, 1.01 ± 0.08 below; "
+    "Yi 2019), else 0.97 ± 0.04 g/cc.",
     "segmentation": "Truth: the volume inside the closed mesh, or that of the segment's voxels. The person who "
     "segmented the breast chose where it ends at the back. Most MRI is taken lying prone: the breast has the same "
     "volume, but its border may shift.",

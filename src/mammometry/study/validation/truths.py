@@ -7,11 +7,13 @@ from dataclasses import dataclass
 
 from mammometry.measure.volume.measurement import DENSITY_G_PER_CC, DENSITY_SD
 
-SKIN_MM, SKIN_SD_MM = 1.45, 0.30
-"""Thickness of a breast's skin and its standard deviation between women, mm (breast CT: Huang et al., Medical Physics
-35 (2008) 1199; 1.44 ± 0.25 mm in 137 breasts: doi 10.1118/1.4793257)."""
+SKIN_MM, SKIN_SD_MM = 1.44, 0.25
+"""Thickness of a breast's skin and its standard deviation between women, mm (CT of 137 breasts, range 0.87 to 2.34 mm:
+doi 10.1118/1.4793257)."""
 FAT_G_PER_CC, GLAND_G_PER_CC = 0.93, 1.04
-"""Density of fat and of fibroglandular tissue, g/cc (Hammerstein et al., Radiology 130 (1979) 485)."""
+"""Density of fat and of fibroglandular tissue, g/cc. Assumed: the usual values of mammography's dosimetry, which cites
+Hammerstein et al., Radiology 130 (1979) 485; not checked there. 0.02 g/cc more or less change the volume by 2 %, which
+`COMPOSITION_SD` contains."""
 COMPOSITION_SD = 0.02
 """Standard uncertainty of a specimen's density if its composition is known, g/cc. Assumed: that between 31 specimens of
 unknown composition (doi 10.1055/a-2253-8442)."""
