@@ -87,7 +87,7 @@ def _header(text: str) -> tuple[dict[str, str], dict[str, str]]:
 
 
 def _map(fields: dict[str, str], pairs: dict[str, str], data: bytes, units: str | None) -> LabelMap:
-    if "data file" in fields or any(fields.get(f"{unit} skip", "0") != "0" for unit in ("line", "byte")):
+    if fields.get("data file") is not None or any(fields.get(f"{unit} skip", "0") != "0" for unit in ("line", "byte")):
         raise ValueError("its voxels are in another file, or not directly after the header")
     kind = _TYPES.get(fields["type"].lower())
     if kind is None:
@@ -121,12 +121,13 @@ def _map(fields: dict[str, str], pairs: dict[str, str], data: bytes, units: str 
 
 def _edges(fields: dict[str, str], count: int) -> tuple[Float64[Array, "3 3"], list[int]]:
     """Edges of a voxel, one a row, and their axes."""
-    if "space directions" in fields:
-        words = re.findall(r"none|\([^)]*\)", fields["space directions"])
+    directions = fields.get("space directions")
+    if directions is not None:
+        words = re.findall(r"none|\([^)]*\)", directions)
         spatial = [axis for axis, word in enumerate(words) if word != "none"]
         rows = [[number(part.strip()) for part in words[axis].strip("()").split(",")] for axis in spatial]
         if len(words) != count or len(rows) != 3 or any(len(row) != 3 for row in rows):
-            raise ValueError(f"space directions {shown(fields['space directions'])}, not three of three numbers")
+            raise ValueError(f"space directions {shown(directions)}, not three of three numbers")
         return np.array(rows), spatial
     words = fields.get("spacings", "").split()
     kinds = fields.get("kinds", "").split() or ["domain"] * count

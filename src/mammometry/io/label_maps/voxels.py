@@ -95,13 +95,13 @@ def checked_voxel_mm3(volume: float) -> float:
     return volume
 
 
-def checked_bytes(sizes: Sequence[int], each: int) -> int:
+def checked_bytes(sizes: Sequence[int], voxel_bytes: int) -> int:
     """Number of bytes of a map with these sizes, at so many bytes a voxel.
 
     Raises:
         ValueError: a size is not positive, or the map is too large.
     """
-    count = each * math.prod(sizes)
+    count = voxel_bytes * math.prod(sizes)
     if min(sizes) < 1 or count > LARGEST_MIB * 2**20:
         raise ValueError(f"a size of {' × '.join(map(str, sizes))} voxels, not 1 voxel to {LARGEST_MIB} MiB")
     return count
