@@ -38,7 +38,7 @@ from mammometry.simulate.subjects.artefacts import DRAWN
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import rig_from_solid
 from mammometry.study.acceptance.artefacts import POSITIONS, VOLUME_MM, Bar, Kind, Sphere
-from mammometry.study.acceptance.evaluate import Finding
+from mammometry.study.acceptance.evaluate import AcceptanceFinding
 
 RIG = Path(__file__).parent / "rigs" / "stand.toml"
 RECIPE = SessionRecipe(rig=f"{RIG}:front", subject="test-sphere_1", scale=0.6, seed=3, poses=8)
@@ -104,7 +104,7 @@ class Bench:
         if not take_over(open_session(out, self.settings), open_session(calibrated, self.settings)):
             raise RuntimeError("the calibration was not taken over")
 
-    def tested(self, error: PutIn) -> tuple[Finding, ...]:
+    def tested(self, error: PutIn) -> tuple[AcceptanceFinding, ...]:
         """Findings of an acceptance test of the rig with an error."""
         folder = self.folder / error.name.replace(" ", "-").replace("%", "percent").replace("°", "deg")
         for artefact in error.artefacts:
@@ -204,7 +204,7 @@ def _described(kinds: set[str]) -> str:
     return "\n[".join([head, *kept])
 
 
-def rows(folder: Path) -> Iterator[tuple[str, Finding, float]]:
+def rows(folder: Path) -> Iterator[tuple[str, AcceptanceFinding, float]]:
     """Error put in, what was found, and the error that the true cameras give (NaN: none)."""
     bench = Bench(folder=folder)
     for error in ERRORS:

@@ -192,7 +192,7 @@ def measured(session: Path, scale: float) -> tuple[tuple[VolumeMeasurement, ...]
     with threadpool_limits(limits=1, user_api="blas"):
         found = plan[measure.measurements]()
         absent = plan.value(measure.absent) or ()
-    return found, {side.name: side.why for side in absent}
+    return found, {side.name: side.reason.code for side in absent}
 
 
 def settings_for(scale: float) -> Settings:

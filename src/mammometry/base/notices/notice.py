@@ -25,7 +25,7 @@ class Notice:
     """Breasts ("left"), cameras or pairs that it concerns."""
     photographs: tuple[str, ...] = ()
     """Photographs that show it: ``capture/CAMERA`` or ``calibration/POSE/CAMERA``."""
-    values: Mapping[str, float | str] = field(default_factory=dict)
+    values: Mapping[str, int | float | str] = field(default_factory=dict)
     """Values of the text, by name. The name contains the unit: ``percent``, ``cm2``, ``px``."""
 
     def as_table(self) -> dict[str, object]:
