@@ -58,7 +58,7 @@ def test_nothing_else_differs(both):
 def test_colour_is_halved_in_the_files_if_asked_for(tmp_path):
     light = np.full((32, 48, 3), 0.3, dtype=np.float32)
     for halved in (False, True):
-        studio._take(tmp_path / "p.jpg", lambda: light, Film(chroma_halved=halved), 1)
+        studio.take_picture(tmp_path / "p.jpg", lambda: light, Film(chroma_halved=halved), 1)
         with Image.open(tmp_path / "p.jpg") as picture:
             assert JpegImagePlugin.get_sampling(picture) == (2 if halved else 0)
 

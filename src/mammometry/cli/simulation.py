@@ -182,8 +182,8 @@ def simulate(
         str,
         typer.Option(
             help="plaster, plaster_1 … plaster_9, plaster_60cc, torso, torso_1 …, woman, woman_1 … (also "
-            "leaning-woman, woman-wide, leaning-woman-wide), head, figure, sphere, cylinder, plate, or a PLY, OBJ or "
-            "STL file."
+            "leaning-woman, woman-wide, leaning-woman-wide), head, figure, sphere, cylinder, plate, test-sphere_1 …, "
+            "test-bar_1 …, test-plane_1 …, or a PLY, OBJ or STL file."
         ),
     ] = _RECIPE.subject,
     units: Annotated[
