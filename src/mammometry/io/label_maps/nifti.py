@@ -1,7 +1,7 @@
-"""Label maps in NIfTI files of version 1 or 2, one file, also packed by gzip.
+"""Label maps in NIfTI files of version 1 or 2, with header and voxels in one file, which may be packed by gzip.
 
 Format: https://nifti.nimh.nih.gov. The volume of a voxel is the determinant of the sform if there is one, else the
-product of the sizes. Both must agree, since the sizes are of the voxel in either case.
+product of the voxel's sizes. The two must agree.
 """
 
 from __future__ import annotations
@@ -14,15 +14,9 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from mammometry.base.parse import parsing, read_bytes
-from mammometry.base.units import MM_PER_UNIT, unit_named
-from mammometry.io.label_maps.voxels import (
-    LARGEST_MIB,
-    LabelMap,
-    checked_bytes,
-    checked_voxel_mm3,
-    unpacked,
-    whole_labels,
-)
+from mammometry.geometry.arrays import Array
+from mammometry.io.label_maps import voxels
+from mammometry.io.label_maps.voxels import LabelMap
 
 SUFFIXES = (".nii", ".nii.gz")
 _EXPECTED = "a label map in NIfTI: one file .nii or .nii.gz"
@@ -60,8 +54,8 @@ _TYPES: Mapping[int, str] = MappingProxyType(
 )
 _UNITS: Mapping[int, float] = MappingProxyType({1: 1000.0, 2: 1.0, 3: 0.001})  # of space: m, mm, µm
 _UNIT_BITS = 7  # of space, in the byte that also holds the unit of time
-_LATEST = 2**24  # byte at which the voxels begin at most: extensions of the header come before them
-_ALIKE = 0.01  # largest relative difference of a voxel's volume by sform and by sizes
+_LATEST = 2**24  # largest byte at which the voxels begin: extensions of the header come before them
+_ALIKE = 0.01  # largest relative difference of a voxel's volumes from the sform and from the sizes
 
 
 def read_nifti(path: Path, units: str | None = None) -> LabelMap:
@@ -72,12 +66,12 @@ def read_nifti(path: Path, units: str | None = None) -> LabelMap:
         units: unit of its lengths if the file states none.
 
     Raises:
-        SessionError: it is not such a file, its unit is unknown, or its values are no labels.
+        SessionError: it is not such a file, its unit is unknown, or its values are not labels.
     """
-    content = read_bytes(path, str(path), _EXPECTED, most_mib=LARGEST_MIB)
+    content = read_bytes(path, str(path), _EXPECTED, most_mib=voxels.LARGEST_MIB)
     with parsing("no label map", str(path), _EXPECTED):
         packed = content.startswith(_GZIP)
-        header, order = _header(unpacked(content, max(_VERSIONS)) if packed else content)
+        header, order = _header(voxels.unpacked(content, max(_VERSIONS)) if packed else content)
         count, dim = int(header["dim"][0]), [int(size) for size in header["dim"]]
         if not 3 <= count <= 7 or any(size != 1 for size in dim[4 : count + 1]):
             raise ValueError(f"the dimensions {dim[1 : max(1, min(count, 7)) + 1]}, not three")
@@ -85,17 +79,13 @@ def read_nifti(path: Path, units: str | None = None) -> LabelMap:
         if kind is None:
             raise ValueError(f"the data type {int(header['datatype'])}")
         code = np.dtype(kind).newbyteorder(order)
-        start, size = float(header["start"]), checked_bytes(dim[1:4], code.itemsize)
+        start = float(header["start"])
         if not header.dtype.itemsize <= start <= _LATEST:
             raise ValueError(f"voxels from byte {start:g}")
-        end = int(start) + size
-        data = (unpacked(content, end) if packed else content)[int(start) : end]
-        if len(data) < size:
-            raise ValueError(f"{len(data):,} bytes of voxels, not {size:,}: it is truncated")
-        labels = _scaled(np.frombuffer(data, code), float(header["slope"]), float(header["shift"]))
+        values = voxels.stored_values(content, code, dim[1:4], start=int(start), packed=packed)
         return LabelMap(
-            labels=labels.reshape(dim[3:0:-1])[None],
-            voxel_mm3=checked_voxel_mm3(_voxel(header) * _mm_per_unit(header, units) ** 3),
+            labels=_labels(values, float(header["slope"]), float(header["shift"]))[None],
+            voxel_mm3=voxels.checked_voxel_mm3(_voxel(header) * _mm_per_unit(header, units) ** 3),
         )
 
 
@@ -114,7 +104,7 @@ def _header(content: bytes) -> tuple[Any, _Order]:
 
 
 def _voxel(header: Any) -> float:
-    """Volume of a voxel, cubed units of the file."""
+    """Volume of a voxel, in cubes of the file's unit."""
     sizes, rows = np.abs(header["pixdim"][1:4].astype(np.float64)), header["rows"][:, :3].astype(np.float64)
     by_sizes = float(np.prod(sizes))
     if int(header["sform"]) <= 0:
@@ -129,15 +119,11 @@ def _voxel(header: Any) -> float:
 
 def _mm_per_unit(header: Any, units: str | None) -> float:
     stated = _UNITS.get(int(header["units"]) & _UNIT_BITS)
-    if stated is not None:
-        return stated
-    if units is None or (given := unit_named(units)) is None:
-        raise ValueError("no unit: give it in the column units")
-    return MM_PER_UNIT[given]
+    return voxels.given_mm(units) if stated is None else stated
 
 
-def _scaled(values: Any, slope: float, shift: float) -> Any:
-    """Labels, which a program may have stored as slope × value + shift."""
+def _labels(values: Array, slope: float, shift: float) -> Array:
+    """Labels of stored values: slope × value + shift, or the values if the file has no slope."""
     if not slope or not np.isfinite([slope, shift]).all() or (slope, shift) == (1.0, 0.0):
-        return whole_labels(values)
-    return whole_labels(slope * values.astype(np.float64) + shift)
+        return voxels.whole_labels(values)
+    return voxels.whole_labels(slope * values.astype(np.float64) + shift)

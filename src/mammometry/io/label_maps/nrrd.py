@@ -16,14 +16,8 @@ import numpy as np
 from mammometry.base.parse import number, parsing, read_bytes, shown
 from mammometry.base.units import MM_PER_UNIT, unit_named
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.io.label_maps.voxels import (
-    LARGEST_MIB,
-    LabelMap,
-    checked_bytes,
-    checked_voxel_mm3,
-    unpacked,
-    whole_labels,
-)
+from mammometry.io.label_maps import voxels
+from mammometry.io.label_maps.voxels import LabelMap
 
 SUFFIX = ".nrrd"
 _EXPECTED = "a label map in NRRD, header and voxels in one file, raw or gzip"
@@ -57,9 +51,9 @@ def read_nrrd(path: Path, units: str | None = None) -> LabelMap:
         units: unit of its lengths if the file states none. Anatomical spaces are in millimetres.
 
     Raises:
-        SessionError: it is not such a file, its unit is unknown, or its values are no labels.
+        SessionError: it is not such a file, its unit is unknown, or its values are not labels.
     """
-    content = read_bytes(path, str(path), _EXPECTED, most_mib=LARGEST_MIB)
+    content = read_bytes(path, str(path), _EXPECTED, most_mib=voxels.LARGEST_MIB)
     with parsing("no label map", str(path), _EXPECTED):
         if not (magic := _MAGIC.match(content)):
             raise ValueError("it does not begin with NRRD and a version")
@@ -71,7 +65,7 @@ def read_nrrd(path: Path, units: str | None = None) -> LabelMap:
 
 
 def _header(text: str) -> tuple[dict[str, str], dict[str, str]]:
-    """Fields, and pairs of key and value."""
+    """Fields of the format, and the program's own pairs of key and value."""
     fields: dict[str, str] = {}
     pairs: dict[str, str] = {}
     for line in text.splitlines():
@@ -98,19 +92,12 @@ def _map(fields: dict[str, str], pairs: dict[str, str], data: bytes, units: str 
     if len(sizes) != _natural(fields["dimension"]) or not 3 <= len(sizes) <= 4:
         raise ValueError(f"sizes {shown(fields['sizes'])} for {shown(fields['dimension'])} dimensions, not 3 or 4")
     edges, spatial = _edges(fields, len(sizes))
-    voxel_mm3 = checked_voxel_mm3(abs(float(np.linalg.det(edges * _mm_per_unit(fields, units)))))
+    voxel_mm3 = voxels.checked_voxel_mm3(abs(float(np.linalg.det(edges * _mm_per_unit(fields, units)))))
     code = np.dtype(kind).newbyteorder("<" if fields.get("endian") != "big" else ">")
-    size = checked_bytes(sizes, code.itemsize)
-    match fields["encoding"].lower():
-        case "raw":
-            voxels = data[:size]
-        case "gzip" | "gz":
-            voxels = unpacked(data, size)
-        case other:
-            raise ValueError(f"the encoding {shown(other)}")
-    if len(voxels) < size:
-        raise ValueError(f"{len(voxels):,} bytes of voxels, not {size:,}: it is truncated")
-    labels = whole_labels(np.frombuffer(voxels, code)).reshape(sizes[::-1])  # the first axis is the fastest
+    encoding = fields["encoding"].lower()
+    if encoding not in ("raw", "gzip", "gz"):
+        raise ValueError(f"the encoding {shown(encoding)}")
+    labels = voxels.whole_labels(voxels.stored_values(data, code, sizes, packed=encoding != "raw"))
     if len(sizes) == 4:
         (layers,) = set(range(4)) - set(spatial)
         labels = np.moveaxis(labels, 3 - layers, 0)
@@ -120,7 +107,7 @@ def _map(fields: dict[str, str], pairs: dict[str, str], data: bytes, units: str 
 
 
 def _edges(fields: dict[str, str], count: int) -> tuple[Float64[Array, "3 3"], list[int]]:
-    """Edges of a voxel, one a row, and their axes."""
+    """Edges of a voxel as rows, in the file's unit, and the axes of the map to which they belong."""
     directions = fields.get("space directions")
     if directions is not None:
         words = re.findall(r"none|\([^)]*\)", directions)
@@ -150,15 +137,13 @@ def _mm_per_unit(fields: dict[str, str], units: str | None) -> float:
         if names or name is None:
             raise ValueError(f"the units {shown(' '.join(stated))}")
         return MM_PER_UNIT[name]
-    if units is not None and (given := unit_named(units)):
-        return MM_PER_UNIT[given]
-    if _ANATOMICAL.fullmatch(fields.get("space", "")):
+    if _ANATOMICAL.fullmatch(fields.get("space", "")) and not (units and unit_named(units)):
         return 1.0
-    raise ValueError("no unit: give it in the column units")
+    return voxels.given_mm(units)
 
 
 def _names(pairs: dict[str, str], layers: int) -> Mapping[str, tuple[int, int]]:
-    """Name → layer and label, as 3D Slicer writes them."""
+    """Name of a segment → its layer and label, as 3D Slicer writes them."""
     segments: dict[str, dict[str, str]] = {}
     for key, word in pairs.items():
         if found := _SEGMENT.fullmatch(key):

@@ -13,7 +13,7 @@ _READERS = {SUFFIX: read_nrrd} | dict.fromkeys(SUFFIXES, read_nifti)
 
 
 def is_label_map(path: Path) -> bool:
-    """Whether a file's name is that of a label map."""
+    """Whether a file is a label map, by its suffix."""
     return path.name.lower().endswith((dicom.SUFFIX, *_READERS))
 
 
@@ -22,7 +22,7 @@ def segment_cc(path: Path, segment: str = "", units: str | None = None) -> float
 
     Args:
         path: a DICOM segmentation (.dcm), NRRD (.nrrd) or NIfTI (.nii, .nii.gz).
-        segment: its number or name. Empty: the only one.
+        segment: number or name of the segment. Empty: the only one.
         units: unit of the file's lengths if it states none.
 
     Raises:

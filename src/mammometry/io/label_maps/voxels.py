@@ -9,17 +9,19 @@ import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import error_text, shown
+from mammometry.base.units import MM_PER_UNIT, unit_named
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Shaped
 
 LARGEST_MIB = 1024
-"""Largest file and largest map, MiB: 512 × 512 × 512 voxels of eight bytes."""
-_LISTED = 12  # labels in a message at most
+"""Largest file and largest unpacked map, MiB: 512 × 512 × 512 voxels of eight bytes."""
+_LISTED = 12  # most labels in a message
 _EDGE_MM = (0.01, 50.0)  # smallest and largest edge of a cubic voxel, mm
 
 
@@ -28,8 +30,9 @@ class LabelMap:
     """Labels of voxels of equal size."""
 
     labels: Shaped[Array, "layers z y x"]
-    """Label of each voxel. Several layers if segments overlap. 0: none."""
+    """Label of each voxel. Several layers if segments overlap. 0: no segment."""
     voxel_mm3: float
+    """Volume of a voxel."""
     names: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     """Name of a segment → its layer and label. Empty: the file has no names."""
 
@@ -38,9 +41,9 @@ def label_cc(path: Path, found: LabelMap, segment: str) -> float:
     """Volume of a segment, cc: number of its voxels times their size.
 
     Args:
-        path: of the file, for messages.
+        path: the file, for messages.
         found: its content.
-        segment: name or label. Empty: the only one.
+        segment: name or label of the segment. Empty: the only one.
 
     Raises:
         SessionError: there is no such segment, or several, or it has no voxel.
@@ -69,11 +72,11 @@ def label_cc(path: Path, found: LabelMap, segment: str) -> float:
     )
 
 
-def whole_labels(values: Shaped[Array, " n"]) -> Shaped[Array, " n"]:
+def whole_labels(values: Array) -> Array:
     """Labels as whole numbers.
 
     Raises:
-        ValueError: some are not, as in a map of probabilities.
+        ValueError: some are not whole, as in a map of probabilities.
     """
     if values.dtype.kind in "iu":
         return values
@@ -84,10 +87,10 @@ def whole_labels(values: Shaped[Array, " n"]) -> Shaped[Array, " n"]:
 
 
 def checked_voxel_mm3(volume: float) -> float:
-    """Volume of a voxel, mm³.
+    """The volume of a voxel, mm³, if it is plausible.
 
     Raises:
-        ValueError: it is not within any scanner's range.
+        ValueError: no scanner has such voxels.
     """
     low, high = (edge**3 for edge in _EDGE_MM)
     if not low <= volume <= high:
@@ -95,23 +98,46 @@ def checked_voxel_mm3(volume: float) -> float:
     return volume
 
 
-def checked_bytes(sizes: Sequence[int], voxel_bytes: int) -> int:
-    """Number of bytes of a map with these sizes, at so many bytes a voxel.
+def stored_values(
+    content: bytes, dtype: np.dtype[Any], sizes: Sequence[int], *, start: int = 0, packed: bool = False
+) -> Array:
+    """Values of all voxels, one array axis per axis of the map, in reverse order: the first axis varies fastest.
+
+    Args:
+        content: bytes of the file, or a part of it.
+        dtype: type of a value, with its byte order.
+        sizes: number of voxels along each axis.
+        start: byte at which the voxels begin, after unpacking.
+        packed: whether `content` is gzip data.
 
     Raises:
-        ValueError: a size is not positive, or the map is too large.
+        ValueError: a size is not positive, the map is too large, or the data are truncated.
     """
-    count = voxel_bytes * math.prod(sizes)
-    if min(sizes) < 1 or count > LARGEST_MIB * 2**20:
+    size = dtype.itemsize * math.prod(sizes)
+    if min(sizes) < 1 or size > LARGEST_MIB * 2**20:
         raise ValueError(f"a size of {' × '.join(map(str, sizes))} voxels, not 1 voxel to {LARGEST_MIB} MiB")
-    return count
+    data = (unpacked(content, start + size) if packed else content)[start : start + size]
+    if len(data) < size:
+        raise ValueError(f"{len(data):,} bytes of voxels, not {size:,}: it is truncated")
+    return np.frombuffer(data, dtype).reshape(sizes[::-1])
+
+
+def given_mm(units: str | None) -> float:
+    """Length of a unit given by the user, mm.
+
+    Raises:
+        ValueError: none is given, or it is unknown.
+    """
+    if units is None or (name := unit_named(units)) is None:
+        raise ValueError("no unit: give it in the column units")
+    return MM_PER_UNIT[name]
 
 
 def unpacked(content: bytes, size: int) -> bytes:
-    """Unpack gzip data, up to this many bytes.
+    """Unpack gzip data, at most `size` bytes.
 
     Raises:
-        ValueError: it is truncated or damaged.
+        ValueError: the data are truncated or damaged.
     """
     try:
         with gzip.GzipFile(fileobj=io.BytesIO(content)) as file:
