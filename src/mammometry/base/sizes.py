@@ -22,7 +22,7 @@ class Size:
 
     mm: float
     name: str
-    """Names the length in codes: ``view``."""
+    """Name of the length in codes of notices, such as ``view``."""
     possible_mm: Range
     usual_mm: Range
     words: str
@@ -60,7 +60,7 @@ def likely_units(sizes: Sequence[Size]) -> dict[str, float]:
 
 
 def fitting_values(stated_mm: float, sizes: Sequence[Size]) -> list[str]:
-    """Values that would make all sizes usual, if the given one is not in mm, such as ``25 mm``."""
+    """Values in mm that would make all sizes usual, if the stated one has another unit, such as ``25 mm``."""
     units = likely_units(sizes)
     return [
         f"{stated_mm * factor:.4g} mm" + (" (if it was in inches)" if unit == "inches" and len(units) > 1 else "")
@@ -69,6 +69,6 @@ def fitting_values(stated_mm: float, sizes: Sequence[Size]) -> list[str]:
 
 
 def fitting(stated_mm: float, sizes: Sequence[Size]) -> str:
-    """Those values as the end of a sentence: ``: 25 mm would fit``. Empty if no unit fits."""
+    """End of a sentence that suggests `fitting_values`: ``: 25 mm would fit``. Empty if no unit fits."""
     values = fitting_values(stated_mm, sizes)
     return f": {' or '.join(values)} would fit" if values else ""

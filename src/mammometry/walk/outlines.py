@@ -1,8 +1,8 @@
-"""Outlines of the body in a walk's photographs, from the measured skin itself.
+"""Outlines of the body in a walk's photographs, from the measured skin.
 
-In a room no colour tells the body from what is behind it, so the masks of a walk contain everything near the body. But
-what is far from all measured skin, in any photograph, is not the body: the room shows there. Without this, the surface
-is closed along the walls of the region (`region.Region`) instead of behind the skin.
+In an ordinary room colour cannot separate the body from its background, so the masks of a walk contain the whole region
+around the body (`region.Region`). The pixels of a photograph that are far from all measured skin show the room. Without
+this step the surface would be closed along the walls of the region instead of behind the skin.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from mammometry.matching.foreground.foreground import Foreground
 from mammometry.surface.ranges.range_image import RangeImage
 
 _REACH_MM = 30.0
-"""Skin that no pair measured is at most so far from measured skin, as seen in a photograph. Holes inside are filled."""
-_CELL_PX = 4  # side of the cells in which distances are computed
-_STEP = 3  # every third pixel of a range image, in both directions, is far denser than a cell
+"""Margin around the measured skin in a photograph, for skin that no pair measured. Enclosed holes are filled."""
+_CELL_PX = 4  # side of the cells of the mask
+_STEP = 3  # every third pixel of a range image is used, in both directions: denser than the cells
 
 
 def outlines(range_images: Sequence[RangeImage], given: Mapping[str, Foreground], rig: Rig) -> dict[str, Foreground]:
-    """Camera → what may be the body: within `_REACH_MM` of the measured skin, and in the given mask.
+    """Camera → mask of the body: the given mask within `_REACH_MM` of the measured skin.
 
     Args:
-        range_images: the measured skin, of all pairs.
+        range_images: the measured skin of all pairs.
         given: camera → mask of the region around the body.
         rig: the cameras.
     """
-    skin_world = np.concatenate([_few(image) for image in range_images])
+    skin_world = np.concatenate([_sampled(image) for image in range_images])
     return {name: _outlined(mask, rig.cameras[name], skin_world) for name, mask in given.items()}
 
 
-def _few(image: RangeImage) -> Float64[Array, "n 3"]:
+def _sampled(image: RangeImage) -> Float64[Array, "n 3"]:
     kept = np.zeros_like(image.valid)
     kept[::_STEP, ::_STEP] = image.valid[::_STEP, ::_STEP]
     points: Float64[Array, "n 3"] = image.keeping(kept).valid_points_world()
@@ -61,7 +61,7 @@ def _outlined(given: Foreground, camera: Camera, skin_world: Float64[Array, "n 3
 
 
 def _smooth(cells: Array, shape_hw: tuple[int, int]) -> Float32[Array, "h w"]:
-    """Share of each pixel, from a mask of cells: linear between the cells' middles, ½ at their border."""
+    """Share of each pixel in a mask of cells, interpolated between their centres: ½ at the mask's border."""
     at = [(np.arange(side) + 0.5) / _CELL_PX - 0.5 for side in shape_hw]
     grid = np.meshgrid(*at, indexing="ij")
     share: Float32[Array, "h w"] = ndimage.map_coordinates(

@@ -82,22 +82,22 @@ class CalibrationQuality:
 
     @property
     def verdict(self) -> Verdict:
-        """That of the worst finding."""
+        """Verdict of the worst finding."""
         return self.findings[0].verdict
 
     @property
     def notices(self) -> tuple[Notice, ...]:
-        """All findings."""
+        """Notices of all findings, worst first."""
         return tuple(finding.notice for finding in self.findings)
 
     @property
     def refusals(self) -> tuple[Notice, ...]:
-        """Findings for which the calibration is refused."""
+        """Notices of the findings for which the calibration is refused."""
         return tuple(finding.notice for finding in self.findings if finding.verdict == "refuse")
 
     @property
     def doubts(self) -> tuple[Notice, ...]:
-        """Findings to be checked."""
+        """Notices of the findings to be checked."""
         return tuple(finding.notice for finding in self.findings if finding.verdict == "warn")
 
 

@@ -1,7 +1,7 @@
-"""Label maps in NIfTI files of version 1 or 2, with header and voxels in one file, which may be packed by gzip.
+"""Label maps in NIfTI files of version 1 or 2.
 
-Format: https://nifti.nimh.nih.gov. The volume of a voxel is the determinant of the sform if there is one, else the
-product of the voxel's sizes. The two must agree.
+Format: https://nifti.nimh.nih.gov. Header and voxels are in one file, which may be packed by gzip. The volume of a
+voxel is the determinant of the sform if there is one, else the product of the voxel's sizes. The two must agree.
 """
 
 from __future__ import annotations

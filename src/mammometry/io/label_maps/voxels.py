@@ -101,7 +101,7 @@ def checked_voxel_mm3(volume: float) -> float:
 def stored_values(
     content: bytes, dtype: np.dtype[Any], sizes: Sequence[int], *, start: int = 0, packed: bool = False
 ) -> Array:
-    """Values of all voxels, one array axis per axis of the map, in reverse order: the first axis varies fastest.
+    """Values of all voxels, with the map's axes in reverse order, as its first axis varies fastest.
 
     Args:
         content: bytes of the file, or a part of it.

@@ -180,7 +180,7 @@ def occlusions(
 def walk_outlines(
     corrected_cameras: CameraSet, valid_patches: ValidPatches, foregrounds: Mapping[str, Foreground], *, job: Context
 ) -> Mapping[str, Foreground]:
-    """Camera → what may be the body in a walk's photograph."""
+    """Camera → mask of the body in a walk's photograph."""
     from mammometry.walk.outlines import outlines
 
     return outlines(valid_patches.range_images, foregrounds, corrected_cameras.rig)

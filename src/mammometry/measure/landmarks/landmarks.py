@@ -92,12 +92,20 @@ class Landmark:
 
 
 def proposed_landmark(
-    name: str, points: Float64[Array, "k 3"], how: str, sigma_mm: float, probability: float = 1.0
+    name: str, points_world: Float64[Array, "k 3"], how: str, sigma_mm: float, probability: float = 1.0
 ) -> Landmark:
-    """A landmark that was found automatically. `how`: a noun phrase that says how."""
+    """A landmark that was found automatically, to be confirmed.
+
+    Args:
+        name: its name, e.g. ``nipple_left``.
+        points_world: one point or several, mm.
+        how: how it was found, as a noun phrase.
+        sigma_mm: standard uncertainty of its position.
+        probability: that it is this landmark.
+    """
     return Landmark(
         name=name,
-        points_world=points,
+        points_world=points_world,
         method=f"proposed: {how}; to be confirmed by eye",
         sigma_mm=sigma_mm,
         probability=probability,

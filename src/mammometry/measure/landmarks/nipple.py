@@ -1,13 +1,14 @@
 """Proposed nipple of one breast, from colour and shape.
 
-Colour is ln R − ln G of linear light, which shading does not change: areolae are redder than the skin around them. A
-tip protrudes from the ring of skin around it. Nothing is proposed where neither is visible.
+The colour used is ln R − ln G of linear light, which does not depend on shading. Areolae are redder than the skin
+around them. A tip protrudes from the ring of skin around it. If neither is visible, nothing is proposed.
 
-A disc with a soft edge is fitted to the areola's colours. Distances from its middle are straight, in three dimensions:
-an areola on curved skin is round, and its projection is not. At each place near the middle a bump is fitted to the
-skin. Its gain over smooth skin gives the place's likelihood, and the distance from the areola's middle its prior. The
-nipple is the mean of all places with these weights. If the surface shows the tip well, the shape decides; if a scan
-has flattened the tip, the areola does. Without a visible areola it is the tip near the most projecting point.
+A disc with a soft edge is fitted to the areola's colours. Distances from its centre are measured in three dimensions,
+because an areola on curved skin is round, but its projection is not. At each position near the centre, a bump is fitted
+to the skin. Its improvement over smooth skin gives the likelihood of the position, and the distance from the areola's
+centre the prior. The nipple is the mean position with these weights: a clear tip decides, and a tip that a scan has
+flattened leaves the decision to the areola. Without a visible areola, the nipple is the tip near the most projecting
+point.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from mammometry.base.normal import MAD
-from mammometry.geometry import Array, Bool, Float64, TriangleMesh, UInt8
+from mammometry.geometry import Array, Bool, Float64, Int64, TriangleMesh, UInt8
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.landmarks.landmarks import Landmark, proposed_landmark
 
@@ -27,42 +28,42 @@ _AREOLA_CONTRAST = 0.05  # least contrast of an areola, ln(R/G) in linear light;
 _LEAST_TIP_MM = 1.2
 """Least protrusion of a nipple: height above the ring 8 to 14 mm around it, less that of the skin up to 36 mm away, mm.
 A round breast has up to 0.5, a mound on a telephone's scan up to 0.7, a nipple 1.6 to 5."""
-_TIP_SIGMA_MM = 2.5  # standard uncertainty of a tip within an areola; errors on a virtual torso: 2.6 and 3.2 mm
+_TIP_SIGMA_MM = 2.5  # standard uncertainty of a tip within an areola; errors on a virtual torso were 2.6 and 3.2 mm
 _ALONE_SIGMA_MM = 4.0  # standard uncertainty of an areola's centre without a tip, and of a tip without an areola
-_AREOLA_TIP_PROBABILITY = 0.98  # of a nipple, by an areola with a tip; not critical, as are the next two
-_AREOLA_PROBABILITY = 0.9  # by an areola without a tip
-_TIP_PROBABILITY = 0.6  # by a tip alone, which may be a scar
+_AREOLA_TIP_PROBABILITY = 0.98  # of a nipple at an areola with a tip; like the next two, not critical
+_AREOLA_PROBABILITY = 0.9  # of a nipple at an areola without a tip
+_TIP_PROBABILITY = 0.6  # of a nipple at a tip without an areola, which may be a scar
 
 # Not critical:
 _SAMPLE_MM = 2.5  # one vertex is used per cube of this side
 _AREOLA_MM, _AREOLA_RING_MM = 10.0, (22.0, 36.0)  # radius of the areola's disc, and radii of the ring around it
 _TIP_MM, _FOOT_MM = 4.5, (8.0, 14.0)  # radius of the nipple's disc, and radii of the ring around it
-_WIDEST_MM, _CENTRING_ROUNDS = 32.0, 8  # radius of the widest areola, and rounds of centring it
+_WIDEST_MM, _CENTRING_ROUNDS = 32.0, 8  # largest radius of an areola, and iterations of its centre
 _NEAR_TIP_MM, _NEAR_APEX_MM = 14.0, 30.0  # largest distance of a tip from the areola's centre, and from the apex
 _HEIGHT = 0.85  # least height of a tip without an areola, relative to the apex
 _FEWEST = 60  # fewest samples of a usable piece of skin
 _EVERY = 10  # a wide ring uses every tenth sample
-_AREOLA_SCATTERS = 5.0  # least contrast of an areola, in standard deviations over the breast: skin may be mottled
+_AREOLA_SCATTERS = 5.0  # least contrast of an areola, in standard deviations of the breast's: skin may be mottled
 _GAMMA, _BLACK = 2.2, 2e-3  # approximate gamma of sRGB, and light added so that black has a logarithm
 
-_COLOUR_MM, _SHAPE_MM = 38.0, 20.0  # radii of the skin to which the areola's disc and the nipple's bump are fitted
-_AREOLAE_MM = (10.0, 14.0, 18.0, 22.0, 26.0, 30.0)  # radii of areolae from which the fit starts
-_SOFT = 0.08  # width of an areola's edge, relative to its radius
-_FURTHEST_MM = 10.0  # largest distance of the fitted disc's middle from the coloured skin's middle
-_BUMP_MM = 4.0  # Gaussian σ of a nipple's bump: fits on clean virtual skin have 3, on a telephone's scan 4.5
-_NEAR_MIDDLE_MM, _GRID_MM = 10, 1  # largest distance of a nipple from the areola's middle, and spacing of tried places
-_OFF_CENTRE_MM = 2.5  # standard deviation, in each direction, of a nipple's place around its areola's middle
-_ALIKE_MM2 = 100.0  # area of skin over which a scan's error is alike; from virtual scans
-_ROUGH_MM2 = 0.02  # least mean square of the skin's distance from the fitted smooth skin and bump
+_COLOUR_MM, _SHAPE_MM = 38.0, 20.0  # radii of the skin used to fit the areola's disc and the nipple's bump
+_AREOLAE_MM = (10.0, 14.0, 18.0, 22.0, 26.0, 30.0)  # starting radii of the areola's disc
+_SOFT = 0.08  # width of an areola's soft edge, relative to its radius
+_FURTHEST_MM = 10.0  # largest distance of the fitted disc's centre from that of the red skin
+_BUMP_MM = 4.0  # Gaussian σ of a nipple's bump: fits gave 3 on clean virtual skin, 4.5 on a telephone's scan
+_NEAR_MIDDLE_MM, _GRID_MM = 10, 1  # largest distance of a nipple from the areola's centre, and step of the search
+_OFF_CENTRE_MM = 2.5  # standard deviation of a nipple's position about its areola's centre, in each direction
+_ALIKE_MM2 = 100.0  # area of skin over which a scan's errors are correlated; from virtual scans
+_ROUGH_MM2 = 0.02  # least mean square residual of the skin after fitting smooth skin and bump
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Pairs:
-    """Samples around each sample, and their distances, mm."""
+    """Pairs of samples near each other, and their distances."""
 
-    row: Array
-    column: Array
-    distance_mm: Array
+    row: Int64[Array, " p"]
+    column: Int64[Array, " p"]
+    distance_mm: Float64[Array, " p"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -80,7 +81,7 @@ class _Samples:
 def propose_nipple(
     name: str, skin: TriangleMesh, colours: UInt8[Array, "n 3"], boundary_world: Float64[Array, "b 3"]
 ) -> Landmark | None:
-    """Proposed nipple of one breast, near the skin. None if neither areola nor tip is visible.
+    """Proposed nipple of one breast, on its skin. None if neither areola nor tip is visible.
 
     Args:
         name: name of the landmark, e.g. ``nipple_left``.
@@ -97,7 +98,7 @@ def propose_nipple(
     if areola is not None:
         near = inner & (np.linalg.norm(samples.points - areola, axis=1) < _NEAR_TIP_MM)
         tip = _tip(samples, protrusion, near)
-        middle = _disc_middle(_patch(skin, colours, areola, _COLOUR_MM))
+        middle = _disc_centre(_patch(skin, colours, areola, _COLOUR_MM))
         areola = areola if middle is None else middle
         if tip is not None:
             how = "where the areola's colour and the tip within it together put it"
@@ -151,7 +152,7 @@ def _pairs(points: Float64[Array, "n 3"], chosen: Array, within_mm: float) -> _P
 def _mean(
     samples: _Samples, values: Float64[Array, "n k"], within_mm: float, beyond_mm: float = 0.0
 ) -> Float64[Array, "n k"]:
-    """Mean over the samples in a ring around each sample. Its own value if there are none."""
+    """Mean over the samples in a ring around each sample. The sample's own value if the ring is empty."""
     pairs = samples.near if within_mm <= _FOOT_MM[1] else samples.far
     kept = (pairs.distance_mm >= beyond_mm) & (pairs.distance_mm < within_mm)
     row, column = pairs.row[kept], pairs.column[kept]
@@ -186,7 +187,7 @@ def _areola(samples: _Samples, inner: Bool[Array, " n"]) -> Float64[Array, 3] | 
 
 
 def _protrusion(samples: _Samples) -> Float64[Array, " n"]:
-    """Height of a small disc over its ring along the normal, less that of the wider surroundings, mm."""
+    """Height of a small disc above its ring along the normal, minus that of the wider surroundings, mm."""
     tip = _mean(samples, samples.points, _TIP_MM)
     foot = _mean(samples, samples.points, _FOOT_MM[1], _FOOT_MM[0])
     out = np.asarray(((tip - foot) * _mean(samples, samples.normals, _FOOT_MM[1])).sum(axis=1))
@@ -206,7 +207,7 @@ def _tip(samples: _Samples, protrusion: Float64[Array, " n"], near: Bool[Array, 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Patch:
-    """Vertices around a place, in a frame whose third axis is the skin's mean normal there."""
+    """Skin around a point, in a frame whose third axis is its mean normal, mm."""
 
     centre: Float64[Array, 3]
     axes: Float64[Array, "3 3"]
@@ -215,16 +216,16 @@ class _Patch:
     flat: Float64[Array, "n 2"]
     height: Float64[Array, " n"]
     weight: Float64[Array, " n"]
-    """Square root of each vertex's share of the skin, mm."""
+    """Square root of each vertex's area, mm."""
     redness: Float64[Array, " n"]
 
     def smooth(self, flat: Float64[Array, "k 2"]) -> Float64[Array, "k 10"]:
-        """Columns of a cubic surface."""
+        """Terms of a cubic surface at each point."""
         x, y = flat.T / self.radius_mm
         return np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=1)
 
     def at(self, flat: Float64[Array, 2], height: float) -> Float64[Array, 3]:
-        """A place of the patch in the world frame."""
+        """Point of the patch in the world frame."""
         return np.asarray(self.centre + np.append(flat, height) @ self.axes)
 
 
@@ -248,8 +249,8 @@ def _patch(skin: TriangleMesh, colours: UInt8[Array, "n 3"], centre: Float64[Arr
     )
 
 
-def _disc_middle(patch: _Patch) -> Float64[Array, 3] | None:
-    """Middle of the areola, on the smoothed skin. None if the fit diverged."""
+def _disc_centre(patch: _Patch) -> Float64[Array, 3] | None:
+    """Centre of the areola on the smoothed skin, world frame, mm. None if the fit diverged."""
     weight = patch.weight / max(float(np.sqrt(np.mean(patch.weight**2))), 1e-9)
     redness = patch.redness * weight
     base = np.linalg.lstsq(patch.smooth(patch.flat) * weight[:, None], patch.height * weight, rcond=None)[0]
@@ -274,7 +275,7 @@ def _disc_middle(patch: _Patch) -> Float64[Array, 3] | None:
 
 
 def _likeliest(patch: _Patch) -> Float64[Array, 3]:
-    """Mean place of the nipple around the areola's middle, which is the patch's centre, on the smoothed skin."""
+    """Mean position of the nipple around the patch's centre, the areola's, world frame, mm."""
     weight = patch.weight
     smooth = np.linalg.qr(patch.smooth(patch.flat) * weight[:, None])[0]
     height = patch.height * weight

@@ -2,8 +2,8 @@
 
 A new one is a function in one of these files, or in a new file with one line here. Each changes one value between a
 recipe and the photographs: the torso's shape, its skin, the objects around it, or how a rig or a telephone takes the
-pictures. Its
-random values depend on the session's seed and its own name, so that removing a disturbance changes nothing else.
+pictures. Its random values depend on the session's seed and its own name, so that removing a disturbance changes
+nothing else.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ def check(situation: Situation, without: Stage | None = None) -> None:
 
     Args:
         situation: the disturbances.
-        without: a stage that the capture does not have: "walk" for a rig, "shoot" for a walk.
+        without: a stage that does not apply: "walk" for a rig, "shoot" for a walk with a telephone.
 
     Raises:
         ValueError: a disturbance or its size is unknown.

@@ -1,4 +1,4 @@
-"""Disturbances of a walk with a telephone: breath, autofocus, the size of the print.
+"""Disturbances of a walk with a telephone: breathing, autofocus, size of the print.
 
 All sizes here are made up; no measurement uses them.
 """
@@ -15,25 +15,25 @@ from mammometry.simulate.disturbances.registry import Number, disturbance
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WalkConditions:
-    """What differs from photograph to photograph."""
+    """Breathing and focal length at each photograph, and size of the printed board."""
 
     breath_mm: Float64[Array, " n"]
-    """Height of the front of the chest above its mean, at each photograph."""
+    """Displacement of the front of the chest at each photograph, mm. Positive: forwards."""
     focal: Float64[Array, " n"]
-    """Focal length of each photograph relative to the lens's."""
+    """Focal length at each photograph, relative to its usual value."""
     print_scale: float = 1.0
-    """Size of the print relative to what its ruler says."""
+    """Size of the print relative to its stated size."""
 
 
 def still_walk(pictures: int) -> WalkConditions:
-    """Nothing moves, and the lens is locked."""
+    """Conditions of a walk without breathing, with a locked lens and a correct print."""
     return WalkConditions(breath_mm=np.zeros(pictures), focal=np.ones(pictures))
 
 
 @disturbance(
     "breath",
     "walk",
-    "the chest of a held breath out or in by up to this at each photograph",
+    "breathing: the chest is displaced by up to this at each photograph",
     Number(usual=0.3, within=(0.0, 5.0), likely=(0.1, 0.5), unit="mm"),
 )
 def _breath(walk: WalkConditions, most_mm: float, rng: np.random.Generator) -> WalkConditions:
@@ -43,7 +43,7 @@ def _breath(walk: WalkConditions, most_mm: float, rng: np.random.Generator) -> W
 @disturbance(
     "autofocus",
     "walk",
-    "a lens that focuses anew for each photograph: standard deviation of its focal length",
+    "focusing again for each photograph: standard deviation of the focal length",
     Number(usual=0.2, within=(0.0, 3.0), likely=(0.05, 0.5), unit="%"),
 )
 def _autofocus(walk: WalkConditions, std_percent: float, rng: np.random.Generator) -> WalkConditions:
@@ -53,7 +53,7 @@ def _autofocus(walk: WalkConditions, std_percent: float, rng: np.random.Generato
 @disturbance(
     "misprint",
     "walk",
-    "a print that is larger than its ruler was read to be",
+    "a board printed larger than stated",
     Number(usual=1.0, within=(-5.0, 5.0), likely=(-1.0, 1.0), unit="%"),
 )
 def _misprint(walk: WalkConditions, percent: float, rng: np.random.Generator) -> WalkConditions:

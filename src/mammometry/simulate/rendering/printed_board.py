@@ -1,4 +1,4 @@
-"""A printed board as an object of the scene, which may hide parts of the subject and be hidden by it."""
+"""A printed board as an object of the scene, which can occlude the subject and be occluded by it."""
 
 from __future__ import annotations
 
@@ -12,11 +12,14 @@ from mammometry.simulate.rendering.solid_target import INKS
 
 
 def printed_board(body: FlatBody, rig_from_board: Transform) -> Prop:
-    """The paper of a board of squares, cut into rectangles of one colour along all edges of the print.
+    """Sheet of a board of squares, cut along all edges of the print into rectangles of one colour.
 
     Args:
-        body: a board without round shapes.
+        body: a board without circles.
         rig_from_board: its pose.
+
+    Raises:
+        ValueError: the board has circles.
     """
     sheet = body.board.sheet()
     if len(sheet.discs):
@@ -44,5 +47,5 @@ def printed_board(body: FlatBody, rig_from_board: Transform) -> Prop:
 
 
 def _cuts(paper_mm: Float64[Array, 2], starts: Float64[Array, " n"], sizes: Float64[Array, " n"]) -> Array:
-    """Ends of the paper and of all rectangles along one axis, mm. Ends that differ by rounding are one."""
+    """Sorted edges of the paper and of all rectangles along one axis, mm, without duplicates."""
     return np.unique(np.concatenate([paper_mm, starts, starts + sizes]).round(6))

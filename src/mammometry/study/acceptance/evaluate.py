@@ -175,12 +175,12 @@ def decide(error: float, expanded: float, limit: float) -> Decision:
 
 
 def worst_of(findings: Iterable[AcceptanceFinding]) -> AcceptanceFinding:
-    """Finding that decides on a quantity: see `severity`."""
+    """The worst finding, by `severity`."""
     return min(findings, key=lambda one: severity(one.error, one.expanded, one.limit))
 
 
 def severity(error: float, expanded: float, limit: float) -> tuple[int, float]:
-    """Sort key of errors, the worst first: by the decision, then by the error relative to its limit."""
+    """Sort key that puts the worst error first: by the decision, then by the error relative to its limit."""
     return _WORST.index(decide(error, expanded, limit)), -abs(error) / limit
 
 

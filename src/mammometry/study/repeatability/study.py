@@ -18,7 +18,7 @@ from mammometry.study.repeatability.limits import RepeatedLimits, repeated_limit
 from mammometry.study.repeatability.plan import DETECTABLE
 
 SIZES_CC = ((0.0, 250.0), (250.0, 500.0), (500.0, math.inf))
-"""Classes of the breast's volume, cc: small, medium and large. A choice."""
+"""Classes of the breast's volume, cc: small, medium and large. A definition."""
 MOVED_MM = 4.0
 """Spread of a length of one woman between captures that is listed, mm: as breathing in moves a nipple (Wang et al.,
 Aesthetic Plastic Surgery 43 (2019) 53)."""
