@@ -9,19 +9,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mammometry.base.errors import SettingsError
 from mammometry.base.shell import command_line
 from mammometry.cli.common import SUBJECT_ID, Answer, Bars, Options, OutputOptions, command
 from mammometry.cli.compile_cache import compiled_ahead
 from mammometry.cli.mesh import named_subject
-from mammometry.cli.stages import opened, volume_lines
+from mammometry.cli.stages import demo_answer, opened, volume_lines
 
 if TYPE_CHECKING:
     from mammometry.api.photos import PreparedWalk
+    from mammometry.simulate.walk import WalkRecipe
 
 app = typer.Typer()
 DEMO_FOLDER = Path("demo-photos")
-_DEMO_SEED = 0  # the woman of the scan's demo
+_DEMO_SEED = 0  # the same woman as in the scan's demo
 _DEMO_PICTURES, _DEMO_SCALE = 20, 0.3  # enough for both breasts, in about two minutes
 
 
@@ -48,8 +48,8 @@ def photos(
 ) -> Answer:  # fmt: skip
     """Measure a patient who wears a printed board, from photographs by one telephone.
 
-    The photographs are taken on a walk around the patient. The board gives the position of each. They are stored in a
-    session, cropped to the body and without EXIF data, and measured as with `run`. Photographs and results that are
+    The photographs are taken while walking around the patient. The board shows where each was taken. They are stored in
+    a session, cropped to the body and without EXIF data, and measured as with `run`. Photographs and results that are
     current are kept.
     """
     from mammometry.measure.settings import POSTURES
@@ -68,7 +68,7 @@ def photos_demo(folder: Path, options: Options) -> Answer:
     """
     from mammometry.simulate.walk import BOARD, PHOTOGRAPHS, WalkRecipe, woman_of, write_walk
 
-    options.settings()  # a wrong name shows at once, not after a minute
+    options.settings()  # refuses a wrong name at once, not after a minute
     recipe = WalkRecipe(seed=_DEMO_SEED, pictures=_DEMO_PICTURES, scale=_DEMO_SCALE)
     begun = time.monotonic()
     try:
@@ -83,47 +83,18 @@ def photos_demo(folder: Path, options: Options) -> Answer:
                 truth = dict(write_walk(folder, recipe, progress=progress).true_volumes_cc)
     simulated = time.monotonic() - begun
     answer = _measured(folder / PHOTOGRAPHS, folder / "session", options, posture="standing", subject=None)
-    table = dict(answer.table)
-    table["seconds"] = round(time.monotonic() - begun, 3)
-    table["stage_seconds"] = {"simulate": round(simulated, 3), **table["stage_seconds"]}
-    table |= {"true_volumes_cc": {side: round(volume, 3) for side, volume in truth.items()}}
-    return Answer(table, [*compared(table["volumes_cc"], truth), *answer.lines])
+    return demo_answer(answer, truth, begun=begun, simulated=simulated)
 
 
-def simulated_walk(
-    out: Path,
-    options: OutputOptions,
-    *,
-    subject: str | None,
-    seed: int,
-    scale: float | None,
-    skin: str | None,
-    contrast: float | None,
-    noise: float,
-    disturb: str,
-) -> Answer:
-    """Render a walk. None: the recipe's own.
+def simulated_walk(out: Path, recipe: WalkRecipe, options: OutputOptions) -> Answer:
+    """Render a walk with a virtual telephone, and state the true volumes.
 
     Raises:
-        MammometryError: an argument is unknown, or the folder is not new.
+        MammometryError: the recipe cannot be rendered, or the folder is not new.
     """
-    from mammometry.simulate.recipe import parse_situation
-    from mammometry.simulate.rendering.skin import make_skin
-    from mammometry.simulate.studio import refusing
-    from mammometry.simulate.walk import PHOTOGRAPHS, WalkRecipe, write_walk
+    from mammometry.simulate.walk import PHOTOGRAPHS, write_walk
 
     begun = time.monotonic()
-    plain = WalkRecipe()
-    expected, remedy = "options that can be rendered", "Correct the option; --help names the choices"
-    with refusing(SettingsError, expected=expected, remedy=remedy):
-        recipe = WalkRecipe(
-            subject=subject or plain.subject,
-            seed=seed,
-            scale=scale or plain.scale,
-            skin=make_skin(skin or "skin", contrast=contrast),
-            film=plain.film.with_noise(noise),
-            situation=parse_situation(disturb),
-        )
     with Bars(options.silent) as bars, bars.task("simulate", "photographs") as progress:
         made = write_walk(out, recipe, progress=progress)
     true_cc = {side: round(volume, 3) for side, volume in made.true_volumes_cc.items()}
@@ -131,17 +102,6 @@ def simulated_walk(
     volumes = ", ".join(f"{side} {volume:.1f} cc" for side, volume in true_cc.items())
     then = command_line("mammometry", "photos", out / PHOTOGRAPHS)
     return Answer(table, [f"{out}: {len(made.cameras)} photographs, true volume {volumes}", f"Then: {then}"])
-
-
-def compared(volumes_cc: Mapping[str, float], truth_cc: Mapping[str, float]) -> list[str]:
-    """A line for each breast of a virtual woman: what was measured, and the truth."""
-    lines = []
-    for side, true_cc in truth_cc.items():
-        measured_cc = volumes_cc.get(side)
-        result = "not measured" if measured_cc is None else f"measured {measured_cc:.0f} cc"
-        off = "" if measured_cc is None else f" ({100 * (measured_cc / true_cc - 1):+.0f} %)"
-        lines.append(f"{side}: {result}, true {true_cc:.0f} cc{off}")
-    return lines
 
 
 def _measured(folder: Path, session: Path, options: Options, *, posture: str, subject: str | None) -> Answer:

@@ -18,8 +18,8 @@ from mammometry.cli.acceptance import DEMO_FOLDER, acceptance_demo
 from mammometry.cli.common import Answer, Bars, Options, OutputOptions, command
 from mammometry.cli.compile_cache import compiled_ahead
 from mammometry.cli.photos import DEMO_FOLDER as WALK_FOLDER
-from mammometry.cli.photos import compared, photos_demo, simulated_walk
-from mammometry.cli.stages import opened, volume_lines
+from mammometry.cli.photos import photos_demo, simulated_walk
+from mammometry.cli.stages import demo_answer, opened, volume_lines
 from mammometry.simulate.recipe import SessionRecipe, parse_situation
 from mammometry.simulate.rendering.film import Film
 
@@ -60,12 +60,8 @@ def scan_demo(folder: Path, options: Options) -> Answer:
         with bars.task("measure", "mesh"):
             job = open_session(folder, chosen, watch=bars.watch)
         results = job.run()
-    table = results.as_table()
-    table["seconds"] = round(time.monotonic() - begun, 3)
-    table["stage_seconds"] = {"simulate": round(simulated, 3), **table["stage_seconds"]}
-    truth = woman.volumes_cc
-    table |= {"scan": str(folder), "true_volumes_cc": {name: round(value, 3) for name, value in truth.items()}}
-    return Answer(table, [*compared(results.volumes_cc, truth), *volume_lines(results)])
+    measured = Answer({**results.as_table(), "scan": str(folder)}, volume_lines(results))
+    return demo_answer(measured, woman.volumes_cc, begun=begun, simulated=simulated)
 
 
 def _woman() -> SubjectSolid:
@@ -150,15 +146,8 @@ def demo(
             truth = true_volumes_cc(_DEMO_RECIPE)
         simulated = time.monotonic() - begun
         results = opened(folder, options, bars).run()
-    table = results.as_table()
-    table["seconds"] = round(time.monotonic() - begun, 3)
-    table["stage_seconds"] = {"simulate": round(simulated, 3), **table["stage_seconds"]}
-    table |= {"session": str(folder), "true_volumes_cc": {name: round(value, 3) for name, value in truth.items()}}
-    lines: list[Any] = []
-    for name, measured in results.volumes_cc.items():
-        off = 100 * (measured / truth[name] - 1)
-        lines.append(f"{name}: measured {measured:.1f} cc, true {truth[name]:.1f} cc ({off:+.2f} %)")
-    return Answer(table, [*lines, *volume_lines(results)[1:]])
+    measured = Answer({**results.as_table(), "session": str(folder)}, volume_lines(results)[1:])
+    return demo_answer(measured, truth, begun=begun, simulated=simulated, cast=True)
 
 
 @command(
@@ -266,27 +255,33 @@ def simulate(
     from mammometry.simulate.rigs.targets import make_target
     from mammometry.simulate.session import write_session
     from mammometry.simulate.studio import Studio, refusing
+    from mammometry.simulate.walk import WalkRecipe
 
     begun = time.monotonic()
+    refused = partial(
+        refusing,
+        SettingsError,
+        expected="options that can be rendered",
+        remedy="Correct the option; --help names the choices",
+    )
     if telephone:
         if clinic is not None or rig != _RECIPE.rig:
             raise typer.BadParameter("--telephone has no rig: leave out --rig and --clinic")
-        return simulated_walk(
-            out,
-            options,
-            subject=None if subject == _RECIPE.subject else subject,
-            seed=seed,
-            scale=None if scale == _RECIPE.scale else scale,
-            skin=None if skin == "plaster" else skin,
-            contrast=contrast,
-            noise=noise,
-            disturb=disturb,
-        )
+        plain = WalkRecipe()
+        with refused():
+            walk = WalkRecipe(
+                subject=plain.subject if subject == _RECIPE.subject else subject,
+                seed=seed,
+                scale=plain.scale if scale == _RECIPE.scale else scale,
+                skin=make_skin("skin" if skin == "plaster" else skin, contrast=contrast),
+                film=plain.film.with_noise(noise),
+                situation=parse_situation(disturb),
+            )
+        return simulated_walk(out, walk, options)
     if rig.partition(":")[0] == _RECIPE.rig:
         _require_calibratable(scale, poses)
     mesh_file = _mesh_file(subject, units, subject_scale, subject_turn)
-    expected, remedy = "options that can be rendered", "Correct the option; --help names the choices"
-    with refusing(SettingsError, expected=expected, remedy=remedy):
+    with refused():
         if clinic is not None:
             if (subject, seed) != (_RECIPE.subject, _RECIPE.seed):
                 raise typer.BadParameter("--clinic chooses subject and seed. Give either it, or --subject and --seed")

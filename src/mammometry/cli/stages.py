@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -250,6 +251,36 @@ def report(
         page = job.share(out or job.store.folder / name, privacy)
     table = {**_summary(job, "measure", begun), "report": str(page)}
     return Answer(table, [f"Report: {table['report']}", "The last lines of the report say what it contains."])
+
+
+def demo_answer(
+    measured: Answer, truth_cc: Mapping[str, float], *, begun: float, simulated: float, cast: bool = False
+) -> Answer:
+    """A demo's answer: what was measured, with the true volumes before it.
+
+    Args:
+        measured: the answer of the measurement, whose table has volumes and times.
+        truth_cc: name of a solid → true volume.
+        begun: when the demo began, s, by `time.monotonic`.
+        simulated: duration of the simulation, s.
+        cast: whether the solid is a cast, whose volume is compared with more decimals.
+    """
+    table = dict(measured.table)
+    table["seconds"] = round(time.monotonic() - begun, 3)
+    table["stage_seconds"] = {"simulate": round(simulated, 3), **table["stage_seconds"]}
+    table["true_volumes_cc"] = {name: round(volume, 3) for name, volume in truth_cc.items()}
+    lines: list[Any] = []
+    for name, true_cc in truth_cc.items():
+        measured_cc = table["volumes_cc"].get(name)
+        if measured_cc is None:
+            lines.append(f"{name}: not measured, true {true_cc:.0f} cc")
+            continue
+        off = 100 * (measured_cc / true_cc - 1)
+        if cast:
+            lines.append(f"{name}: measured {measured_cc:.1f} cc, true {true_cc:.1f} cc ({off:+.2f} %)")
+        else:
+            lines.append(f"{name}: measured {measured_cc:.0f} cc, true {true_cc:.0f} cc ({off:+.0f} %)")
+    return Answer(table, [*lines, *measured.lines])
 
 
 def volume_lines(results: Results) -> list[Any]:

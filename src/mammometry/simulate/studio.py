@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -161,14 +161,19 @@ def photograph(
             path, film = folder / "capture" / f"{name}{suffix}", exposure.films[name]
             render = partial(_capture, lit, name, exposure, studio, seed)
             taking.append(pool.submit(take_picture, path, render, film, _noise_seed(seed, 0, index)))
-        try:
-            for done, future in enumerate(as_completed(taking), start=1):
-                future.result()
-                progress(done / len(taking))
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+        finish(pool, taking, progress)
         return lit.result()
+
+
+def finish(pool: ThreadPoolExecutor, taking: Sequence[Future[None]], progress: Progress) -> None:
+    """Wait for all pictures, and cancel the others if one cannot be taken."""
+    try:
+        for done, future in enumerate(as_completed(taking), start=1):
+            future.result()
+            progress(done / len(taking))
+    except BaseException:
+        pool.shutdown(wait=True, cancel_futures=True)
+        raise
 
 
 def _capture(

@@ -1,7 +1,7 @@
-"""Photographs by a virtual telephone, from a walk around a standing woman who wears the printed board.
+"""Photographs by a virtual telephone during a walk around a standing woman.
 
-The folder is what `mammometry photos` reads, plus ``truth/``. The body's frame is the solid's: y up, z ahead, mm. Walk,
-light and telephone are made up; no measurement uses them.
+She wears the printed board. The folder has the input of `mammometry photos`, and ``truth/``. The body's frame is the
+solid's: y up, z ahead, mm. The sizes of walk, light and telephone are made up; no measurement uses them.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -35,7 +35,7 @@ from mammometry.simulate.rendering.render import render_subject
 from mammometry.simulate.rendering.scene import Room, StudioScene, SubjectMotion, light_scene, moved
 from mammometry.simulate.rendering.skin import SKINS, SkinReflectance
 from mammometry.simulate.rigs.poses import looking
-from mammometry.simulate.studio import refusing, take_picture
+from mammometry.simulate.studio import finish, refusing, take_picture
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import SubjectSolid
 from mammometry.walk.region import TELEPHONE_BOARD
@@ -46,17 +46,17 @@ BOARD = "board.toml"
 _STANDING, _UNDISTURBED = parse_situation("posture=standing"), Situation()
 _FILM = Film(vignetting=0.15, electrons=9000.0, jpeg_quality=92, chroma_halved=True)
 _SIZE_WH = (4032, 3024)  # of a photograph at full size
-_FOCAL = 0.74  # focal length by the picture's width: 26 mm on a frame of 36 mm, as of telephones' main cameras
-_DISTORTION = (0.05, -0.1, 0.0, 0.0, 0.0)  # a barrel of about 1 % in the corners
-_ARC_DEG, _HEIGHTS_DEG = 62.0, (-14.0, 18.0)  # to either side; elevations of the two rounds
-_JITTER_DEG, _AIM_MM, _ROLL_RAD = 1.5, 15.0, 0.03  # standard deviations of where the telephone is and looks
-_DISTANCE_MM = (560.0, 640.0)  # from the middle between breasts and board
+_FOCAL = 0.74  # focal length relative to the picture's width: 26 mm on a frame of 36 mm, as in main cameras
+_DISTORTION = (0.05, -0.1, 0.0, 0.0, 0.0)  # about 1 % in the corners
+_ARC_DEG, _HEIGHTS_DEG = 62.0, (-14.0, 18.0)  # largest angle to either side, and elevations of the two passes
+_JITTER_DEG, _AIM_MM, _ROLL_RAD = 1.5, 15.0, 0.03  # standard deviations of the telephone's position and direction
+_DISTANCE_MM = (560.0, 640.0)  # smallest and largest, from the midpoint between breasts and board
 _LAMPS_MM = ((-900.0, 700.0, 1300.0), (900.0, 600.0, 1300.0), (0.0, 150.0, 1700.0))  # in front of the chest
-_BRIGHTNESS = 1.1  # radiance of white paper that faces the middle lamp, full scale 1
+_BRIGHTNESS = 1.1  # radiance of white paper that faces the middle lamp; full scale is 1
 _BELOW_FOLD_MM = 50.0  # from the lowest fold to the card's upper edge
 _GAP_MM = 2.0  # between the card and the nearest skin
-_EDGE_MM = 0.4  # of the woman's triangles on the breasts, at full size: about two pixels
-_BREATH_AHEAD = (0.0, 0.3, 0.95)  # direction in which a chest moves by breathing
+_EDGE_MM = 0.4  # edge of the triangles on the breasts for photographs at full size: about two pixels
+_BREATH_AHEAD = (0.0, 0.3, 0.95)  # direction in which the chest moves when breathing in
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,7 +85,7 @@ class WalkRecipe:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SimulatedWalk:
-    """A written walk and its truth, body's frame, mm."""
+    """A rendered walk and its truth, body's frame, mm."""
 
     folder: Path
     cameras: Mapping[str, Camera]
@@ -95,10 +95,10 @@ class SimulatedWalk:
 
 
 def woman_of(recipe: WalkRecipe) -> SubjectSolid:
-    """The woman of a walk.
+    """The standing woman of a walk.
 
     Raises:
-        ValueError: the subject is unknown or no patient.
+        ValueError: the subject is unknown, or not a patient.
     """
     posed = replace(recipe.situation, disturbances=(*_STANDING.disturbances, *recipe.situation.disturbances))
     reshape = partial(disturbed, stage="patient", situation=posed, seed=recipe.seed)
@@ -111,7 +111,7 @@ def write_walk(out: Path, recipe: WalkRecipe = WalkRecipe(), *, progress: Progre
     """Render a walk, with truth, into a new folder: ``photos/`` with ``board.toml``, and ``truth/``.
 
     Args:
-        out: folder to make. It must not exist, or be empty.
+        out: folder to make. It must be empty or not exist.
         recipe: the woman and the walk.
         progress: written fraction of the photographs.
 
@@ -143,12 +143,13 @@ def write_walk(out: Path, recipe: WalkRecipe = WalkRecipe(), *, progress: Progre
         skin=skin,
         seed=seed,
     )
-    cameras = _cameras(recipe, walk, _aim(woman, board, placed))
+    chest = np.mean([woman.landmarks[f"nipple_{side}"][0] for side in woman.breasts], axis=0)
+    cameras = _cameras(recipe, walk, 0.5 * (chest + placed.apply(board.middle_mm[None])[0]))
     try:
         with whole_folder(out) as made:
             (made / PHOTOGRAPHS).mkdir()
             shot = replace(recipe, skin=skin)
-            _photograph(made / PHOTOGRAPHS, shot, cameras, partial(_breathing, scene, walk, _chest(woman)), progress)
+            _photograph(made / PHOTOGRAPHS, shot, cameras, partial(_breathing, scene, walk, chest), progress)
             (made / PHOTOGRAPHS / BOARD).write_text(_described(recipe), encoding="utf-8")
             (made / TRUTH).mkdir()
             write_ply(made / TRUTH / "body.ply", woman.mesh)
@@ -169,7 +170,7 @@ def write_walk(out: Path, recipe: WalkRecipe = WalkRecipe(), *, progress: Progre
 
 
 def _printed(scale: float) -> FlatBody:
-    """The telephone's board, printed larger or smaller than it should be."""
+    """The telephone's board, printed at a scale."""
     table = dict(TELEPHONE_BOARD)
     sizes = {name: scale * table[name] for name in ("square_mm", "marker_mm")}
     body = target_from_table({**table, **sizes}).body
@@ -178,14 +179,14 @@ def _printed(scale: float) -> FlatBody:
 
 
 def _described(recipe: WalkRecipe) -> str:
-    """board.toml: the nominal size, as if the ruler on the print was right to 0.1 mm."""
+    """Content of board.toml: the nominal size, with a standard uncertainty of 0.1 mm."""
     columns, _ = TELEPHONE_BOARD["squares"]
     described = {**TELEPHONE_BOARD, "edge_mm": columns * TELEPHONE_BOARD["square_mm"], "edge_std_mm": 0.1}
     return "\n".join([recipe.line, *(f"{name} = {json.dumps(value)}" for name, value in described.items()), ""])
 
 
 def _worn(woman: SubjectSolid, board: FlatBody) -> Transform:
-    """Pose of the board on the belly: below the folds, leaning on the skin, its text upright."""
+    """Pose of the board on the belly: below the folds, resting on the skin, its text upright."""
     mesh = woman.mesh
     lowest = min(float(mesh.vertices[breast.boundary, 1].min()) for breast in woman.breasts.values())
     (left, top), (right, bottom) = board.paper_mm
@@ -195,10 +196,10 @@ def _worn(woman: SubjectSolid, board: FlatBody) -> Transform:
     behind = (np.abs(x - middle) < 0.5 * (right - left)) & (y < upper) & (y > upper - (bottom - top))
     third = (bottom - top) / 3.0
     above, below = (float(z[behind & near].max()) for near in (y > upper - third, y < upper - 2.0 * third))
-    lean = math.atan2(below - above, 2.0 * third)  # its foot stands out where the belly does
+    lean = math.atan2(below - above, 2.0 * third)  # its lower edge is as far in front as the belly
     across = np.array([1.0, 0.0, 0.0])
     down = np.array([0.0, -math.cos(lean), math.sin(lean)])
-    away = np.cross(across, down)  # from the reader
+    away = np.cross(across, down)  # from the reader of the print
     out = -away
     start = np.array([middle, upper, 0.0])
     lift = float(((mesh.vertices[behind] - start) @ out).max()) + _GAP_MM
@@ -207,20 +208,8 @@ def _worn(woman: SubjectSolid, board: FlatBody) -> Transform:
     return Transform(rotation=rotation, translation_mm=corner)
 
 
-def _aim(woman: SubjectSolid, board: FlatBody, body_from_board: Transform) -> Float64[Array, 3]:
-    """Middle between the nipples and the board, at which the telephone looks."""
-    nipples = np.mean([woman.landmarks[f"nipple_{side}"][0] for side in woman.breasts], axis=0)
-    aim: Float64[Array, 3] = 0.5 * (nipples + body_from_board.apply(board.middle_mm[None])[0])
-    return aim
-
-
-def _chest(woman: SubjectSolid) -> Float64[Array, 3]:
-    chest: Float64[Array, 3] = np.mean([woman.landmarks[f"nipple_{side}"][0] for side in woman.breasts], axis=0)
-    return chest
-
-
 def _lamps() -> Float64[Array, "l 4"]:
-    """Large lamps in front: position, and irradiance × mm² at distance 1."""
+    """Lamps in front of the chest: position, mm, and irradiance × mm² at distance 1."""
     positions = np.array(_LAMPS_MM)
     distances = np.linalg.norm(positions, axis=1)
     total = float((positions[:, 2] / distances**3).sum())
@@ -228,7 +217,13 @@ def _lamps() -> Float64[Array, "l 4"]:
 
 
 def _cameras(recipe: WalkRecipe, walk: WalkConditions, aim: Float64[Array, 3]) -> dict[str, Camera]:
-    """The telephone at each photograph: one lens, but for its autofocus."""
+    """Number of a photograph → camera, body's frame. They share a lens, apart from its autofocus.
+
+    Args:
+        recipe: the walk.
+        walk: its disturbances.
+        aim: point at which the telephone looks, mm.
+    """
     rng = np.random.default_rng([recipe.seed, 59])
     width, height = (round(recipe.scale * side) for side in _SIZE_WH)
     focal_px = _FOCAL * width * rng.normal(1.0, 0.01)
@@ -261,7 +256,7 @@ def _photograph(
     at: Callable[[int], StudioScene],
     progress: Progress,
 ) -> None:
-    """Write all photographs. `at` gives the scene at each."""
+    """Write all photographs. `at` returns the scene of a photograph by its index."""
 
     def take(number: int, camera: Camera) -> None:
         render = partial(
@@ -278,17 +273,11 @@ def _photograph(
 
     with ThreadPoolExecutor(max(1, min(len(cameras), available_cores()))) as pool:
         taking = [pool.submit(take, number, camera) for number, camera in enumerate(cameras.values())]
-        try:
-            for done, future in enumerate(as_completed(taking), start=1):
-                future.result()
-                progress(done / len(taking))
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+        finish(pool, taking, progress)
 
 
 def _breathing(scene: StudioScene, walk: WalkConditions, chest: Float64[Array, 3], number: int) -> StudioScene:
-    """The scene at a photograph."""
+    """Scene of a photograph, with the chest displaced by breathing."""
     breath_mm, still = walk.breath_mm[number] * np.array(_BREATH_AHEAD), np.zeros(3)
     if not breath_mm.any():
         return scene

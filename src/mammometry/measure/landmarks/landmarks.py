@@ -135,7 +135,7 @@ def picked_landmarks(
     """
     if not places:
         return ()
-    from mammometry.geometry.nearest import closest_on_mesh  # who needs only the names does not load compiled kernels
+    from mammometry.geometry.nearest import closest_on_mesh  # loads compiled kernels
 
     nearest = closest_on_mesh(np.concatenate(list(places.values())), mesh)
     found, stop = [], 0

@@ -32,14 +32,14 @@ _RULES = (
     "laboratory's test.",
     "Spheres and planes are fitted by least squares to the measured patch. The patch is chosen by position alone. It "
     "excludes 6° at the edge of a ball, 4 % of the longer side at the edge of a plane, and stands and tables.",
-    "A fit leaves out at most 3 per mille of the points, the farthest ones (VDI/VDE 2634). All points count in form "
-    "error and flatness, which are the widths that hold 95 % of the points (ISO 10360-13).",
+    "A fit excludes at most the 0.3 % of the points with the largest deviations (VDI/VDE 2634). Form error and "
+    "flatness include these points: they are the widths that contain 95 % of all points (ISO 10360-13).",
     "Accepted: error and expanded uncertainty (95 %) together are within the limit at every position. Rejected: the "
     "error less its uncertainty is beyond the limit. Otherwise undecided (ISO 14253-1).",
-    "The uncertainty combines the artefact's and that of the fit, for errors that are alike over less than a fifth of "
-    "the ball's diameter. Errors that extend farther count as the device's own.",
-    "Effect on a breast of 400 cc: an error of length scales it; one of size moves its skin by half of it; one of form "
-    "or flatness by at most half of it, if it has the same sign everywhere.",
+    "The uncertainty combines that of the artefact and that of the fit, for errors that are correlated over less than "
+    "a fifth of the ball's diameter. Errors correlated over longer distances count as the device's.",
+    "Effect on a breast of 400 cc: an error of length scales the breast. An error of size moves its skin by half of "
+    "the error, an error of form or flatness by at most half of it, if it has the same sign everywhere.",
 )
 _HOW: Mapping[Kind, str] = {
     "sphere": "A speckled or matt ball of 100 to 200 mm. Put it at each position and measure it like a patient.",

@@ -90,23 +90,23 @@ class AcceptanceFinding:
 
 @value(eq=False)
 class PositionResult:
-    """What was found at one position of an artefact."""
+    """Errors at one position of an artefact."""
 
     kind: Kind
     position: str
     findings: tuple[AcceptanceFinding, ...]
     patches: tuple[SpherePatch | PlanePatch, ...] = ()
-    """Evaluated surfaces, for pictures. None of a cast."""
+    """Evaluated surfaces, for pictures. Empty for a cast."""
 
     @property
     def widest_mm(self) -> float | None:
-        """Width that holds all points but the farthest 3 per mille, mm. None of a cast."""
+        """Width that contains all points without the 0.3 % farthest ones, mm. None for a cast."""
         widths = [np.ptp(patch.deviations_mm[within_rule(patch.deviations_mm)]) for patch in self.patches]
         return float(max(widths)) if widths else None
 
     @property
     def share_left_out(self) -> float:
-        """Share of points too far from the surface to belong to it. The rule allows 3 per mille."""
+        """Share of points too far from the surface to belong to it. The rule allows 0.3 %."""
         return max((patch.share_left_out for patch in self.patches), default=0.0)
 
 

@@ -10,7 +10,7 @@ from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 
 LEFT_OUT = 0.003
-"""Share of the points that may be left out of a fit: 3 per mille, the farthest ones (VDI/VDE 2634)."""
+"""Share of the points, those with the largest deviations, that a fit may exclude (VDI/VDE 2634)."""
 DISPERSION = 0.95
 """Share of the points within a form error (ISO 10360-13)."""
 _STEPS = 30  # of Gauss and Newton at most; four are usual
@@ -112,7 +112,7 @@ def _narrowest(ordered: Float64[Array, " n"], weights: Float64[Array, " n"], sha
 
 
 def within_rule(deviations: Float64[Array, " n"], share: float = LEFT_OUT) -> Bool[Array, " n"]:
-    """Points that count in a fit: all but the farthest 3 per mille, by their distance from the median."""
+    """Mask of the points used in a fit: without the 0.3 % farthest from the median deviation."""
     few = int(share * len(deviations))
     kept = np.ones(len(deviations), dtype=bool)
     if few:

@@ -63,17 +63,17 @@ class ArtefactPatch:
     """Measured points of one artefact's surface."""
 
     points: Float64[Array, "n 3"]
-    """mm, the mesh's frame."""
+    """Positions, mm, mesh's frame."""
     weights: Float64[Array, " n"]
-    """Area that each stands for, mm²."""
+    """Area of the surface that belongs to each point, mm²."""
     cells: tuple[Int64[Array, " n"], ...]
-    """Number of the part of the surface in which each lies, for several sizes of parts."""
+    """Number of the part of the surface that contains each point, for several sizes of parts."""
     share_seen: float
     """Share of a sphere's surface that was evaluated. 1 for a plane."""
     share_left_out: float
     """Share of the points in front of or behind this part of the surface that are too far away to belong to it."""
     fit: SphereFit | PlaneFit
-    """Of all points but the farthest 3 per mille."""
+    """Fit to the points without the 0.3 % with the largest deviations."""
 
     @property
     def deviations_mm(self) -> Float64[Array, " n"]:
