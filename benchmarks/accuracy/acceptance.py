@@ -7,7 +7,7 @@ The first draws a ball of 145 mm and a bar of 300 mm with balls of 60 mm again a
 the device and a new reference value within the artefact's uncertainty. Prints how often the expanded uncertainty (95 %)
 contains the error, with errors that are independent from point to point, and with ones that neighbouring points share.
 
-The second tests a virtual rig with errors put in, from photographs to verdict: see `acceptance_photographs`.
+The second tests a virtual rig with known errors, from photographs to verdict: see `acceptance_photographs`.
 """
 
 from __future__ import annotations

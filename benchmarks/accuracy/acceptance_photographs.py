@@ -1,8 +1,8 @@
-"""Acceptance tests of a virtual rig with errors put in, from photographs to verdict.
+"""Acceptance tests of a virtual rig with known errors, from photographs to verdict.
 
 A pair of small cameras photographs a board, then a ball, a bar and a plane. mammometry calibrates, matches, fuses and
-judges. What the errors do to each artefact is computed from the true cameras: points of its surface are projected by
-the cameras as they are at the capture, and triangulated by those of the calibration.
+decides. The expected error of each artefact is computed from the true cameras: points of its surface are projected by
+the cameras at the capture, and triangulated by those at the calibration.
 """
 
 from __future__ import annotations
@@ -10,17 +10,17 @@ from __future__ import annotations
 import math
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from mammometry.api.acceptance import run_acceptance
 from mammometry.api.job import open_session
+from mammometry.calibration.judge.reconstruction import triangulate
 from mammometry.capture.sessions import take_over
-from mammometry.geometry import Array, Camera, Float64, Rig
+from mammometry.geometry import Array, Float64
 from mammometry.geometry.directions import even_directions
 from mammometry.io.acceptance_file import DESCRIPTION
 from mammometry.settings import Settings
@@ -39,6 +39,7 @@ from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import rig_from_solid
 from mammometry.study.acceptance.artefacts import POSITIONS, VOLUME_MM, Bar, Kind, Sphere
 from mammometry.study.acceptance.evaluate import AcceptanceFinding
+from mammometry.study.acceptance.fits import SphereFit, fit_sphere
 
 RIG = Path(__file__).parent / "rigs" / "stand.toml"
 RECIPE = SessionRecipe(rig=f"{RIG}:front", subject="test-sphere_1", scale=0.6, seed=3, poses=8)
@@ -48,44 +49,44 @@ _POINTS = 4000  # on a whole ball, or on a plane
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PutIn:
-    """An error of the rig, and the artefacts that show it."""
+class RigFault:
+    """A known error of the rig, and the artefacts that show it."""
 
     name: str
-    artefacts: tuple[str, ...]
-    """Kind and position, as in ``bar_1``."""
+    artefacts: tuple[tuple[Kind, str], ...]
+    """Kind and position of each."""
     situation: str = ""
     """Disturbance of the capture."""
     scale: float = 0.0
-    """Relative error of all lengths: the board is smaller than stated by this."""
+    """Relative error of all lengths: the board is smaller than stated by this share."""
     noise: float = 1.0
-    """Factor on the sensor's noise."""
+    """Noise relative to a usual sensor."""
 
 
 ERRORS = (
-    PutIn(name="none", artefacts=("sphere_1", "bar_1", "plane_1")),
-    PutIn(name="lengths 0.2 % too large", artefacts=("sphere_1", "bar_1"), scale=0.002),
-    PutIn(name="a camera turned by 0.05°", artefacts=("bar_1", "bar_2"), situation="drift-one=0.05"),
-    PutIn(name="k1 of the lenses changed by 0.05", artefacts=("bar_1", "plane_1"), situation="lens=0.05"),
-    PutIn(name="four times the noise", artefacts=("sphere_1",), noise=4.0),
+    RigFault(name="none", artefacts=(("sphere", "1"), ("bar", "1"), ("plane", "1"))),
+    RigFault(name="lengths 0.2 % too large", artefacts=(("sphere", "1"), ("bar", "1")), scale=0.002),
+    RigFault(name="a camera turned by 0.05°", artefacts=(("bar", "1"), ("bar", "2")), situation="drift-one=0.05"),
+    RigFault(name="k1 of the lenses changed by 0.05", artefacts=(("bar", "1"), ("plane", "1")), situation="lens=0.05"),
+    RigFault(name="four times the noise", artefacts=(("sphere", "1"),), noise=4.0),
 )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bench:
-    """The virtual rig, its pictures and its calibrations, which are made once."""
+    """The virtual rig, with its calibrations in a folder."""
 
     folder: Path
     recipe: SessionRecipe = RECIPE
     settings: Settings = SETTINGS
 
     def studio(self, scale: float = 0.0, noise: float = 1.0) -> Studio:
-        """Speckled artefacts, and a board that is smaller than stated."""
+        """Speckled artefacts, and a board smaller than stated by a share."""
         board = replace(BOARD, square_mm=BOARD.square_mm * (1 - scale), marker_mm=BOARD.marker_mm * (1 - scale))
         return Studio(target=board, skin=make_skin("speckled"), film=Film().with_noise(noise))
 
     def calibration(self, scale: float) -> Path:
-        """A calibrated session, made at the first call for each scale."""
+        """Folder of a calibrated session, made at the first call for each scale."""
         folder = self.folder / f"calibration-{scale:g}"
         if not folder.exists():
             write_session(folder, self.recipe, self.studio(scale), truth=False)
@@ -93,10 +94,12 @@ class Bench:
             open_session(folder, self.settings).calibrate()
         return folder
 
-    def measured(self, error: PutIn, artefact: str, out: Path) -> None:
-        """Photograph an artefact with an error of the rig. The cameras are those of the calibration."""
+    def measured(self, error: RigFault, kind: Kind, position: str, out: Path) -> None:
+        """Photograph an artefact with an error of the rig, into a session with the calibration's cameras."""
         calibrated = self.calibration(error.scale)
-        recipe = replace(self.recipe, subject=f"test-{artefact}", poses=1, situation=parse_situation(error.situation))
+        recipe = replace(
+            self.recipe, subject=f"test-{kind}_{position}", poses=1, situation=parse_situation(error.situation)
+        )
         write_session(out, recipe, self.studio(error.scale, error.noise), truth=False)
         _state_board(out)
         shutil.rmtree(out / "calibration")
@@ -104,50 +107,50 @@ class Bench:
         if not take_over(open_session(out, self.settings), open_session(calibrated, self.settings)):
             raise RuntimeError("the calibration was not taken over")
 
-    def tested(self, error: PutIn) -> tuple[AcceptanceFinding, ...]:
+    def tested(self, error: RigFault) -> tuple[AcceptanceFinding, ...]:
         """Findings of an acceptance test of the rig with an error."""
         folder = self.folder / error.name.replace(" ", "-").replace("%", "percent").replace("°", "deg")
-        for artefact in error.artefacts:
-            kind, _, position = artefact.partition("_")
+        for kind, position in error.artefacts:
             (folder / kind).mkdir(parents=True, exist_ok=True)
-            self.measured(error, artefact, folder / kind / position)
-        kinds = {artefact.partition("_")[0] for artefact in error.artefacts}
+            self.measured(error, kind, position, folder / kind / position)
+        kinds = {kind for kind, _ in error.artefacts}
         (folder / DESCRIPTION).write_text(_described(kinds))
         return run_acceptance(folder, self.settings).findings
 
-    def expected(self, error: PutIn, artefact: str) -> dict[str, float]:
+    def expected(self, error: RigFault, kind: Kind, position: str) -> dict[str, float]:
         """Quantity → error of an ideal measurement by cameras with this error, mm."""
         rig = make_rig(self.recipe.rig, self.recipe.scale, self.recipe.seed)
         exposure = disturbed(
             plain_exposure(rig, np.zeros((0, 4)), Film()), "shoot", parse_situation(error.situation), self.recipe.seed
         )
-        kind, _, position = artefact.partition("_")
-        solid = make_subject(f"test-{artefact}", self.recipe.seed, edge_mm=2.0)
+        solid = make_subject(f"test-{kind}_{position}", self.recipe.seed, edge_mm=2.0)
         solid = replace(solid, lean_rad=0.0)
         pose = rig_from_solid(solid, self.recipe.seed)
-        place = next(one for one in POSITIONS[_KINDS[kind]] if one.name == position)
+        place = next(one for one in POSITIONS[kind] if one.name == position)
         centre, axis = np.array(place.centre) * VOLUME_MM, np.array(place.axis)
         axis = axis / max(float(np.linalg.norm(axis)), 1e-9)
 
         def seen(points: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-            return (1 + error.scale) * _triangulated(rig, exposure.capture_rig, pose.apply(points))
+            (pair,) = rig.pairs
+            used = exposure.capture_rig.cameras
+            left_uv, right_uv = (used[camera.name].project(pose.apply(points)) for camera in (pair.left, pair.right))
+            return (1 + error.scale) * triangulate(pair, left_uv, right_uv)
 
-        def ball(middle: Float64[Array, 3], radius: float) -> tuple[Float64[Array, 3], float]:
+        def ball(middle: Float64[Array, 3], radius: float) -> SphereFit:
             directions = even_directions(_POINTS)
             facing = pose.rotate(directions)
             own = rig.cameras.values()
             towards = [camera.centre_world - pose.apply(middle[None])[0] for camera in own]
             shown = np.all([facing @ one > _FACING * np.linalg.norm(one) for one in towards], axis=0)
-            return _sphere(seen(middle + radius * directions[shown]))
+            return fit_sphere(seen(middle + radius * directions[shown]), np.ones(np.count_nonzero(shown)))
 
-        match DRAWN[_KINDS[kind]]:
+        match DRAWN[kind]:
             case Sphere(diameter_mm=diameter):
-                _, radius = ball(centre, diameter / 2)
-                return {"size": 2 * radius - diameter}
+                return {"size": 2 * ball(centre, diameter / 2).radius_mm - diameter}
             case Bar(distance_mm=distance, diameter_mm=diameter):
                 ends = [ball(centre + side * distance / 2 * axis, diameter / 2) for side in (-1, 1)]
-                between = float(np.linalg.norm(ends[1][0] - ends[0][0]))
-                grown = ends[0][1] + ends[1][1] - diameter
+                between = float(np.linalg.norm(ends[1].centre - ends[0].centre))
+                grown = ends[0].radius_mm + ends[1].radius_mm - diameter
                 return {"spacing": between - distance, "length": between - distance + grown}
             case _:
                 across = np.cross(axis, [0.0, 1.0, 0.0])
@@ -157,33 +160,6 @@ class Bench:
                 moved = points - points.mean(axis=0)
                 heights = moved @ np.linalg.svd(moved, full_matrices=False)[2][2]
                 return {"flatness": float(np.ptp(np.percentile(heights, [2.5, 97.5])))}
-
-
-_KINDS: Mapping[str, Kind] = {"sphere": "sphere", "bar": "bar", "plane": "plane"}
-
-
-def _triangulated(known: Rig, used: Rig, points: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-    """Points as the known cameras place them, from their images in the cameras that were used."""
-    rays: list[tuple[Camera, Float64[Array, "n 3"]]] = []
-    for name, camera in known.cameras.items():
-        rays.append((camera, camera.rays_world(used.cameras[name].project(points))))
-    (first, one), (second, other) = rays
-    base = second.centre_world - first.centre_world
-    cosine = (one * other).sum(axis=1)
-    along = (base @ one.T - cosine * (base @ other.T)) / (1 - cosine**2)
-    back = (cosine * (base @ one.T) - base @ other.T) / (1 - cosine**2)
-    nearest = first.centre_world + along[:, None] * one, second.centre_world + back[:, None] * other
-    return np.asarray((nearest[0] + nearest[1]) / 2)
-
-
-def _sphere(points: Float64[Array, "n 3"]) -> tuple[Float64[Array, 3], float]:
-    middle = points.mean(axis=0)
-
-    def deviations(unknown: Float64[Array, " 4"]) -> Float64[Array, " n"]:
-        return np.asarray(np.linalg.norm(points - middle - unknown[:3], axis=1) - unknown[3])
-
-    found = least_squares(deviations, np.array([0.0, 0.0, -30.0, 50.0])).x
-    return found[:3] + middle, float(found[3])
 
 
 def _state_board(session: Path) -> None:
@@ -197,7 +173,7 @@ def _state_board(session: Path) -> None:
     path.write_text("\n".join(lines) + "\n")
 
 
-def _described(kinds: set[str]) -> str:
+def _described(kinds: Collection[str]) -> str:
     """Description of a test with these artefacts."""
     head, *tables = DEMO_DEVICE.split("\n[")
     kept = [table for table in tables if table.partition("]")[0] in {"device", *kinds}]
@@ -205,13 +181,12 @@ def _described(kinds: set[str]) -> str:
 
 
 def rows(folder: Path) -> Iterator[tuple[str, AcceptanceFinding, float]]:
-    """Error put in, what was found, and the error that the true cameras give (NaN: none)."""
+    """Yield name of the rig's error, finding, and expected error (NaN: unknown)."""
     bench = Bench(folder=folder)
     for error in ERRORS:
         found = bench.tested(error)
-        for artefact in error.artefacts:
-            kind, _, position = artefact.partition("_")
-            ideal = bench.expected(error, artefact)
+        for kind, position in error.artefacts:
+            ideal = bench.expected(error, kind, position)
             for finding in found:
                 if (finding.kind, finding.position) == (kind, position):
                     yield error.name, finding, ideal.get(finding.quantity, math.nan)
@@ -219,7 +194,7 @@ def rows(folder: Path) -> Iterator[tuple[str, AcceptanceFinding, float]]:
 
 def print_table() -> None:
     """Print the table of all errors."""
-    print("| error put in | artefact | quantity | expected, mm | found, mm | ± 95 %, mm | decision |")
+    print("| error of the rig | artefact | quantity | expected, mm | found, mm | ± 95 %, mm | decision |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
     with tempfile.TemporaryDirectory(prefix="mammometry-acceptance-") as made:
         for name, one, ideal in rows(Path(made)):
