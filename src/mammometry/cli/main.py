@@ -45,7 +45,7 @@ _ClickException: type[Exception] = typer.BadParameter.__mro__[2]
 
 
 class Program(typer.Typer):
-    """Commands that are put together once, which takes 50 ms."""
+    """The program's commands, assembled at the first call only: this takes 50 ms."""
 
     @cached_property
     def _commands(self) -> Callable[..., Any]:

@@ -162,15 +162,15 @@ class CsvTable:
         return values
 
     def require(self, column: str, fine: Sequence[bool] | Bool[Array, " n"], expected: str) -> None:
-        """Refuse the first row of a column whose cell is not as expected.
+        """Refuse a column with an invalid cell, and name the first one.
 
         Args:
             column: its name.
-            fine: of each row.
-            expected: for the message.
+            fine: whether the cell is valid, for each row.
+            expected: description of a valid cell, for the message.
 
         Raises:
-            MammometryError: a row is not fine.
+            MammometryError: a cell is invalid.
         """
         row = next((row for row, good in enumerate(fine) if not good), None)
         if row is not None:

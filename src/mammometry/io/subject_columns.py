@@ -43,22 +43,22 @@ _LAST_ROWS = 6  # rows at a table's end that may be summaries: mean, SD, median,
 
 
 def column_named(table: CsvTable, names: Sequence[str], without: str | None = None) -> str | None:
-    """First column of a table that has one of these names, the surest name first. None: there is none.
+    """First column of a table with one of these names, in the order of the names. None: no such column.
 
     Args:
-        table: with its header.
-        names: folded.
-        without: a column that does not count.
+        table: the table.
+        names: names of columns, folded.
+        without: a column to be ignored.
     """
     known = {folded(name): name for name in reversed(table.columns) if name and name != without}
     return next((known[name] for name in names if name in known), None)
 
 
 def side_in(table: CsvTable, row: int, word: str) -> str:
-    """``left``, ``right``, or empty for an empty cell.
+    """Side of a row: ``left``, ``right``, or empty for an empty cell.
 
     Raises:
-        TableError: another word.
+        TableError: the cell has another word.
     """
     if word and folded(word) not in SIDE_WORDS:
         raise TableError(

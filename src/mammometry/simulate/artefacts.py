@@ -1,4 +1,4 @@
-"""Devices with known errors, which measure the artefacts of an acceptance test."""
+"""Virtual devices with known errors for acceptance tests."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ def unit_notice(units: str, lengths: Mapping[str, float | str] = MappingProxyTyp
 
     Args:
         units: the unit and its source, as in a `ForeignMesh`.
-        lengths: values on its length in other units that fit.
+        lengths: values for a notice about its length, if other units are plausible too.
     """
     if not units.endswith(_BY_SIZE):
         return None

@@ -25,9 +25,9 @@ from mammometry.study.acceptance.artefacts import (
     Sphere,
 )
 
-_EDGE_MM = 2.0  # of triangles, as of a rig's surfaces
-_BALL_EDGE_MM = 1.0  # of the triangles of a ball that is photographed: at most 0.006 mm within a ball of 60 mm
-_SEEN = -0.2  # least cosine between the skin's normal and the direction to the device, of what cameras around it see
+_EDGE_MM = 2.0  # edge of the triangles, as on a rig's surfaces
+_BALL_EDGE_MM = 1.0  # largest edge of an artefact to be photographed: error up to 0.006 mm on a ball of 60 mm
+_SEEN = -0.2  # least cosine between a visible face's normal and the device's direction: its cameras are spread out
 _ROD_MM = 8.0  # radius of a bar's rod, and of a ball's stem
 _STEM_MM = 90.0  # length of the stem below a ball
 _PLATE_MM = (240.0, 180.0)  # sides of a plane: a sheet of A4 with margins
@@ -38,11 +38,11 @@ DRAWN: dict[Kind, Artefact] = {
     "plane": Plane(flatness_std_mm=0.02, source="drawn"),
 }
 """Artefacts that a virtual rig photographs."""
-_NAME = "test-"  # with which their names begin
+_NAME = "test-"  # prefix of their names
 
 
 def artefact_mesh(artefact: Artefact, position: Position, *, edge_mm: float = _EDGE_MM) -> TriangleMesh:
-    """Exact surface of an artefact at a position, as far as the device sees it. A cast is whole."""
+    """Exact surface of an artefact at a position: the part that the device sees, or a whole cast."""
     centre = np.array(position.centre) * VOLUME_MM
     match artefact:
         case Sphere():
@@ -62,7 +62,7 @@ def artefact_mesh(artefact: Artefact, position: Position, *, edge_mm: float = _E
 
 
 def _whole(artefact: Artefact, position: Position, edge_mm: float) -> TriangleMesh:
-    """Everything that a camera may see of an artefact: a ball has a stem, a plate its back."""
+    """Whole artefact for photographs: a ball with its stem, a bar, or a plate with its back."""
     centre = np.array(position.centre) * VOLUME_MM
     match artefact:
         case Sphere():
@@ -106,7 +106,7 @@ def _plate(position: Position, centre: Float64[Array, 3], edge_mm: float) -> Tri
 def _rod(
     start: Float64[Array, 3], stop: Float64[Array, 3], from_mm: float, to_mm: float, edge_mm: float
 ) -> TriangleMesh:
-    """Round rod without lids, from a little less than `from_mm` after the start to as much before the end."""
+    """Open round rod, from 0.95 `from_mm` after the start to 0.95 `to_mm` before the end."""
     axis = (stop - start) / np.linalg.norm(stop - start)
     turn = _turned(axis)
     around = max(8, int(2 * np.pi * _ROD_MM / edge_mm))
