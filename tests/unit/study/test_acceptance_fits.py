@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 from scipy.optimize import least_squares
 
 from mammometry.study.acceptance.fits import (
@@ -89,7 +90,20 @@ def test_three_per_mille_are_left_out_and_no_more() -> None:
 def test_the_jackknife_of_a_mean_is_its_standard_error() -> None:
     values = np.random.default_rng(1).normal(size=400)
     without = (values.sum() - values) / 399
-    assert jackknife_std([without[:, None], without[:2, None]])[0] == pytest.approx(values.std(ddof=1) / 20.0, rel=1e-9)
+    expected = values.std(ddof=1) / 20.0 * stats.t.ppf(0.975, 399) / stats.norm.ppf(0.975)
+    assert jackknife_std([without[:, None]])[0] == pytest.approx(expected, rel=1e-9)
+    assert jackknife_std([without[:, None], np.full((2, 1), without[0])])[0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_few_cells_give_an_uncertainty_that_still_holds() -> None:
+    """Means of seven normal numbers: the factor of Student makes two standard uncertainties hold in 95 %."""
+    rng = np.random.default_rng(2)
+    held = 0
+    for _ in range(2000):
+        values = rng.normal(size=7)
+        std = jackknife_std([((values.sum() - values) / 6)[:, None]])[0]
+        held += abs(values.mean()) <= 1.96 * std
+    assert held / 2000 == pytest.approx(0.95, abs=0.015)  # three standard errors of the share
 
 
 def test_leaving_a_cell_out_is_fitting_without_it() -> None:
