@@ -67,3 +67,21 @@ def test_the_rigs_page_lists_its_own_tests(clinic, client_of) -> None:
     page = client_of(Role.TECHNICIAN).get(f"/rigs/{rig.pk}/").content.decode()
     assert "+0.41 ± 0.06 mm" in page
     assert "rejected" in page
+
+
+@pytest.mark.parametrize(("decision", "chip"), [("accept", "good"), ("reject", "bad"), ("undecided", "care")])
+def test_each_decision_has_its_colour_and_damaged_results_are_left_out(clinic, client_of, decision, chip) -> None:
+    rig = Rig.objects.create(name=f"Room {decision}", definition={})
+    whole = {"format": 1, "device": rig.name, "date": "2026-11-29", "decision": decision, "findings": []}
+    damaged = {**whole, "findings": [{"artefact": "bar", "quantity": "spacing", "error": "much"}]}
+    undated = {**whole, "date": "yesterday"}
+    texts = [json.dumps(whole), "{", "[]", "null", json.dumps(damaged), json.dumps(undated), "\x00"]
+    for number, text in enumerate(texts):
+        place = clinic.folder / "acceptance" / f"{decision}-{number}" / "results"
+        place.mkdir(parents=True)
+        (place / "acceptance.json").write_text(text)
+    (test,) = acceptance_tests(rig)
+    assert test.decision == decision
+    answer = client_of(Role.TECHNICIAN).get(f"/rigs/{rig.pk}/")
+    assert answer.status_code == 200
+    assert f'class="chip {chip}"' in answer.content.decode()

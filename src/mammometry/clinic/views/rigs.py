@@ -1,6 +1,7 @@
 """Pages of rigs: readiness, calibrations and their history, drift, the daily check."""
 
 import uuid
+from types import MappingProxyType
 from typing import Any
 from uuid import UUID
 
@@ -53,13 +54,17 @@ def rig(request: HttpRequest, rig: uuid.UUID) -> HttpResponse:
     return render(request, "clinic/rig.html", context)
 
 
+_CHIPS = MappingProxyType({"accept": ("good", "✓"), "reject": ("bad", "✕"), "undecided": ("care", "!")})
+"""Decision of an acceptance test → class and sign on the page."""
+
+
 def _tests(rig: Rig) -> list[dict[str, Any]]:
     """The rig's acceptance tests, the newest first, with their worst errors."""
     return [
         {
             "date": test.date,
             "decision": DECISION_WORDS.get(test.decision, test.decision),
-            "good": test.decision == "accept",
+            "chip": _CHIPS.get(test.decision, _CHIPS["undecided"]),
             "errors": worst_errors(test),
         }
         for test in reversed(rig_history.acceptance_tests(rig))
