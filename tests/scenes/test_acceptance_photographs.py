@@ -41,7 +41,7 @@ def photographs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made_once(tmp_path_factory, "acceptance-sphere", make) / "session"
 
 
-def tested(
+def run_with(
     photographs: Path, folder: Path, capsys: pytest.CaptureFixture[str], board: float
 ) -> tuple[int, dict[str, Any]]:
     """Exit code and answer of `acceptance run` if the board's size is stated as so many times the true one."""
@@ -64,7 +64,7 @@ def test_photographs_of_a_ball_lead_to_a_verdict(
     photographs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """True: not beyond any limit, nine positions missing. Board stated 1 % too large: rejected."""
-    code, true = tested(photographs, tmp_path / "true", capsys, 1.0)
+    code, true = run_with(photographs, tmp_path / "true", capsys, 1.0)
     found = {one["quantity"]: one for one in true["findings"]}
     assert (code, true["decision"], len(true["missing"]["sphere"])) == (UNDECIDED, "undecided", 9)
     assert abs(found["size"]["error"]) <= found["size"]["expanded_uncertainty"]
@@ -75,7 +75,7 @@ def test_photographs_of_a_ball_lead_to_a_verdict(
         assert [float(row["error"]) for row in csv.DictReader(rows)] == [one["error"] for one in true["findings"]]
     assert (results / "acceptance.pdf").read_bytes().startswith(b"%PDF")
 
-    code, wrong = tested(photographs, tmp_path / "wrong", capsys, 1.01)
+    code, wrong = run_with(photographs, tmp_path / "wrong", capsys, 1.01)
     size = next(one for one in wrong["findings"] if one["quantity"] == "size")
     assert (code, wrong["decision"], size["decision"]) == (REJECT, "reject", "reject")
     # 1 % of the diameter that was measured before; matching the same photographs again changes nothing else
