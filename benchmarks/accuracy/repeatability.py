@@ -88,7 +88,7 @@ def main() -> None:
     found = repeatability(readings)
     women, breasts = f"{found.women} virtual women", f"{found.breasts} breasts of {found.mean_cc:.0f} cc on average"
     print(f"{women}, {breasts}, {found.captures} captures by a virtual telephone", end="\n\n")
-    for table in repeatability_tables(found)[:4]:
+    for table in repeatability_tables(found)[:5]:
         print(table.as_markdown())
 
 

@@ -219,6 +219,55 @@ def test_limits_of_repeated_measurements_are_bland_and_altmans() -> None:
     assert found.lower.interval[0] < found.lower.value < found.lower.interval[1] < found.upper.interval[0]
 
 
+@pytest.mark.requirement("R-REP-1")
+def test_limits_in_per_cent_are_those_of_the_logarithms() -> None:
+    rng = np.random.default_rng(13)
+    readings = [
+        Reading(woman=str(w), rater=rater, capture=str(k), volume_cc=(200 + 60 * w) * factor * math.exp(e))
+        for w in range(12)
+        for rater, factor in (("a", 1.0), ("b", 1.05))
+        for k, e in enumerate(rng.normal(0, 0.02, 2))
+    ]
+    found = repeatability(readings)
+    (in_cc,), (in_percent,) = found.limits, found.limits_percent
+    own: dict[str, dict[str, list[float]]] = {"a": {}, "b": {}}
+    for one in readings:
+        own[one.rater].setdefault(one.woman, []).append(math.log(one.volume_cc))
+    logarithms = repeated_limits(own["a"], own["b"], 12, names=("rater", "a", "b"))
+    assert logarithms is not None
+    for name in ("bias", "lower", "upper"):
+        expected = getattr(logarithms, name)
+        values = [expected.value, *expected.interval]
+        shown = getattr(in_percent, name)
+        assert [shown.value, *shown.interval] == pytest.approx([100 * (math.exp(value) - 1) for value in values])
+    assert in_percent.bias.value == pytest.approx(5, abs=1.5)
+    assert in_cc.bias.value == pytest.approx(0.05 * (200 + 60 * 5.5), rel=0.3)
+
+
+def test_a_class_of_size_has_its_own_scatter_with_intervals() -> None:
+    """Small breasts scatter by 2 % and large ones by 1 %: χ² intervals of 12 and 10 degrees of freedom."""
+    rng = np.random.default_rng(17)
+    sizes = {"small": (200.0, 0.02, 12), "large": (800.0, 0.01, 10)}
+    readings = [
+        Reading(woman=f"{name} {w}", capture=str(k), volume_cc=mean * math.exp(e))
+        for name, (mean, relative, women) in sizes.items()
+        for w in range(women)
+        for k, e in enumerate(rng.normal(0, relative, 2))
+    ]
+    found = repeatability(readings)
+    assert [(one.from_cc, one.breasts) for one in found.sizes] == [(0.0, 12), (500.0, 10)]
+    for one, (name, (_, relative, women)) in zip(found.sizes, sizes.items(), strict=True):
+        pairs = np.array([one.volume_cc for one in readings if one.woman.startswith(name)]).reshape(women, 2)
+        variance = float(((pairs[:, 1] - pairs[:, 0]) ** 2).mean() / 2)
+        assert one.sem_cc.value == pytest.approx(math.sqrt(variance))
+        bounds = [math.sqrt(women * variance / stats.chi2.ppf(q, women)) for q in (0.975, 0.025)]
+        assert one.sem_cc.interval == pytest.approx(bounds)
+        assert one.detectable_cc.interval == pytest.approx([1.959964 * math.sqrt(2) * bound for bound in bounds])
+        assert one.cv_percent.interval[0] < 100 * relative < one.cv_percent.interval[1]
+        spread = float(((np.log(pairs[:, 1]) - np.log(pairs[:, 0])) ** 2).mean() / 2)
+        assert one.detectable_percent.value == pytest.approx(100 * math.expm1(1.959964 * math.sqrt(2 * spread)))
+
+
 @pytest.mark.requirement("R-REP-2")
 def test_a_plan_shows_its_claim_as_often_as_it_says() -> None:
     planned = plan(25.0, 6.0)

@@ -24,7 +24,10 @@ _LEAST = 3  # breasts that both measured
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RepeatedLimits:
-    """Agreement of single measurements by two raters, devices or readers. Second less first."""
+    """Agreement of single measurements by two raters, devices or readers. Second less first.
+
+    In the unit of the measurements, or in per cent of the first.
+    """
 
     what: str
     """``rater``, ``device`` or ``reader``."""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy  # it imports scipy.stats, which takes half a second, when that is used
 
 from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.study.agreement import IntervalEstimate
 from mammometry.study.repeatability.components import Components, chi_square_bounds, components
 from mammometry.study.repeatability.design import SUBJECT, Design, Reading, design, volumes_of
@@ -40,8 +41,21 @@ class Component:
     """Of the variance of all effects but the breast; of the breast's effects, NaN."""
 
 
+class _Scatter:
+    """Detectable change from a standard error of measurement."""
+
+    __slots__ = ()
+    sem_cc: IntervalEstimate
+
+    @property
+    def detectable_cc(self) -> IntervalEstimate:
+        """Smallest detectable change, cc: 1.96 √2 SEM. Two repetitions have the limits of agreement ± this."""
+        low, high = self.sem_cc.interval
+        return IntervalEstimate(value=DETECTABLE * self.sem_cc.value, interval=(DETECTABLE * low, DETECTABLE * high))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Repetition:
+class Repetition(_Scatter):
     """Scatter of one measurement if some things change and others do not."""
 
     level: str
@@ -59,23 +73,20 @@ class Repetition:
     """Share of the variance that two measurements at this level have in common: intraclass correlation for absolute
     agreement, single measurement, all effects random: ICC(A,1). For a new capture by the same rater, ICC(1)."""
 
-    @property
-    def detectable_cc(self) -> IntervalEstimate:
-        """Smallest detectable change, cc: 1.96 √2 SEM. Two repetitions have the limits of agreement ± this."""
-        low, high = self.sem_cc.interval
-        return IntervalEstimate(value=DETECTABLE * self.sem_cc.value, interval=(DETECTABLE * low, DETECTABLE * high))
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SizeClass:
+class SizeClass(_Scatter):
     """Scatter of repeated captures of breasts of some size."""
 
     from_cc: float
     to_cc: float
     breasts: int
     sem_cc: IntervalEstimate
-    cv_percent: float
-    """Root mean square of the scatter by the breast's mean, %."""
+    """Standard error of a new capture, cc."""
+    cv_percent: IntervalEstimate
+    """Coefficient of variation, %, of the logarithms."""
+    detectable_percent: IntervalEstimate
+    """Smallest detectable increase, %."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,7 +118,9 @@ class RepeatabilityStudy:
     size_trend_p: float
     """Of Kendall's correlation of scatter and size: below 0.05, percentages describe it better. NaN: unknown."""
     limits: tuple[RepeatedLimits, ...]
-    """Of each pair of raters, devices and readers."""
+    """Of each pair of raters, devices and readers, cc."""
+    limits_percent: tuple[RepeatedLimits, ...]
+    """The same of the logarithms, as per cent of the first one's volume."""
     changes: tuple[ConditionChange, ...]
 
 
@@ -141,7 +154,8 @@ def repeatability(readings: Sequence[Reading]) -> RepeatabilityStudy:
         ),
         sizes=tuple(_by_size(repeated)),
         size_trend_p=_trend_p(repeated),
-        limits=tuple(_limits(readings)),
+        limits=tuple(_limits(readings, volumes)),
+        limits_percent=tuple(map(_in_percent, _limits(readings, np.log(volumes)))),
         changes=tuple(condition_changes(readings)),
     )
 
@@ -171,12 +185,15 @@ def _repetition(
         effects=tuple(planned.effects[place] for place in places),
         sem_cc=IntervalEstimate(value=sem, interval=interval),
         df=df,
-        cv_percent=IntervalEstimate(value=_cv(relative), interval=(_cv(bounds[0]), _cv(bounds[1]))),
-        detectable_percent=IntervalEstimate(
-            value=_increase(relative), interval=(_increase(bounds[0]), _increase(bounds[1]))
-        ),
+        cv_percent=_mapped(_cv, relative, bounds),
+        detectable_percent=_mapped(_increase, relative, bounds),
         icc=_icc(found, places),
     )
+
+
+def _mapped(function: Callable[[float], float], value: float, bounds: tuple[float, float]) -> IntervalEstimate:
+    """An estimate and its interval under an increasing function."""
+    return IntervalEstimate(value=function(value), interval=(function(bounds[0]), function(bounds[1])))
 
 
 def _cv(deviation: float) -> float:
@@ -210,43 +227,63 @@ def _log_ratio(larger: float, smaller: float) -> float:
     return min(math.log(larger / smaller), _FAR) if smaller > 0 else _FAR
 
 
-def _by_size(cells: Sequence[np.ndarray]) -> Iterator[SizeClass]:
+def _by_size(cells: Sequence[Float64[Array, " m"]]) -> Iterator[SizeClass]:
     for low, high in SIZES_CC:
         own = [values for values in cells if low <= values.mean() < high]
         if not own:
             continue
-        df = sum(len(values) - 1 for values in own)
-        variance = sum(float(((values - values.mean()) ** 2).sum()) for values in own) / df
-        relative = sum(float(((values / values.mean() - 1) ** 2).sum()) for values in own) / df
-        bounds = chi_square_bounds(df)
+        sem, bounds = _within(own)
+        relative, relative_bounds = _within([np.log(values) for values in own])
         yield SizeClass(
             from_cc=low,
             to_cc=high,
             breasts=len(own),
-            sem_cc=IntervalEstimate(
-                value=math.sqrt(variance), interval=(math.sqrt(variance * bounds[0]), math.sqrt(variance * bounds[1]))
-            ),
-            cv_percent=100 * math.sqrt(relative),
+            sem_cc=IntervalEstimate(value=sem, interval=bounds),
+            cv_percent=_mapped(_cv, relative, relative_bounds),
+            detectable_percent=_mapped(_increase, relative, relative_bounds),
         )
 
 
-def _trend_p(cells: Sequence[np.ndarray]) -> float:
+def _within(own: Sequence[Float64[Array, " m"]]) -> tuple[float, tuple[float, float]]:
+    """Standard deviation within groups, and its 95 % interval by χ²."""
+    df = sum(len(values) - 1 for values in own)
+    variance = sum(float(((values - values.mean()) ** 2).sum()) for values in own) / df
+    low, high = chi_square_bounds(df)
+    return math.sqrt(variance), (math.sqrt(variance * low), math.sqrt(variance * high))
+
+
+def _trend_p(cells: Sequence[Float64[Array, " m"]]) -> float:
     if len(cells) < 4:
         return math.nan
     return float(scipy.stats.kendalltau([own.mean() for own in cells], [own.std(ddof=1) for own in cells]).pvalue)
 
 
-def _limits(readings: Sequence[Reading]) -> Iterator[RepeatedLimits]:
+def _limits(readings: Sequence[Reading], values: Float64[Array, " n"]) -> Iterator[RepeatedLimits]:
+    of_woman = {one.breast: one.woman for one in readings}
     for what in ("device", "rater", "reader"):
         by_name: dict[str, dict[str, list[float]]] = {}
-        of_woman = {one.breast: one.woman for one in readings}
-        for one in readings:
-            by_name.setdefault(getattr(one, what), {}).setdefault(one.breast, []).append(one.volume_cc)
+        for one, own in zip(readings, values.tolist(), strict=True):
+            by_name.setdefault(getattr(one, what), {}).setdefault(one.breast, []).append(own)
         for first, second in itertools.combinations(by_name, 2):
             women = len({of_woman[breast] for breast in by_name[first] if breast in by_name[second]})
             found = repeated_limits(by_name[first], by_name[second], women, names=(what, first, second))
             if found is not None:
                 yield found
+
+
+def _in_percent(logarithms: RepeatedLimits) -> RepeatedLimits:
+    """Limits of differences of logarithms as per cent."""
+
+    def percent(estimate: IntervalEstimate) -> IntervalEstimate:
+        return _mapped(lambda value: 100 * math.expm1(value), estimate.value, estimate.interval)
+
+    return replace(
+        logarithms,
+        bias=percent(logarithms.bias),
+        sd=_mapped(_cv, logarithms.sd.value, logarithms.sd.interval),
+        lower=percent(logarithms.lower),
+        upper=percent(logarithms.upper),
+    )
 
 
 def condition_changes(readings: Sequence[Reading]) -> Iterator[ConditionChange]:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from typing import Any
 
 from mammometry.base.csv_cells import csv_text
 from mammometry.study.agreement import IntervalEstimate
 from mammometry.study.repeatability.design import ANOTHER_DAY, ANYBODY, SAME_DAY, Reading
-from mammometry.study.repeatability.plan import DETECTABLE, CapturePlan, ClaimCheck, plan
+from mammometry.study.repeatability.limits import RepeatedLimits
+from mammometry.study.repeatability.plan import CapturePlan, ClaimCheck, plan
 from mammometry.study.repeatability.study import MOVED_MM, RepeatabilityStudy, Repetition, SizeClass
 from mammometry.study.tables import TextTable, number, p_words, plain
 
@@ -121,38 +122,11 @@ def repeatability_tables(found: RepeatabilityStudy) -> list[TextTable]:
                 for one in found.components
             ),
         ),
-        TextTable(
-            title="By size",
-            columns=("breast", "breasts and persons", "SEM of a new capture, cc", "95 % interval", "%"),
-            rows=tuple(
-                (
-                    _size(one),
-                    str(one.breasts),
-                    number(one.sem_cc.value, ".1f"),
-                    _span(one.sem_cc, ".1f"),
-                    number(one.cv_percent, ".1f"),
-                )
-                for one in found.sizes
-            ),
-        ),
+        *_size_tables(found.sizes),
     ]  # fmt: skip
-    if found.limits:
-        tables.append(
-            TextTable(
-                title="Limits of agreement of single measurements",
-                columns=("second less first", "breasts", "bias, cc", "95 % interval", "lower limit, cc",
-                         "95 % interval", "upper limit, cc", "95 % interval"),
-                rows=tuple(
-                    (
-                        f"{one.what} {one.second} less {one.first}",
-                        str(one.breasts),
-                        *(text for estimate in (one.bias, one.lower, one.upper)
-                          for text in (number(estimate.value, "+.1f"), _span(estimate, "+.1f"))),
-                    )
-                    for one in found.limits
-                ),
-            )
-        )  # fmt: skip
+    for unit, limits in (("cc", found.limits), ("%", found.limits_percent)):
+        if limits:
+            tables.append(_limits_table(limits, unit))
     if found.changes:
         tables.append(
             TextTable(
@@ -162,6 +136,46 @@ def repeatability_tables(found: RepeatabilityStudy) -> list[TextTable]:
             )
         )
     return tables
+
+
+def _size_tables(sizes: Sequence[SizeClass]) -> Iterator[TextTable]:
+    def table(title: str, names: tuple[str, str], estimates: Iterable[tuple[IntervalEstimate, ...]]) -> TextTable:
+        return TextTable(
+            title=title,
+            columns=("breast", "breasts and persons", names[0], "95 % interval", names[1], "95 % interval"),
+            rows=tuple(
+                (
+                    _size(one),
+                    str(one.breasts),
+                    *(text for estimate in own for text in (number(estimate.value, ".1f"), _span(estimate, ".1f"))),
+                )
+                for one, own in zip(sizes, estimates, strict=True)
+            ),
+        )
+
+    yield table("New captures by size", ("SEM, cc", "SDC, cc"), ((one.sem_cc, one.detectable_cc) for one in sizes))
+    yield table(
+        "New captures by size, per cent",
+        ("CV, %", "SDC, %"),
+        ((one.cv_percent, one.detectable_percent) for one in sizes),
+    )
+
+
+def _limits_table(limits: Sequence[RepeatedLimits], unit: str) -> TextTable:
+    return TextTable(
+        title=f"Limits of agreement of single measurements, {unit}",
+        columns=("second less first", "breasts", f"bias, {unit}", "95 % interval", f"lower limit, {unit}",
+                 "95 % interval", f"upper limit, {unit}", "95 % interval"),
+        rows=tuple(
+            (
+                f"{one.what} {one.second} less {one.first}",
+                str(one.breasts),
+                *(text for estimate in (one.bias, one.lower, one.upper)
+                  for text in (number(estimate.value, "+.1f"), _span(estimate, "+.1f"))),
+            )
+            for one in limits
+        ),
+    )  # fmt: skip
 
 
 def claim_sheet(found: RepeatabilityStudy) -> list[tuple[str, str]]:
@@ -183,8 +197,7 @@ def claim_sheet(found: RepeatabilityStudy) -> list[tuple[str, str]]:
         ),
         (
             "By size",
-            "; ".join(f"{_size(size)}: {number(DETECTABLE * size.sem_cc.value, '.0f')} cc" for size in found.sizes)
-            + ".",
+            "; ".join(f"{_size(size)}: {number(size.detectable_cc.value, '.0f')} cc" for size in found.sizes) + ".",
         ),
         (
             "Activities",
@@ -225,6 +238,8 @@ def repeatability_json(found: RepeatabilityStudy, claim: ClaimCheck | None = Non
     table = asdict(found)
     for one, row in zip(found.repetitions, table["repetitions"], strict=True):
         row["detectable_cc"] = asdict(one.detectable_cc)
+    for size, row in zip(found.sizes, table["sizes"], strict=True):
+        row["detectable_cc"] = asdict(size.detectable_cc)
     return dict(plain(table | {"claim": None if claim is None else asdict(claim)}))
 
 
