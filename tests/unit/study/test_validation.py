@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy import optimize, stats
 
 from mammometry.study.validation.regression import concordance, deming, passing_bablok
 from mammometry.study.validation.study import ValidationCase, validation
@@ -26,6 +27,57 @@ def test_demings_line_of_equal_errors_is_the_principal_axis() -> None:
     assert stretched.slope.value == pytest.approx(3 * line.slope.value)
     exact = deming(x, y, np.arange(25), ratio=1e12)  # all errors in y: least squares
     assert exact.slope.value == pytest.approx(np.polyfit(x, y, 1)[0], rel=1e-6)
+
+
+@pytest.mark.requirement("R-TRUTH-1")
+def test_demings_line_of_a_published_example() -> None:
+    """NCSS Statistical Software, chapter 303: line and jackknife, errors of x four times as large in variance."""
+    x = np.array([7.0, 8.3, 10.5, 9.0, 5.1, 8.2, 10.2, 10.3, 7.1, 5.9])
+    y = np.array([7.9, 8.2, 9.6, 9.0, 6.5, 7.3, 10.2, 10.6, 6.3, 5.2])
+    line = deming(x, y, np.arange(10), ratio=0.25)
+    assert (line.slope.value, line.intercept.value) == pytest.approx((1.00119, -0.08974), abs=5e-6)
+    low, high = line.intercept.interval
+    assert (high - low) / 2 / stats.t.ppf(0.975, 9) == pytest.approx(1.72199, abs=5e-6)
+
+
+@pytest.mark.requirement("R-TRUTH-1")
+@pytest.mark.parametrize("ratio", [0.3, 1.0, 5.0])
+def test_demings_line_is_the_likeliest_with_free_true_values(ratio: float) -> None:
+    """Least squares over the line and every breast's true value, by scipy."""
+    x, y = drawn(np.random.default_rng(8), 20, 0.93, (15.0, 15.0 * math.sqrt(ratio)))
+
+    def rest(unknowns: np.ndarray) -> np.ndarray:
+        slope, intercept, *true = unknowns
+        return np.concatenate([x - true, (y - intercept - slope * np.array(true)) / math.sqrt(ratio)])
+
+    found = optimize.least_squares(rest, [1.0, 0.0, *x], xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac").x
+    line = deming(x, y, np.arange(20), ratio)
+    assert line.slope.value == pytest.approx(found[0], rel=1e-6)
+    assert line.intercept.value == pytest.approx(found[1], abs=1e-3)
+
+
+@pytest.mark.requirement("R-TRUTH-1")
+@pytest.mark.parametrize("n", [12, 31])
+def test_passing_and_bablok_by_the_angles_of_all_pairs(n: int) -> None:
+    """Angles between −45° and 135°: their median is the slope's, and ranks by Kendall's variance bound it."""
+    x, y = (np.round(values, -1) for values in drawn(np.random.default_rng(n), n, 1.1, (30.0, 30.0)))  # with ties
+    turned = []
+    for i in range(n):
+        for j in range(i):
+            if (x[i], y[i]) != (x[j], y[j]):
+                angle = math.degrees(math.atan2(y[i] - y[j], x[i] - x[j])) % 180
+                if angle != 135:
+                    turned.append(angle - 180 if angle > 135 else angle)
+    turned.sort()
+    count = len(turned)
+    slope = [math.tan(math.radians(turned[place])) for place in ((count - 1) // 2, count // 2)]
+    lowest = round((count - 1.959964 * math.sqrt(n * (n - 1) * (2 * n + 5) / 18)) / 2)
+    bounds = [math.tan(math.radians(turned[place])) for place in (lowest - 1, count - lowest)]
+    line = passing_bablok(x, y)
+    assert line.slope.value == pytest.approx(sum(slope) / 2)
+    assert line.slope.interval == pytest.approx(bounds)
+    intercepts = [float(np.median(y - value * x)) for value in (line.slope.value, bounds[1], bounds[0])]
+    assert [line.intercept.value, *line.intercept.interval] == pytest.approx(intercepts)
 
 
 @pytest.mark.requirement("R-TRUTH-1")
