@@ -153,9 +153,9 @@ def validation(
         if kind is not None and kind not in KINDS:
             raise typer.BadParameter(f"{option}: one of {', '.join(KINDS)}")
     if template is not None:
-        name = f"{template}.csv"
-        require_free(out, [name], command=_TRUTH)
-        write_outputs(out, {name: example(template).encode()}, command=_TRUTH)
+        name, writer = f"{template}.csv", f"{_TRUTH} --template {template}"
+        require_free(out, [name], command=writer)
+        write_outputs(out, {name: example(template).encode()}, command=writer)
         return Answer({"table": str(out / name)}, [f"Table: {out / name}"])
     if table is None:
         raise typer.BadParameter("TABLE.csv is missing; --template water writes an example")

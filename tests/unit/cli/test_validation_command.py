@@ -60,6 +60,12 @@ def test_a_table_of_specimens_becomes_a_page(tmp_path: Path, capsys: pytest.Capt
     assert again["ratio"] == pytest.approx(answer["ratio"], rel=1e-3)
 
 
+def test_templates_of_several_truths_stay_beside_one_another(tmp_path: Path) -> None:
+    for kind in KINDS:
+        assert main.run(["study", "validation", "--template", kind, "--out", str(tmp_path)]) == 0
+    assert {path.name for path in tmp_path.glob("*.csv")} == {f"{kind}.csv" for kind in KINDS}
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_templates_are_read_again(tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str) -> None:
     assert main.run(["study", "validation", "--template", kind, "--out", str(tmp_path)]) == 0

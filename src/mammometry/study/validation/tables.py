@@ -58,7 +58,7 @@ def validation_tables(found: ValidationStudy) -> list[TextTable]:
         TextTable(
             title="Measured less truth, by definition of the volume",
             columns=("definition", "breasts", "bias, cc", "95 % interval", "SD, cc", "of it the truth's own, cc",
-                     "lower limit, cc", "95 % interval", "upper limit, cc", "95 % interval"),
+                     "concordance"),
             rows=tuple(
                 (
                     one.definition,
@@ -67,6 +67,17 @@ def validation_tables(found: ValidationStudy) -> list[TextTable]:
                     _span(one.agreement.mean_difference, "+.1f"),
                     number(one.agreement.sd.value, ".1f"),
                     number(one.truth_sd_cc, ".1f"),
+                    number(one.concordance, ".4f"),
+                )
+                for one in found.definitions
+            ),
+        ),
+        TextTable(
+            title="Limits of agreement, by definition of the volume",
+            columns=("definition", "lower limit, cc", "95 % interval", "upper limit, cc", "95 % interval"),
+            rows=tuple(
+                (
+                    one.definition,
                     *(text for limit in (one.agreement.lower_limit, one.agreement.upper_limit)
                       for text in (number(limit.value, "+.1f"), _span(limit, "+.1f"))),
                 )
@@ -75,17 +86,17 @@ def validation_tables(found: ValidationStudy) -> list[TextTable]:
         ),
         TextTable(
             title="Proportional bias: measured = intercept + slope × truth",
-            columns=("definition", "slope (Deming)", "95 % interval", "intercept, cc", "95 % interval",
-                     "slope (Passing–Bablok)", "95 % interval", "intercept, cc", "95 % interval", "concordance"),
+            columns=("definition, line", "slope", "95 % interval", "intercept, cc", "95 % interval"),
             rows=tuple(
                 (
-                    one.definition,
-                    *(text for line in (one.deming, one.passing_bablok)
-                      for text in (number(line.slope.value, ".3f"), _span(line.slope, ".3f"),
-                                   number(line.intercept.value, "+.1f"), _span(line.intercept, "+.1f"))),
-                    number(one.concordance, ".4f"),
+                    f"{one.definition}, {name}",
+                    number(line.slope.value, ".3f"),
+                    _span(line.slope, ".3f"),
+                    number(line.intercept.value, "+.1f"),
+                    _span(line.intercept, "+.1f"),
                 )
                 for one in found.definitions
+                for name, line in (("Deming", one.deming), ("Passing–Bablok", one.passing_bablok))
             ),
         ),
     ]  # fmt: skip
