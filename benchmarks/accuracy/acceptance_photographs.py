@@ -42,7 +42,7 @@ from mammometry.study.acceptance.evaluate import AcceptanceFinding
 from mammometry.study.acceptance.fits import SphereFit, fit_sphere
 
 RIG = Path(__file__).parent / "rigs" / "stand.toml"
-RECIPE = SessionRecipe(rig=f"{RIG}:front", subject="test-sphere_1", scale=0.6, seed=3, poses=8)
+RECIPE = SessionRecipe(rig=f"{RIG}:front", subject="test-sphere_1", scale=1.2, seed=3, poses=8)
 SETTINGS = Settings()
 _FACING = 0.55  # least cosine between a ball's normal and the lines of sight, of the points that both cameras match
 _POINTS = 4000  # on a whole ball, or on a plane
