@@ -2,9 +2,11 @@
 
     python -m benchmarks.accuracy.studies --tables 2000
     python -m benchmarks.accuracy.studies --repeated 300
+    python -m benchmarks.accuracy.studies --lines 1000
 
 The first draws tables of n subjects by k methods whose true intraclass correlation is ρ, and of women with one or both
-breasts. The second draws tables of repeated captures of five designs with known components of variance.
+breasts. The second draws tables of repeated captures of five designs with known components of variance. The third draws
+validations against a truth that has errors of its own: lines with errors in both, and least squares for comparison.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from mammometry.study.icc import intraclass_correlations
 from mammometry.study.repeatability.design import ANOTHER_DAY, ANYBODY, SAME_DAY, Reading
 from mammometry.study.repeatability.study import repeatability
 from mammometry.study.tables import TextTable
+from mammometry.study.validation.regression import deming, passing_bablok
 
 _SIZES = ((3, 2), (6, 2), (9, 2), (20, 2), (6, 3), (3, 4))  # subjects × methods
 _CORRELATIONS = (0.0, 0.5, 0.95)
@@ -115,6 +118,42 @@ def repeated_captures(tables: int, seed: int) -> TextTable:
     return TextTable(title="Repeated captures", columns=columns, rows=tuple(rows))
 
 
+_LINES = (
+    (15, False, 10.0, 10.0),
+    (30, False, 10.0, 10.0),
+    (30, False, 40.0, 10.0),
+    (30, False, 10.0, 40.0),
+    (15, True, 10.0, 10.0),
+)
+"""Women, whether both breasts of each are measured, standard deviations of the truth and of the measurement, cc."""
+_SLOPE, _INTERCEPT_CC = 1.08, 10.0
+
+
+def lines(tables: int, seed: int) -> TextTable:
+    """Slopes of Deming's and of Passing and Bablok's lines, and how often their intervals hold the true one."""
+    rows = []
+    for place, (women, both, truth_sd, measured_sd) in enumerate(_LINES):
+        rng = np.random.default_rng([seed, place])
+        whose = np.repeat(np.arange(women), 2 if both else 1)
+        slopes, held = np.zeros((tables, 3)), np.zeros(2)
+        for table in range(tables):
+            volumes = rng.uniform(200, 700, women)[whose] + (rng.normal(0, 40, len(whose)) if both else 0.0)
+            truth = volumes + rng.normal(0, truth_sd, len(whose))
+            measured = _INTERCEPT_CC + _SLOPE * volumes + rng.normal(0, measured_sd, len(whose))
+            found = (deming(truth, measured, whose, (measured_sd / truth_sd) ** 2), passing_bablok(truth, measured))
+            slopes[table] = [np.polyfit(truth, measured, 1)[0], *(line.slope.value for line in found)]
+            held += [line.slope.interval[0] <= _SLOPE <= line.slope.interval[1] for line in found]
+        name = f"{women} women, {'both breasts' if both else 'one breast'}"
+        means, shares = slopes.mean(axis=0), 100 * held / tables
+        rows.append(
+            (name, f"{truth_sd:g}, {measured_sd:g}", f"{means[0]:.3f}", f"{means[1]:.3f}", f"{shares[0]:.1f}",
+             f"{means[2]:.3f}", f"{shares[1]:.1f}")
+        )  # fmt: skip
+    columns = ("table", "SD of truth, of measurement, cc", "mean slope, least squares", "Deming", "held, %",
+               "Passing–Bablok", "held, %")  # fmt: skip
+    return TextTable(title=f"Lines with errors in both, true slope {_SLOPE:g}", columns=columns, rows=tuple(rows))
+
+
 def correlations(tables: int, rng: np.random.Generator) -> TextTable:
     """Faulty intervals of all six forms, and coverage of ICC(2,1)."""
     rows = []
@@ -171,10 +210,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--tables", type=int, default=2000, help="random tables for each row")
     parser.add_argument("--repeated", type=int, default=0, help="instead: tables for each design of repeated captures")
+    parser.add_argument("--lines", type=int, default=0, help="instead: tables for each validation against a truth")
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
     if arguments.repeated:
         print(repeated_captures(arguments.repeated, arguments.seed).as_markdown())
+        return
+    if arguments.lines:
+        print(lines(arguments.lines, arguments.seed).as_markdown())
         return
     rng = np.random.default_rng(arguments.seed)
     print(correlations(arguments.tables, rng).as_markdown())
