@@ -2,12 +2,14 @@
 
     python -m benchmarks.accuracy.acceptance --draws 1000
     python -m benchmarks.accuracy.acceptance --rig
+    python -m benchmarks.accuracy.acceptance --balls
 
 The first draws a ball of 145 mm and a bar of 300 mm with balls of 60 mm again and again, each time with new errors of
 the device and a new reference value within the artefact's uncertainty. Prints how often the expanded uncertainty (95 %)
 contains the error, with errors that are independent from point to point, and with ones that neighbouring points share.
 
-The second tests a virtual rig with known errors, from photographs to verdict: see `acceptance_photographs`.
+The second tests a virtual rig with known errors, from photographs to verdict, and the third measures balls in coarse
+and in finer photographs: see `acceptance_photographs`.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.accuracy.acceptance_photographs import print_table
+from benchmarks.accuracy.acceptance_photographs import print_balls, print_table
 from mammometry.simulate.artefacts import DeviceErrors, shared_errors
 from mammometry.simulate.subjects.artefacts import artefact_mesh
 from mammometry.study.acceptance.artefacts import POSITIONS, Bar, Limits, Sphere
@@ -66,9 +68,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--draws", type=int, default=1000)
     parser.add_argument("--rig", action="store_true", help="a virtual rig with errors put in")
+    parser.add_argument("--balls", action="store_true", help="balls in coarse and in finer photographs")
     chosen = parser.parse_args()
     if chosen.rig:
         print_table()
+        return
+    if chosen.balls:
+        print_balls()
         return
     count = chosen.draws
     print("| errors of the device | error | within ± 95 % | SD of the error, mm | mean ± 95 %, mm |")

@@ -38,13 +38,16 @@ from mammometry.simulate.subjects.artefacts import DRAWN
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.solid import rig_from_solid
 from mammometry.study.acceptance.artefacts import POSITIONS, VOLUME_MM, Bar, Kind, Sphere
-from mammometry.study.acceptance.evaluate import AcceptanceFinding
+from mammometry.study.acceptance.evaluate import AcceptanceFinding, Outcome
 from mammometry.study.acceptance.fits import SphereFit, fit_sphere
+from mammometry.study.acceptance.patches import SpherePatch
 
 RIG = Path(__file__).parent / "rigs" / "stand.toml"
 RECIPE = SessionRecipe(rig=f"{RIG}:front", subject="test-sphere_1", scale=1.2, seed=3, poses=8)
 SETTINGS = Settings()
 _FACING = 0.55  # least cosine between a ball's normal and the lines of sight, of the points that both cameras match
+_BALL_SCALES, _BALL_SEEDS = (0.6, 1.2), (3, 5)  # sizes of the photographs, and rigs
+_DISTANCE_MM = 720.0  # of the cameras of this rig
 _POINTS = 4000  # on a whole ball, or on a plane
 
 
@@ -107,15 +110,15 @@ class Bench:
         if not take_over(open_session(out, self.settings), open_session(calibrated, self.settings)):
             raise RuntimeError("the calibration was not taken over")
 
-    def tested(self, error: RigFault) -> tuple[AcceptanceFinding, ...]:
-        """Findings of an acceptance test of the rig with an error."""
+    def tested(self, error: RigFault) -> Outcome:
+        """Acceptance test of the rig with an error."""
         folder = self.folder / error.name.replace(" ", "-").replace("%", "percent").replace("°", "deg")
         for kind, position in error.artefacts:
             (folder / kind).mkdir(parents=True, exist_ok=True)
             self.measured(error, kind, position, folder / kind / position)
         kinds = {kind for kind, _ in error.artefacts}
         (folder / DESCRIPTION).write_text(_described(kinds))
-        return run_acceptance(folder, self.settings).findings
+        return run_acceptance(folder, self.settings)
 
     def expected(self, error: RigFault, kind: Kind, position: str) -> dict[str, float]:
         """Quantity → error of an ideal measurement by cameras with this error, mm."""
@@ -184,7 +187,7 @@ def rows(folder: Path) -> Iterator[tuple[str, AcceptanceFinding, float]]:
     """Yield name of the rig's error, finding, and expected error (NaN: unknown)."""
     bench = Bench(folder=folder)
     for error in ERRORS:
-        found = bench.tested(error)
+        found = bench.tested(error).findings
         for kind, position in error.artefacts:
             ideal = bench.expected(error, kind, position)
             for finding in found:
@@ -202,5 +205,30 @@ def print_table() -> None:
             print(
                 f"| {name} | {one.kind} {one.position} | {one.quantity} | {known} | {one.error:+.2f} | "
                 f"{one.expanded:.2f} | {one.decision} |",
+                flush=True,
+            )
+
+
+def print_balls() -> None:
+    """Print how much too large balls come out in coarse and in finer photographs, without any error of the rig."""
+    print("| photographs | balls | width, pixels | error of the diameter, mean, mm | SD, mm |")
+    print("| --- | --- | --- | --- | --- |")
+    error = replace(ERRORS[0], artefacts=(("sphere", "1"), ("bar", "1"), ("bar", "2")))
+    for scale in _BALL_SCALES:
+        errors: dict[float, list[float]] = {}
+        for seed in _BALL_SEEDS:
+            recipe = replace(RECIPE, scale=scale, seed=seed)
+            with tempfile.TemporaryDirectory(prefix="mammometry-acceptance-") as made:
+                for result in Bench(folder=Path(made), recipe=recipe).tested(error).results:
+                    ball = DRAWN[result.kind]
+                    if isinstance(ball, (Sphere, Bar)):
+                        found = [2 * patch.fit.radius_mm for patch in result.patches if isinstance(patch, SpherePatch)]
+                        errors.setdefault(ball.diameter_mm, []).extend(np.array(found) - ball.diameter_mm)
+        left = make_rig(RECIPE.rig, scale, RECIPE.seed).pairs[0].left
+        pixels_per_mm = left.matrix[0, 0] / _DISTANCE_MM
+        for diameter, own in errors.items():
+            print(
+                f"| {left.size_wh[0]} × {left.size_wh[1]} | {len(own)} of {diameter:g} mm | "
+                f"{diameter * pixels_per_mm:.0f} | {np.mean(own):+.2f} | {np.std(own, ddof=1):.2f} |",
                 flush=True,
             )

@@ -297,11 +297,13 @@ def scan(solid: SubjectSolid, quality: ScanQuality, seed: int, walk: Walk = "fro
 
 
 def _box(solid: SubjectSolid) -> tuple[Float64[Array, 3], Float64[Array, 3]]:
-    """Corners of the scanned box: the front with the shoulders and the upper arms."""
+    """Corners of the scanned box: the front with the shoulders and the upper arms; all of what is no body."""
+    vertices = solid.mesh.vertices
+    if "midline" not in solid.landmarks:
+        return vertices.min(axis=0), vertices.max(axis=0) + 1.0
     middle = solid.landmarks["midline"].mean(axis=0)
     low = np.array([middle[0] - _ASIDE_MM, middle[1] - _BELOW_MM, middle[2] - _BACK_MM])
     high = np.array([middle[0] + _ASIDE_MM, middle[1] + _ABOVE_MM, np.inf])
-    vertices = solid.mesh.vertices
     return np.maximum(low, vertices.min(axis=0)), np.minimum(high, vertices.max(axis=0) + 1.0)
 
 

@@ -5,10 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from mammometry.geometry.mesh import TriangleMesh, joined
 from mammometry.simulate.artefacts import DeviceErrors, measured_mesh
+from mammometry.simulate.scan import QUALITIES, scan
 from mammometry.simulate.subjects.artefacts import artefact_mesh
+from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.shapes import plate
 from mammometry.study.acceptance.artefacts import (
     POSITIONS,
@@ -31,7 +34,7 @@ from mammometry.study.acceptance.evaluate import (
     evaluate_mesh,
     worst_of,
 )
-from mammometry.study.acceptance.patches import PatchError
+from mammometry.study.acceptance.patches import PatchError, find_sphere
 
 BALL = Sphere(diameter_mm=145.0, diameter_std_mm=0.01, form_std_mm=0.01, source="drawn")
 BAR = Bar(distance_mm=300.0, distance_std_mm=0.01, diameter_mm=60.0, diameter_std_mm=0.01, source="drawn")
@@ -84,6 +87,39 @@ def test_noise_is_found_with_its_size(noise_mm: float) -> None:
         assert one.error == pytest.approx(2 * 1.96 * noise_mm, rel=0.06)
         assert one.decision == ("accept" if noise_mm < 0.1 else "reject")
     assert abs(found("sphere", errors)["size"].error) < 0.1 * noise_mm + 0.005
+
+
+def deviations_by_scipy(points: np.ndarray) -> np.ndarray:
+    """Distances from the ball that scipy fits to points around the origin."""
+
+    def rest(ball: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(points - ball[:3], axis=1) - ball[3]
+
+    return np.asarray(least_squares(rest, [0.0, 0.0, 0.0, 70.0]).fun)
+
+
+@pytest.mark.slow
+@pytest.mark.requirement("R-ACCEPT-1")
+def test_a_virtual_telephones_errors_are_found_with_their_size() -> None:
+    """Form: the width about scipy's ball. Scale: 2 % put into the scan, beside the errors of the telephone's poses."""
+    widths = {}
+    for quality in ("telephone", "fine"):
+        mesh = scan(make_subject("test-sphere_1", 0, edge_mm=2.0), QUALITIES[quality], 0).mesh
+        (form, _) = evaluate_mesh(mesh, "sphere", "1", BALL, Limits()).findings
+        points = find_sphere(mesh, BALL.diameter_mm).points
+        rest = deviations_by_scipy(points)
+        assert form.error == pytest.approx(np.ptp(np.percentile(rest, [2.5, 97.5])), rel=0.1)
+        widths[quality] = form.error
+    assert widths["telephone"] > 1.3 * widths["fine"] > 1.3 * Limits().form_mm
+    bar = make_subject("test-bar_1", 0, edge_mm=2.0)
+    for seed in range(2):
+        mesh = scan(bar, QUALITIES["fine"], seed).mesh
+        for share in (0.0, 0.02):
+            grown = TriangleMesh(vertices=(1 + share) * mesh.vertices, faces=mesh.faces)
+            spacing, length = evaluate_mesh(grown, "bar", "1", BAR, Limits()).findings
+            assert spacing.error == pytest.approx(300 * share, abs=0.4)
+            assert length.error == pytest.approx(360 * share, abs=0.6)
+            assert not share or {spacing.decision, length.decision} == {"reject"}
 
 
 @pytest.mark.requirement("R-ACCEPT-1")
