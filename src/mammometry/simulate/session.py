@@ -63,6 +63,7 @@ def write_session(
     recipe: SessionRecipe = SessionRecipe(),
     studio: Studio = Studio(),
     *,
+    subject: SubjectSolid | None = None,
     truth: bool = True,
     progress: Progress = no_progress,
 ) -> SimulatedSession:
@@ -74,6 +75,7 @@ def write_session(
         out: session folder to make. It must not exist, or be empty.
         recipe: rig, subject, scale, seed and poses.
         studio: the calibration target, and how pictures are taken.
+        subject: photographed instead of the recipe's. None: the recipe's.
         truth: whether to write ``truth/``, which takes as long as some pictures.
         progress: written fraction of the pictures.
 
@@ -96,7 +98,7 @@ def write_session(
         exposure: CaptureConditions = disturbed(plain_exposure(built, lights, studio.film), "shoot", situation, seed)
         true_rig = exposure.rig
         studio = replace(studio, skin=disturbed(studio.skin, "skin", situation, seed))
-        solid = _subject(recipe)
+        solid = subject or _subject(recipe)
         rig_from_board = draw_poses(true_rig, studio.target, recipe.poses, seed)
     _check_cameras_see_target(true_rig, studio.target, rig_from_board)
     if plan.lean_rad is not None:
