@@ -168,13 +168,14 @@ def simulate(
         str, typer.Option(help="reference, or a TOML file of a rig. Some of its pairs: reference:front,floor.")
     ] = _RECIPE.rig,
     subject: Annotated[
-        str,
+        str | None,
         typer.Option(
             help="plaster, plaster_1 … plaster_9, plaster_60cc, torso, torso_1 …, woman, woman_1 … (also "
             "leaning-woman, woman-wide, leaning-woman-wide), head, figure, sphere, cylinder, plate, test-sphere_1 …, "
-            "test-bar_1 …, test-plane_1 …, or a PLY, OBJ or STL file."
+            "test-bar_1 …, test-plane_1 …, or a PLY, OBJ or STL file.",
+            show_default=f"{_RECIPE.subject}, or torso_2 with --telephone",
         ),
-    ] = _RECIPE.subject,
+    ] = None,
     units: Annotated[
         str | None, typer.Option(metavar="mm|cm|m|in|ft", help="Unit of the subject's mesh file.", show_default=False)
     ] = None,
@@ -187,11 +188,14 @@ def simulate(
         typer.Option(metavar="X,Y,Z", help="Rotation of the mesh, degrees. Then y is up and z points to the front."),
     ] = "0,0,0",
     scale: Annotated[
-        float,
+        float | None,
         typer.Option(
-            help="Image size as a share of the rig's full size. Least for the reference rig: 0.12.", min=0.02, max=2.0
+            help="Image size as a share of the rig's full size. Least for the reference rig: 0.12.",
+            min=0.02,
+            max=2.0,
+            show_default=f"{_RECIPE.scale}, or 0.4 with --telephone",
         ),
-    ] = _RECIPE.scale,
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = _RECIPE.seed,
     poses: Annotated[
         int,
@@ -205,8 +209,12 @@ def simulate(
         str, typer.Option(help="charuco, chessboard, circles, circles-asymmetric, dotted-cylinder or frame.")
     ] = "charuco",
     skin: Annotated[
-        str, typer.Option(help="plaster, plain, speckled, skin, dark-skin, pale-skin or sweat.")
-    ] = "plaster",
+        str | None,
+        typer.Option(
+            help="plaster, plain, speckled, skin, dark-skin, pale-skin or sweat.",
+            show_default="plaster, or skin with --telephone",
+        ),
+    ] = None,
     contrast: Annotated[
         float | None,
         typer.Option(help="Contrast of the skin's texture. 0.005 is nearly none.", show_default="the skin's"),
@@ -270,20 +278,21 @@ def simulate(
         plain = WalkRecipe()
         with refused():
             walk = WalkRecipe(
-                subject=plain.subject if subject == _RECIPE.subject else subject,
+                subject=subject or plain.subject,
                 seed=seed,
-                scale=plain.scale if scale == _RECIPE.scale else scale,
-                skin=make_skin("skin" if skin == "plaster" else skin, contrast=contrast),
+                scale=scale or plain.scale,
+                skin=make_skin(skin or "skin", contrast=contrast),
                 film=plain.film.with_noise(noise),
                 situation=parse_situation(disturb),
             )
         return simulated_walk(out, walk, options)
+    scale = scale or _RECIPE.scale
     if rig.partition(":")[0] == _RECIPE.rig:
         _require_calibratable(scale, poses)
-    mesh_file = _mesh_file(subject, units, subject_scale, subject_turn)
+    mesh_file = _mesh_file(subject or _RECIPE.subject, units, subject_scale, subject_turn)
     with refused():
         if clinic is not None:
-            if (subject, seed) != (_RECIPE.subject, _RECIPE.seed):
+            if subject is not None or seed != _RECIPE.seed:
                 raise typer.BadParameter("--clinic chooses subject and seed. Give either it, or --subject and --seed")
             subject, seed, disturb = "torso", clinic, f"{draw(clinic, difficulty)},{disturb}"
         situation = parse_situation(disturb)
@@ -291,15 +300,16 @@ def simulate(
         lens = replace(_FILM, f_number=f_number, focus_mm=focus_mm, vignetting=vignetting, jpeg_quality=jpeg_quality)
         studio = Studio(
             target=make_target(target),
-            skin=make_skin(skin, contrast=contrast, hair_per_cm2=hair),
+            skin=make_skin(skin or "plaster", contrast=contrast, hair_per_cm2=hair),
             film=lens.with_noise(noise),
             background=background,
             renderer=renderer,
             image_format=image_format,
         )
     recipe = SessionRecipe(
-        rig=rig, subject=subject, scale=scale, seed=seed, poses=poses, mesh_file=mesh_file, situation=situation
-    )
+        rig=rig, subject=subject or _RECIPE.subject, scale=scale, seed=seed, poses=poses, mesh_file=mesh_file,
+        situation=situation,
+    )  # fmt: skip
     with Bars(options.silent) as bars, bars.task("simulate", "photographs") as progress:
         made = write_session(out, recipe, studio, progress=progress)
     true_cc = {name: round(value, 3) for name, value in made.true_volumes_cc.items()}

@@ -4,9 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from mammometry.cli import main
+from mammometry.cli import main, simulation
+from mammometry.cli.common import Answer
 from mammometry.simulate.disturbances.draw import draw
+from mammometry.simulate.rendering.skin import SKINS
 from mammometry.simulate.subjects.registry import SUBJECTS
+from mammometry.simulate.walk import WalkRecipe
 
 
 @pytest.mark.parametrize(
@@ -67,6 +70,26 @@ def test_the_help_names_every_family(capsys: pytest.CaptureFixture[str]) -> None
 @pytest.mark.parametrize("wrong", [["--rig", "rig.toml"], ["--clinic", "3"], ["--disturb", "drift=0.02"]])
 def test_a_telephone_has_no_rig(tmp_path, wrong):
     assert main.run(["simulate", str(tmp_path / "walk"), "--telephone", *wrong]) != 0
+    assert not (tmp_path / "walk").exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "recipe"),
+    [
+        ([], WalkRecipe()),
+        (["--skin", "plaster"], WalkRecipe(skin=SKINS["plaster"])),
+        (["--skin", "plain", "--scale", "0.25"], WalkRecipe(skin=SKINS["plain"], scale=0.25)),
+    ],
+)
+def test_a_telephone_takes_what_is_given(tmp_path, monkeypatch, given, recipe):
+    asked = []
+    monkeypatch.setattr(simulation, "simulated_walk", lambda out, walk, options: asked.append(walk) or Answer({}, []))
+    assert main.run(["simulate", str(tmp_path / "walk"), "--telephone", *given]) == 0
+    assert asked == [recipe]
+
+
+def test_a_telephone_does_not_photograph_a_cast(tmp_path):
+    assert main.run(["simulate", str(tmp_path / "walk"), "--telephone", "--subject", "plaster"]) == 3
     assert not (tmp_path / "walk").exists()
 
 
