@@ -1,12 +1,10 @@
 """Every library that we ask for is used: imported, or named where another one loads it."""
 
-import ast
 import re
 import tomllib
 from importlib.metadata import PackageNotFoundError, files
 
-import pytest
-from tests.architecture.test_imports import modules, nodes, syntax
+from tests.architecture.test_imports import modules
 
 LOADED_BY = {
     "embreex": "trimesh: trimesh.ray finds it",
@@ -19,7 +17,7 @@ LOADED_BY = {
     "pygobject": "Aravis, which is installed by hand beside it",
 }
 """Libraries that another one loads."""
-_MODULE = re.compile(r"[A-Za-z_][A-Za-z0-9_.]*")
+_MODULE = re.compile(r"""^ *(?:from|import) ([A-Za-z_]\w*)|["']([A-Za-z_]\w*)[\w.]*["']""", re.MULTILINE)
 _NOT_OURS = {"dev", "docs"}  # groups of tools
 
 
@@ -42,26 +40,20 @@ def modules_of(distribution):
     return {top for top in tops if top.isidentifier()}
 
 
-@pytest.fixture(scope="module")
 def named(repository):
-    """Modules that the source imports, or names in a text of its own."""
-    found = set()
-    for path in modules(repository):
-        for node in nodes(syntax(path)):
-            if isinstance(node, ast.Import):
-                found |= {name.name.split(".")[0] for name in node.names}
-            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-                found.add(node.module.split(".")[0])
-            elif isinstance(node, ast.Constant) and isinstance(node.value, str) and _MODULE.fullmatch(node.value):
-                found.add(node.value.split(".")[0])  # an app, or a module that is loaded by name
-    return found
+    """Modules that the source imports, or names in quotes: an app, or what is loaded by name."""
+    return {
+        imported or quoted
+        for path in modules(repository)
+        for imported, quoted in _MODULE.findall(path.read_text(encoding="utf-8"))
+    }
 
 
-def test_every_library_is_used(repository, named):
-    unused = []
+def test_every_library_is_used(repository):
+    unused, found = [], named(repository)
     for distribution in asked_for(repository):
         modules = modules_of(distribution)
-        if modules and distribution not in LOADED_BY and not modules & named:
+        if modules and distribution not in LOADED_BY and not modules & found:
             unused.append(distribution)
     assert unused == []
 

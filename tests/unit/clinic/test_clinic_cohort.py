@@ -128,9 +128,13 @@ def rows_by_objects(**asked: object) -> list[CohortRow]:
     return rows
 
 
-@pytest.mark.parametrize("confirmed", [False, True])
 @pytest.mark.usefixtures("random_clinic")
-def test_rows_and_figures_are_those_of_the_visits_own_results(confirmed: bool) -> None:
+def test_rows_and_figures_are_those_of_the_visits_own_results() -> None:
+    for confirmed in (False, True):
+        _rows_and_figures_are_the_visits(confirmed)
+
+
+def _rows_and_figures_are_the_visits(confirmed: bool) -> None:
     expected = rows_by_objects(confirmed=confirmed)
     assert len(expected) > (3 if confirmed else 30)
     assert {row.state for row in expected} >= ({"confirmed"} if confirmed else {CHANGED, "measured", "queued"})

@@ -175,8 +175,10 @@ def test_the_second_factor_is_set_up_and_then_asked(anna: Person, client: Client
 
 
 @pytest.mark.requirement("R-SEC-2")
-@pytest.mark.parametrize("role", list(Role))
-@pytest.mark.parametrize("where", ["new browser", "waiting for the code", "logged in", "logged in long ago"])
+@pytest.mark.parametrize(
+    ("role", "where"),
+    list(zip(Role, ["logged in", "waiting for the code", "new browser", "logged in long ago"], strict=True)),
+)
 def test_a_reset_second_factor_is_set_up_anew_in_the_same_browser(
     anna: Person, client: Client, settings: Settings, monkeypatch: pytest.MonkeyPatch, role: Role, where: str
 ) -> None:

@@ -175,9 +175,7 @@ def test_edges_that_one_side_alone_has_split_are_joined() -> None:
     assert cc(scan) == pytest.approx(cc(repair_scan(FRONT)), rel=0.01)
 
 
-@pytest.mark.parametrize(
-    "mesh", [TRUNK, FRONT, ball(50.0, 3), dome(sink_mm=10.0)], ids=["trunk", "front", "ball", "dome"]
-)
+@pytest.mark.parametrize("mesh", [FRONT, dome(sink_mm=10.0)], ids=["open", "closed"])
 def test_what_is_inside_out_is_turned(mesh: TriangleMesh) -> None:
     assert repair_scan(mesh).notices == ()
     scan = repair_scan(mesh.turned_over())

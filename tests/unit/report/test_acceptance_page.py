@@ -1,6 +1,7 @@
 """Page, document and pictures of an acceptance test."""
 
 import datetime
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from mammometry.report.documents.acceptance_page import (
     DOCUMENT,
     PAGE,
     acceptance_page_files,
+    acceptance_pictures,
     picture_names,
     protocol_page,
 )
@@ -19,6 +21,8 @@ from mammometry.simulate.subjects.artefacts import artefact_mesh
 from mammometry.study.acceptance.artefacts import KINDS, POSITIONS, AcceptanceTest, Limits
 from mammometry.study.acceptance.evaluate import Outcome, evaluate_mesh
 from mammometry.study.acceptance.tables import PastTest, acceptance_tables, as_past, meaning, shown
+
+EARLIER = PastTest(date=datetime.date(2026, 5, 1), decision="accept", worst={"sphere/size": (0.1, 0.05, 0.2)})
 
 
 @pytest.fixture(scope="module")
@@ -38,10 +42,14 @@ def outcome() -> Outcome:
     return Outcome(test=about, results=tuple(results))
 
 
+@pytest.fixture(scope="module")
+def files(outcome: Outcome) -> dict[str, bytes]:
+    """Page, document and pictures of it and of an earlier test of the device."""
+    return acceptance_page_files(outcome, [EARLIER, as_past(outcome)])
+
+
 @pytest.mark.requirement("R-ACCEPT-2")
-def test_the_page_stands_alone_and_has_every_number(outcome: Outcome) -> None:
-    earlier = PastTest(date=datetime.date(2026, 5, 1), decision="accept", worst={"sphere/size": (0.1, 0.05, 0.2)})
-    files = acceptance_page_files(outcome, [earlier, as_past(outcome)])
+def test_the_page_stands_alone_and_has_every_number(outcome: Outcome, files: dict[str, bytes]) -> None:
     page = files[PAGE].decode()
     assert set(files) <= {PAGE, DOCUMENT, *picture_names()}
     assert files[DOCUMENT].startswith(b"%PDF")
@@ -55,10 +63,12 @@ def test_the_page_stands_alone_and_has_every_number(outcome: Outcome) -> None:
         assert shown(one.quantity, one.limit).replace(" ", "\u00a0") in page
 
 
-def test_pages_of_equal_tests_are_equal(outcome: Outcome) -> None:
-    first, second = (acceptance_page_files(outcome, [as_past(outcome)]) for _ in range(2))
-    assert first == second
-    assert "control-chart.png" not in first  # one test is no history
+def test_pages_of_equal_tests_are_equal(outcome: Outcome, files: dict[str, bytes]) -> None:
+    assert acceptance_page_files(outcome, [EARLIER, as_past(outcome)]) == files
+
+
+def test_one_test_is_no_history(outcome: Outcome) -> None:
+    assert acceptance_pictures(replace(outcome, results=()), [as_past(outcome)]) == {}
 
 
 def test_the_meaning_is_computed_from_the_error(outcome: Outcome) -> None:

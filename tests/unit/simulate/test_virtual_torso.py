@@ -139,7 +139,7 @@ def test_a_heavy_breast_hides_its_fold():
 
 
 def test_landmarks_lie_on_the_skin_at_their_places():
-    solid = made("torso_4")
+    solid = made("torso")
     marks = solid.landmarks
     for name, points in marks.items():
         near = [np.linalg.norm(solid.mesh.vertices - point, axis=1).min() for point in points]
