@@ -22,6 +22,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure import scanned
 from mammometry.measure.boundary.boundary import Boundary, outline_torso
+from mammometry.measure.scan_repair import RepairedScan
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import find_body
 from mammometry.measure.volume.measurement import VolumeMeasurement
@@ -59,7 +60,7 @@ def errors_of(name: str) -> tuple[Float64[Array, 2], Float64[Array, 2]] | None:
 
 def _measured(front: TriangleMesh, boundaries: tuple[Boundary, ...]) -> dict[str, VolumeMeasurement]:
     curves = [boundary.points_world for boundary in boundaries]
-    surface = scanned.as_scanned(scanned.finer_along(front, curves))
+    surface = scanned.as_scanned(scanned.finer_scan(RepairedScan.unchanged(front), curves).mesh)
     frame = find_body(surface, _UPRIGHT, boundaries=curves).frame
     breasts = open_breasts(boundaries, surface, MeasureSettings(), frame=frame)
     return {measured.name: measured for measured in measure_volumes(breasts)}

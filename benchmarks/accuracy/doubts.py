@@ -22,6 +22,7 @@ from typing import Literal
 
 import numpy as np
 
+from benchmarks.hand import HAND_MM, with_hand
 from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.base.errors import MeasureError
 from mammometry.geometry import Array, Float64, TriangleMesh, UInt8
@@ -33,7 +34,6 @@ from mammometry.measure.boundary.overlap import Overlap
 from mammometry.simulate.disturbances.registry import disturbed
 from mammometry.simulate.recipe import parse_situation
 from mammometry.simulate.scan import QUALITIES, scan
-from mammometry.simulate.subjects.hand import HAND_MM, with_hand
 from mammometry.simulate.subjects.registry import make_subject
 
 _FACTORS = (1.0, 0.7, 1.5, 2.54, 1 / 2.54)

@@ -44,16 +44,45 @@ from mammometry.simulate.scan import QUALITIES, VirtualScan, clean_front, scan
 from mammometry.simulate.session import write_session
 from mammometry.simulate.subjects.solid import SubjectSolid
 from mammometry.simulate.subjects.woman import woman_named
-from mammometry.study.landmarks import fold_curve, lowest_point
+from mammometry.study.evaluation import resampled
 
 Known: TypeAlias = dict[str, Float64[Array, "k 3"]]
 _UPRIGHT = np.eye(3)  # frame of every mesh. Rows: the patient's left, the head, straight ahead
 _FAMILIES = ("woman", "leaning-woman")  # of the second generator
 _EDGE_MM = 2.5  # of its triangles
+_LEVEL_MM = 0.3  # depth of the part of a fold that counts as lowest; a definition
+_FOLD_HALF_ANGLE_RAD = np.deg2rad(45.0)  # the fold's extent to either side of straight down; a definition
 _SCALE = 0.15  # of a virtual rig's photographs, of 4504 × 3000 pixels
 _WALKS = {"clean": "4", "disturbed": "3"}  # walk → shared body
 _RIG, _PHOTOGRAPHS = "rig", "photographs"
 _SESSIONS, _RESULTS = "sessions", "results"  # folders of what is kept between calls
+
+
+def fold_curve(border: Float64[Array, "b 3"], frame: Float64[Array, "3 3"]) -> Float64[Array, "k 3"]:
+    """The fold: the border's part within 45° of straight down, seen from its middle, mm.
+
+    Args:
+        border: closed curve, mm.
+        frame: rows: the patient's left, the head, straight ahead.
+    """
+    dense = resampled(border, 1.0)
+    flat = (dense - dense.mean(axis=0)) @ frame[:2].T
+    below = np.abs(np.arctan2(flat[:, 0], -flat[:, 1])) <= _FOLD_HALF_ANGLE_RAD
+    first = int(np.argmax(below & ~np.roll(below, 1)))
+    return np.roll(dense, -first, axis=0)[: int(below.sum())]
+
+
+def lowest_point(border: Float64[Array, "b 3"], frame: Float64[Array, "3 3"]) -> Float64[Array, "1 3"]:
+    """The fold's lowest point, mm.
+
+    It is the middle of the border's part within 0.3 mm of the border's greatest distance from the head. Arguments as
+    for `fold_curve`.
+    """
+    dense = resampled(border)
+    depth = -dense @ frame[1]
+    piece = dense[depth > depth.max() - _LEVEL_MM]
+    middle = piece.mean(axis=0)
+    return piece[np.argmin(np.linalg.norm(piece - middle, axis=1))][None]
 
 
 def of_borders(borders: Mapping[str, Float64[Array, "b 3"]]) -> Known:

@@ -24,6 +24,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure import scanned
 from mammometry.measure.boundary.boundary import Boundary
+from mammometry.measure.scan_repair import RepairedScan
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import find_body
 from mammometry.measure.volume import volumes
@@ -78,7 +79,7 @@ def rows_of(
         for side in SIDES
     )
     flat = {side: made.solid.closed_breast(side).volume_mm3() / 1000 for side in SIDES}
-    fine = scanned.finer_along(front, [boundary.points_world for boundary in true])
+    fine = scanned.finer_scan(RepairedScan.unchanged(front), [boundary.points_world for boundary in true]).mesh
     curves = [boundary.points_world for boundary in true]
     frame = find_body(scanned.as_scanned(fine), _UPRIGHT, boundaries=curves).frame
     for row in measured(true, fine, frame, settings):

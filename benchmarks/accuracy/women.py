@@ -21,6 +21,7 @@ from mammometry.base.errors import MammometryError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure import scanned
 from mammometry.measure.boundary.boundary import Boundary, outline_torso
+from mammometry.measure.scan_repair import RepairedScan
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import find_body
 from mammometry.measure.wall import chest_wall
@@ -62,7 +63,7 @@ def _drawn(curves: dict[str, np.ndarray]) -> tuple[Boundary, ...]:
 
 
 def _measured(front: TriangleMesh, boundaries: tuple[Boundary, ...], walls: list[str]) -> Iterator[dict[str, object]]:
-    fine = scanned.finer_along(front, [boundary.points_world for boundary in boundaries])
+    fine = scanned.finer_scan(RepairedScan.unchanged(front), [boundary.points_world for boundary in boundaries]).mesh
     surface = scanned.as_scanned(fine)
     curves = [boundary.points_world for boundary in boundaries]
     frame = find_body(surface, _UPRIGHT, boundaries=curves).frame if boundaries else _UPRIGHT

@@ -31,7 +31,7 @@ from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.poses import draw_poses
-from mammometry.simulate.rigs.rig_file import reference_rig
+from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.rigs.targets import BOARD, sees_target
 
 _SEED = 7
@@ -73,7 +73,7 @@ def of_sessions(folders: Sequence[Path], images: int) -> Boards:
 
 def render(folder: Path, images: int, scale: float) -> Boards:
     """Write the first `images` views of the reference rig that see the board, those there already left as they are."""
-    rig = reference_rig(scale, _SEED)
+    rig = make_rig("reference", scale, _SEED)
     poses = draw_poses(rig, BOARD, max(1, -(-images // 4)), _SEED)
     views = [
         (pose, name) for name, view in rig.cameras.items() for pose, at in poses.items() if sees_target(view, at, BOARD)

@@ -31,13 +31,13 @@ from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.build import flashes
-from mammometry.simulate.rigs.rig_file import reference_rig
+from mammometry.simulate.rigs.rig_file import make_rig
 
 NEW = CharucoTarget(squares=(10, 8), square_mm=28.0, marker_mm=20.0, dictionary="DICT_5X5_250")
 OLD = replace(NEW, legacy_pattern=True)
 CHESS = ChessboardTarget(squares=(11, 8), square_mm=24.0)
 CIRCLES = CirclesTarget(grid=(9, 7), pitch_mm=26.0, diameter_mm=13.0)
-VIEW = reference_rig(0.2, 3).cameras["front_left"]
+VIEW = make_rig("reference", 0.2, 3).cameras["front_left"]
 
 
 @cache

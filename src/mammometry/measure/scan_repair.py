@@ -57,6 +57,11 @@ class RepairedScan:
     inside_out: bool = False
     """Whether most of its faces pointed inwards, as in a mirror image."""
 
+    @classmethod
+    def unchanged(cls, mesh: TriangleMesh) -> RepairedScan:
+        """A mesh as it is."""
+        return cls(mesh=mesh, invented=np.zeros(len(mesh.vertices), dtype=bool), notices=())
+
 
 def repair_scan(
     mesh: TriangleMesh, *, largest: bool = False, skin_alone: bool = False, holes: bool = True

@@ -101,23 +101,13 @@ def check_mesh(mesh: TriangleMesh) -> None:
 
 
 def finer_scan(scan: RepairedScan, curves: Sequence[Float64[Array, "_ 3"]]) -> RepairedScan:
-    """A scan refined near the curves by `finer_along`, with new vertices on invented edges invented."""
-    mesh, invented = _finer(scan.mesh, scan.invented, curves)
-    return replace(scan, mesh=mesh, invented=invented)
+    """A scan with edges short enough for cutting near the curves.
 
-
-def finer_along(mesh: TriangleMesh, curves: Sequence[Float64[Array, "_ 3"]]) -> TriangleMesh:
-    """A mesh with edges short enough for cutting near the curves. New vertices come last."""
-    return _finer(mesh, np.zeros(len(mesh.vertices), dtype=bool), curves)[0]
-
-
-def _finer(
-    mesh: TriangleMesh, marked: Bool[Array, " n"], curves: Sequence[Float64[Array, "_ 3"]]
-) -> tuple[TriangleMesh, Bool[Array, " m"]]:
-    """The refined mesh and its marked vertices. A new vertex is marked if an end of its edge is."""
+    New vertices come last. One is invented if an end of its edge is.
+    """
     if not curves:
-        return mesh, marked
-    vertices, faces = mesh.vertices, mesh.faces
+        return scan
+    vertices, faces, marked = scan.mesh.vertices, scan.mesh.faces, scan.invented
     low = np.min([curve.min(axis=0) for curve in curves], axis=0) - _MARGIN_MM
     high = np.max([curve.max(axis=0) for curve in curves], axis=0) + _MARGIN_MM
     while len(faces) < _FACES_AT_MOST:
@@ -130,7 +120,7 @@ def _finer(
         faces = split_edges(faces, of_face, split, len(vertices))
         vertices = np.concatenate([vertices, (a[split] + b[split]) / 2])
         marked = np.concatenate([marked, marked[edges[split]].any(axis=1)])
-    return TriangleMesh(vertices=vertices, faces=faces), marked
+    return replace(scan, mesh=TriangleMesh(vertices=vertices, faces=faces), invented=marked)
 
 
 def check_cut(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> None:
@@ -263,7 +253,7 @@ def _ahead_by_breasts(mesh: TriangleMesh, up: Float64[Array, 3]) -> Float64[Arra
     """
     level = mesh.vertices - np.outer(mesh.vertices @ up, up)
     across, aside = np.linalg.eigh(np.cov(level.T) + np.outer(up, up) * np.ptp(level) ** 2)[1].T[:2]
-    whole = RepairedScan(mesh=mesh, invented=np.zeros(len(mesh.vertices), dtype=bool), notices=())
+    whole = RepairedScan.unchanged(mesh)
     for line in (across, aside):
         worth = []
         for forward in (line, -line):

@@ -293,7 +293,7 @@ def compare_rigs(calibrated: Rig, true: Rig, points_rig: Float64[Array, "n 3"]) 
         both = seen[left] & seen[right]
         if not both.any():
             raise ValueError(f"pair {pair.name} sees nothing of the working volume with both cameras")
-        found = triangulate(pair, pixels[left][both], pixels[right][both])
+        found = nearest_points(pair, pixels[left][both], pixels[right][both])
         gaps = np.linalg.norm(found - points_world[both], axis=1)
         triangulation[pair.name] = float(np.sqrt(np.mean(gaps**2)))
     return RigAccuracy(
@@ -304,7 +304,7 @@ def compare_rigs(calibrated: Rig, true: Rig, points_rig: Float64[Array, "n 3"]) 
     )
 
 
-def triangulate(
+def nearest_points(
     pair: StereoPair, left_uv: Float64[Array, "n 2"], right_uv: Float64[Array, "n 2"]
 ) -> Float64[Array, "n 3"]:
     """Points whose projections are nearest to given pixels of both images, world frame, mm (Gauss–Newton)."""

@@ -173,10 +173,6 @@ def agreement_json(data: PairedMeasurements, found: Agreement, checked: Sequence
     return table
 
 
-def _figure(value: float, form: str) -> str:
-    return probability(value) if form == _P else number(value, form)
-
-
 def _interval(estimate: IntervalEstimate, form: str) -> str:
     return _span(estimate.interval, form)
 

@@ -40,8 +40,6 @@ FORMS: Mapping[str, Form] = {
 """Names in both files → form. Left and right are the patient's."""
 _ANOTHER_FRAME_MM = 100.0  # median error from which frame or unit differ: a breast's width
 _LINE_STEP_MM = 0.1  # spacing of a compared line's points, as of a closed curve
-_LEVEL_MM = 0.3  # depth of the part of a fold that counts as lowest; a definition
-_FOLD_HALF_ANGLE_RAD = np.deg2rad(45.0)  # the fold's extent to either side of straight down; a definition
 
 
 @value(eq=False)
@@ -181,33 +179,6 @@ def _scored(
 def without_side(name: str) -> str:
     """Name of a landmark without its side."""
     return name.removesuffix("_left").removesuffix("_right")
-
-
-def fold_curve(border: Float64[Array, "b 3"], frame: Float64[Array, "3 3"]) -> Float64[Array, "k 3"]:
-    """The fold: the border's part within 45° of straight down, seen from its middle, mm.
-
-    Args:
-        border: closed curve, mm.
-        frame: rows: the patient's left, the head, straight ahead.
-    """
-    dense = resampled(border, 1.0)
-    flat = (dense - dense.mean(axis=0)) @ frame[:2].T
-    below = np.abs(np.arctan2(flat[:, 0], -flat[:, 1])) <= _FOLD_HALF_ANGLE_RAD
-    first = int(np.argmax(below & ~np.roll(below, 1)))
-    return np.roll(dense, -first, axis=0)[: int(below.sum())]
-
-
-def lowest_point(border: Float64[Array, "b 3"], frame: Float64[Array, "3 3"]) -> Float64[Array, "1 3"]:
-    """The fold's lowest point, mm.
-
-    It is the middle of the border's part within 0.3 mm of the border's greatest distance from the head. Arguments as
-    for `fold_curve`.
-    """
-    dense = resampled(border)
-    depth = -dense @ frame[1]
-    piece = dense[depth > depth.max() - _LEVEL_MM]
-    middle = piece.mean(axis=0)
-    return piece[np.argmin(np.linalg.norm(piece - middle, axis=1))][None]
 
 
 PUBLISHED: tuple[tuple[str, str, str], ...] = (

@@ -17,11 +17,11 @@ from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.build import flashes
-from mammometry.simulate.rigs.rig_file import reference_rig
+from mammometry.simulate.rigs.rig_file import make_rig
 
 BOARD = CharucoTarget(squares=(14, 10), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")
 CHESS = ChessboardTarget(squares=(14, 9), square_mm=25.0)
-VIEW = reference_rig(0.25, 3).cameras["front_left"]
+VIEW = make_rig("reference", 0.25, 3).cameras["front_left"]
 
 
 def placed(*, shift_mm=(0.0, 0.0, 0.0), turn_deg=(8.0, -14.0, 6.0), target=BOARD):

@@ -9,6 +9,7 @@ from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure import scanned
 from mammometry.measure.boundary.boundary import Boundary, outline_torso
+from mammometry.measure.scan_repair import RepairedScan
 from mammometry.measure.trunk.thorax import find_trunk, seen_skin
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
@@ -26,7 +27,7 @@ def woman() -> Woman:
 @functools.cache
 def front() -> TriangleMesh:
     curves = [woman().solid.mesh.vertices[woman().solid.breasts[side].boundary] for side in SIDES]
-    return scanned.finer_along(woman().front(), curves)
+    return scanned.finer_scan(RepairedScan.unchanged(woman().front()), curves).mesh
 
 
 def volumes_cc(turned: int, kind: str = "cylinder-membrane") -> list[float]:

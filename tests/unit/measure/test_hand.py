@@ -5,6 +5,7 @@ from html import unescape
 from pathlib import Path
 
 import pytest
+from benchmarks.hand import with_hand
 
 from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.geometry.mesh_files.ply import write_ply
@@ -13,7 +14,6 @@ from mammometry.settings import Settings
 from mammometry.simulate.disturbances.registry import disturbed
 from mammometry.simulate.recipe import parse_situation
 from mammometry.simulate.scan import QUALITIES, scan
-from mammometry.simulate.subjects.hand import with_hand
 from mammometry.simulate.subjects.registry import make_subject
 
 

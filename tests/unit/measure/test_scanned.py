@@ -7,12 +7,12 @@ from trunks import LEFT, RADIUS_MM, RIGHT, edge_of, radius_mm, trunk_mesh
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh, joined
-from mammometry.measure.scan_repair import largest_part, repair_scan
+from mammometry.measure.scan_repair import RepairedScan, largest_part, repair_scan
 from mammometry.measure.scanned import (
     as_scanned,
     check_cut,
     check_mesh,
-    finer_along,
+    finer_scan,
     frame_from_axes,
     viewer,
     viewing_frame,
@@ -69,7 +69,7 @@ def test_pieces_are_counted_and_the_largest_can_be_taken() -> None:
 @pytest.mark.slow
 def test_a_finer_mesh_has_the_same_shape() -> None:
     coarse = trunk_mesh(9.0)
-    fine = finer_along(coarse, list(EDGES.values()))
+    fine = finer_scan(RepairedScan.unchanged(coarse), list(EDGES.values())).mesh
     assert fine.is_watertight()
     assert fine.volume_mm3() == pytest.approx(coarse.volume_mm3(), rel=1e-12)
     assert fine.area_mm2() == pytest.approx(coarse.area_mm2(), rel=1e-12)
@@ -78,7 +78,7 @@ def test_a_finer_mesh_has_the_same_shape() -> None:
     middle = ends.mean(axis=1)
     near = np.linalg.norm(middle[:, None] - EDGES["left"][None, ::4], axis=2).min(axis=1) < 10
     assert length[near].max() <= 3.0
-    assert finer_along(coarse, []) is coarse
+    assert finer_scan(RepairedScan.unchanged(coarse), []).mesh is coarse
 
 
 def test_a_hole_or_a_hollow_within_the_boundary_is_named() -> None:

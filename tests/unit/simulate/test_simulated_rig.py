@@ -8,7 +8,7 @@ import pytest
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.simulate.rigs.build import DISTANCE_MM, flashes
 from mammometry.simulate.rigs.poses import draw_poses
-from mammometry.simulate.rigs.rig_file import make_rig, reference_rig
+from mammometry.simulate.rigs.rig_file import make_rig
 from mammometry.simulate.rigs.targets import sees_target
 
 _BOARD = CharucoTarget(squares=(14, 10), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")
@@ -16,7 +16,7 @@ _BOARD = CharucoTarget(squares=(14, 10), square_mm=25.0, marker_mm=18.0, diction
 
 @pytest.mark.parametrize("seed", [1, 7, 23])
 def test_reference_rig_is_as_described(seed):
-    rig = reference_rig(0.25, seed)
+    rig = make_rig("reference", 0.25, seed)
     assert list(rig.pair_names) == ["front", "floor", "left", "right"]
     assert len(rig.cameras) == 8
     for pair in rig.pairs:
@@ -35,7 +35,7 @@ def test_reference_rig_is_as_described(seed):
 
 @pytest.mark.parametrize("larger", [1.0, 2.0])
 def test_scale_changes_the_pixels_and_nothing_else(larger):
-    small, full = reference_rig(0.25, 4), reference_rig(larger, 4)
+    small, full = make_rig("reference", 0.25, 4), make_rig("reference", larger, 4)
     points = np.random.default_rng(0).uniform(-80, 80, (50, 3))
     for name, camera in small.cameras.items():
         assert np.array_equal(camera.centre_world, full.cameras[name].centre_world)
@@ -45,7 +45,7 @@ def test_scale_changes_the_pixels_and_nothing_else(larger):
 
 
 def test_seeded_errors_differ():
-    first, again, other = (reference_rig(0.25, seed).cameras["left_left"] for seed in (4, 4, 5))
+    first, again, other = (make_rig("reference", 0.25, seed).cameras["left_left"] for seed in (4, 4, 5))
     assert np.array_equal(first.matrix, again.matrix)
     assert np.array_equal(first.camera_from_world.rotation, again.camera_from_world.rotation)
     assert abs(first.matrix[0, 0] - other.matrix[0, 0]) > 0.1
@@ -54,7 +54,7 @@ def test_seeded_errors_differ():
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 7, 23])
 def test_every_camera_sees_the_board_often_and_all_see_the_first(seed):
-    rig = reference_rig(0.25, seed)
+    rig = make_rig("reference", 0.25, seed)
     poses = draw_poses(rig, _BOARD, 8, seed)
     assert list(poses) == [f"{index:02d}" for index in range(8)]
     seen = {
@@ -72,7 +72,7 @@ def test_every_camera_sees_the_board_often_and_all_see_the_first(seed):
 
 @pytest.mark.slow
 def test_poses_tilt_and_turn():
-    poses = list(draw_poses(reference_rig(0.25, 7), _BOARD, 8, 7).values())
+    poses = list(draw_poses(make_rig("reference", 0.25, 7), _BOARD, 8, 7).values())
     cosines = [a.rotation[:, 2] @ b.rotation[:, 2] for a in poses for b in poses]
     assert min(cosines) < math.cos(math.radians(25.0))
 
@@ -92,7 +92,7 @@ def test_unknown_rig_is_refused(name):
 @pytest.mark.parametrize("scale", [0.0, 2.5])
 def test_scale_out_of_range_is_refused(scale):
     with pytest.raises(ValueError, match="scale"):
-        reference_rig(scale, 1)
+        make_rig("reference", scale, 1)
 
 
 def test_flashes_light_a_white_surface_to_full_scale():

@@ -9,7 +9,7 @@ import trimesh
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.study.accuracy import compare_rigs, rigid, triangulate, working_volume
+from mammometry.study.accuracy import compare_rigs, nearest_points, rigid, working_volume
 
 POINTS = working_volume(
     TriangleMesh(
@@ -119,7 +119,7 @@ def test_focal_lengths_are_compared_with_their_sign() -> None:
 def test_triangulation_finds_the_point_whose_projections_were_given() -> None:
     pair = TRUE.pair("front")
     points = POINTS[::20]
-    found = triangulate(pair, pair.left.project(points), pair.right.project(points))
+    found = nearest_points(pair, pair.left.project(points), pair.right.project(points))
     assert found == pytest.approx(points, abs=1e-7)
 
 

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.accuracy.landmarks import fold_curve
 
 from mammometry.base.errors import TableError
 from mammometry.cli import main
 from mammometry.io.truth import read_found_landmarks, read_true_landmarks
-from mammometry.study.landmarks import FORMS, Score, TrueWoman, distance_mm, fold_curve, score_tables, scores
+from mammometry.study.landmarks import FORMS, Score, TrueWoman, distance_mm, score_tables, scores
 
 
 def circle(radius_mm: float, middle_mm: tuple[float, float, float] = (0.0, 0.0, 0.0), turn: float = 0.0) -> np.ndarray:

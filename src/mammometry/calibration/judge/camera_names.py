@@ -59,7 +59,7 @@ class PairAgreement:
         return self.matches >= _FEWEST
 
     @property
-    def fits(self) -> bool:
+    def is_consistent(self) -> bool:
         """Whether the photographs are of these cameras."""
         return self.is_sufficient and self.fitting >= _RIGHT
 
@@ -76,7 +76,7 @@ class PairAgreement:
     @property
     def sure(self) -> bool:
         """Whether the photographs are of these cameras and nothing moved."""
-        return self.fits and not self.moved
+        return self.is_consistent and not self.moved
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -229,7 +229,9 @@ def check_names(rig: Rig, seen: Mapping[str, Keypoints]) -> Names:
         misfitting=misfitting,
         unrelated=tuple(unrelated),
         foreign=_foreign(unrelated, [name for name in seen if name not in exchanged], agreement),
-        unknown=tuple(pair for pair in unsolved if pair not in (*misfitting, *unrelated) and not own[pair].fits),
+        unknown=tuple(
+            pair for pair in unsolved if pair not in (*misfitting, *unrelated) and not own[pair].is_consistent
+        ),
     )
 
 
@@ -351,7 +353,7 @@ def check_board_names(rig: Rig, seen: Mapping[str, Detection]) -> tuple[str, str
     def judged(source: Mapping[str, str]) -> dict[tuple[str, str], bool]:
         """Two cameras → whether their images agree, if that can be decided."""
         found = {both: agreement(*both, source[both[0]], source[both[1]]) for both in combinations(rig.cameras, 2)}
-        return {both: agreement.fits for both, agreement in found.items() if agreement is not None}
+        return {both: agreement.is_consistent for both, agreement in found.items() if agreement is not None}
 
     own = {name: name for name in rig.cameras}
     wrong = [set(both) for both, fits in judged(own).items() if not fits]

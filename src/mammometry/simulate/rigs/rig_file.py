@@ -265,15 +265,6 @@ def _refused(subject: str, found: str, expected: str) -> SessionError:
     return SessionError(subject, found=found, expected=expected, remedy=remedy)
 
 
-def reference_rig(scale: float, seed: int) -> Rig:
-    """The reference rig.
-
-    Raises:
-        ValueError: the scale is not within 0.02 … 2.
-    """
-    return build_rig(REFERENCE, scale, seed)
-
-
 def make_rig(name: str, scale: float, seed: int) -> Rig:
     """A rig by name, ``reference``, or some of its pairs, ``reference:front,floor``.
 
