@@ -9,12 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Bool, Float64, Int32
 from mammometry.geometry.mesh import TriangleMesh, edge_table, split_edges
-from mammometry.simulate.subjects.body import NOTCH_Y_MM, TrunkField
+from mammometry.simulate.subjects.body import NOTCH_Y_MM, BodyShape, TrunkField
 from mammometry.simulate.subjects.marks import mark
 from mammometry.simulate.subjects.registry import SubjectRequest, add_subject, numbered
 from mammometry.simulate.subjects.solid import Breast, SubjectSolid, rounded_mesh, sagged, smoothstep, waves
@@ -151,6 +152,11 @@ class _Mound:
         )
 
 
+@lru_cache(maxsize=8)
+def _coarse_mesh(shape: BodyShape) -> TriangleMesh:
+    return TrunkField(shape).coarse_mesh(_COARSE_MM)
+
+
 def torso(shape: TorsoShape, *, name: str = "torso", seed: int = 0, edge_mm: float = 0.7) -> SubjectSolid:
     """Make a torso.
 
@@ -165,7 +171,7 @@ def torso(shape: TorsoShape, *, name: str = "torso", seed: int = 0, edge_mm: flo
         ValueError: the measures are inconsistent: a breast extends beyond the front of the chest.
     """
     body = TrunkField(shape.body)
-    coarse = body.coarse_mesh(_COARSE_MM)
+    coarse = _coarse_mesh(shape.body)
     mounds: dict[str, _Mound] = {}
     for index, side in enumerate(SIDES):
         mounds[side] = _sized(body, coarse, shape.breasts[side], side, shape.lean_rad, 2 * seed + index)

@@ -12,9 +12,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
+import numpy as np
 import scipy  # it imports scipy.stats, which takes half a second, when that is used
 
 from mammometry.base.value import value
+from mammometry.geometry.arrays import Array, Float64
 
 DETECTABLE = float(scipy.special.ndtri(0.975)) * math.sqrt(2)
 """Smallest detectable change by standard errors of measurement: 1.96 √2."""
@@ -48,20 +50,17 @@ def plan(claim_cc: float, sem_cc: float, power: float = 0.8) -> CapturePlan:
 
 
 def _sizes(claim_cc: float, sem_cc: float, power: float) -> Iterator[tuple[int, int]]:
+    women = np.arange(2, _MOST_WOMEN + 1)
     for captures in CAPTURES:
-        found = next(
-            (women for women in range(2, _MOST_WOMEN + 1)
-             if chance_to_show(claim_cc, sem_cc, women * (captures - 1)) >= power),
-            None,
-        )  # fmt: skip
-        if found is not None:
-            yield captures, found
+        enough = women[chance_to_show(claim_cc, sem_cc, women * (captures - 1.0)) >= power]
+        if len(enough):
+            yield captures, int(enough[0])
 
 
-def chance_to_show(claim_cc: float, sem_cc: float, df: float) -> float:
+def chance_to_show(claim_cc: float, sem_cc: float, df: Float64[Array, " n"]) -> Float64[Array, " n"]:
     """Probability that the upper bound of the detectable change is at most the claim."""
     ratio = (claim_cc / (DETECTABLE * sem_cc)) ** 2
-    return float(scipy.stats.chi2.cdf(ratio * scipy.stats.chi2.ppf(1 - _CONFIDENCE, df), df))
+    return np.asarray(scipy.stats.chi2.cdf(ratio * scipy.stats.chi2.ppf(1 - _CONFIDENCE, df), df))
 
 
 def upper_bound(deviation: float, df: float) -> float:
