@@ -109,7 +109,7 @@ def design(readings: Sequence[Reading]) -> Design:
     """
     women = len({reading.woman for reading in readings})
     if women < LEAST_WOMEN:
-        raise ValueError(f"{women} women")
+        raise ValueError("one woman" if women == 1 else f"{women} women")
     keys = [(*reading.cell, reading.capture, reading.reading) for reading in readings]
     if len(set(keys)) < len(keys):
         twice = next(key for place, key in enumerate(keys) if key in keys[:place])
