@@ -54,9 +54,10 @@ def captures(woman: int, count: int, rig: bool = False) -> list[Reading]:
         rng = np.random.default_rng([woman, capture, 60])
 
         def placed(shape: TorsoShape, rng: np.random.Generator = rng) -> TorsoShape:
-            standing = disturbed(shape, stage="patient", situation=parse_situation("posture=standing"), seed=woman)
+            if not rig:  # before a rig she leans forward, as the shape is drawn
+                shape = disturbed(shape, stage="patient", situation=parse_situation("posture=standing"), seed=woman)
             arms = rng.normal(0.0, _ARM_DEG, 2)
-            return posed(standing, rng.normal(0.0, _LEAN_DEG), (arms[0], arms[1]), rng.normal(0.0, _BREATH))
+            return posed(shape, rng.normal(0.0, _LEAN_DEG), (arms[0], arms[1]), rng.normal(0.0, _BREATH))
 
         try:
             solid = make_subject(f"torso_{woman}", 0, edge_mm=_RIG_EDGE_MM if rig else _EDGE_MM, reshape=placed)
