@@ -32,6 +32,7 @@ from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.rigs.targets import make_target
 from mammometry.simulate.session import SimulatedSession, true_volumes_cc, write_session
 from mammometry.simulate.studio import Studio
+from mammometry.simulate.subjects.shapes import sphere
 from mammometry.simulate.subjects.user_mesh import MeshFile
 
 _RECIPE = SessionRecipe(rig="reference:front,left", subject="plaster_3", scale=0.1, seed=4, poses=3)
@@ -386,6 +387,16 @@ def test_each_camera_is_focused_on_the_middle_of_the_rig(tmp_path):
         for name, camera in session.rig.cameras.items():
             middle = camera.camera_from_world.apply(np.zeros((1, 3)))[0, 2]
             assert true_cameras[name]["focus_mm"] == pytest.approx(middle if given is None else given)
+
+
+@pytest.mark.slow
+def test_a_given_subject_is_photographed_instead_of_the_recipes(tmp_path: Path) -> None:
+    recipe = replace(_RECIPE, rig="reference:front", poses=1)
+    ball = sphere(60.0, edge_mm=4.0)
+    session = write_session(tmp_path / "ball", recipe, subject=ball, truth=False)
+    assert session.true_volumes_cc == pytest.approx(ball.volumes_cc)
+    assert tomllib.loads((tmp_path / "ball" / "session.toml").read_text())["subject"]["kind"] == ball.subject_kind
+    assert session.scene.subject_faces == len(ball.mesh.faces)
 
 
 def test_rig_from_a_file_is_photographed(tmp_path, repository):
