@@ -131,7 +131,14 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("break_it", "code", "said"), CASES, ids=[case[0].__name__ for case in CASES])
+QUICK = (malformed_manifest, unknown_key, unknown_format, unknown_dictionary, truncated_calibration_image)
+"""What the tests of a session's files show as well."""
+
+
+@pytest.mark.parametrize(
+    ("break_it", "code", "said"),
+    [pytest.param(*case, id=case[0].__name__, marks=[pytest.mark.slow] if case[0] in QUICK else []) for case in CASES],
+)
 def test_bad_input(
     tiny_finished: Path,
     tiny_settings: Path,

@@ -155,7 +155,10 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(name, marks=[pytest.mark.slow] if name == "other chessboard" else []) for name in CASES],
+)
 def test_what_cannot_be_used_is_named(radiance, case):
     make, target, found, remedy = CASES[case]
     seen = see(make(radiance), target)

@@ -78,7 +78,12 @@ STAGGERED = CirclesTarget(grid=(4, 9), pitch_mm=18.0, diameter_mm=13.0, asymmetr
 
 @pytest.mark.skipif(shutil.which("pdftoppm") is None, reason="no pdftoppm to draw the page with")
 @pytest.mark.parametrize(
-    "target", [CHARUCO, ChessboardTarget(squares=(8, 6), square_mm=25.0), CIRCLES, STAGGERED, CYLINDER]
+    "target",
+    [
+        *(CHARUCO, STAGGERED, CYLINDER),
+        pytest.param(ChessboardTarget(squares=(8, 6), square_mm=25.0), marks=pytest.mark.slow),
+        pytest.param(CIRCLES, marks=pytest.mark.slow),
+    ],
 )
 def test_what_another_program_draws_has_its_size(target, tmp_path):
     """Every dark shape's place and size on the page as poppler rasterises it, 10 pixels a millimetre."""
