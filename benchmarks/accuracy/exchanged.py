@@ -23,7 +23,7 @@ from time import perf_counter
 
 from mammometry.calibration.features.keypoints import Keypoints, keypoints, matched
 from mammometry.calibration.judge import camera_names as judged_names
-from mammometry.calibration.judge.camera_names import Names, check_names
+from mammometry.calibration.judge.camera_names import PhotographCheck, check_names
 from mammometry.geometry.camera import Rig
 from mammometry.io.manifest import read_manifest
 from mammometry.io.photographs.images import read_photograph
@@ -99,7 +99,7 @@ def judged(rig: Rig, features: Mapping[str, Keypoints], moved: Sequence[str] = (
     return "undecided" if names.unknown or _moved(names) else "missed"
 
 
-def _moved(names: Names) -> bool:
+def _moved(names: PhotographCheck) -> bool:
     return any(pair.moved for pair in names.pairs.values())
 
 

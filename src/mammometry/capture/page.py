@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import html
 import io
 import json
 import threading
@@ -27,9 +26,9 @@ from mammometry.calibration.targets.target import Target
 from mammometry.capture.camera import Backend
 from mammometry.capture.checks import Finding, Seen, judge
 from mammometry.capture.loop import CaptureResult, OpenRig, PoseResult
-from mammometry.editor.auth import Door
+from mammometry.editor.auth import OneTimeLogin
 from mammometry.editor.page import resource
-from mammometry.editor.server import Application, entrance_route, guarded_app, listen, page_view
+from mammometry.editor.server import Application, entrance_route, guarded_app, html_page, listen, page_view
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, UInt8
 from mammometry.matching.foreground.block_segmentation import segment
 
@@ -217,7 +216,7 @@ def _target_in(
     return len(points.ids), now
 
 
-class Stand:
+class CameraService:
     """Open cameras for a page, one request at a time.
 
     A firing waits for a live picture, and vice versa.
@@ -333,9 +332,9 @@ class Goal:
     """Each firing is a pose of the calibration board."""
 
 
-def capture_app(stand: Stand, goal: Goal, door: Door) -> Application:
+def capture_app(service: CameraService, goal: Goal, login: OneTimeLogin) -> Application:
     """Make the page's server."""
-    return guarded_app(_routes(stand, goal, door), door)
+    return guarded_app(_routes(service, goal, login), login)
 
 
 def serve(rigged: OpenRig, goal: Goal, *, ready: Callable[[str, str], None]) -> None:
@@ -347,32 +346,30 @@ def serve(rigged: OpenRig, goal: Goal, *, ready: Callable[[str, str], None]) -> 
         ready: called as soon as the page answers, with an address that works once, and the address of a local file that
             opens the page.
     """
-    door, stand = Door("capture --page"), Stand(rigged)
+    login, service = OneTimeLogin("capture --page"), CameraService(rigged)
     try:
-        listen(capture_app(stand, goal, door), door, ready=ready)
+        listen(capture_app(service, goal, login), login, ready=ready)
     finally:
-        stand.close()
+        service.close()
 
 
-def _routes(stand: Stand, goal: Goal, door: Door) -> tuple[URLPattern, ...]:
-    title = f"{'Calibrate' if goal.posing else 'Capture'} {goal.session.name} with rig {stand.rigged.file.rig.name}"
+def _routes(service: CameraService, goal: Goal, login: OneTimeLogin) -> tuple[URLPattern, ...]:
+    title = f"{'Calibrate' if goal.posing else 'Capture'} {goal.session.name} with rig {service.rigged.file.rig.name}"
 
     def document(request: HttpRequest) -> HttpResponse:
-        script = resource("mammometry.report", "capture.js").replace("</", "<\\/")
-        page = resource("mammometry.capture", "capture.html").replace("{{ title }}", html.escape(title))
-        style = resource("mammometry.capture", "capture.css")
-        return HttpResponse(page.replace("{{ style }}", style).replace("{{ script }}", script))
+        page, style = (resource("mammometry.capture", f"capture.{kind}") for kind in ("html", "css"))
+        return html_page(page, title, style=style, script=resource("mammometry.report", "capture.js"))
 
     def fire(request: HttpRequest) -> dict[str, Any]:
         if goal.posing:
-            return stand.pose(goal.session)
-        fired = stand.fire(goal.session, subject_id=goal.subject_id)
+            return service.pose(goal.session)
+        fired = service.fire(goal.session, subject_id=goal.subject_id)
         return firing_table(fired, command_line("mammometry", "run", goal.session))
 
     return (
-        entrance_route(door),
+        entrance_route(login),
         path("", page_view(GET=document)),
-        path("state", page_view(GET=lambda request: stand.state(title, goal.session, posing=goal.posing))),
-        path("look", page_view(POST=lambda request: stand.look(request.body))),
+        path("state", page_view(GET=lambda request: service.state(title, goal.session, posing=goal.posing))),
+        path("look", page_view(POST=lambda request: service.look(request.body))),
         path("fire", page_view(POST=fire)),
     )

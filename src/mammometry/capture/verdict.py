@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.calibration.judge.camera_names import Names, check_names, wrong_photographs
+from mammometry.calibration.judge.camera_names import PhotographCheck, check_names, wrong_photographs
 from mammometry.capture import checks
 from mammometry.capture.checks import Finding, KnownCamera, refuses
 from mammometry.capture.shots import Firing
@@ -225,7 +225,7 @@ def _names_and_stillness(taken: Firing, expected: Expected) -> Iterator[tuple[st
         yield "", _stillness(names)
 
 
-def _named(names: Names, rig: Rig) -> Iterator[Finding]:
+def _named(names: PhotographCheck, rig: Rig) -> Iterator[Finding]:
     for wrong in wrong_photographs(names, rig.pair_names):
         remedy = "Exchange their cables" if set(wrong.cameras) <= set(names.exchanged) else "Check cables and cameras"
         yield _refuse("names", f"{wrong.listed}: {wrong.found}. {remedy}.")
@@ -238,7 +238,7 @@ def _named(names: Names, rig: Rig) -> Iterator[Finding]:
         yield Finding("names", "ok", "All camera names agree with the calibration.")
 
 
-def _stillness(names: Names) -> Finding:
+def _stillness(names: PhotographCheck) -> Finding:
     known = {name: pair for name, pair in names.pairs.items() if pair.is_sufficient and np.isfinite(pair.offset_mm)}
     if not known:
         return Finding("moved", "unknown", "Too little texture to check whether the patient moved.")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from mammometry.base.errors import CaptureError
 from mammometry.capture.loop import OpenRig
-from mammometry.capture.page import Stand
+from mammometry.capture.page import CameraService
 from mammometry.capture.sessions import definition_of, read_rig_file
 from mammometry.clinic.models import Calibration, Rig
 from mammometry.clinic.site import the_clinic
@@ -24,7 +24,7 @@ _IDLE_S = 60.0
 @dataclass(slots=True)
 class _Open:
     key: tuple[object, ...]
-    stand: Stand
+    service: CameraService
     used_s: float
 
 
@@ -39,7 +39,7 @@ def rig_file(rig: Rig) -> Path | None:
     return None if name is None else the_clinic().folder / name
 
 
-def stand_of(rig: Rig, calibration: Calibration | None) -> Stand:
+def service_of(rig: Rig, calibration: Calibration | None) -> CameraService:
     """A rig's open cameras.
 
     They are opened if needed, or if the rig's file or the calibration has changed.
@@ -73,10 +73,10 @@ def stand_of(rig: Rig, calibration: Calibration | None) -> Stand:
                 )  # fmt: skip
             # The clinic's calibration, never the file's, because visits are measured with it.
             rigged = OpenRig(path, calibration=folder, settings=the_clinic().measuring(), own_calibration=False)
-            entry = _open[str(rig.pk)] = _Open(key=key, stand=Stand(rigged), used_s=time.monotonic())
+            entry = _open[str(rig.pk)] = _Open(key=key, service=CameraService(rigged), used_s=time.monotonic())
         entry.used_s = time.monotonic()
         _watch()
-        return entry.stand
+        return entry.service
 
 
 def close_idle(*, idle_s: float = 0.0) -> int:
@@ -95,7 +95,7 @@ def close_idle(*, idle_s: float = 0.0) -> int:
 
 
 def _close(key: str) -> None:
-    _open.pop(key).stand.close()
+    _open.pop(key).service.close()
 
 
 def _watch() -> None:

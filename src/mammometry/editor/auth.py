@@ -29,7 +29,7 @@ _FORM = "application/x-www-form-urlencoded"
 _Response = TypeVar("_Response", bound=HttpResponseBase)
 
 
-class Door:
+class OneTimeLogin:
     """Keys and cookie of one server."""
 
     def __init__(self, command: str = "edit") -> None:

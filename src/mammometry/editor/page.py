@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from mammometry.api.stored_report import stored_scene
 from mammometry.base.errors import FullDiskError, MammometryError, StorageError
 from mammometry.editor.messages import EditorMessage, Finish, Measure, Save, sentence
-from mammometry.editor.session import Desk
+from mammometry.editor.session import DrawingSession
 from mammometry.io.drawn import LateError
 from mammometry.report.figures.shading import front_frame
 from mammometry.report.models import viewer_scene
@@ -42,7 +42,7 @@ class EditorPage:
         Raises:
             MammometryError: the surface cannot be computed, or the subject has no boundaries.
         """
-        self.desk = Desk(job, job.identity.subject)
+        self.drawing_session = DrawingSession(job, job.identity.subject)
         self.title = job.identity.title
         self.author = author
         self._scene = _scene(job)
@@ -54,15 +54,15 @@ class EditorPage:
             author: name of the logged-in person, which the page cannot change; None lets the page ask.
         """
         known = {"author": author or self.author or "", "signed": author is not None}
-        return {"scene": self._scene, **known, **self.desk.state()}
+        return {"scene": self._scene, **known, **self.drawing_session.state()}
 
     def items(self) -> dict[str, Any]:
         """State of all boundaries and landmarks, as JSON."""
-        return self.desk.state()
+        return self.drawing_session.state()
 
     def measure(self, body: bytes) -> dict[str, Any]:
         """Measure the boundaries of a message, as JSON."""
-        return self.desk.live(read(Measure, body))
+        return self.drawing_session.live(read(Measure, body))
 
     def save(self, body: bytes, author: str | None = None) -> tuple[Save, tuple[Path, ...]]:
         """Save the changes of a message.
@@ -75,11 +75,11 @@ class EditorPage:
             The answer, and the files that were changed.
         """
         sent = _signed(read(Save, body), author)
-        return sent, self.desk.save(sent)
+        return sent, self.drawing_session.save(sent)
 
     def finish(self, body: bytes) -> None:
         """Record the confirmation of a message."""
-        self.desk.finish(read(Finish, body))
+        self.drawing_session.finish(read(Finish, body))
 
 
 def _scene(job: Job) -> dict[str, Any]:

@@ -4,8 +4,10 @@ It listens only on 127.0.0.1, and requires a one-time key (`auth`).
 """
 
 import io
+import re
 import socket
 from collections.abc import Awaitable, Callable
+from html import escape
 from typing import Any
 
 from django.conf import settings
@@ -17,33 +19,33 @@ from pydantic import ValidationError
 
 from mammometry.api.job import Job
 from mammometry.base.errors import MammometryError
-from mammometry.editor.auth import HOST, Door, entrance, local_page, sealed
+from mammometry.editor.auth import HOST, OneTimeLogin, entrance, local_page, sealed
 from mammometry.editor.page import EditorPage, refusal, resource
 
 Application = Callable[[Any, Any, Any], Awaitable[None]]
 """An ASGI application: scope, receive, send."""
 
 
-def editor_app(opened: Callable[[], Job], door: Door, *, author: str | None = None) -> Application:
+def editor_app(opened: Callable[[], Job], login: OneTimeLogin, *, author: str | None = None) -> Application:
     """Application of the page for one session or scan.
 
     Args:
         opened: opens it, first for the page and again for each measurement. Its surface is computed if not current.
-        door: controls access.
+        login: controls access.
         author: name of the person who draws. Without it the page asks.
 
     Raises:
         MammometryError: the surface cannot be computed, or the subject has no boundaries.
     """
-    return guarded_app(_routes(_LocalPage(opened, author), door), door)
+    return guarded_app(_routes(_LocalPage(opened, author), login), login)
 
 
-def guarded_app(routes: tuple[URLPattern, ...], door: Door) -> Application:
+def guarded_app(routes: tuple[URLPattern, ...], login: OneTimeLogin) -> Application:
     """Application of a local page.
 
     Args:
-        routes: of the page, including `door.enter` (`entrance_route`).
-        door: controls access.
+        routes: of the page, including `login.enter` (`entrance_route`).
+        login: controls access.
     """
     handler = _handler()
 
@@ -53,7 +55,7 @@ def guarded_app(routes: tuple[URLPattern, ...], door: Door) -> Application:
     handler.request_class = Request
 
     async def application(scope: Any, receive: Any, send: Any) -> None:
-        refused = door.refusal(ASGIRequest(scope, io.BytesIO()))  # by its headers, before the body is read
+        refused = login.refusal(ASGIRequest(scope, io.BytesIO()))  # by its headers, before the body is read
         if refused is None:
             await handler(scope, receive, send)
         else:
@@ -74,16 +76,16 @@ def serve(opened: Callable[[], Job], *, ready: Callable[[str, str], None], autho
     Raises:
         MammometryError: as for `editor_app`.
     """
-    door = Door()
-    listen(editor_app(opened, door, author=author), door, ready=ready)
+    login = OneTimeLogin()
+    listen(editor_app(opened, login, author=author), login, ready=ready)
 
 
-def listen(app: Application, door: Door, *, ready: Callable[[str, str], None]) -> None:
+def listen(app: Application, login: OneTimeLogin, *, ready: Callable[[str, str], None]) -> None:
     """Serve a local page until interrupted.
 
     Args:
         app: from `guarded_app`.
-        door: of the same page.
+        login: of the same page.
         ready: as for `serve`.
     """
     import uvicorn
@@ -95,8 +97,8 @@ def listen(app: Application, door: Door, *, ready: Callable[[str, str], None]) -
         server = uvicorn.Server(
             uvicorn.Config(app, log_config=None, log_level="warning", access_log=False, lifespan="off")
         )
-        with local_page(address, door.new_key()) as file:
-            ready(f"{address}/enter#{door.new_key()}", file.as_uri())
+        with local_page(address, login.new_key()) as file:
+            ready(f"{address}/enter#{login.new_key()}", file.as_uri())
             server.run(sockets=[listener])
 
 
@@ -121,7 +123,7 @@ class _LocalPage:
         self.page = EditorPage(job, author=self._author)
 
 
-def _routes(local: _LocalPage, door: Door) -> tuple[URLPattern, ...]:
+def _routes(local: _LocalPage, login: OneTimeLogin) -> tuple[URLPattern, ...]:
     def saved(request: HttpRequest) -> dict[str, Any]:
         _, changed = local.page.save(request.body)
         return {"saved": len(changed), **local.page.items()}
@@ -134,9 +136,18 @@ def _routes(local: _LocalPage, door: Door) -> tuple[URLPattern, ...]:
         local.page.finish(request.body)
         return local.page.items()
 
+    def document(request: HttpRequest) -> HttpResponse:
+        styles = [resource("mammometry.report", name) for name in ("report.css", "viewer.css")]
+        return html_page(
+            resource("mammometry.editor", "editor.html"),
+            local.page.title,
+            style="".join([*styles, resource("mammometry.editor", "editor.css")]),
+            script=resource("mammometry.report", "editor.js"),
+        )
+
     return (
-        entrance_route(door),
-        path("", page_view(GET=lambda request: HttpResponse(_document(local.page.title)))),
+        entrance_route(login),
+        path("", page_view(GET=document)),
         path("drawing", page_view(GET=lambda request: local.page.drawing())),
         path("items", page_view(GET=lambda request: local.page.items())),
         path("measure", page_view(POST=lambda request: local.page.measure(request.body))),
@@ -146,9 +157,9 @@ def _routes(local: _LocalPage, door: Door) -> tuple[URLPattern, ...]:
     )
 
 
-def entrance_route(door: Door) -> URLPattern:
+def entrance_route(login: OneTimeLogin) -> URLPattern:
     """Route on which a key is exchanged for the cookie."""
-    return path("enter", page_view(GET=lambda request: entrance(), POST=door.enter))
+    return path("enter", page_view(GET=lambda request: entrance(), POST=login.enter))
 
 
 def page_view(**by_method: Callable[[HttpRequest], HttpResponse | dict[str, Any]]) -> Callable[..., HttpResponseBase]:
@@ -168,14 +179,14 @@ def page_view(**by_method: Callable[[HttpRequest], HttpResponse | dict[str, Any]
     return view
 
 
-def _document(title: str) -> str:
-    from jinja2 import Environment, StrictUndefined
-    from markupsafe import Markup
+def html_page(template: str, title: str, *, style: str, script: str) -> HttpResponse:
+    """A page in one file.
 
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    template = environment.from_string(resource("mammometry.editor", "editor.html.j2"))
-    style = "".join(resource("mammometry.report", name) for name in ("report.css", "viewer.css"))
-    script = resource("mammometry.report", "editor.js").replace("</", "<\\/")
-    return template.render(
-        title=title, style=Markup(style + resource("mammometry.editor", "editor.css")), script=Markup(script)
-    )
+    Args:
+        template: HTML with places for ``title``, ``style`` and ``script`` in double braces.
+        title: any text.
+        style: CSS.
+        script: JavaScript.
+    """
+    parts = {"title": escape(title), "style": style, "script": script.replace("</", "<\\/")}
+    return HttpResponse(re.sub(r"{{ (\w+) }}", lambda place: parts[place[1]], template))

@@ -48,7 +48,7 @@ _FARTHEST_MM = 10_000.0  # from the surface: detects a wrong unit and prevents o
 _LASTING = ("method", "author", "drawn")
 
 
-class Desk:
+class DrawingSession:
     """Drawing on a session or a scan. Its methods may be called from several threads."""
 
     def __init__(self, job: Job, subject: str | None = None) -> None:

@@ -12,8 +12,8 @@ from tests.unit.capture.virtual_capture import rig_file
 
 from mammometry.base.errors import SessionError
 from mammometry.capture.loop import OpenRig
-from mammometry.capture.page import Goal, Stand, capture_app, firing_table, serve
-from mammometry.editor.auth import Door
+from mammometry.capture.page import CameraService, Goal, capture_app, firing_table, serve
+from mammometry.editor.auth import OneTimeLogin
 
 CHROMIUM = shutil.which("chromium")
 
@@ -21,9 +21,9 @@ CHROMIUM = shutil.which("chromium")
 @pytest.fixture
 def page(place):
     with OpenRig(rig_file(place, faults='left_left = "unplugged"')) as rigged:
-        stand = Stand(rigged)
-        yield stand
-        stand.close()
+        service = CameraService(rigged)
+        yield service
+        service.close()
 
 
 @pytest.mark.slow
@@ -42,7 +42,7 @@ def test_the_page_shows_states_and_live_pictures_and_fires(page, place):
 
 
 def test_nobody_without_the_key_may_look_or_fire(page, place):
-    app = capture_app(page, Goal(session=place / "s"), Door("capture --page"))
+    app = capture_app(page, Goal(session=place / "s"), OneTimeLogin("capture --page"))
     for method, path in (("GET", "/"), ("GET", "/state"), ("POST", "/look"), ("POST", "/fire")):
         assert asyncio.run(status_of(app, method, path)) == 403
     assert not (place / "s").exists()

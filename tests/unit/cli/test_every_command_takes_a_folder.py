@@ -19,7 +19,7 @@ from mammometry.api.mesh import MeshJob
 from mammometry.base.errors import MeasureError, SessionError, StorageError
 from mammometry.batch.record import stats_of
 from mammometry.cli.main import run
-from mammometry.editor.session import Desk
+from mammometry.editor.session import DrawingSession
 from mammometry.io.drawn import BOUNDARIES
 from mammometry.io.meshes.measured import ABOUT_MESH, read_measured
 from mammometry.io.meshes.scans import ScanFacts, import_scan
@@ -121,7 +121,7 @@ def test_python_opens_a_scans_folder(place: Path, name: str) -> None:
 @pytest.mark.parametrize("name", FOLDERS)
 def test_a_scans_folder_is_drawn_on(place: Path, name: str) -> None:
     """The page shows the boundary that was given, in mm, and what is drawn is measured."""
-    desk = Desk(drawable(place / name))
+    desk = DrawingSession(drawable(place / name))
     shown = np.array(desk.state()["boundaries"]["model"]["curve"])
     assert np.abs(shown).max() == pytest.approx(60.0, abs=1e-6)
     curves(place / name / BOUNDARIES, model=RIM * 0.999)
@@ -135,7 +135,7 @@ def test_a_refused_drawing_can_be_corrected(place: Path) -> None:
     curves(folder / BOUNDARIES, model=RIM * 1.5)  # off the mesh
     with pytest.raises(MeasureError):
         mm.open_session(folder)
-    desk = Desk(drawable(folder))
+    desk = DrawingSession(drawable(folder))
     assert len(desk.job.surface().repaired.mesh.faces) > 0
 
 

@@ -132,11 +132,11 @@ def test_cameras_are_let_go_and_opened_again(
     before_rig: Callable[..., Visit], client_of: Callable[..., Client]
 ) -> None:
     visit = before_rig()
-    first = cameras.stand_of(visit.rig, visit.calibration)
-    assert cameras.stand_of(visit.rig, visit.calibration) is first
+    first = cameras.service_of(visit.rig, visit.calibration)
+    assert cameras.service_of(visit.rig, visit.calibration) is first
     assert cameras.close_idle(idle_s=60) == 1
     assert cameras.close_idle() == 0
-    assert cameras.stand_of(visit.rig, visit.calibration) is not first
+    assert cameras.service_of(visit.rig, visit.calibration) is not first
 
 
 def test_a_rig_that_is_driven_elsewhere_or_by_a_wrong_file_is_said(

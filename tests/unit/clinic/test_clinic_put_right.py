@@ -8,7 +8,7 @@ import pytest
 from tests.clinic_forms import filled
 from tests.unit.clinic.test_clinic_uploads import Sender, photograph, rig_visit, sender  # noqa: F401
 
-from mammometry.calibration.judge.camera_names import Names, PairAgreement
+from mammometry.calibration.judge.camera_names import PairAgreement, PhotographCheck
 from mammometry.clinic.intake import photographs
 from mammometry.clinic.jobs.results import enter
 from mammometry.clinic.models import Calibration, DailyCheck, Job, Upload, Visit
@@ -32,7 +32,7 @@ def geometry(rig_visit, monkeypatch):  # noqa: F811
     def check_names(rig, seen):
         right = all(TAKEN_BY.get(digest, camera) == camera for camera, digest in seen.items())
         fits = PairAgreement(matches=100, fitting=1.0 if right else 0.0, offset_mm=0.0)
-        return Names(pairs={"front": fits}, exchanged={} if right else BOTH)
+        return PhotographCheck(pairs={"front": fits}, exchanged={} if right else BOTH)
 
     monkeypatch.setattr(photographs, "_rig", lambda calibration: rig)
     monkeypatch.setattr(photographs, "_seen", lambda sha256, path: sha256)
@@ -120,7 +120,7 @@ def test_unnamed_photographs_get_the_camera_that_the_calibration_says(sender):  
 def test_what_the_calibration_cannot_tell_is_asked(sender, monkeypatch):  # noqa: F811
     sender.send(photograph(3), name="IMG_0001.JPG")
     sender.send(photograph(4), name="IMG_0002.JPG")
-    unsure = Names(pairs={"front": PairAgreement(matches=3, fitting=0.0, offset_mm=0.0)})
+    unsure = PhotographCheck(pairs={"front": PairAgreement(matches=3, fitting=0.0, offset_mm=0.0)})
     monkeypatch.setattr(photographs, "check_names", lambda rig, seen: unsure)
     photographs._by_geometry.cache_clear()
     assert sender.state()["by_geometry"] == {}

@@ -393,14 +393,14 @@ def test_a_calibration_says_how_many_poses_it_still_needs(client_of, rig_visit):
 
 @pytest.mark.requirement("R-FIRE-5")
 def test_exchanged_photographs_are_named_before_they_are_measured(sender, rig_visit, monkeypatch):
-    from mammometry.calibration.judge.camera_names import Names
+    from mammometry.calibration.judge.camera_names import PhotographCheck
     from mammometry.clinic.intake import photographs
     from mammometry.clinic.rig_history import may_queue
 
     both = {"front_left": "front_right", "front_right": "front_left"}
     rig = type("AnyRig", (), {"cameras": both, "pair_names": {"front": ("front_left", "front_right")}})
     monkeypatch.setattr(photographs, "_rig", lambda calibration: rig)
-    monkeypatch.setattr(photographs, "check_names", lambda rig, seen: Names(pairs={}, exchanged=both))
+    monkeypatch.setattr(photographs, "check_names", lambda rig, seen: PhotographCheck(pairs={}, exchanged=both))
     photographs._checked.cache_clear()
     for seed, camera in enumerate(both):
         sender.send(photograph(seed), name=f"{camera}.jpg")

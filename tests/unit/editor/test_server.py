@@ -28,10 +28,10 @@ from tests.patience import patient
 from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.identity import Identity
 from mammometry.editor import server as served
-from mammometry.editor.auth import HOST, LARGEST_BYTES, Door, local_page
+from mammometry.editor.auth import HOST, LARGEST_BYTES, OneTimeLogin, local_page
 from mammometry.editor.messages import PlaceChange, Save, SentHandle, Sketch, SketchChange
 from mammometry.editor.server import Application, editor_app
-from mammometry.editor.session import Desk
+from mammometry.editor.session import DrawingSession
 from mammometry.job.stages import measure
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
@@ -82,7 +82,7 @@ def job(folder: Path, kind: str = "model") -> SimpleNamespace:
 
 def measured(job: SimpleNamespace, volume_cc: float) -> SimpleNamespace:
     """The same job after the whole surface was measured with what is drawn now."""
-    desk = Desk(job)  # type: ignore[arg-type]
+    desk = DrawingSession(job)  # type: ignore[arg-type]
     (state,) = desk.state()["boundaries"].values()
     points = np.array(state["curve"])
     measurement = SimpleNamespace(
@@ -93,8 +93,8 @@ def measured(job: SimpleNamespace, volume_cc: float) -> SimpleNamespace:
 
 
 @pytest.fixture
-def door() -> Door:
-    return Door()
+def login() -> OneTimeLogin:
+    return OneTimeLogin()
 
 
 @pytest.fixture(autouse=True)
@@ -105,8 +105,8 @@ def alone(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def app(tmp_path: Path, door: Door) -> Application:
-    return editor_app(lambda: job(tmp_path), door)  # type: ignore[arg-type,return-value]
+def app(tmp_path: Path, login: OneTimeLogin) -> Application:
+    return editor_app(lambda: job(tmp_path), login)  # type: ignore[arg-type,return-value]
 
 
 @dataclass(frozen=True)
@@ -161,10 +161,10 @@ def address(app: Application) -> Iterator[str]:
 
 
 @pytest.fixture
-def client(address: str, door: Door) -> Client:
+def client(address: str, login: OneTimeLogin) -> Client:
     """One who came in by a key."""
     client = Client(address)
-    assert client.enter(door.new_key()).status == 200
+    assert client.enter(login.new_key()).status == 200
     return client
 
 
@@ -185,12 +185,12 @@ def given(folder: Path, **more: object) -> bytes:
 
 
 @pytest.mark.requirement("R-SENT-2")
-def test_only_those_who_came_in_by_a_key_are_answered(address: str, door: Door) -> None:
+def test_only_those_who_came_in_by_a_key_are_answered(address: str, login: OneTimeLogin) -> None:
     client = Client(address)
     for path in ("/", "/drawing", "/items", "/docs", "/admin/"):
         assert client.get(path).status == 403
     assert client.post("/save", {"author": "A"}).status == 403
-    key = door.new_key()
+    key = login.new_key()
     for guess in ("", "guess", key + "x", "ä"):
         assert client.enter(guess).status == 403
     answer = client.enter(key)
@@ -208,8 +208,8 @@ def test_only_those_who_came_in_by_a_key_are_answered(address: str, door: Door) 
     assert client.get("/drawing").status == 404
 
 
-def test_a_used_link_shows_a_page_and_opens_again_for_who_is_inside(address: str, door: Door) -> None:
-    inside, key = Client(address), door.new_key()
+def test_a_used_link_shows_a_page_and_opens_again_for_who_is_inside(address: str, login: OneTimeLogin) -> None:
+    inside, key = Client(address), login.new_key()
     browser = {"Accept": "text/html,application/xhtml+xml,*/*;q=0.8", **FORM}
     assert inside.enter(key).status == 200
     used = Client(address).ask("POST", "/enter", urlencode({"key": key}).encode(), browser)
@@ -403,11 +403,11 @@ def test_a_line_that_crosses_itself_is_shown_where_it_does_and_not_saved(client:
     assert "crosses itself" in refused.json()["error"]
 
 
-def test_an_untouched_line_has_exactly_the_measured_number(tmp_path: Path, door: Door) -> None:
+def test_an_untouched_line_has_exactly_the_measured_number(tmp_path: Path, login: OneTimeLogin) -> None:
     whole = measured(job(tmp_path), volume_cc=407.25)
-    with running(editor_app(lambda: whole, door)) as address:  # type: ignore[arg-type,return-value]
+    with running(editor_app(lambda: whole, login)) as address:  # type: ignore[arg-type,return-value]
         client = Client(address)
-        client.enter(door.new_key())
+        client.enter(login.new_key())
         item = client.get("/drawing").json()["boundaries"]["model"]
         assert (item["measured"]["volumeCc"], item["measured"]["of"]) == (407.25, item["of"])
         live = client.post("/measure", {"boundaries": {"model": untouched(item)}}).json()["model"]
@@ -421,10 +421,10 @@ def test_an_untouched_line_has_exactly_the_measured_number(tmp_path: Path, door:
 
 def test_a_line_that_was_loaded_before_the_server_began_anew_is_still_known(tmp_path: Path) -> None:
     given(tmp_path)
-    item = Desk(job(tmp_path)).state()["boundaries"]["model"]  # type: ignore[arg-type]
+    item = DrawingSession(job(tmp_path)).state()["boundaries"]["model"]  # type: ignore[arg-type]
     sketch = Sketch.model_validate(untouched(item))
     sketch.handles[4] = SentHandle(point=tuple(np.add(sketch.handles[4].point, [0.0, 0.0, 5.0])))
-    later = Desk(job(tmp_path))  # type: ignore[arg-type]
+    later = DrawingSession(job(tmp_path))  # type: ignore[arg-type]
     later.save(Save(author="A", boundaries={"model": SketchChange(base=item["base"], sketch=sketch)}))
     assert later.state()["boundaries"]["model"]["how"].startswith("edited by hand by A")
 
@@ -480,7 +480,7 @@ def test_an_unreadable_file_is_told_and_never_replaced(client: Client, tmp_path:
 
 
 def test_a_drawing_of_another_subject_is_neither_shown_nor_replaced(tmp_path: Path) -> None:
-    desk = Desk(job(tmp_path), "P-8")  # type: ignore[arg-type]
+    desk = DrawingSession(job(tmp_path), "P-8")  # type: ignore[arg-type]
     points = [(0.0, 0.0, 60.0)]
     sent = Save(author="A", landmarks={"nipple_model": PlaceChange(base=None, points=points)})
     desk.save(sent)
@@ -492,23 +492,23 @@ def test_a_drawing_of_another_subject_is_neither_shown_nor_replaced(tmp_path: Pa
             act()
 
 
-def test_without_an_automatic_boundary_the_page_says_why(tmp_path: Path, door: Door) -> None:
+def test_without_an_automatic_boundary_the_page_says_why(tmp_path: Path, login: OneTimeLogin) -> None:
     def fails() -> None:
         raise MeasureError("base", found="none", expected="one", remedy="Look")
 
     broken = job(tmp_path)
     broken.plan[measure.boundaries] = fails
-    with running(editor_app(lambda: broken, door)) as address:  # type: ignore[arg-type,return-value]
+    with running(editor_app(lambda: broken, login)) as address:  # type: ignore[arg-type,return-value]
         client = Client(address)
-        client.enter(door.new_key())
+        client.enter(login.new_key())
         state = client.get("/drawing").json()
     assert state["remark"].endswith("base: found none, expected one. Look.")
     assert "curve" not in state["boundaries"]["model"]
 
 
-def test_an_open_surface_has_nothing_to_draw(tmp_path: Path, door: Door) -> None:
+def test_an_open_surface_has_nothing_to_draw(tmp_path: Path, login: OneTimeLogin) -> None:
     with pytest.raises(SessionError, match=r"^session\.toml: .*open"):
-        editor_app(lambda: job(tmp_path, "surface"), door)  # type: ignore[arg-type,return-value]
+        editor_app(lambda: job(tmp_path, "surface"), login)  # type: ignore[arg-type,return-value]
 
 
 # --- in a browser ---
@@ -543,7 +543,7 @@ def browser() -> Iterator[Browser]:
 
 
 @pytest.fixture
-def tab(door: Door, browser: Browser, tmp_path: Path) -> Iterator[Callable[[], Page]]:
+def tab(login: OneTimeLogin, browser: Browser, tmp_path: Path) -> Iterator[Callable[[], Page]]:
     """Opens the editor of a measured ball, each time in another tab of one window."""
     wrong: list[str] = []
 
@@ -552,14 +552,14 @@ def tab(door: Door, browser: Browser, tmp_path: Path) -> Iterator[Callable[[], P
         fresh.run = lambda: measured(fresh, HALF_BALL_CC)
         return measured(fresh, HALF_BALL_CC) if not (tmp_path / "boundaries.json").exists() else fresh
 
-    with running(editor_app(opened_job, door)) as address:  # type: ignore[arg-type]
+    with running(editor_app(opened_job, login)) as address:  # type: ignore[arg-type]
         context: BrowserContext = patient(browser.new_context(viewport={"width": 1000, "height": 1100}))
 
         def opened() -> Page:
             page = context.new_page()
             page.on("pageerror", lambda error: wrong.append(str(error)))
             if len(context.pages) == 1:
-                with local_page(address, door.new_key()) as file:
+                with local_page(address, login.new_key()) as file:
                     page.goto(file.as_uri())
                     page.wait_for_url(f"{address}/")
             else:
@@ -810,11 +810,11 @@ def test_an_unreadable_file_is_told_on_the_page(tab: Callable[[], Page], tmp_pat
 
 @pytest.mark.slow
 def test_the_printed_address_takes_its_key_out_of_the_address_bar(
-    app: Application, door: Door, browser: Browser
+    app: Application, login: OneTimeLogin, browser: Browser
 ) -> None:
     with running(app) as address:
         page = patient(browser.new_page())
-        key = door.new_key()
+        key = login.new_key()
         page.goto(f"{address}/enter#{key}")
         page.wait_for_selector("#mm-editor[data-ready]")
         assert page.url == f"{address}/"

@@ -80,7 +80,7 @@ class PairAgreement:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Names:
+class PhotographCheck:
     """Result of testing the photographs' names by their features."""
 
     pairs: Mapping[str, PairAgreement]
@@ -134,7 +134,7 @@ class WrongPhotographs:
         return " and ".join(part for part in (", ".join(self.cameras[:-1]), self.cameras[-1]) if part)
 
 
-def wrong_photographs(names: Names, pairs: Mapping[str, tuple[str, str]]) -> Iterator[WrongPhotographs]:
+def wrong_photographs(names: PhotographCheck, pairs: Mapping[str, tuple[str, str]]) -> Iterator[WrongPhotographs]:
     """Explain which photographs are wrong, and what to do.
 
     Args:
@@ -179,7 +179,7 @@ _Score: TypeAlias = tuple[int, float]
 _Assignment: TypeAlias = tuple[_Score, dict[str, str]]
 
 
-def check_names(rig: Rig, seen: Mapping[str, Keypoints]) -> Names:
+def check_names(rig: Rig, seen: Mapping[str, Keypoints]) -> PhotographCheck:
     """Find photographs with wrong names, and those that do not belong to the others.
 
     Args:
@@ -223,7 +223,7 @@ def check_names(rig: Rig, seen: Mapping[str, Keypoints]) -> Names:
         and own[pair].fitting_matches < _BY_CHANCE
         and _angle_deg(rig, both) < _WIDER * reach
     }
-    return Names(
+    return PhotographCheck(
         pairs=own,
         exchanged=exchanged,
         misfitting=misfitting,

@@ -239,15 +239,15 @@ def visit_state(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     """State of the rig before firing."""
     row = visit_or_404(visit)
     rig = rig_of(row)
-    return JsonResponse(cameras.stand_of(rig, row.calibration).state(rig.name, row.folder))
+    return JsonResponse(cameras.service_of(rig, row.calibration).state(rig.name, row.folder))
 
 
 @json_view("POST")
 def visit_look(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     """A live picture of every camera, with its aids."""
     row = visit_or_404(visit)
-    stand = cameras.stand_of(rig_of(row), row.calibration)
-    return JsonResponse(stand.look(request.body, subject_kind=row.subject_kind))
+    service = cameras.service_of(rig_of(row), row.calibration)
+    return JsonResponse(service.look(request.body, subject_kind=row.subject_kind))
 
 
 @json_view("POST")
@@ -255,13 +255,13 @@ def visit_fire(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     """Fire. Pictures that may be measured are added to the visit."""
     row = visit_or_404(visit)
     uploads.require_open(row)
-    stand = cameras.stand_of(rig_of(row), row.calibration)
+    service = cameras.service_of(rig_of(row), row.calibration)
     uploads.ready_folder(row)
     try:
         require_replaceable(row.folder)
     except SessionError:
         raise Refused("This visit has uploaded photographs. Set them aside first, then fire.") from None
-    fired = stand.fire(row.folder, subject_id=row.patient.pseudonym)
+    fired = service.fire(row.folder, subject_id=row.patient.pseudonym)
     if fired.accepted:
         take_in(row, fired, person_of(request))
     where = reverse("visit", kwargs={"visit": row.pk})

@@ -14,7 +14,7 @@ from mammometry.job.products import Context, product, product_of_each
 
 if TYPE_CHECKING:  # the stages import compilers and image libraries, which a plan does not need
     from mammometry.calibration.features.keypoints import Keypoints
-    from mammometry.calibration.judge.camera_names import Names
+    from mammometry.calibration.judge.camera_names import PhotographCheck
     from mammometry.matching.dense.match import DisparityMap
     from mammometry.matching.foreground.all_cameras import Subjects
     from mammometry.matching.foreground.foreground import Foreground
@@ -25,7 +25,7 @@ _AT_ONCE = 4  # photographs in memory at once; 40 MB each at full size
 
 
 @product("match", version=2, stored=False, check=True)
-def names(cameras: CameraSet, *, job: Context) -> Names:
+def names(cameras: CameraSet, *, job: Context) -> PhotographCheck:
     """Check before matching that each photograph is from the camera that it is named after.
 
     The result is not stored: after a refusal the stored results are unchanged.

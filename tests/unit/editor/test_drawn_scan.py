@@ -13,7 +13,7 @@ from mammometry.base.errors import CrossingError
 from mammometry.cli.main import run
 from mammometry.editor.messages import PlaceChange, Save, SentHandle, Sketch, SketchChange
 from mammometry.editor.page import EditorPage
-from mammometry.editor.session import Desk
+from mammometry.editor.session import DrawingSession
 from mammometry.io.meshes.scans import ScanFacts, import_scan
 from mammometry.io.outputs import write_outputs
 from mammometry.measure.volume.attribution import curve_digest
@@ -75,7 +75,7 @@ def test_a_scan_measured_elsewhere_says_whose_line_it_uses(
     page = EditorPage(drawable(scan))
     left = page.drawing("C. Eye")["boundaries"]["left"]
     sketch = Sketch(of=left["of"], handles=[SentHandle.model_validate(each) for each in left["handles"]])
-    page.desk.save(Save(author="A. Nurse", boundaries={"left": SketchChange(base=left["base"], sketch=sketch)}))
+    page.drawing_session.save(Save(author="A. Nurse", boundaries={"left": SketchChange(base=left["base"], sketch=sketch)}))
     capsys.readouterr()
     assert run(["measure", str(scan / "scan.ply"), "--out", str(tmp_path / "mine")]) == 0
     (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("Boundary left, from ")]
@@ -103,19 +103,19 @@ def test_a_scan_is_drawn_on_measured_and_shown(scan: Path) -> None:
     sketch = Sketch(of=left["of"], handles=[SentHandle.model_validate(each) for each in left["handles"]])
     moved = np.add(sketch.handles[0].point, [0.0, 12.0, 0.0])
     sketch.handles[0] = SentHandle(point=tuple(moved.tolist()))
-    page.desk.save(Save(author="A", boundaries={"left": SketchChange(base=left["base"], sketch=sketch)}))
+    page.drawing_session.save(Save(author="A", boundaries={"left": SketchChange(base=left["base"], sketch=sketch)}))
     assert set(json.loads((scan / "boundaries.json").read_text())["boundaries"]) == {"left", "right"}
     again = open_session(scan)
     second = again.run()
     assert second.volumes_cc["left"] != first.volumes_cc["left"]
     low, high = first.intervals_cc["right"]  # the trunk's own plane is fitted beside both borders, and moves a little
     assert second.volumes_cc["right"] == pytest.approx(first.volumes_cc["right"], abs=0.01 * (high - low) / 2)
-    state = Desk(drawable(scan)).state()["boundaries"]
+    state = DrawingSession(drawable(scan)).state()["boundaries"]
     assert state["left"]["measured"]["of"] == state["left"]["of"] != left["of"]
     assert state["right"]["automatic"]
 
     # A line that crosses itself is refused; a landmark that the measurement refuses can be corrected.
-    desk = Desk(drawable(scan))
+    desk = DrawingSession(drawable(scan))
     places = np.array([handle["point"] for handle in state["left"]["handles"]])
     places[[1, 5]] = places[[5, 1]]
     crossed = Sketch(handles=[SentHandle(point=tuple(point)) for point in places.tolist()])
@@ -124,6 +124,6 @@ def test_a_scan_is_drawn_on_measured_and_shown(scan: Path) -> None:
     right = np.array(state["right"]["curve"]).mean(axis=0)
     wrong = Save(author="A", landmarks={"nipple_left": PlaceChange(base=None, points=[tuple(right.tolist())])})
     desk.save(wrong)
-    opened = Desk(drawable(scan)).state()
+    opened = DrawingSession(drawable(scan)).state()
     assert opened["places"]["nipple_left"]["points"]
     assert curve_digest(np.array(opened["boundaries"]["left"]["curve"])) == state["left"]["of"]
