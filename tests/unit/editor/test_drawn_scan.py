@@ -75,7 +75,9 @@ def test_a_scan_measured_elsewhere_says_whose_line_it_uses(
     page = EditorPage(drawable(scan))
     left = page.drawing("C. Eye")["boundaries"]["left"]
     sketch = Sketch(of=left["of"], handles=[SentHandle.model_validate(each) for each in left["handles"]])
-    page.drawing_session.save(Save(author="A. Nurse", boundaries={"left": SketchChange(base=left["base"], sketch=sketch)}))
+    page.drawing_session.save(
+        Save(author="A. Nurse", boundaries={"left": SketchChange(base=left["base"], sketch=sketch)})
+    )
     capsys.readouterr()
     assert run(["measure", str(scan / "scan.ply"), "--out", str(tmp_path / "mine")]) == 0
     (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("Boundary left, from ")]
