@@ -1,14 +1,18 @@
-"""Volumes of pitched bodies, from the file's axes and from the body's own frame.
+"""Volumes of bodies that lie differently in their files.
 
-    python -m benchmarks.accuracy.poses --bodies ../shared/data/scans --names body_3 body_4 body_6
+    python -m benchmarks.accuracy.poses --bodies ../shared/data/scans --names body_3_clean body_4_clean
+    python -m benchmarks.accuracy.poses --bodies ../shared/data/scans --names body_4_clean --axes
 
-The body's own frame and its front are found in turn (docs/decisions/0053). The product does not use it.
+Each pose is measured as the command does, once with the front in the body's own frame (the product, docs/decisions/0053)
+and, with `--rivals`, once with the front in the frame of the file's axes. `--axes`: the 24 ways to name a file's axes.
 """
 
 from __future__ import annotations
 
 import argparse
 import tempfile
+from collections.abc import Iterator
+from itertools import permutations, product
 from pathlib import Path
 from unittest.mock import patch
 
@@ -23,49 +27,57 @@ from mammometry.io.meshes.foreign import read_foreign
 from mammometry.measure import scanned
 from mammometry.measure.scan_front import front_of_body
 from mammometry.measure.scan_repair import RepairedScan
-from mammometry.measure.trunk.body import find_body
 
-_PITCHES_DEG = (0.0, 40.0, -40.0)
-_ROUNDS = 3  # frames of body_3 differ by less than 0.2° after the second, from five poses
-_by_axes = scanned.frame_from_axes
+_PITCH_ROLL_DEG = ((0.0, 0.0), (40.0, 0.0), (-30.0, 0.0), (20.0, 30.0))
+_own_front = scanned.own_front
 
 
-def settled_frame(mesh: TriangleMesh, head: str | None = None, ahead: str | None = None) -> Float64[Array, "3 3"]:
-    """The body's own frame and its front, each found from the other, from the file's axes on.
+def front_by_axes(scan: RepairedScan, frame: Float64[Array, "3 3"]) -> tuple[RepairedScan, Float64[Array, "3 3"]]:
+    """The front as it is cut in the frame of the file's axes."""
+    return front_of_body(scan, frame), frame
 
-    Raises:
-        MeasureError: no front, or no trunk on it.
-    """
-    frame = _by_axes(mesh, head, ahead)
-    scan = RepairedScan(mesh=mesh, invented=np.zeros(len(mesh.vertices), dtype=bool), notices=())
-    for _ in range(_ROUNDS):
-        front = front_of_body(scan, frame)
-        frame = find_body(scanned.as_scanned(front.mesh, front.invented), frame, stated=True).frame
-    return frame
+
+def poses(*, axes: bool) -> Iterator[tuple[str, Float64[Array, "3 3"]]]:
+    """Name of each pose, and its rotation."""
+    if not axes:
+        for pitch, roll in _PITCH_ROLL_DEG:
+            yield f"{pitch:.0f}°, {roll:.0f}°", Rotation.from_euler("zx", [roll, pitch], degrees=True).as_matrix()
+        return
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            turn = np.eye(3)[list(order)] * np.array(signs)[:, None]
+            if np.linalg.det(turn) > 0:
+                up, ahead = (_axis_name(turn[:, column]) for column in (1, 2))
+                yield f"head {up}, ahead {ahead}", turn
+
+
+def _axis_name(direction: Float64[Array, 3]) -> str:
+    return f"{'-' if direction.sum() < 0 else ''}{'xyz'[int(np.argmax(np.abs(direction)))]}"
 
 
 def main() -> None:
-    """Turn, measure in both frames, print."""
+    """Turn, measure, print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--bodies", type=Path, required=True, help="folder of the shared bodies")
-    parser.add_argument("--names", nargs="*", default=["body_3", "body_4", "body_6"])
+    parser.add_argument("--names", nargs="*", default=["body_3_clean", "body_4_clean", "body_6_clean"])
+    parser.add_argument("--axes", action="store_true", help="the 24 ways to name the file's axes, not pitch and roll")
+    parser.add_argument("--rivals", action="store_true", help="the front by the file's axes, too")
     arguments = parser.parse_args()
-    print("| body | pitch | frame | cc |\n| --- | --- | --- | --- |")
+    fronts = {"body's own": _own_front, "file's axes": front_by_axes}
+    print("| body | pose (pitch, roll) | frame | cc |\n| --- | --- | --- | --- |")
     for name in arguments.names:
-        mesh = read_foreign(arguments.bodies / f"{name}_clean.ply", "mm").mesh
-        for pitch_deg in _PITCHES_DEG:
-            turn = Rotation.from_euler("x", pitch_deg, degrees=True).as_matrix()
-            pitched = TriangleMesh(vertices=mesh.vertices @ turn.T, faces=mesh.faces)
-            for which, frame_of in (("file's axes", _by_axes), ("body's own", settled_frame)):
+        mesh = read_foreign(arguments.bodies / f"{name}.ply", "m" if name.endswith("_scan") else "mm").mesh
+        for pose, turn in poses(axes=arguments.axes):
+            for which, front in list(fronts.items())[: 2 if arguments.rivals else 1]:
                 with (
                     tempfile.TemporaryDirectory(prefix="mammometry-poses-") as folder,
-                    patch.object(scanned, "frame_from_axes", frame_of),
+                    patch.object(scanned, "own_front", front),
                 ):
                     path = Path(folder) / "scan.ply"
-                    write_ply(path, pitched, {}, comments=())
+                    write_ply(path, TriangleMesh(vertices=mesh.vertices @ turn.T, faces=mesh.faces), {}, comments=())
                     row = measured(path, report=False)
                 volumes = ", ".join(f"{side} {own['volume_cc']:.1f}" for side, own in row["sides"].items())
-                print(f"| {name} | {pitch_deg:.0f}° | {which} | {volumes or row['refused'][:150]} |", flush=True)
+                print(f"| {name} | {pose} | {which} | {volumes or row['refused'][:150]} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -164,11 +164,11 @@ def torso() -> TriangleMesh:
 
 def found_cc(mesh: TriangleMesh) -> dict[str, float]:
     """Volumes within boundaries that are found."""
-    scan = front_of_body(repair_scan(mesh), FRAME)
+    scan, rough = scanned.own_front(repair_scan(mesh), FRAME)
     scan = scanned.finer_scan(scan, [scan.mesh.vertices])
     surface = scanned.as_scanned(scan.mesh, scan.invented)
-    boundaries = outline_torso(surface, FRAME).boundaries
-    frame = find_body(surface, FRAME, boundaries=[boundary.points_world for boundary in boundaries]).frame
+    boundaries = outline_torso(surface, rough).boundaries
+    frame = find_body(surface, rough, boundaries=[boundary.points_world for boundary in boundaries]).frame
     return {
         breast.boundary.name: chest_wall.fit(breast).closed.volume_mm3() / 1000
         for breast in open_breasts(boundaries, surface, frame=frame)
@@ -181,6 +181,32 @@ def test_where_a_body_was_cut_does_not_change_the_volume() -> None:
     depth = torso().corners().mean(axis=1)[:, 2]
     meshes = [torso(), *(largest_part(torso().submesh(depth > depth.max() - cut)) for cut in (200.0, 260.0))]
     volumes = [found_cc(mesh) for mesh in meshes]
+    for side in ("left", "right"):
+        found = np.array([each[side] for each in volumes])
+        assert np.abs(found / found.mean() - 1).max() < 0.02
+
+
+def turned(mesh: TriangleMesh, pitch_deg: float, roll_deg: float) -> tuple[TriangleMesh, np.ndarray]:
+    """The mesh turned in its file, and the rotation."""
+    turn = Rotation.from_euler("zx", [roll_deg, pitch_deg], degrees=True).as_matrix()
+    return mesh.mapped(lambda points: points @ turn.T), turn
+
+
+@pytest.mark.parametrize(("pitch_deg", "roll_deg"), [(40.0, 0.0), (-30.0, 0.0), (20.0, 30.0)])
+def test_a_front_is_cut_in_the_bodys_own_frame(pitch_deg: float, roll_deg: float) -> None:
+    lying, turn = turned(front(), pitch_deg, roll_deg)
+    scan, frame = scanned.own_front(repair_scan(lying), FRAME)
+    assert frame[1] @ turn[:, 1] > np.cos(np.deg2rad(1.0))
+    assert scan.mesh.area_mm2() == pytest.approx(
+        scanned.own_front(repair_scan(front()), FRAME)[0].mesh.area_mm2(), rel=0.01
+    )
+
+
+@pytest.mark.slow
+def test_how_a_body_lies_in_its_file_does_not_change_the_volume() -> None:
+    volumes = [
+        found_cc(turned(torso(), *angles)[0]) for angles in ((0.0, 0.0), (40.0, 0.0), (-30.0, 0.0), (20.0, 30.0))
+    ]
     for side in ("left", "right"):
         found = np.array([each[side] for each in volumes])
         assert np.abs(found / found.mean() - 1).max() < 0.02

@@ -129,7 +129,6 @@ class MeshJob(Job):
         from mammometry.measure import scanned
         from mammometry.measure.boundary.trace import check_curve
         from mammometry.measure.landmarks.landmarks import picked_landmarks
-        from mammometry.measure.scan_front import front_of_body
         from mammometry.measure.scan_repair import repair_scan
 
         given = (files.boundary, files.landmarks)
@@ -195,7 +194,7 @@ class MeshJob(Job):
         by_axes = self.kind == "torso" and (files.automatic or files.head is not None)
         frame = self._frame_from_axes(scan.mesh, files) if by_axes else None
         if frame is not None:
-            scan = front_of_body(scan, frame)
+            scan, frame = scanned.own_front(scan, frame)
         checked = files.sides_checked or (files.scan is not None and bool(files.scan.sides))
         self.sides_doubtful = self.kind == "torso" and scan.inside_out and not checked
         of_file = foreign.notices if files.scan is None else files.scan.notices or filter(None, [self._assumed])

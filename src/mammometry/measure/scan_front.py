@@ -35,17 +35,35 @@ def front_of_body(scan: RepairedScan, frame: Float64[Array, "3 3"]) -> RepairedS
         scan: a torso or a whole body, mm.
         frame: patient's left, head, straight ahead (rows).
     """
-    cut = scan
-    if np.ptp(scan.mesh.vertices @ frame[1]) > WHOLE_BODY_MM:
-        low, high = _trunk_heights(scan.mesh, frame[1])
-        cut = _above(cut, frame[1], low)
-        cut = _above(cut, -frame[1], -high)
-    depth = _front_depth(cut.mesh, frame)
-    if depth is not None and depth - float((cut.mesh.vertices @ frame[2]).min()) > _WORTH_MM:
-        cut = _above(cut, frame[2], depth)
-    if cut.mesh.area_mm2() > (1 - _NOTED) * scan.mesh.area_mm2():
-        return cut
-    return replace(cut, notices=(*scan.notices, Notice(code="front-of-trunk", level="note")))
+    return with_notice(without_back(upper_trunk(scan, frame[1]), frame), scan)
+
+
+def upper_trunk(scan: RepairedScan, up: Float64[Array, 3]) -> RepairedScan:
+    """Of a whole body the upper trunk, else the scan as it is.
+
+    Args:
+        scan: a torso or a whole body, mm.
+        up: towards the head.
+    """
+    if np.ptp(scan.mesh.vertices @ up) <= WHOLE_BODY_MM:
+        return scan
+    low, high = _trunk_heights(scan.mesh, up)
+    return _above(_above(scan, up, low), -up, -high)
+
+
+def without_back(scan: RepairedScan, frame: Float64[Array, "3 3"]) -> RepairedScan:
+    """A scan of a trunk without its back, or as it is if the trunk's sides are not visible."""
+    depth = _front_depth(scan.mesh, frame)
+    if depth is None or depth - float((scan.mesh.vertices @ frame[2]).min()) <= _WORTH_MM:
+        return scan
+    return _above(scan, frame[2], depth)
+
+
+def with_notice(front: RepairedScan, scan: RepairedScan) -> RepairedScan:
+    """The front of a scan, with a notice if it is much less than the scan."""
+    if front.mesh.area_mm2() > (1 - _NOTED) * scan.mesh.area_mm2():
+        return front
+    return replace(front, notices=(*scan.notices, Notice(code="front-of-trunk", level="note")))
 
 
 def ahead_by_feet(mesh: TriangleMesh, up: Float64[Array, 3]) -> Float64[Array, 3] | None:

@@ -17,12 +17,12 @@ from mammometry.geometry import Array, Bool, Camera, Float64, Rig, Transform
 from mammometry.geometry.mesh import TriangleMesh, edge_table, split_edges
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.boundary.boundary import Boundary
-from mammometry.measure.boundary.breasts import breasts_per_mm
+from mammometry.measure.boundary.breasts import breasts_per_mm, facing_frame
 from mammometry.measure.boundary.trace import BANDS_MM, check_beside_holes, edge_loop
-from mammometry.measure.scan_front import ahead_by_feet, front_of_body
+from mammometry.measure.scan_front import ahead_by_feet, front_of_body, upper_trunk, with_notice, without_back
 from mammometry.measure.scan_repair import RepairedScan
 from mammometry.measure.solid.cut import check_whole, inside_curve
-from mammometry.measure.trunk.thorax import frame_from_sides, level_axis, orthonormal, seen_skin
+from mammometry.measure.trunk.thorax import find_trunk, frame_from_sides, level_axis, orthonormal, seen_skin
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _EDGE_MM = 3.0  # longest edge near a boundary, for cutting; 2 mm changes a volume by 0.1 % at most
@@ -37,6 +37,8 @@ _ROUNDER = 2.0  # least roundness of a torso's front relative to its other sides
 _UPRIGHT = np.cos(np.deg2rad(45.0))  # least cosine between the trunk's axis and an axis of the file for upright
 _AXIS_SAMPLES = 20_000  # faces from whose normals the trunk's axis is found; chosen for speed
 _ALONG_AXIS = np.cos(np.deg2rad(20.0))  # a front within this angle of an axis is along that axis; not critical
+_FRONT_ROUNDS = 4  # iterations of front and frame; bodies turn by less than 0.2° after the second; not critical
+_SAME_FRAME = 1 + 2 * np.cos(np.deg2rad(0.2))  # trace of the turn between frames from which they are the same
 _SQUARE = 1e-6  # largest cosine of the angle between head and straight ahead
 _ON_MESH_MM = 15.0  # largest median distance of a curve on a mesh from its vertices; not critical
 
@@ -224,6 +226,31 @@ def frame_from_axes(mesh: TriangleMesh, head: str | None = None, ahead: str | No
         refusal.fronts = {f"--ahead {side}": orthonormal(up, _axis(side, "--ahead")) for side in sides}
         raise refusal
     return orthonormal(up, _along_axis(found))
+
+
+def own_front(scan: RepairedScan, frame: Float64[Array, "3 3"]) -> tuple[RepairedScan, Float64[Array, "3 3"]]:
+    """A scan's front, and the body's own frame: patient's left, head, straight ahead (rows).
+
+    Each is found from the other, so the result does not depend on how the body lies in the file
+    (docs/decisions/0053). If no trunk is found, the front is cut in the file's frame.
+
+    Args:
+        scan: a torso or a whole body, mm.
+        frame: the same directions, approximately, by the file's axes.
+    """
+    upper = upper_trunk(scan, frame[1])
+    front = without_back(upper, frame)
+    try:
+        for _ in range(_FRONT_ROUNDS):
+            before, frame = frame, find_trunk(seen_skin(as_scanned(front.mesh, front.invented)), frame).frame
+            front = without_back(upper, frame)
+            if np.trace(frame @ before.T) > _SAME_FRAME:
+                break
+        frame = facing_frame(as_scanned(front.mesh, front.invented), frame)
+        front = without_back(upper, frame)
+    except MeasureError:
+        pass  # no trunk is seen: the search for breasts says so
+    return with_notice(front, scan), frame
 
 
 def _upright(mesh: TriangleMesh, looks: Float64[Array, 3]) -> str:

@@ -171,6 +171,23 @@ def breasts_per_mm(surface: RepairedSurface, frame: Float64[Array, "3 3"]) -> fl
     return 0.0 if thorax.trunk.assumed else sum(domes)
 
 
+def facing_frame(surface: RepairedSurface, frame: Float64[Array, "3 3"]) -> Float64[Array, "3 3"]:
+    """Patient's left, head, straight ahead (rows), by the trunk and its breasts.
+
+    Args:
+        surface: the repaired mesh.
+        frame: the same directions, approximately; the head's is not tested.
+
+    Raises:
+        MeasureError: no skin of a trunk is visible.
+    """
+    skin = seen_skin(surface)
+    body = find_body(surface, frame, skin=skin, stated=True)
+    thorax, _, middles = _trunk_beside(surface, skin, body)
+    between_mm = 0.0 if body.plane is not None else _between_mm(middles)
+    return thorax.trunk.facing(between_mm / thorax.trunk.half_width_mm)
+
+
 def _lie_level(surface: RepairedSurface, skin: SkinSamples, frame: Float64[Array, "3 3"]) -> bool:
     """Whether two breasts are side by side in the frame, not one above the other.
 
