@@ -3,8 +3,8 @@
     python -m benchmarks.accuracy.poses --bodies ../shared/data/scans --names body_3_clean body_4_clean
     python -m benchmarks.accuracy.poses --bodies ../shared/data/scans --names body_4_clean --axes
 
-Each pose is measured as the command does, once with the front in the body's own frame (the product, docs/decisions/0053)
-and, with `--rivals`, once with the front in the frame of the file's axes. `--axes`: the 24 ways to name a file's axes.
+Each pose is measured as the command does, with the front in the body's own frame (docs/decisions/0053). `--rivals`:
+also with the front in the frame of the file's axes. `--axes`: the 24 ways to name a file's axes.
 """
 
 from __future__ import annotations
