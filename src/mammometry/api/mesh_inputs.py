@@ -19,6 +19,8 @@ from mammometry.io.meshes.foreign import read_foreign
 from mammometry.io.meshes.measured import MeshFiles
 from mammometry.job.inputs import Inputs, SubjectKind
 
+_FRONT_VERSION = "front 2"  # raised when another front is cut from the same mesh
+
 
 def inputs_of(
     files: MeshFiles, kind: SubjectKind, drawn: DrawnBoundaries, places: dict[str, Float64[Array, "k 3"]]
@@ -49,6 +51,7 @@ def inputs_of(
                 files.head,
                 files.ahead,
                 *(_digest(path) for path in files.also),
+                *([_FRONT_VERSION] if files.automatic or files.head is not None else []),
             ),
             "subject": kind,
             "boundaries": boundaries_digest(drawn),
