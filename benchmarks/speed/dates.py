@@ -37,7 +37,7 @@ def main() -> None:
     begun, cpu = time.monotonic(), time.process_time()
     page = EditorPage(open_session(given.after, settings), author="A")
     size = len(json.dumps(page.drawing()))
-    assert len(page.desk.board.surface.mesh.faces)  # a volume can follow from here on
+    assert len(page.drawing_session.board.surface.mesh.faces)  # a volume can follow from here on
     print(
         f"drawing page of {size / 1e6:.1f} MB: {time.monotonic() - begun:.1f} s, {time.process_time() - cpu:.1f} CPU s"
     )
