@@ -202,6 +202,17 @@ def test_a_front_is_cut_in_the_bodys_own_frame(pitch_deg: float, roll_deg: float
     )
 
 
+def test_without_a_breast_in_the_bodys_own_frame_the_front_is_cut_by_the_files_axes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    lying, _ = turned(front(), 20.0, 0.0)
+    for by_axes in (True, False):
+        found = iter([False, by_axes])
+        monkeypatch.setattr(scanned, "facing_frame", lambda surface, frame, found=found: (frame, next(found)))
+        _, frame = scanned.own_front(repair_scan(lying), FRAME)
+        assert np.allclose(frame, FRAME) == by_axes
+
+
 @pytest.mark.slow
 def test_how_a_body_lies_in_its_file_does_not_change_the_volume() -> None:
     volumes = [

@@ -232,25 +232,28 @@ def own_front(scan: RepairedScan, frame: Float64[Array, "3 3"]) -> tuple[Repaire
     """A scan's front, and the body's own frame: patient's left, head, straight ahead (rows).
 
     Each is found from the other, so the result does not depend on how the body lies in the file
-    (docs/decisions/0053). If no trunk is found, the front is cut in the file's frame.
+    (docs/decisions/0053). If that shows no breast, but the front in the file's frame does, the latter is used.
 
     Args:
         scan: a torso or a whole body, mm.
         frame: the same directions, approximately, by the file's axes.
     """
     upper = upper_trunk(scan, frame[1])
-    front = without_back(upper, frame)
+    by_axes = without_back(upper, frame)
+    front, own = by_axes, frame
     try:
         for _ in range(_FRONT_ROUNDS):
-            before, frame = frame, find_trunk(seen_skin(as_scanned(front.mesh, front.invented)), frame).frame
-            front = without_back(upper, frame)
-            if np.trace(frame @ before.T) > _SAME_FRAME:
+            before, own = own, find_trunk(seen_skin(as_scanned(front.mesh, front.invented)), own).frame
+            front = without_back(upper, own)
+            if np.trace(own @ before.T) > _SAME_FRAME:
                 break
-        frame = facing_frame(as_scanned(front.mesh, front.invented), frame)
-        front = without_back(upper, frame)
+        own, found = facing_frame(as_scanned(front.mesh, front.invented), own)
+        if not found and facing_frame(as_scanned(by_axes.mesh, by_axes.invented), frame)[1]:
+            return with_notice(by_axes, scan), frame
+        front = without_back(upper, own)
     except MeasureError:
         pass  # no trunk is seen: the search for breasts says so
-    return with_notice(front, scan), frame
+    return with_notice(front, scan), own
 
 
 def _upright(mesh: TriangleMesh, looks: Float64[Array, 3]) -> str:

@@ -171,8 +171,10 @@ def breasts_per_mm(surface: RepairedSurface, frame: Float64[Array, "3 3"]) -> fl
     return 0.0 if thorax.trunk.assumed else sum(domes)
 
 
-def facing_frame(surface: RepairedSurface, frame: Float64[Array, "3 3"]) -> Float64[Array, "3 3"]:
-    """Patient's left, head, straight ahead (rows), by the trunk and its breasts.
+def facing_frame(surface: RepairedSurface, frame: Float64[Array, "3 3"]) -> tuple[Float64[Array, "3 3"], bool]:
+    """Frame of the trunk and its breasts, and whether a breast is found.
+
+    Its rows are the patient's left, the head, straight ahead.
 
     Args:
         surface: the repaired mesh.
@@ -181,11 +183,11 @@ def facing_frame(surface: RepairedSurface, frame: Float64[Array, "3 3"]) -> Floa
     Raises:
         MeasureError: no skin of a trunk is visible.
     """
-    skin = seen_skin(surface)
-    body = find_body(surface, frame, skin=skin, stated=True)
-    thorax, _, middles = _trunk_beside(surface, skin, body)
+    body = find_body(surface, frame, skin=seen_skin(surface), stated=True)
+    thorax, relief, middles = _trunk_beside(surface, seen_skin(surface), body)
     between_mm = 0.0 if body.plane is not None else _between_mm(middles)
-    return thorax.trunk.facing(between_mm / thorax.trunk.half_width_mm)
+    found = any(side.verdict == "breast" for side in _sides(relief, thorax.trunk, middles).values())
+    return thorax.trunk.facing(between_mm / thorax.trunk.half_width_mm), found
 
 
 def _lie_level(surface: RepairedSurface, skin: SkinSamples, frame: Float64[Array, "3 3"]) -> bool:
