@@ -8,7 +8,7 @@ from pathlib import Path
 _EXTRAS = (
     *("django", "uvicorn", "asgiref", "distributed", "dask", "bokeh", "pyarrow", "fsspec", "s3fs", "sshfs"),
     *("allauth", "argon2", "axes", "auditlog", "whitenoise", "psycopg", "pydicom", "pynetdicom", "highdicom", "fhir"),
-    *("pypylon", "gi", "gphoto2", "mitsuba"),
+    *("pypylon", "gi", "gphoto2", "mitsuba", "pi_heif"),
 )
 _WITHOUT = f"""
 import importlib.abc, sys

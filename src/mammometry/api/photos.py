@@ -30,6 +30,7 @@ from mammometry.geometry import Array, Bool, Camera, Rig
 from mammometry.io.cameras.own import cameras_table
 from mammometry.io.looked_up import LazyMapping, digest_of, file_digest
 from mammometry.io.outputs import require_apart
+from mammometry.io.photographs.heic import HEIC_EXTENSIONS, is_heic, read_heic
 from mammometry.io.photographs.images import EXTENSIONS, read_photograph
 from mammometry.io.write import disk_errors
 from mammometry.walk.pairs import choose_pairs
@@ -105,7 +106,7 @@ def prepare_walk(
             return earlier
         require_new(out, found="a session of other photographs")
     target = read_board(folder)
-    photographs = LazyMapping(files, lambda _, path: read_photograph(path, path.name, LimitSettings()))
+    photographs = LazyMapping(files, lambda _, path: _read(path))
     stations = find_stations(photographs, target, progress=progress)
     region = region_above(target)
     pairs = choose_pairs(_seeing(stations.rig, region), region.middle_world)
@@ -170,16 +171,21 @@ def walk_files(folder: Path) -> dict[str, Path]:
     Raises:
         SessionError: there are none.
     """
-    files = sorted(path for path in visible(folder) if path.suffix.lower() in EXTENSIONS and path.is_file())
+    endings = (*EXTENSIONS, *HEIC_EXTENSIONS)
+    files = sorted(path for path in visible(folder) if path.suffix.lower() in endings and path.is_file())
     if not files:
         raise SessionError(
             str(folder),
             found="no photographs" if folder.is_dir() else "no such folder",
-            expected="12 to 60 photographs of one walk around the patient, JPEG or PNG",
+            expected="12 to 60 photographs of one walk around the patient, JPEG, HEIC or PNG",
             remedy="Copy them from the telephone into one folder",
         )
     digits = max(2, len(str(len(files))))
     return {f"{number:0{digits}d}": path for number, path in enumerate(files, start=1)}
+
+
+def _read(path: Path) -> Photograph:
+    return (read_heic if is_heic(path) else read_photograph)(path, path.name, LimitSettings())
 
 
 def _seeing(rig: Rig, region: Region) -> Rig:

@@ -98,7 +98,7 @@ def read_header(path: Path, name: str, limits: LimitSettings = LimitSettings()) 
     Raises:
         ImageError: it is missing, unreadable or too large, or not a JPEG, PNG or TIFF.
     """
-    with _reading(path, name):
+    with reading(path, name):
         if path.exists():
             require_file(path, name, "a photograph", refusal=ImageError)
         tag: object
@@ -109,7 +109,7 @@ def read_header(path: Path, name: str, limits: LimitSettings = LimitSettings()) 
             with Image.open(path, formats=FORMATS) as image:
                 size_wh, tag = image.size, exif_of(image, path).get(_EXIF_ORIENTATION)
                 bits = _bits(image, path)
-        _check_size(size_wh, name, limits)
+        check_size(size_wh, name, limits)
         orientation = tag if isinstance(tag, int) and tag in _UPRIGHT else 1
         return ImageHeader(stored_wh=size_wh, orientation=orientation, bits=bits)
 
@@ -157,7 +157,7 @@ def read_photograph(
     if header.bits not in (8, 16):
         remedy = "Export it as an ordinary JPEG, PNG or TIFF"
         raise ImageError(name, found=f"{header.bits} bits per channel", expected="8 or 16 bits", remedy=remedy)
-    with _reading(path, name):
+    with reading(path, name):
         content = path.read_bytes()
         found = hashlib.sha256(content).hexdigest()
         if digest not in (None, found):
@@ -194,8 +194,8 @@ def read_plain_picture(
     Raises:
         ImageError: it cannot be read or is too large.
     """
-    with _reading(path, name), Image.open(path, formats=formats) as image:
-        _check_size(image.size, name, limits)
+    with reading(path, name), Image.open(path, formats=formats) as image:
+        check_size(image.size, name, limits)
         return np.array(image.convert("RGB"))
 
 
@@ -274,7 +274,8 @@ def check_sizes(headers: Mapping[str, ImageHeader], camera: str, expected_wh: tu
             raise ImageError(name, found=f"EXIF orientation {header.orientation}", expected=expected, remedy=remedy)
 
 
-def _check_size(size_wh: tuple[int, int], name: str, limits: LimitSettings) -> None:
+def check_size(size_wh: tuple[int, int], name: str, limits: LimitSettings) -> None:
+    """Raise an ImageError if an image is larger than the limit."""
     width, height = size_wh
     if width * height > limits.megapixels * 1e6:
         raise ImageError(
@@ -286,7 +287,7 @@ def _check_size(size_wh: tuple[int, int], name: str, limits: LimitSettings) -> N
 
 
 @contextmanager
-def _reading(path: Path, name: str) -> Iterator[None]:
+def reading(path: Path, name: str) -> Iterator[None]:
     """Turn any decoder error on a damaged file into one sentence."""
     try:
         yield

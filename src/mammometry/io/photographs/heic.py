@@ -1,0 +1,49 @@
+"""HEIC photographs of telephones, decoded by libheif through pi-heif, which cannot encode."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from mammometry.base.extras import require
+from mammometry.base.parse import LimitSettings
+from mammometry.base.photograph import Photograph
+from mammometry.io.photographs.images import check_size, reading
+
+HEIC_EXTENSIONS = (".heic", ".heif")
+_BRANDS = (b"heic", b"heix", b"mif1", b"msf1")  # after "ftyp", from byte 8
+
+
+def is_heic(path: Path) -> bool:
+    """Whether a file has a HEIC's signature."""
+    with path.open("rb") as file:
+        start = file.read(12)
+    return start[4:8] == b"ftyp" and start[8:12] in _BRANDS
+
+
+def read_heic(path: Path, name: str, limits: LimitSettings = LimitSettings()) -> Photograph:
+    """Read a HEIC photograph with 8 bits per channel, upright.
+
+    The format turns the picture itself, so the orientation in its EXIF data is ignored, as the standard demands
+    (ISO/IEC 23008-12). Bytes that are damaged in place are not recognised: the format has no checksum.
+
+    Args:
+        path: the file.
+        name: its name in messages.
+        limits: largest size.
+
+    Raises:
+        MissingLibraryError: the extra `heic` is not installed.
+        ImageError: it is missing, unreadable, truncated or too large.
+    """
+    require("heic", "pi_heif")
+    import pi_heif
+
+    with reading(path, name):
+        picture = pi_heif.open_heif(path, convert_hdr_to_8bit=True)
+        check_size(picture.size, name, limits)
+        pixels = np.asarray(picture)
+    if pixels.ndim == 3:
+        pixels = pixels[..., :3]  # without the alpha channel
+    return Photograph(name=name, pixels=np.ascontiguousarray(pixels))
