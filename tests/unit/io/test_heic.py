@@ -1,6 +1,6 @@
 """HEIC photographs of telephones.
 
-`tests/data/colours.heic` has 80 × 48 pixels: red = 3 × column, green = 5 × row, blue = 128; compressed at quality 90.
+`tests/data/colours.heic` has 75 × 47 pixels: red = 3 × column, green = 5 × row, blue = 128; compressed at quality 90.
 """
 
 from pathlib import Path
@@ -18,11 +18,13 @@ COLOURS = Path(__file__).parents[2] / "data" / "colours.heic"
 
 def test_pixels_are_where_they_were() -> None:
     pixels = read_heic(COLOURS, "colours").pixels
-    row, column = np.mgrid[:48, :80]
+    row, column = np.mgrid[:47, :75]
     expected = np.stack([3 * column, 5 * row, np.full_like(row, 128)], axis=-1)
     assert pixels.dtype == np.uint8
     assert pixels.shape == expected.shape
     assert np.abs(pixels - expected.astype(np.float64)).mean() < 2
+    others = [read_heic(COLOURS, "again").pixels for _ in range(20)]  # the decoder's memory is used again
+    assert all(np.array_equal(pixels, other) for other in others)
 
 
 def test_a_walk_has_them_and_a_file_is_known_by_its_content(tmp_path: Path) -> None:

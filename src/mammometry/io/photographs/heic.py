@@ -43,7 +43,5 @@ def read_heic(path: Path, name: str, limits: LimitSettings = LimitSettings()) ->
     with reading(path, name):
         picture = pi_heif.open_heif(path, convert_hdr_to_8bit=True)
         check_size(picture.size, name, limits)
-        pixels = np.asarray(picture)
-    if pixels.ndim == 3:
-        pixels = pixels[..., :3]  # without the alpha channel
-    return Photograph(name=name, pixels=np.ascontiguousarray(pixels))
+        pixels = np.array(picture.to_pillow())  # a copy: `np.asarray(picture)` is lost with the picture
+    return Photograph(name=name, pixels=np.ascontiguousarray(pixels[..., :3]) if pixels.ndim == 3 else pixels)
