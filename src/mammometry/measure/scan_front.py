@@ -39,7 +39,9 @@ def front_of_body(scan: RepairedScan, frame: Float64[Array, "3 3"]) -> RepairedS
 
 
 def upper_trunk(scan: RepairedScan, up: Float64[Array, 3]) -> RepairedScan:
-    """Of a whole body the upper trunk, else the scan as it is.
+    """Cut the upper trunk out of a whole body.
+
+    Any other scan is returned as it is.
 
     Args:
         scan: a torso or a whole body, mm.
@@ -52,7 +54,7 @@ def upper_trunk(scan: RepairedScan, up: Float64[Array, 3]) -> RepairedScan:
 
 
 def without_back(scan: RepairedScan, frame: Float64[Array, "3 3"]) -> RepairedScan:
-    """A scan of a trunk without its back, or as it is if the trunk's sides are not visible."""
+    """Cut the back off a trunk whose sides are visible."""
     depth = _front_depth(scan.mesh, frame)
     if depth is None or depth - float((scan.mesh.vertices @ frame[2]).min()) <= _WORTH_MM:
         return scan

@@ -7,6 +7,7 @@ it must be corrected in the program that made it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -232,7 +233,8 @@ def own_front(scan: RepairedScan, frame: Float64[Array, "3 3"]) -> tuple[Repaire
     """A scan's front, and the body's own frame: patient's left, head, straight ahead (rows).
 
     Each is found from the other, so the result does not depend on how the body lies in the file
-    (docs/decisions/0053). If that shows no breast, but the front in the file's frame does, the latter is used.
+    (docs/decisions/0053). If that shows no trunk, or no breast but the front in the file's frame does, the latter is
+    used.
 
     Args:
         scan: a torso or a whole body, mm.
@@ -248,12 +250,13 @@ def own_front(scan: RepairedScan, frame: Float64[Array, "3 3"]) -> tuple[Repaire
             if np.trace(own @ before.T) > _SAME_FRAME:
                 break
         own, found = facing_frame(as_scanned(front.mesh, front.invented), own)
-        if not found and facing_frame(as_scanned(by_axes.mesh, by_axes.invented), frame)[1]:
-            return with_notice(by_axes, scan), frame
-        front = without_back(upper, own)
     except MeasureError:
-        pass  # no trunk is seen: the search for breasts says so
-    return with_notice(front, scan), own
+        return with_notice(by_axes, scan), frame
+    if not found:
+        with suppress(MeasureError):
+            if facing_frame(as_scanned(by_axes.mesh, by_axes.invented), frame)[1]:
+                return with_notice(by_axes, scan), frame
+    return with_notice(without_back(upper, own), scan), own
 
 
 def _upright(mesh: TriangleMesh, looks: Float64[Array, 3]) -> str:

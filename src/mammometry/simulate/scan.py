@@ -297,7 +297,10 @@ def scan(solid: SubjectSolid, quality: ScanQuality, seed: int, walk: Walk = "fro
 
 
 def _box(solid: SubjectSolid) -> tuple[Float64[Array, 3], Float64[Array, 3]]:
-    """Corners of the scanned box: the front with the shoulders and the upper arms; all of what is no body."""
+    """Lower and upper corner of the scanned box, mm.
+
+    It contains a body's front with the shoulders and the upper arms, and the whole of anything else.
+    """
     vertices = solid.mesh.vertices
     if "midline" not in solid.landmarks:
         return vertices.min(axis=0), vertices.max(axis=0) + 1.0

@@ -9,17 +9,15 @@ import numpy as np
 from mammometry.base.extras import require
 from mammometry.base.parse import LimitSettings
 from mammometry.base.photograph import Photograph
-from mammometry.io.photographs.images import check_size, reading
+from mammometry.io.photographs.images import HEIC_MARKS, check_size, reading
 
 HEIC_EXTENSIONS = (".heic", ".heif")
-_BRANDS = (b"heic", b"heix", b"mif1", b"msf1")  # after "ftyp", from byte 8
 
 
 def is_heic(path: Path) -> bool:
     """Whether a file has a HEIC's signature."""
     with path.open("rb") as file:
-        start = file.read(12)
-    return start[4:8] == b"ftyp" and start[8:12] in _BRANDS
+        return file.read(12)[4:] in HEIC_MARKS
 
 
 def read_heic(path: Path, name: str, limits: LimitSettings = LimitSettings()) -> Photograph:
@@ -40,7 +38,7 @@ def read_heic(path: Path, name: str, limits: LimitSettings = LimitSettings()) ->
     require("heic", "pi_heif")
     import pi_heif
 
-    with reading(path, name):
+    with reading(path, name, "HEIC"):
         picture = pi_heif.open_heif(path, convert_hdr_to_8bit=True)
         check_size(picture.size, name, limits)
         pixels = np.array(picture.to_pillow())  # a copy: `np.asarray(picture)` is lost with the picture

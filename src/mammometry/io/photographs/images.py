@@ -54,8 +54,10 @@ _UPRIGHT: Mapping[int, tuple[bool, bool, bool]] = {
     7: (True, True, True),
     8: (True, True, False),
 }
+HEIC_MARKS = tuple(b"ftyp" + brand for brand in (b"heic", b"heix", b"mif1", b"msf1"))
+"""Signatures of a HEIC, from byte 4."""
 _OTHER_FORMATS = (
-    *((4, b"ftyp" + brand, "a HEIC") for brand in (b"heic", b"heix", b"mif1", b"msf1")),
+    *((4, mark, "a HEIC") for mark in HEIC_MARKS),
     (4, b"ftypavif", "an AVIF"), (4, b"ftypcrx", "a raw picture (CR3)"), (8, b"WEBP", "a WebP"), (0, b"BM", "a BMP"),
     (0, b"GIF8", "a GIF"), (0, b"%PDF", "a PDF"),
 )  # fmt: skip
@@ -287,14 +289,14 @@ def check_size(size_wh: tuple[int, int], name: str, limits: LimitSettings) -> No
 
 
 @contextmanager
-def reading(path: Path, name: str) -> Iterator[None]:
+def reading(path: Path, name: str, formats: str = "JPEG, PNG or TIFF") -> Iterator[None]:
     """Turn any decoder error on a damaged file into one sentence."""
     try:
         yield
     except (MammometryError, MemoryError):
         raise
     except Exception as error:
-        raise _unreadable(path, name, error) from None
+        raise _unreadable(path, name, error, formats) from None
 
 
 _SENSOR_BITS = (10, 12)  # of sensors whose values are stored in 16 bits; 14 bits may be a dark image of 16
@@ -455,7 +457,7 @@ def _other_format(path: Path) -> str | None:
     return next((words for place, mark, words in _OTHER_FORMATS if head[place:].startswith(mark)), None)
 
 
-def _unreadable(path: Path, name: str, error: BaseException | None) -> ImageError:
+def _unreadable(path: Path, name: str, error: BaseException | None, formats: str) -> ImageError:
     if isinstance(error, FileNotFoundError):
         return ImageError(name, found="no file", expected="a photograph", remedy="Put it there")
     if isinstance(error, PermissionError):
@@ -479,4 +481,4 @@ def _unreadable(path: Path, name: str, error: BaseException | None) -> ImageErro
     if isinstance(error, UnidentifiedImageError):
         kind = _other_format(path) or "a file that is not an image"
     remedy = "Copy it again from the camera, or export it again"
-    return ImageError(name, found=kind, expected="a readable JPEG, PNG or TIFF", remedy=remedy)
+    return ImageError(name, found=kind, expected=f"a readable {formats}", remedy=remedy)

@@ -41,7 +41,7 @@ class Reading:
 
     @property
     def cell(self) -> tuple[str, ...]:
-        """What a new capture under the same conditions shares."""
+        """Labels that all captures under the same conditions have in common."""
         return (self.woman, self.side, self.device, self.rater, self.day, self.reader)
 
 
@@ -84,9 +84,9 @@ class Design:
     """Whether every breast has equally many rows of each rater, device, day and reader."""
 
     def levels_of_repetition(self) -> dict[str, tuple[int, ...]]:
-        """What a repetition changes → places of the effects that then differ.
+        """Effects that differ between two captures, by the kind of repetition.
 
-        A new capture; a capture on another day; a capture by anybody with any device. A level that the design does not
+        The kinds: a new capture; a capture on another day; a capture by anybody with any device. A level that the design does not
         contain, or that adds nothing to the one before, is left out.
         """
         found: dict[str, tuple[int, ...]] = {}
