@@ -86,8 +86,8 @@ class Design:
     def levels_of_repetition(self) -> dict[str, tuple[int, ...]]:
         """Effects that differ between two captures, by the kind of repetition.
 
-        The kinds: a new capture; a capture on another day; a capture by anybody with any device. A level that the design does not
-        contain, or that adds nothing to the one before, is left out.
+        The kinds: a new capture; a capture on another day; a capture by anybody with any device. A kind that the design
+        does not contain, or that adds nothing to the one before, is left out.
         """
         found: dict[str, tuple[int, ...]] = {}
         for level, differing in _LEVELS.items():
