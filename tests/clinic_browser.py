@@ -28,7 +28,10 @@ def cookies(folder: Path) -> dict[str, str]:
 
 def opened(browser: Browser, address: str, login: str, *, width: int, height: int = 900) -> Page:
     """A window of somebody who is logged in; ``page.wrong`` holds what goes wrong in its scripts."""
-    context = patient(browser.new_context(viewport={"width": width, "height": height}, base_url=address))
+    # Without motion: a button that fades from one state to the next has neither state's contrast.
+    context = patient(
+        browser.new_context(viewport={"width": width, "height": height}, base_url=address, reduced_motion="reduce")
+    )
     context.add_cookies([{"name": "clinic-session", "value": login, "url": address}])
     page = context.new_page()
     wrong: list[str] = []
