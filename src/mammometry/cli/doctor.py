@@ -29,6 +29,7 @@ UNWELL = 13
 JOBS = {
     "": "measure and report",
     "usdz": "measure scans in USDZ",
+    "heic": "read photographs in HEIC",
     "edit": "draw in the browser",
     "batch": "measure many sessions",
     "cluster": "measure on a cluster",
