@@ -18,30 +18,37 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from mammometry.base.errors import SessionError
+from mammometry.base.errors import ImageError, SessionError
 from mammometry.base.listing import visible
 from mammometry.base.new_folder import require_new, whole_folder
-from mammometry.base.parse import LimitSettings, read_text, toml_table
+from mammometry.base.parse import read_text, toml_table
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress, no_progress
+from mammometry.calibration.detection.detect import Observations
+from mammometry.calibration.targets.board import SquaresBoard
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry import Array, Bool, Camera, Rig
 from mammometry.io.cameras.own import cameras_table
 from mammometry.io.looked_up import LazyMapping, digest_of, file_digest
 from mammometry.io.outputs import require_apart
-from mammometry.io.photographs.heic import HEIC_EXTENSIONS, is_heic, read_heic
-from mammometry.io.photographs.images import EXTENSIONS, read_photograph
+from mammometry.io.photographs.heic import HEIC_EXTENSIONS
+from mammometry.io.photographs.images import EXTENSIONS
+from mammometry.io.photographs.telephone import read_facts, read_from_sensor
 from mammometry.io.write import disk_errors
+from mammometry.walk.inputs import LeftOut, judge_files, require_enough, usual_orientation
+from mammometry.walk.one_lens import judge_lenses
 from mammometry.walk.pairs import choose_pairs
 from mammometry.walk.region import TELEPHONE_BOARD, Region, region_above
-from mammometry.walk.stations import TELEPHONE, find_stations
+from mammometry.walk.sharpness import board_image, judge_images
+from mammometry.walk.stations import FEWEST, TELEPHONE, find_boards, stations_of
 
 BOARD = "board.toml"
 WALK = "walk.json"
-_VERSION = 2  # raised when the same photographs give a different session
+_VERSION = 3  # raised when the same photographs give a different session
 PRINT_STD = 0.01
 """Relative standard uncertainty of a board that was not measured: printers may scale a page by a few per cent."""
+_NOT_IN_A_PAIR = LeftOut(code="not-in-a-pair", found="not in a pair")
 _MARGIN_PX = 32  # margin around the region in the image, for windows at its edge
 
 
@@ -55,8 +62,8 @@ class PreparedWalk:
     """Photographs in the folder."""
     used: Sequence[str]
     """Numbers (`walk_files`) of the photographs in pairs."""
-    left_out: Mapping[str, str]
-    """Number of a photograph → reason why it is not used."""
+    left_out: Mapping[str, LeftOut]
+    """Number of a photograph → why it is not used."""
     board_rms_px: float
     """RMS reprojection error of the board's corners, pixels."""
     board_bow_mm: float
@@ -91,7 +98,8 @@ def prepare_walk(
 
     Raises:
         SessionError: no photographs, a ``board.toml`` that is not as documented, or other content in `out`.
-        CalibrationError: the cameras' positions cannot be found from the photographs.
+        CalibrationError: too few photographs are usable, or the cameras' positions cannot be found from them.
+        ImageError: a photograph is damaged or too large.
     """
     require_apart(out, [folder])
     earlier = read_walk(out)
@@ -106,10 +114,14 @@ def prepare_walk(
             return earlier
         require_new(out, found="a session of other photographs")
     target = read_board(folder)
-    photographs = LazyMapping(files, lambda _, path: _read(path))
-    stations = find_stations(photographs, target, progress=progress)
+    pictures = _usable(files, target, progress)
+    photographs = pictures.photographs
+    stations = stations_of(pictures.observations)
+    out_so_far = {**pictures.left_out, **judge_lenses(stations.calibration, stations.rig.cameras)}
+    usable = {name: camera for name, camera in stations.rig.cameras.items() if name not in out_so_far}
+    require_enough(usable, out_so_far, {number: path.name for number, path in files.items()}, FEWEST)
     region = region_above(target)
-    pairs = choose_pairs(_seeing(stations.rig, region), region.middle_world)
+    pairs = choose_pairs(_seeing(replace(stations.rig, cameras=usable), region), region.middle_world)
     in_pairs = sorted({name for pair in pairs.values() for name in pair})
     rig = Rig(
         name="telephone",
@@ -123,8 +135,8 @@ def prepare_walk(
         pictures=len(files),
         used=tuple(in_pairs),
         left_out={
-            **stations.without_board,
-            **dict.fromkeys((name for name in stations.rig.cameras if name not in in_pairs), "not in a pair"),
+            **out_so_far,
+            **{name: _NOT_IN_A_PAIR for name in usable if name not in in_pairs},
         },
         board_rms_px=round(float(stations.calibration.rms_px), 4),
         board_bow_mm=round(stations.bow_mm, 3),
@@ -141,7 +153,8 @@ def read_walk(session: Path) -> PreparedWalk | None:
     """Facts about the photographs of a session made by `prepare_walk`. None for any other."""
     try:
         table = json.loads((session / WALK).read_text(encoding="utf-8"))
-        return PreparedWalk(**{**table, "used": tuple(table["used"])})
+        left_out = {name: LeftOut(**why) for name, why in table["left_out"].items()}
+        return PreparedWalk(**{**table, "used": tuple(table["used"]), "left_out": left_out})
     except (OSError, ValueError, TypeError, KeyError):
         return None
 
@@ -184,8 +197,56 @@ def walk_files(folder: Path) -> dict[str, Path]:
     return {f"{number:0{digits}d}": path for number, path in enumerate(files, start=1)}
 
 
-def _read(path: Path) -> Photograph:
-    return (read_heic if is_heic(path) else read_photograph)(path, path.name, LimitSettings())
+def _damaged(error: ImageError) -> LeftOut:
+    return LeftOut(code=error.code, found=error.found, expected=error.expected, remedy=error.remedy)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Pictures:
+    """The photographs of a walk, and those that are not usable."""
+
+    photographs: Mapping[str, Photograph]
+    observations: Observations
+    """The board in the usable ones."""
+    left_out: Mapping[str, LeftOut]
+
+
+def _usable(files: Mapping[str, Path], target: Target, progress: Progress) -> _Pictures:
+    """Judge the photographs by their files, then by the board in them.
+
+    Raises:
+        CalibrationError: too few are usable.
+        ImageError: one is damaged or too large.
+    """
+    names = {number: path.name for number, path in files.items()}
+    facts, out = {}, {}
+    for number, path in files.items():
+        try:
+            facts[number] = read_facts(path, path.name)
+        except ImageError as error:
+            out[number] = _damaged(error)
+    out |= judge_files(facts)
+    orientation = usual_orientation({number: of for number, of in facts.items() if number not in out})
+    while True:
+        left = {number: path for number, path in files.items() if number not in out}
+        require_enough(left, out, names, FEWEST)
+        photographs = LazyMapping(left, lambda _, path: read_from_sensor(path, path.name, orientation))
+        try:
+            observations = find_boards(photographs, target, progress)
+        except ImageError as error:  # damage shows only in the pixels
+            number = next((number for number, path in left.items() if path.name == error.subject), None)
+            if number is None:
+                raise
+            out[number] = _damaged(error)
+        else:
+            break
+    out |= {miss.pose: LeftOut(code=miss.code, found=miss.found, remedy=miss.remedy) for miss in observations.missed}
+    if isinstance(target, SquaresBoard):
+        seen = {board.pose: board_image(photographs[board.pose], board, target) for board in observations.detections}
+        out |= judge_images({number: image for number, image in seen.items() if image is not None})
+    good = tuple(board for board in observations.detections if board.pose not in out)
+    require_enough([board.pose for board in good], out, names, FEWEST)
+    return _Pictures(photographs=photographs, observations=replace(observations, detections=good), left_out=out)
 
 
 def _seeing(rig: Rig, region: Region) -> Rig:

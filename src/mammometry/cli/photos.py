@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,6 +19,7 @@ from mammometry.cli.stages import demo_answer, opened, volume_lines
 if TYPE_CHECKING:
     from mammometry.api.photos import PreparedWalk
     from mammometry.simulate.walk import WalkRecipe
+    from mammometry.walk.inputs import LeftOut
 
 app = typer.Typer()
 DEMO_FOLDER = Path("demo-photos")
@@ -116,11 +118,15 @@ def _measured(folder: Path, session: Path, options: Options, *, posture: str, su
     names = {number: path.name for number, path in walk_files(folder).items()}
     left_out = {names[number]: why for number, why in walk.left_out.items()}
     table = results.as_table()
-    table["walk"] = {"pictures": walk.pictures, "used": [names[number] for number in walk.used], "left_out": left_out}
+    table["walk"] = {
+        "pictures": walk.pictures,
+        "used": [names[number] for number in walk.used],
+        "left_out": {name: asdict(why) for name, why in left_out.items()},
+    }
     return Answer(table, [*_lines(walk, left_out), *volume_lines(results)])
 
 
-def _lines(walk: PreparedWalk, left_out: Mapping[str, str]) -> list[str]:
+def _lines(walk: PreparedWalk, left_out: Mapping[str, LeftOut]) -> list[str]:
     used = f"{len(walk.used)} of {walk.pictures} photographs are used"
     board = f"board: {walk.board_rms_px:.2f} px RMS, bow {walk.board_bow_mm:.1f} mm"
     return [f"{used}; {board}", *(f"left out: {name}: {why}" for name, why in left_out.items())]

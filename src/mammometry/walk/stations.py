@@ -18,7 +18,7 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.adjust import bundle
 from mammometry.calibration.adjust.calibrated import Calibration, ParameterCovariance
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA, POSE_NAMES_STATION
-from mammometry.calibration.detection.detect import detect, set_duplicates_aside
+from mammometry.calibration.detection.detect import Observations, detect, set_duplicates_aside
 from mammometry.calibration.judge.expected_error import expected_std_mm
 from mammometry.calibration.settings import CalibrateSettings
 from mammometry.calibration.targets.target import Target
@@ -43,8 +43,6 @@ class Stations:
     """Of the single camera. Its poses are the photographs."""
     expanded: Calibration
     """The same with one camera per photograph, in the board's frame, without pairs. Its covariance is the joint one."""
-    without_board: Mapping[str, str]
-    """Photograph → reason why its board was not found."""
 
     @property
     def rig(self) -> Rig:
@@ -92,21 +90,42 @@ def find_stations(
     Raises:
         CalibrationError: too few photographs show the board, they do not determine the lens, or the board is bent.
     """
-    shots = _Shots(photographs)
-    observations = set_duplicates_aside(detect(shots, target, progress=progress))
+    return stations_of(find_boards(photographs, target, progress), settings)
+
+
+def find_boards(
+    photographs: Mapping[str, Photograph], target: Target, progress: Progress = no_progress
+) -> Observations:
+    """Find the board in each photograph. Each is a pose; the telephone is the only camera.
+
+    Args:
+        photographs: name → photograph, all of one size.
+        target: the board.
+        progress: fraction of the photographs searched.
+    """
+    return set_duplicates_aside(detect(_Shots(photographs), target, progress=progress))
+
+
+def stations_of(observations: Observations, settings: CalibrateSettings = CalibrateSettings()) -> Stations:
+    """Calibrate the telephone's lens and poses.
+
+    Args:
+        observations: the board in each photograph, as by `find_boards`.
+        settings: settings of the adjustment.
+
+    Raises:
+        CalibrationError: too few photographs show the board, they do not determine the lens, or the board is bent.
+    """
     found = [detection.pose for detection in observations.detections]
-    missed = {miss.pose: miss.found for miss in observations.missed}
     if len(found) < FEWEST:
-        first = next(iter(missed), None)
-        example = "" if first is None else f" ({first}: {missed[first]})"
         raise CalibrationError(
             "the photographs",
-            found=f"the board in {len(found)} of {len(photographs)}{example}",
+            found=f"the board in {len(found)} of {len(found) + len(observations.missed)}",
             expected=f"the board in at least {FEWEST}",
             remedy="Keep the whole board in the picture, in focus, and describe it in board.toml as it was printed",
         )
     calibration = bundle.calibrate(observations, {}, TELEPHONE, settings)
-    found_at = Stations(calibration=calibration, expanded=expanded(calibration), without_board=missed)
+    found_at = Stations(calibration=calibration, expanded=expanded(calibration))
     if calibration.rms_px > _MOST_RMS_PX or found_at.bow_mm > _MOST_BOW_MM:
         raise CalibrationError(
             "the board",

@@ -106,6 +106,7 @@ def _about_exposure(small: UInt8[Array, "h w"]) -> Cause | None:
         return Cause(
             found="an image without sharp edges: blurred by motion or focus, or without the target",
             remedy="Focus on the board and keep it still during the exposure",
+            code="blurred",
         )
     return None
 
@@ -152,6 +153,8 @@ class MissedView:
     """What it shows instead."""
     remedy: str
     """What to do. Empty if nothing is wrong: not every camera sees the target in every pose."""
+    code: str = "no-target"
+    """Kind of the reason, for programs."""
 
     def __str__(self) -> str:
         """One sentence."""
@@ -242,7 +245,9 @@ def detect(
         for done, (key, (size_wh, name, seen)) in enumerate(zip(keys, pool.map(look, keys), strict=True)):
             _require_size(name, key[1], size_wh, sizes_wh.setdefault(key[1], size_wh))
             if isinstance(seen, Cause):
-                missed.append(MissedView(pose=key[0], camera=key[1], found=seen.found, remedy=seen.remedy))
+                missed.append(
+                    MissedView(pose=key[0], camera=key[1], found=seen.found, remedy=seen.remedy, code=seen.code)
+                )
             else:
                 found["/".join(key)] = seen
             progress((done + 1) / len(keys))
@@ -352,6 +357,7 @@ def set_duplicates_aside(observations: Observations) -> Observations:
             pose=pose,
             found=f"the same image as {', '.join(f'{other.pose}/{other.camera}' for other in others)}",
             remedy="Copy the right photograph again, or remove the pose",
+            code="duplicate",
         )
         for (pose, camera), others in twins.items()
     ]

@@ -97,3 +97,5 @@ class Cause:
     """What the photograph shows."""
     remedy: str
     """What to do. Empty if nothing is wrong: not every camera sees the target in every pose."""
+    code: str = "no-target"
+    """Kind of the reason, for programs. It never changes."""

@@ -42,7 +42,8 @@ FORMATS = ("JPEG", "PNG", "TIFF")
 Image.MAX_IMAGE_PIXELS = None  # `read_header` checks the size by `LimitSettings`
 
 _EXIF_ORIENTATION = 274  # EXIF's orientation tag
-_TRANSPOSED = (5, 6, 7, 8)  # EXIF orientations that swap width and height
+TRANSPOSED = (5, 6, 7, 8)
+"""EXIF orientations that swap width and height."""
 # How to bring each EXIF orientation upright: (transpose first, flip rows, flip columns).
 _UPRIGHT: Mapping[int, tuple[bool, bool, bool]] = {
     1: (False, False, False),
@@ -86,7 +87,7 @@ class ImageHeader:
     def size_wh(self) -> tuple[int, int]:
         """Width and height as shown, with the orientation applied."""
         width, height = self.stored_wh
-        return (height, width) if self.orientation in _TRANSPOSED else (width, height)
+        return (height, width) if self.orientation in TRANSPOSED else (width, height)
 
 
 def read_header(path: Path, name: str, limits: LimitSettings = LimitSettings()) -> ImageHeader:
@@ -175,11 +176,16 @@ def read_photograph(
         if len(_undamaged) < _MOST_REMEMBERED:
             _undamaged.add(found)
         _require_scaled(pixels, name)
-    transpose, flip_rows, flip_columns = _UPRIGHT[1 if as_stored else header.orientation]
+    pixels = turned_upright(pixels, 1 if as_stored else header.orientation)
+    return Photograph(name=name, pixels=np.ascontiguousarray(pixels))
+
+
+def turned_upright(pixels: Array, orientation: int) -> Array:
+    """View of pixels, turned upright by their EXIF orientation, 1…8."""
+    transpose, flip_rows, flip_columns = _UPRIGHT[orientation]
     if transpose:
         pixels = pixels.swapaxes(0, 1)
-    pixels = pixels[:: -1 if flip_rows else 1, :: -1 if flip_columns else 1]
-    return Photograph(name=name, pixels=np.ascontiguousarray(pixels))
+    return pixels[:: -1 if flip_rows else 1, :: -1 if flip_columns else 1]
 
 
 def read_plain_picture(

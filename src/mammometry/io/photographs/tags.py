@@ -10,7 +10,8 @@ from PIL import Image
 
 from mammometry.io.photographs.images import FORMATS, exif_of
 
-_EXIF_IFD = 0x8769  # tag that points to the EXIF directory; EXIF 2.32, 4.6.3
+EXIF_IFD = 0x8769
+"""Tag that points to the EXIF directory; EXIF 2.32, 4.6.3."""
 _MAKE, _MODEL = 271, 272  # tags of the camera; TIFF 6.0, section 8
 _TAKEN, _FRACTION, _OFFSET, _SERIAL = 0x9003, 0x9291, 0x9011, 0xA431  # EXIF 2.32, table 8
 _OFFSET_TEXT = re.compile(r"([+-])(\d\d):(\d\d)")
@@ -38,17 +39,22 @@ def read_exposure(path: Path) -> PhotographTags:
     try:
         with Image.open(path, formats=FORMATS) as image:
             tags = exif_of(image, path)
-            about: dict[int, Any] = {**tags.get_ifd(_EXIF_IFD)}
-            words = [_text(tags.get(_MAKE)), _text(tags.get(_MODEL))]
+            about: dict[int, Any] = {**tags.get_ifd(EXIF_IFD)}
+            model = camera_model(tags)
     except OSError:
         raise
     except Exception:  # damaged tags may raise any exception
         return PhotographTags()
     return PhotographTags(
         serial=_text(about.get(_SERIAL)),
-        model=" ".join(filter(None, words)),
+        model=model,
         taken_s=_moment(_text(about.get(_TAKEN)), _text(about.get(_FRACTION)), _text(about.get(_OFFSET))),
     )
+
+
+def camera_model(tags: Image.Exif) -> str:
+    """Make and model of the camera. Empty if not in the tags."""
+    return " ".join(filter(None, [_text(tags.get(_MAKE)), _text(tags.get(_MODEL))]))
 
 
 def _text(value: object) -> str:

@@ -254,6 +254,7 @@ def explain_missed_charuco(target: CharucoTarget, small: UInt8[Array, "h w"]) ->
             found="a mirrored board: its markers are found only in the mirrored image",
             remedy="Export the photographs without flipping them, and photograph the board itself, not its reflection. "
             "If nothing was flipped, the board was printed mirrored: print it again",
+            code="mirrored",
         )
     if len(seen.ids):
         return Cause(

@@ -1,0 +1,202 @@
+"""Which pictures of a folder belong to one walk, judged by their files.
+
+The adjustment assumes one lens, so the walk consists of the pictures by the most frequent telephone, size and zoom.
+Others are left out by name, and so are those that the telephone composed or blurred.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+from typing import Literal, TypeAlias, TypeVar
+
+from mammometry.base.errors import CalibrationError
+from mammometry.base.value import value
+
+Mode: TypeAlias = Literal["", "portrait", "panorama"]
+_Key = TypeVar("_Key", bound=Hashable)
+_LONGEST_EXPOSURE_S = 0.25
+"""A standing body sways by 0.5 mm in it (2 mm/s). Night modes take 1 s and more."""
+_WIDEST = 2.5
+"""Width over height: screens and their pictures have up to 2.33 (21:9), panoramas 3 and more."""
+_SAME_ZOOM = 0.04
+"""Relative difference of focal lengths in EXIF that is not a zoom: they are rounded to whole mm, of about 26."""
+
+
+@value
+class PictureFacts:
+    """How a picture was taken, by its file's header. What the file does not state is empty or None."""
+
+    stored_wh: tuple[int, int]
+    """Width and height as the sensor saw it, pixels."""
+    orientation: int = 1
+    """EXIF orientation, 1…8."""
+    is_png: bool = False
+    """No telephone's camera writes PNG, but screenshots are."""
+    model: str = ""
+    """Make and model of the telephone."""
+    focal_mm: float | None = None
+    """Focal length of the lens."""
+    focal_35_mm: float | None = None
+    """Focal length of a lens with the same view on 35 mm film: changes with digital zoom, too."""
+    zoom: float | None = None
+    """Digital zoom."""
+    exposure_s: float | None = None
+    """Exposure time."""
+    mode: Mode = ""
+    """Mode of the telephone's camera in which pictures are composed or blurred by software."""
+
+
+@value
+class LeftOut:
+    """Why a picture is not used."""
+
+    code: str
+    """Kind of the reason, for programs. It never changes."""
+    found: str
+    expected: str = ""
+    """What was expected instead. Empty if the reason says it."""
+    remedy: str = ""
+    """What the user can do. Empty if nothing is wrong."""
+
+    def __str__(self) -> str:
+        """One or two sentences."""
+        text = f"{self.found}, expected {self.expected}" if self.expected else self.found
+        return f"{text}. {self.remedy}" if self.remedy else text
+
+
+def judge_files(facts: Mapping[str, PictureFacts]) -> dict[str, LeftOut]:
+    """Pictures that do not belong to the walk, with reasons.
+
+    Args:
+        facts: number of a picture → how it was taken.
+    """
+    out: dict[str, LeftOut] = {}
+    for judge in (_modes, _telephones, _sizes, _zooms):
+        out |= judge({name: of for name, of in facts.items() if name not in out})
+    return out
+
+
+def require_enough(left: Collection[str], out: Mapping[str, LeftOut], names: Mapping[str, str], fewest: int) -> None:
+    """Refuse a walk of which too few pictures are left.
+
+    Args:
+        left: numbers of the usable pictures.
+        out: number → why it is not usable.
+        names: number → file, for messages.
+        fewest: least number of pictures.
+
+    Raises:
+        CalibrationError: too few. `details` has one line per picture that is not usable.
+    """
+    if len(left) >= fewest:
+        return
+    kinds = Counter(why.code for why in out.values())
+    most = next((code for code, _ in kinds.most_common(1)), None)
+    name, why = next(((name, why) for name, why in out.items() if why.code == most), (None, None))
+    example = "" if name is None else f" ({names[name]}: {why.found})" if why is not None else ""
+    error = CalibrationError(
+        "the photographs",
+        found=f"{len(left)} usable of {len(left) + len(out)}{example}",
+        expected=f"at least {fewest}" + (f"; {why.expected}" if why is not None and why.expected else ""),
+        remedy=(why.remedy if why is not None else "") or "Keep the whole board in the picture, in focus",
+    )
+    error.details = tuple(f"{names[number]}: {reason}" for number, reason in out.items())
+    raise error
+
+
+def usual_orientation(facts: Mapping[str, PictureFacts]) -> int:
+    """The EXIF orientation of most pictures: all are turned by it, as one lens is fixed to one sensor."""
+    return _usual([of.orientation for of in facts.values()]) or 1
+
+
+def _modes(facts: Mapping[str, PictureFacts]) -> dict[str, LeftOut]:
+    out = {}
+    for name, of in facts.items():
+        width, height = max(of.stored_wh), min(of.stored_wh)
+        if of.mode == "panorama" or width > _WIDEST * height:
+            out[name] = LeftOut(
+                code="panorama",
+                found=f"a panorama of {of.stored_wh[0]} × {of.stored_wh[1]} pixels",
+                expected="single pictures",
+                remedy="Use the camera's ordinary photo mode",
+            )
+        elif of.mode == "portrait":
+            out[name] = LeftOut(
+                code="portrait-mode",
+                found="portrait mode, which blurs by software",
+                expected="ordinary pictures",
+                remedy="Use the camera's ordinary photo mode",
+            )
+        elif of.exposure_s is not None and of.exposure_s >= _LONGEST_EXPOSURE_S:
+            out[name] = LeftOut(
+                code="long-exposure",
+                found=f"an exposure of {of.exposure_s:.2g} s",
+                expected=f"less than {_LONGEST_EXPOSURE_S:g} s",
+                remedy="Switch night mode off, and light the room",
+            )
+    return out
+
+
+def _telephones(facts: Mapping[str, PictureFacts]) -> dict[str, LeftOut]:
+    usual = _usual([of.model for of in facts.values() if of.model])
+    return {
+        name: LeftOut(
+            code="another-telephone",
+            found=f"taken with {of.model}",
+            expected=f"{usual}, as most pictures",
+            remedy="Take all pictures of a walk with one telephone",
+        )
+        for name, of in facts.items()
+        if usual is not None and of.model not in ("", usual)
+    }
+
+
+def _sizes(facts: Mapping[str, PictureFacts]) -> dict[str, LeftOut]:
+    usual = _usual([of.stored_wh for of in facts.values()])
+    by_camera = any(of.model for of in facts.values())
+    out = {}
+    for name, of in facts.items():
+        if usual is None or of.stored_wh == usual:
+            continue
+        code, remedy = "other-size", "Copy the pictures as the telephone wrote them: no messenger, no cropping"
+        if of.is_png and not of.model and by_camera:
+            code, remedy = "screenshot", "Copy the picture itself, not a picture of the screen"
+        elif of.stored_wh == usual[::-1]:
+            code, remedy = "turned", "Copy the pictures as the telephone wrote them: other programs turn their pixels"
+        out[name] = LeftOut(
+            code=code,
+            found=f"{of.stored_wh[0]} × {of.stored_wh[1]} pixels",
+            expected=f"{usual[0]} × {usual[1]}, as most pictures",
+            remedy=remedy,
+        )
+    return out
+
+
+def _zooms(facts: Mapping[str, PictureFacts]) -> dict[str, LeftOut]:
+    """By each of three tags: the lens, digital zoom, and both."""
+    out: dict[str, LeftOut] = {}
+    kinds: Sequence[tuple[str, Callable[[PictureFacts], float | None]]] = (
+        ("a lens of {:.3g} mm", lambda of: of.focal_mm),
+        ("digital zoom {:.3g}", lambda of: of.zoom),
+        ("a view as of {:.3g} mm on 35 mm film", lambda of: of.focal_35_mm),
+    )
+    for words, of_picture in kinds:
+        known = {name: tag for name, of in facts.items() if name not in out and (tag := of_picture(of)) is not None}
+        usual = _usual(list(known.values()))
+        out |= {
+            name: LeftOut(
+                code="zoom",
+                found=words.format(tag),
+                expected=f"{usual:.3g}, as most pictures",
+                remedy="Do not zoom during a walk, and keep the telephone from changing its lens",
+            )
+            for name, tag in known.items()
+            if usual is not None and abs(tag / usual - 1) > _SAME_ZOOM
+        }
+    return out
+
+
+def _usual(values: Sequence[_Key]) -> _Key | None:
+    """The most frequent value, the first of several. None if there are none."""
+    return Counter(values).most_common(1)[0][0] if values else None

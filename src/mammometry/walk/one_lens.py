@@ -1,0 +1,84 @@
+"""Photographs of a walk whose board does not fit the lens of all: another zoom, or a card that bent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from mammometry.calibration.adjust.calibrated import Calibration
+from mammometry.geometry import Array, Camera, Float64, Transform
+from mammometry.walk.inputs import LeftOut
+
+_MOST_EXCLUDED = 0.25
+"""Largest share of a photograph's corners that the robust adjustment excludes. In clean ones it is 3 %."""
+_MOST_ZOOM, _ZOOM_SIGMAS = 0.03, 5.0
+"""Largest relative difference of a photograph's focal length, and in its standard deviations. Autofocus changes it by
+up to 2 % between 0.4 and 1 m; a wrong one displaces the telephone by as much of its distance."""
+_CORNER_PX = 0.1  # residual beyond which the loss is linear: a corner is measured to 0.05 px
+
+
+def judge_lenses(calibration: Calibration, stations: Mapping[str, Camera]) -> dict[str, LeftOut]:
+    """Photographs that do not fit the common lens, with reasons.
+
+    Args:
+        calibration: of the single camera. Its poses are the photographs.
+        stations: photograph → camera in the board's frame.
+    """
+    out = {
+        aside.pose: LeftOut(
+            code="another-lens",
+            found=f"corners of the board {aside.residual_px:.1f} pixels from their places",
+            expected="a flat board and the lens of the other pictures",
+            remedy="Do not zoom during a walk, lock the focus, and keep the card flat",
+        )
+        for aside in calibration.set_aside
+    }
+    for seen, residuals in zip(calibration.observations.detections, calibration.residuals_px, strict=True):
+        if seen.pose in out:
+            continue
+        change, std = focal_change(stations[seen.pose], calibration.target_points[seen.ids], seen.uv)
+        excluded = np.isnan(residuals).any(axis=1)
+        if abs(change) > max(_MOST_ZOOM, _ZOOM_SIGMAS * std):
+            out[seen.pose] = LeftOut(
+                code="zoom",
+                found=f"a focal length of {100 * (1 + change):.0f} % of that of most pictures",
+                expected="one focal length",
+                remedy="Do not zoom during a walk, and lock the focus",
+            )
+        elif excluded.mean() > _MOST_EXCLUDED:
+            out[seen.pose] = LeftOut(
+                code="another-lens",
+                found=f"{excluded.sum()} of {len(excluded)} corners of the board away from their places",
+                expected="a flat board and the lens of the other pictures",
+                remedy="Do not zoom during a walk, lock the focus, and keep the card flat",
+            )
+    return out
+
+
+def focal_change(camera: Camera, points_world: Float64[Array, "n 3"], uv: Float64[Array, "n 2"]) -> tuple[float, float]:
+    """Relative change of a camera's focal length by which one photograph fits best, and its standard deviation.
+
+    The pose is adjusted with it.
+
+    Args:
+        camera: the camera; its principal point and distortion are kept.
+        points_world: points that it sees, mm.
+        uv: their pixels.
+    """
+    far_mm = float(np.linalg.norm(camera.centre_world - points_world.mean(axis=0)))
+
+    def residuals(step: Float64[Array, 7]) -> Float64[Array, " m"]:
+        turn = Transform.from_rotation_vector(step[:3], far_mm * step[3:6])
+        matrix = camera.matrix.copy()
+        matrix[[0, 1], [0, 1]] *= np.exp(step[6])
+        moved = replace(camera, matrix=matrix, camera_from_world=turn @ camera.camera_from_world)
+        return (moved.project(points_world) - uv).ravel()
+
+    fitted = least_squares(residuals, np.zeros(7), loss="soft_l1", f_scale=_CORNER_PX)
+    freedom = max(1, len(fitted.fun) - len(fitted.x))
+    variance = 2.0 * fitted.cost / freedom
+    covariance = variance * np.linalg.pinv(fitted.jac.T @ fitted.jac)
+    return float(np.expm1(fitted.x[6])), float(np.sqrt(covariance[6, 6]))
