@@ -41,7 +41,7 @@ from mammometry.walk.one_lens import judge_lenses
 from mammometry.walk.pairs import choose_pairs
 from mammometry.walk.region import TELEPHONE_BOARD, Region, region_above
 from mammometry.walk.sharpness import board_image, judge_images
-from mammometry.walk.stations import FEWEST, TELEPHONE, find_boards, stations_of
+from mammometry.walk.stations import FEWEST, TELEPHONE, Stations, find_boards, stations_of
 
 BOARD = "board.toml"
 WALK = "walk.json"
@@ -116,12 +116,9 @@ def prepare_walk(
     target = read_board(folder)
     pictures = _usable(files, target, progress)
     photographs = pictures.photographs
-    stations = stations_of(pictures.observations)
-    out_so_far = {**pictures.left_out, **judge_lenses(stations.calibration, stations.rig.cameras)}
-    usable = {name: camera for name, camera in stations.rig.cameras.items() if name not in out_so_far}
-    require_enough(usable, out_so_far, {number: path.name for number, path in files.items()}, FEWEST)
+    stations, out_so_far = _placed(pictures, files)
     region = region_above(target)
-    pairs = choose_pairs(_seeing(replace(stations.rig, cameras=usable), region), region.middle_world)
+    pairs = choose_pairs(_seeing(stations.rig, region), region.middle_world)
     in_pairs = sorted({name for pair in pairs.values() for name in pair})
     rig = Rig(
         name="telephone",
@@ -136,7 +133,7 @@ def prepare_walk(
         used=tuple(in_pairs),
         left_out={
             **out_so_far,
-            **{name: _NOT_IN_A_PAIR for name in usable if name not in in_pairs},
+            **{name: _NOT_IN_A_PAIR for name in stations.rig.cameras if name not in in_pairs},
         },
         board_rms_px=round(float(stations.calibration.rms_px), 4),
         board_bow_mm=round(stations.bow_mm, 3),
@@ -195,6 +192,21 @@ def walk_files(folder: Path) -> dict[str, Path]:
         )
     digits = max(2, len(str(len(files))))
     return {f"{number:0{digits}d}": path for number, path in enumerate(files, start=1)}
+
+
+def _placed(pictures: _Pictures, files: Mapping[str, Path]) -> tuple[Stations, Mapping[str, LeftOut]]:
+    """The telephone at each photograph that fits one lens, and all photographs that are left out.
+
+    Raises:
+        CalibrationError: too few fit, or they do not determine the positions.
+    """
+    stations = stations_of(pictures.observations)
+    odd = judge_lenses(stations.calibration, stations.rig.cameras)
+    out = {**pictures.left_out, **odd}
+    good = tuple(board for board in pictures.observations.detections if board.pose not in out)
+    require_enough([board.pose for board in good], out, {number: path.name for number, path in files.items()}, FEWEST)
+    # The others have pulled at the common lens: a zoom of 50 % by 0.3 %.
+    return stations_of(replace(pictures.observations, detections=good)) if odd else stations, out
 
 
 def _damaged(error: ImageError) -> LeftOut:

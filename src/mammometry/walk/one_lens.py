@@ -59,9 +59,9 @@ def judge_lenses(calibration: Calibration, stations: Mapping[str, Camera]) -> di
 
 
 def focal_change(camera: Camera, points_world: Float64[Array, "n 3"], uv: Float64[Array, "n 2"]) -> tuple[float, float]:
-    """Relative change of a camera's focal length by which one photograph fits best, and its standard deviation.
+    """Relative change of the focal length by which a photograph fits best, and its std.
 
-    The pose is adjusted with it.
+    The camera's pose is adjusted with it.
 
     Args:
         camera: the camera; its principal point and distortion are kept.

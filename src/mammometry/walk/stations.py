@@ -96,7 +96,9 @@ def find_stations(
 def find_boards(
     photographs: Mapping[str, Photograph], target: Target, progress: Progress = no_progress
 ) -> Observations:
-    """Find the board in each photograph. Each is a pose; the telephone is the only camera.
+    """Find the board in each photograph.
+
+    Each photograph is a pose; the telephone is the only camera.
 
     Args:
         photographs: name → photograph, all of one size.
