@@ -19,6 +19,7 @@ CV2_MAY = (
     "calibration/adjust/initialise.py",
     "matching/rectify.py",
     "io/photographs/images.py",
+    "io/photographs/video.py",
     "io/cameras/opencv.py",
 )
 SERVERS = {"editor/server.py", "editor/auth.py", "capture/page.py"}

@@ -12,36 +12,29 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
-from mammometry.base.errors import ImageError, SessionError
-from mammometry.base.listing import visible
+from mammometry.api.walk_pictures import usable_pictures, walk_files, walk_video
+from mammometry.base.errors import SessionError
 from mammometry.base.new_folder import require_new, whole_folder
 from mammometry.base.parse import read_text, toml_table
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress, no_progress
-from mammometry.calibration.detection.detect import Observations
-from mammometry.calibration.targets.board import SquaresBoard
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry import Array, Bool, Camera, Rig
 from mammometry.io.cameras.own import cameras_table
-from mammometry.io.looked_up import LazyMapping, digest_of, file_digest
+from mammometry.io.looked_up import digest_of, file_digest
 from mammometry.io.outputs import require_apart
-from mammometry.io.photographs.heic import HEIC_EXTENSIONS
-from mammometry.io.photographs.images import EXTENSIONS
-from mammometry.io.photographs.telephone import read_facts, read_from_sensor
 from mammometry.io.write import disk_errors
-from mammometry.walk.inputs import LeftOut, judge_files, require_enough, usual_orientation
-from mammometry.walk.one_lens import judge_lenses
+from mammometry.walk.inputs import LeftOut
 from mammometry.walk.pairs import choose_pairs
 from mammometry.walk.region import TELEPHONE_BOARD, Region, region_above
-from mammometry.walk.sharpness import board_image, judge_images
-from mammometry.walk.stations import FEWEST, TELEPHONE, Stations, find_boards, stations_of
+from mammometry.walk.stations import TELEPHONE
 
 BOARD = "board.toml"
 WALK = "walk.json"
@@ -74,6 +67,16 @@ class PreparedWalk:
     """Relative standard uncertainty of all lengths."""
     point_std_mm: float
     """Standard uncertainty of a reconstructed point, from the telephone's positions and lens, mm."""
+    times: Mapping[str, str] = field(default_factory=dict)
+    """Number of a frame → its time in the video ("12.4 s"). Empty for photographs."""
+
+    def names(self, folder: Path) -> Mapping[str, str]:
+        """Number of a picture → name of its file in the folder that was given, or its time in the video.
+
+        Raises:
+            SessionError: the folder has no photographs.
+        """
+        return self.times or {number: path.name for number, path in walk_files(folder).items()}
 
 
 def prepare_walk(
@@ -90,59 +93,58 @@ def prepare_walk(
     session of the same photographs is not changed.
 
     Args:
-        folder: the photographs, and ``board.toml`` if the board is not ours.
+        folder: the photographs or one video, and ``board.toml`` if the board is not ours.
         out: the session's folder: new, empty, or made from these photographs before.
         posture: of the patient.
         subject: pseudonym.
         progress: fraction of the photographs in which the board was searched.
 
     Raises:
-        SessionError: no photographs, a ``board.toml`` that is not as documented, or other content in `out`.
+        SessionError: no photographs, photographs and a video, a ``board.toml`` that is not as documented, or other
+            content in `out`.
         CalibrationError: too few photographs are usable, or the cameras' positions cannot be found from them.
-        ImageError: a photograph is damaged or too large.
+        ImageError: the video cannot be read.
     """
     require_apart(out, [folder])
     earlier = read_walk(out)
     if earlier is None:
         require_new(out)
-    files = walk_files(folder)
     board = folder / BOARD
-    contents = [file_digest(path) for path in (*files.values(), *([board] if board.is_file() else []))]
+    video = walk_video(folder)
+    inputs = [*walk_files(folder).values()] if video is None else [video]
+    contents = [file_digest(path) for path in (*inputs, *([board] if board.is_file() else []))]
     source = digest_of([_VERSION, posture, subject, contents])
     if earlier is not None:
         if earlier.source == source:
             return earlier
         require_new(out, found="a session of other photographs")
     target = read_board(folder)
-    pictures = _usable(files, target, progress)
-    photographs = pictures.photographs
-    stations, out_so_far = _placed(pictures, files)
-    region = region_above(target)
-    pairs = choose_pairs(_seeing(stations.rig, region), region.middle_world)
-    in_pairs = sorted({name for pair in pairs.values() for name in pair})
-    rig = Rig(
-        name="telephone",
-        cameras={name: stations.rig.cameras[name] for name in in_pairs},
-        pair_names=pairs,
-        target_middle_world=region.middle_world,
-    )
-    camera = stations.calibration.rig.cameras[TELEPHONE]
-    walk = PreparedWalk(
-        source=source,
-        pictures=len(files),
-        used=tuple(in_pairs),
-        left_out={
-            **out_so_far,
-            **{name: _NOT_IN_A_PAIR for name in stations.rig.cameras if name not in in_pairs},
-        },
-        board_rms_px=round(float(stations.calibration.rms_px), 4),
-        board_bow_mm=round(stations.bow_mm, 3),
-        focal_px=round(float(camera.matrix[0, 0]), 2),
-        scale_std=target.scale_std or PRINT_STD,
-        point_std_mm=round(stations.point_std_mm(rig, region), 4),
-    )
-    with disk_errors(out), whole_folder(out) as fresh:
-        _write(fresh, walk, rig, region, photographs, posture, subject)
+    with usable_pictures(folder, target, progress) as pictures:
+        stations, left_out = pictures.placed()
+        region = region_above(target)
+        pairs = choose_pairs(_seeing(stations.rig, region), region.middle_world)
+        in_pairs = sorted({name for pair in pairs.values() for name in pair})
+        rig = Rig(
+            name="telephone",
+            cameras={name: stations.rig.cameras[name] for name in in_pairs},
+            pair_names=pairs,
+            target_middle_world=region.middle_world,
+        )
+        camera = stations.calibration.rig.cameras[TELEPHONE]
+        walk = PreparedWalk(
+            source=source,
+            pictures=len(pictures.names),
+            used=tuple(in_pairs),
+            left_out={**left_out, **{name: _NOT_IN_A_PAIR for name in stations.rig.cameras if name not in in_pairs}},
+            board_rms_px=round(float(stations.calibration.rms_px), 4),
+            board_bow_mm=round(stations.bow_mm, 3),
+            focal_px=round(float(camera.matrix[0, 0]), 2),
+            scale_std=target.scale_std or PRINT_STD,
+            point_std_mm=round(stations.point_std_mm(rig, region), 4),
+            times={} if video is None else pictures.names,
+        )
+        with disk_errors(out), whole_folder(out) as fresh:
+            _write(fresh, walk, rig, region, pictures.photographs, posture, subject)
     return walk
 
 
@@ -173,92 +175,6 @@ def read_board(folder: Path) -> Target:
         raise SessionError(
             f"{path}: {error.subject}", found=error.found, expected=error.expected, remedy=remedy
         ) from None
-
-
-def walk_files(folder: Path) -> dict[str, Path]:
-    """The photographs of a walk in the order of their names: number ("01") → file.
-
-    Raises:
-        SessionError: there are none.
-    """
-    endings = (*EXTENSIONS, *HEIC_EXTENSIONS)
-    files = sorted(path for path in visible(folder) if path.suffix.lower() in endings and path.is_file())
-    if not files:
-        raise SessionError(
-            str(folder),
-            found="no photographs" if folder.is_dir() else "no such folder",
-            expected="12 to 60 photographs of one walk around the patient, JPEG, HEIC or PNG",
-            remedy="Copy them from the telephone into one folder",
-        )
-    digits = max(2, len(str(len(files))))
-    return {f"{number:0{digits}d}": path for number, path in enumerate(files, start=1)}
-
-
-def _placed(pictures: _Pictures, files: Mapping[str, Path]) -> tuple[Stations, Mapping[str, LeftOut]]:
-    """The telephone at each photograph that fits one lens, and all photographs that are left out.
-
-    Raises:
-        CalibrationError: too few fit, or they do not determine the positions.
-    """
-    stations = stations_of(pictures.observations)
-    odd = judge_lenses(stations.calibration, stations.rig.cameras)
-    out = {**pictures.left_out, **odd}
-    good = tuple(board for board in pictures.observations.detections if board.pose not in out)
-    require_enough([board.pose for board in good], out, {number: path.name for number, path in files.items()}, FEWEST)
-    # The others have pulled at the common lens: a zoom of 50 % by 0.3 %.
-    return stations_of(replace(pictures.observations, detections=good)) if odd else stations, out
-
-
-def _damaged(error: ImageError) -> LeftOut:
-    return LeftOut(code=error.code, found=error.found, expected=error.expected, remedy=error.remedy)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Pictures:
-    """The photographs of a walk, and those that are not usable."""
-
-    photographs: Mapping[str, Photograph]
-    observations: Observations
-    """The board in the usable ones."""
-    left_out: Mapping[str, LeftOut]
-
-
-def _usable(files: Mapping[str, Path], target: Target, progress: Progress) -> _Pictures:
-    """Judge the photographs by their files, then by the board in them.
-
-    Raises:
-        CalibrationError: too few are usable.
-        ImageError: one is damaged or too large.
-    """
-    names = {number: path.name for number, path in files.items()}
-    facts, out = {}, {}
-    for number, path in files.items():
-        try:
-            facts[number] = read_facts(path, path.name)
-        except ImageError as error:
-            out[number] = _damaged(error)
-    out |= judge_files(facts)
-    orientation = usual_orientation({number: of for number, of in facts.items() if number not in out})
-    while True:
-        left = {number: path for number, path in files.items() if number not in out}
-        require_enough(left, out, names, FEWEST)
-        photographs = LazyMapping(left, lambda _, path: read_from_sensor(path, path.name, orientation))
-        try:
-            observations = find_boards(photographs, target, progress)
-        except ImageError as error:  # damage shows only in the pixels
-            number = next((number for number, path in left.items() if path.name == error.subject), None)
-            if number is None:
-                raise
-            out[number] = _damaged(error)
-        else:
-            break
-    out |= {miss.pose: LeftOut(code=miss.code, found=miss.found, remedy=miss.remedy) for miss in observations.missed}
-    if isinstance(target, SquaresBoard):
-        seen = {board.pose: board_image(photographs[board.pose], board, target) for board in observations.detections}
-        out |= judge_images({number: image for number, image in seen.items() if image is not None})
-    good = tuple(board for board in observations.detections if board.pose not in out)
-    require_enough([board.pose for board in good], out, names, FEWEST)
-    return _Pictures(photographs=photographs, observations=replace(observations, detections=good), left_out=out)
 
 
 def _seeing(rig: Rig, region: Region) -> Rig:

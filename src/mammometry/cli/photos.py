@@ -33,7 +33,7 @@ def photos(
     folder: Annotated[
         Path,
         typer.Argument(
-            metavar="FOLDER", help="Photographs by one telephone, and board.toml with the measured board.",
+            metavar="FOLDER", help="Photographs or one video by one telephone, and board.toml with the measured board.",
             show_default=False,
         ),
     ],
@@ -107,7 +107,7 @@ def simulated_walk(out: Path, recipe: WalkRecipe, options: OutputOptions) -> Ans
 
 
 def _measured(folder: Path, session: Path, options: Options, *, posture: str, subject: str | None) -> Answer:
-    from mammometry.api.photos import prepare_walk, walk_files
+    from mammometry.api.photos import prepare_walk
 
     with Bars(options.silent) as bars:
         with bars.task("calibrate", "board") as progress:
@@ -115,7 +115,7 @@ def _measured(folder: Path, session: Path, options: Options, *, posture: str, su
         job = opened(session, options, bars)
         with compiled_ahead(wanted=not job.store.has(job.report_key)):
             results = job.run()
-    names = {number: path.name for number, path in walk_files(folder).items()}
+    names = walk.names(folder)
     left_out = {names[number]: why for number, why in walk.left_out.items()}
     table = results.as_table()
     table["walk"] = {

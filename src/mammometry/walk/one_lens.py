@@ -80,5 +80,6 @@ def focal_change(camera: Camera, points_world: Float64[Array, "n 3"], uv: Float6
     fitted = least_squares(residuals, np.zeros(7), loss="soft_l1", f_scale=_CORNER_PX)
     freedom = max(1, len(fitted.fun) - len(fitted.x))
     variance = 2.0 * fitted.cost / freedom
-    covariance = variance * np.linalg.pinv(fitted.jac.T @ fitted.jac)
+    jacobian = np.asarray(fitted.jac, dtype=np.float64)
+    covariance = variance * np.linalg.pinv(jacobian.T @ jacobian)
     return float(np.expm1(fitted.x[6])), float(np.sqrt(covariance[6, 6]))

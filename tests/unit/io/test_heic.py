@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mammometry.api.photos import walk_files
+from mammometry.api.walk_pictures import walk_files
 from mammometry.base.errors import ImageError
 from mammometry.base.parse import LimitSettings
 from mammometry.io.photographs.heic import is_heic, read_heic

@@ -59,6 +59,7 @@ def bad_pictures(folder):
     }
 
 
+@pytest.mark.requirement("R-PHOTO-1")
 def test_bad_pictures_are_left_out_by_name(good, tmp_path):
     folder = tmp_path / "photos"
     shutil.copytree(good, folder)
@@ -75,6 +76,7 @@ def test_bad_pictures_are_left_out_by_name(good, tmp_path):
     assert walk.focal_px == pytest.approx(board_walk.FOCAL_PX, rel=2e-3)
 
 
+@pytest.mark.requirement("R-PHOTO-1")
 def test_too_few_that_are_left_are_a_refusal_that_lists_all(good, tmp_path):
     folder = tmp_path / "photos"
     folder.mkdir()

@@ -106,7 +106,7 @@ def fit_board_map(
 def _refit(start: BoardMap, board_mm: Float64[Array, "n 2"], uv: Float64[Array, "n 2"]) -> BoardMap:
     terms = 10 if len(uv) >= _CUBIC_POINTS else 6 if len(uv) >= _QUADRATIC_POINTS else 0
     ideal = uv + monomials((uv - start.centre_px) / start.scale_px) @ start.to_ideal
-    homography = _homography(board_mm, ideal)
+    homography = homography_of(board_mm, ideal)
     ideal = _project(homography, board_mm)
     return BoardMap(
         ideal_from_board=homography,
@@ -140,7 +140,7 @@ def _project(homography: Float64[Array, "3 3"], points: Float64[Array, "*n 2"]) 
     return homogeneous[..., :2] / homogeneous[..., 2:]
 
 
-def _homography(board_mm: Float64[Array, "n 2"], ideal: Float64[Array, "n 2"]) -> Float64[Array, "3 3"]:
+def homography_of(board_mm: Float64[Array, "n 2"], ideal: Float64[Array, "n 2"]) -> Float64[Array, "3 3"]:
     """Least-squares homography by the normalised direct linear transform (Hartley)."""
     (from_board, board), (from_ideal, image) = _normalised(board_mm), _normalised(ideal)
     one, zero = np.ones(len(board)), np.zeros((len(board), 3))

@@ -1,0 +1,173 @@
+"""Usable pictures of a walk: photographs in a folder, or frames of its video."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from mammometry.base.errors import ImageError, SessionError
+from mammometry.base.listing import visible
+from mammometry.base.photograph import Photograph
+from mammometry.base.progress import Progress, part
+from mammometry.calibration.detection.detect import Observations
+from mammometry.calibration.targets.board import SquaresBoard
+from mammometry.calibration.targets.target import Target
+from mammometry.io.looked_up import LazyMapping
+from mammometry.io.photographs.heic import HEIC_EXTENSIONS
+from mammometry.io.photographs.images import EXTENSIONS
+from mammometry.io.photographs.telephone import read_facts, read_from_sensor
+from mammometry.io.photographs.video import VIDEO_EXTENSIONS, write_frames
+from mammometry.walk.inputs import LeftOut, judge_files, require_enough, usual_orientation
+from mammometry.walk.one_lens import judge_lenses
+from mammometry.walk.sharpness import board_image, judge_images
+from mammometry.walk.stations import FEWEST, Stations, find_boards, stations_of
+
+_STILLS = (*EXTENSIONS, *HEIC_EXTENSIONS)
+_DECODING = 0.5  # share of the time that a video's frames take
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WalkPictures:
+    """The pictures of a walk, by number ("01")."""
+
+    names: Mapping[str, str]
+    """Name of every picture: of its file, or the time in the video."""
+    photographs: Mapping[str, Photograph]
+    """Read when looked up."""
+    observations: Observations
+    """The board in the usable ones."""
+    left_out: Mapping[str, LeftOut]
+    """Why the others are not used."""
+
+    def placed(self) -> tuple[Stations, Mapping[str, LeftOut]]:
+        """The telephone at each picture that fits one lens, and all pictures that are left out.
+
+        Raises:
+            CalibrationError: too few fit, or they do not determine the positions.
+        """
+        stations = stations_of(self.observations)
+        odd = judge_lenses(stations.calibration, stations.rig.cameras)
+        if not odd:
+            return stations, self.left_out
+        out = {**self.left_out, **odd}
+        good = tuple(board for board in self.observations.detections if board.pose not in odd)
+        require_enough([board.pose for board in good], out, self.names, FEWEST)
+        # The odd ones have pulled at the common lens: a zoom of 50 % by 0.3 %.
+        return stations_of(replace(self.observations, detections=good)), out
+
+
+def walk_files(folder: Path) -> dict[str, Path]:
+    """The photographs of a walk in the order of their names: number ("01") → file.
+
+    Raises:
+        SessionError: there are none.
+    """
+    files = _files(folder, _STILLS)
+    if not files:
+        raise SessionError(
+            str(folder),
+            found="no photographs" if folder.is_dir() else "no such folder",
+            expected="12 to 60 photographs of one walk around the patient, JPEG, HEIC or PNG, or one video",
+            remedy="Copy them from the telephone into one folder",
+        )
+    return _numbered(files)
+
+
+def walk_video(folder: Path) -> Path | None:
+    """The video of a walk. None if the folder has none.
+
+    A video with the name of a photograph is the moving part of an iPhone's live photo, and is ignored.
+
+    Raises:
+        SessionError: several videos, or photographs as well.
+    """
+    stills = _files(folder, _STILLS)
+    of_stills = {path.stem.lower() for path in stills}
+    videos = [path for path in _files(folder, VIDEO_EXTENSIONS) if path.stem.lower() not in of_stills]
+    if videos and (stills or len(videos) > 1):
+        many = f"{len(videos)} videos" if len(videos) > 1 else f"the video {videos[0].name}"
+        raise SessionError(
+            str(folder),
+            found=f"{many} and {len(stills)} photographs" if stills else many,
+            expected="either photographs or one video of one walk",
+            remedy="Move the others to another folder",
+        )
+    return videos[0] if videos else None
+
+
+@contextmanager
+def usable_pictures(folder: Path, target: Target, progress: Progress) -> Iterator[WalkPictures]:
+    """Judge the pictures of a walk by their files, then by the board in them.
+
+    The frames of a video exist only inside the context.
+
+    Args:
+        folder: with the photographs or the video.
+        target: the board.
+        progress: fraction of the pictures judged.
+
+    Raises:
+        SessionError: no pictures, or both photographs and a video.
+        CalibrationError: too few are usable.
+        ImageError: the video cannot be read.
+    """
+    video = walk_video(folder)
+    if video is None:
+        files = walk_files(folder)
+        yield _usable(files, {number: path.name for number, path in files.items()}, target, progress)
+        return
+    with TemporaryDirectory(prefix="mammometry-") as frames:
+        files = _numbered(write_frames(video, Path(frames), target, progress=part(progress, 0.0, _DECODING)))
+        names = {number: path.stem for number, path in files.items()}
+        yield _usable(files, names, target, part(progress, _DECODING, 1.0))
+
+
+def _files(folder: Path, endings: tuple[str, ...]) -> list[Path]:
+    return sorted(path for path in visible(folder) if path.suffix.lower() in endings and path.is_file())
+
+
+def _numbered(files: list[Path]) -> dict[str, Path]:
+    digits = max(2, len(str(len(files))))
+    return {f"{number:0{digits}d}": path for number, path in enumerate(files, start=1)}
+
+
+def _usable(files: Mapping[str, Path], names: Mapping[str, str], target: Target, progress: Progress) -> WalkPictures:
+    facts, out = {}, {}
+    for number, path in files.items():
+        try:
+            facts[number] = read_facts(path, number)
+        except ImageError as error:
+            out[number] = _damaged(error)
+    out |= judge_files(facts)
+    orientation = usual_orientation({number: of for number, of in facts.items() if number not in out})
+    while True:
+        left = {number: path for number, path in files.items() if number not in out}
+        require_enough(left, out, names, FEWEST)
+        photographs = LazyMapping(left, lambda number, path: read_from_sensor(path, number, orientation))
+        try:
+            observations = find_boards(photographs, target, progress)
+        except ImageError as error:  # damage shows only in the pixels
+            if error.subject not in left:
+                raise
+            out[error.subject] = _damaged(error)
+        else:
+            break
+    out |= {miss.pose: LeftOut(code=miss.code, found=miss.found, remedy=miss.remedy) for miss in observations.missed}
+    if isinstance(target, SquaresBoard):
+        seen = {board.pose: board_image(photographs[board.pose], board, target) for board in observations.detections}
+        out |= judge_images({number: image for number, image in seen.items() if image is not None})
+    good = tuple(board for board in observations.detections if board.pose not in out)
+    require_enough([board.pose for board in good], out, names, FEWEST)
+    return WalkPictures(
+        names=names,
+        photographs=photographs,
+        observations=replace(observations, detections=good),
+        left_out=out,
+    )
+
+
+def _damaged(error: ImageError) -> LeftOut:
+    return LeftOut(code=error.code, found=error.found, expected=error.expected, remedy=error.remedy)

@@ -1,0 +1,155 @@
+"""Frames of a telephone's video, decoded by the FFmpeg in OpenCV, which is under the LGPL."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from PIL import Image
+
+from mammometry.base.errors import ImageError
+from mammometry.base.machine.cores import available_cores
+from mammometry.base.parse import LimitSettings
+from mammometry.base.photograph import Photograph
+from mammometry.base.progress import Progress, no_progress
+from mammometry.calibration.targets.target import Target
+from mammometry.geometry.arrays import Array, UInt8
+from mammometry.io.photographs.images import check_size
+from mammometry.walk.frames import SeenFrame, choose_frames, direction_in
+
+VIDEO_EXTENSIONS = (".mp4", ".mov", ".m4v")
+"""Extensions of telephones' videos, in any case."""
+_LONGEST_S = 240.0  # a walk takes 20 to 60 s
+_SEARCHED_PER_S = 4.0  # frames per second in which the board is searched: 2.5 degrees of a walk of 120 degrees in 12 s
+_SEARCHED_PX = 1100  # width of the frames in which it is searched, as of photographs
+_MIDDLE = 0.2  # margin of the frame in which sharpness is not judged: the room
+_MS = 1e-3  # seconds
+_LEAST_READ = 0.9  # share of the frames in the header that must be readable: some telephones count a few more
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Candidate:
+    """The sharpest of successive frames."""
+
+    index: int
+    sharpness: float
+    small: Photograph
+
+
+def write_frames(
+    path: Path,
+    out: Path,
+    board: Target,
+    limits: LimitSettings = LimitSettings(),
+    progress: Progress = no_progress,
+) -> list[Path]:
+    """Write the frames of a video that are used for a walk as PNG files, named by their time ("12.4 s").
+
+    Frames are turned as the video's metadata says.
+
+    Args:
+        path: the video.
+        out: existing folder.
+        board: the board on the patient.
+        limits: largest size of a frame.
+        progress: fraction of the video read.
+
+    Returns:
+        The files in order of time.
+
+    Raises:
+        ImageError: the video cannot be read, is too long, or its frames are too large.
+    """
+    candidates = _candidates(path, limits, progress)
+    with ThreadPoolExecutor(available_cores()) as pool:
+        directions = list(pool.map(lambda candidate: direction_in(candidate.small, board), candidates))
+    seen = [
+        SeenFrame(index=candidate.index, sharpness=candidate.sharpness, direction=direction)
+        for candidate, direction in zip(candidates, directions, strict=True)
+        if direction is not None
+    ]
+    if not seen:
+        raise ImageError(
+            path.name,
+            found="the board in no frame",
+            expected="a walk around the patient with the whole board in view",
+            remedy="Film at full resolution, upright or across, and describe the board in board.toml",
+        )
+    chosen = set(choose_frames(seen))
+    files = []
+    for index, time_s, frame in _frames(path, limits):
+        if index in chosen:
+            name = f"{time_s:.1f} s"
+            files.append(out / f"{name if not (out / f'{name}.png').exists() else f'{time_s:.3f} s'}.png")
+            Image.fromarray(np.ascontiguousarray(frame[..., ::-1])).save(files[-1], compress_level=1)
+            if len(files) == len(chosen):
+                break
+    return files
+
+
+def _candidates(path: Path, limits: LimitSettings, progress: Progress) -> list[_Candidate]:
+    """The sharpest frame of each quarter of a second."""
+    found: dict[int, _Candidate] = {}
+    for index, time_s, frame in _frames(path, limits, progress):
+        grey = np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+        height, width = grey.shape
+        middle = grey[int(_MIDDLE * height) : -int(_MIDDLE * height), int(_MIDDLE * width) : -int(_MIDDLE * width)]
+        sharpness = float(np.std(cv2.Laplacian(middle, cv2.CV_16S)))
+        group = int(time_s * _SEARCHED_PER_S)
+        if group not in found or sharpness > found[group].sharpness:
+            scale = min(1.0, _SEARCHED_PX / max(width, height))
+            size = (round(scale * width), round(scale * height))
+            small = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+            photograph = Photograph(name=f"{time_s:.1f} s", pixels=small)
+            found[group] = _Candidate(index=index, sharpness=sharpness, small=photograph)
+    return [found[group] for group in sorted(found)]
+
+
+def _frames(
+    path: Path, limits: LimitSettings, progress: Progress = no_progress
+) -> Iterator[tuple[int, float, UInt8[Array, "h w 3"]]]:
+    """Number, time in seconds, and BGR pixels of each frame of a video.
+
+    Raises:
+        ImageError: it cannot be read, is too long, or its frames are too large.
+    """
+    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    try:
+        video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
+        rate, count = video.get(cv2.CAP_PROP_FPS), video.get(cv2.CAP_PROP_FRAME_COUNT)
+        size = (int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT)))
+        if not video.isOpened() or not rate > 0 or min(size) < 1:
+            raise _unreadable(path)
+        check_size(size, path.name, limits)
+        if count / rate > _LONGEST_S:
+            raise ImageError(
+                path.name,
+                found=f"a video of {count / rate:.0f} s",
+                expected=f"at most {_LONGEST_S:g} s",
+                remedy="Cut it to the walk in the telephone's gallery",
+            )
+        index = 0
+        while True:
+            good, frame = video.read()
+            if not good:
+                break
+            yield index, _MS * video.get(cv2.CAP_PROP_POS_MSEC), np.asarray(frame, dtype=np.uint8)
+            index += 1
+            progress(min(1.0, index / max(count, 1.0)))
+        if index == 0 or index < _LEAST_READ * count:
+            raise _unreadable(path)
+    finally:
+        video.release()
+
+
+def _unreadable(path: Path) -> ImageError:
+    return ImageError(
+        path.name,
+        found="a damaged video, or one of another format",
+        expected="an MP4 or MOV of a telephone",
+        remedy="Copy it again from the telephone, as it was recorded",
+    )
