@@ -8,6 +8,7 @@ import argparse
 import io
 import shutil
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +16,9 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 from tests.clinic_browser import CHROMIUM_FLAGS, cookies, opened
 from tests.clinic_server import served
+from tests.telephone_pictures import drop
+
+from mammometry.simulate.walk import PHOTOGRAPHS, WalkRecipe, write_walk
 
 WIDTHS = (360, 820, 1440)
 GUIDES = Path(__file__).resolve().parents[1] / "docs" / "how-to" / "pictures" / "clinic"
@@ -90,6 +94,8 @@ def guides(browser: Browser, address: str, logins: dict[str, str]) -> None:
     take(page, "result")
     page.goto(f"{page.url}?photographs=1")
     take(page, "photographs")
+    telephone(page)
+    take(page, "telephone")
     page.context.close()
     page = opened(browser, address, logins["researcher"], width=width, height=height)
     page.goto("/study/")
@@ -99,6 +105,19 @@ def guides(browser: Browser, address: str, logins: dict[str, str]) -> None:
     page.goto("/people/new/")
     take(page, "person")
     page.context.close()
+
+
+def telephone(page: Page) -> None:
+    """Begin a visit with a telephone, and send the photographs of a virtual walk."""
+    page.goto("/visits/telephone/?q=ahrens")
+    page.locator("#rows a").first.click()
+    page.get_by_role("button", name="Go on to the photographs").click()
+    with tempfile.TemporaryDirectory() as folder:
+        write_walk(Path(folder) / "walk", WalkRecipe(seed=0, scale=0.3))
+        files = sorted((Path(folder) / "walk" / PHOTOGRAPHS).glob("*.jpg"))
+        drop(page, [path.rename(path.with_name(f"IMG_41{path.stem}.JPG")) for path in files])
+        page.locator(".place.good").nth(len(files) - 1).wait_for()
+    page.locator("#h-shots").evaluate("heading => heading.scrollIntoView()")
 
 
 def main() -> None:

@@ -14,6 +14,7 @@ from skimage.measure import blur_effect
 
 from mammometry.base.photograph import LUMA, Photograph
 from mammometry.geometry.arrays import Array, Bool, Float32
+from mammometry.io.photographs.images import HEIC_MARKS
 from mammometry.io.photographs.tags import PhotographTags
 from mammometry.matching.foreground.block_segmentation import segment
 from mammometry.matching.foreground.silhouette import block_means
@@ -70,10 +71,14 @@ NO_PHOTOGRAPH = "no photograph"
 """Answer of `not_only_a_photograph` for a file that does not start as one."""
 
 
-def not_only_a_photograph(path: Path) -> str | None:
+def not_only_a_photograph(path: Path, *, heic: bool = False) -> str | None:
     """Second format of a file that is a photograph and something else, in two words.
 
     `NO_PHOTOGRAPH` if it is no photograph. None for an ordinary photograph.
+
+    Args:
+        path: the file.
+        heic: whether a HEIC is a photograph, as of telephones.
 
     Raises:
         OSError: it cannot be read.
@@ -83,7 +88,7 @@ def not_only_a_photograph(path: Path) -> str | None:
         size = file.seek(0, 2)
         file.seek(max(0, size - _LOOKED_AT))
         tail = file.read(_LOOKED_AT)
-    if not head.startswith(_BEGIN):
+    if not (head.startswith(_BEGIN) or (heic and head[4:12] in HEIC_MARKS)):
         return NO_PHOTOGRAPH
     begin = head[:_HEAD_BYTES].lower()
     for mark in _ANYWHERE:
@@ -99,7 +104,7 @@ def _behind(head: bytes, tail: bytes) -> bytes:
     Cameras may store a second, smaller picture or notes there.
     """
     end = _JPEG_END if head.startswith(_JPEG) else _PNG_END if head.startswith(_BEGIN[1]) else b""
-    if not end:  # the parts of a TIFF are in any order: only the end of an archive counts
+    if not end:  # the parts of a TIFF or HEIC are in any order: only the end of an archive counts
         return tail[tail.rfind(b"PK\x05\x06") :] if b"PK\x05\x06" in tail else b""
     place = tail.rfind(end)
     closing = tail.rfind(b"PK\x05\x06")

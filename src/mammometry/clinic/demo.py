@@ -396,13 +396,12 @@ def render(folder: Path, subject: str, other: str, poses: int, progress: Progres
 def _send(target: object, path: Path, pose: str = "") -> None:
     """Upload one photograph, as the page does."""
     from mammometry.clinic.intake import uploads
+    from mammometry.clinic.intake.announced import Announced
     from mammometry.clinic.models import Calibration, DailyCheck, Visit
     from mammometry.io.write import file_digest
 
     assert isinstance(target, (Visit, Calibration, DailyCheck))
     data = path.read_bytes()
-    file = uploads.Announced(
-        name=path.name, camera=path.stem, pose=pose, size_bytes=len(data), sha256=file_digest(path)
-    )
+    file = Announced(name=path.name, camera=path.stem, pose=pose, size_bytes=len(data), sha256=file_digest(path))
     upload = uploads.begin(target, None, file)
     uploads.append(upload, 0, data)

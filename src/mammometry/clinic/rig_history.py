@@ -281,9 +281,9 @@ def may_queue(target: Visit | Calibration | DailyCheck | Comparison, *, anyway: 
         return None if ready else "One of the visits has unmeasured changes. Measure it first."
     if Job.objects.filter(_about(target), state__in=(Job.State.QUEUED, Job.State.RUNNING)).exists():
         return None  # the one that is open is answered
-    if isinstance(target, Visit):
-        if target.rig is None:
-            return None if is_scan(target.folder) else "This visit has no scan. Start a new visit."
+    if isinstance(target, Visit) and target.is_scan:
+        return None if is_scan(target.folder) else "This visit has no scan. Start a new visit."
+    if isinstance(target, Visit) and target.rig is not None:
         if target.calibration is None:
             target.calibration = current(target.rig)
             if target.calibration is None:

@@ -15,20 +15,21 @@ export interface Gathered {
 }
 
 const PICTURE = /\.(jpe?g|png|tiff?)$/i;
+const OF_TELEPHONE = /\.(jpe?g|png|hei[cf])$/i;
 const HIDDEN = /^(\.|__MACOSX)/;
 
 /** All photographs of a drop. It must be called while the drop is being answered. */
-export async function ofDrop(transfer: DataTransfer): Promise<Gathered> {
+export async function ofDrop(transfer: DataTransfer, heic: boolean): Promise<Gathered> {
   const entries = [...transfer.items].map((item) => item.webkitGetAsEntry()).filter((entry) => entry !== null);
-  if (entries.length === 0) return ofFiles([...transfer.files]);
+  if (entries.length === 0) return ofFiles([...transfer.files], heic);
   const found: Dropped[] = [];
   for (const entry of entries) found.push(...(await walked(entry, [])));
-  return opened(found);
+  return opened(found, heic);
 }
 
 /** All photographs of an input's files, whole folders and ZIPs too. */
-export function ofFiles(files: File[]): Promise<Gathered> {
-  return opened(files.map((file) => ({ file, folders: file.webkitRelativePath.split("/").slice(0, -1) })));
+export function ofFiles(files: File[], heic: boolean): Promise<Gathered> {
+  return opened(files.map((file) => ({ file, folders: file.webkitRelativePath.split("/").slice(0, -1) })), heic);
 }
 
 async function walked(entry: FileSystemEntry, folders: string[]): Promise<Dropped[]> {
@@ -46,7 +47,9 @@ async function walked(entry: FileSystemEntry, folders: string[]): Promise<Droppe
 }
 
 /** Of a folder and a ZIP only the photographs are taken; a file that was chosen by itself and is none is named. */
-async function opened(dropped: Dropped[]): Promise<Gathered> {
+async function opened(dropped: Dropped[], heic: boolean): Promise<Gathered> {
+  const picture = heic ? OF_TELEPHONE : PICTURE;
+  const kinds = heic ? "JPEG, HEIC or PNG of the telephone" : "JPEG, PNG or TIFF of the camera";
   const files: Dropped[] = [];
   const refused: string[] = [];
   for (const one of dropped) {
@@ -54,12 +57,12 @@ async function opened(dropped: Dropped[]): Promise<Gathered> {
     if (isHidden(one)) continue;
     if (/\.zip$/i.test(file.name)) {
       try {
-        files.push(...(await unzipped(file)).filter((inner) => !isHidden(inner) && PICTURE.test(inner.file.name)));
+        files.push(...(await unzipped(file)).filter((inner) => !isHidden(inner) && picture.test(inner.file.name)));
       } catch (error) {
         refused.push(`${file.name}: ${error instanceof Error ? error.message : String(error)}`);
       }
-    } else if (PICTURE.test(file.name)) files.push(one);
-    else if (folders.length === 0) refused.push(`${file.name}: This file is not a photograph. Send the original JPEG, PNG or TIFF of the camera.`);
+    } else if (picture.test(file.name)) files.push(one);
+    else if (folders.length === 0) refused.push(`${file.name}: This file is not a photograph. Send the original ${kinds}.`);
   }
   return { files, refused };
 }

@@ -40,6 +40,8 @@ interface State {
   /** Of a calibration: its cameras, and what is still needed. */
   known?: string[];
   needed?: string;
+  /** Of a visit with a telephone: its photographs in their order. */
+  shots?: Upload[];
   /** Of a visit: camera → camera in whose place its photograph is. */
   exchanged?: Record<string, string>;
   /** Of a visit: photograph without a camera → its camera by the calibration. */
@@ -71,6 +73,8 @@ class Photographs {
   private readonly queue: Waiting[] = [];
   private readonly said: HTMLElement;
   private readonly poseInput: HTMLInputElement | null;
+  /** By a telephone: HEIC may be sent, and any number of photographs. */
+  private readonly heic: boolean;
   private occupied: Waiting[] = [];
   private refused: string[] = [];
   private working = 0;
@@ -82,6 +86,7 @@ class Photographs {
   constructor(private readonly root: HTMLElement) {
     this.said = root.querySelector<HTMLElement>("[data-said]")!;
     this.poseInput = root.querySelector<HTMLInputElement>("[data-pose]");
+    this.heic = root.dataset.heic !== undefined;
   }
 
   async start(): Promise<void> {
@@ -95,14 +100,14 @@ class Photographs {
       for (const kind of ["dragleave", "drop"]) drop.addEventListener(kind, () => drop.classList.remove("over"));
       drop.addEventListener("drop", (event) => {
         event.preventDefault();
-        if (event.dataTransfer !== null) void ofDrop(event.dataTransfer).then((gathered) => this.add(gathered, null));
+        if (event.dataTransfer !== null) void ofDrop(event.dataTransfer, this.heic).then((gathered) => this.add(gathered, null));
       });
     }
     this.poseInput?.addEventListener("input", () => (this.typed = true));
     this.root.addEventListener("change", (event) => {
       const target = event.target as HTMLElement;
       if (target instanceof HTMLInputElement && target.type === "file") {
-        void ofFiles([...(target.files ?? [])]).then((gathered) => this.add(gathered, target.dataset.camera ?? null));
+        void ofFiles([...(target.files ?? [])], this.heic).then((gathered) => this.add(gathered, target.dataset.camera ?? null));
         target.value = "";
       } else if (target instanceof HTMLSelectElement && target.dataset.place !== undefined && target.value !== "")
         void this.act(() => request(`${target.dataset.place}place/`, { json: { camera: target.value } }));
@@ -187,7 +192,7 @@ class Photographs {
     const arrived = this.total - this.refused.length;
     const good = arrived === 1 ? "One photograph has arrived." : `${arrived} photographs have arrived.`;
     const ready = this.root.dataset.ready === "true" && this.refused.length === 0;
-    this.say(words ?? (ready && this.poseInput === null ? "All photographs are here." : arrived > 0 ? good : ""));
+    this.say(words ?? (ready && this.poseInput === null && !this.heic ? "All photographs are here." : arrived > 0 ? good : ""));
     const state = document.querySelector<HTMLElement>('[data-state="new"] .chip, [data-state="uploading"] .chip');
     if (ready && state !== null) state.textContent = "ready to measure";
     const list = this.root.querySelector<HTMLElement>("[data-refused]");
@@ -278,6 +283,7 @@ class Photographs {
     const places = state.cameras?.map(({ camera, upload }) => this.place(camera, camera, upload, cameras)) ?? [];
     for (const [pose, shots] of Object.entries(state.poses ?? {}))
       for (const [camera, upload] of Object.entries(shots)) places.push(this.place(`Pose ${pose}, ${camera}`, null, upload, cameras));
+    for (const [index, upload] of (state.shots ?? []).entries()) places.push(this.place(ofWalk(index, upload), null, upload, []));
     const told = state.by_geometry ?? {};
     for (const upload of state.unplaced) places.push(this.place("Which camera took this?", null, upload, cameras, told[upload.id]));
     list.replaceChildren(...suggestedForAll(state.unplaced, told), ...places);
@@ -299,7 +305,7 @@ class Photographs {
     const missing = this.root.querySelector<HTMLElement>("[data-missing]");
     if (missing !== null) {
       const lacking = state.missing.length > 0 ? `Still missing: ${state.missing.map(title).join(", ")}.` : "";
-      missing.textContent = state.ready ? (lacking || (state.known ? "These poses can be calibrated; ten are better." : "Everything is here.")) : [lacking, state.needed ?? ""].join(" ").trim();
+      missing.textContent = this.heic ? (state.needed ?? "") : state.ready ? (lacking || (state.known ? "These poses can be calibrated; ten are better." : "Everything is here.")) : [lacking, state.needed ?? ""].join(" ").trim();
     }
   }
 
@@ -331,12 +337,12 @@ class Photographs {
         item.append(list);
       }
     }
-    if (upload?.file && upload.state === "checked") item.append(made("p", "small faint", upload.file));
+    if (upload?.file && (upload.state === "checked" || this.heic)) item.append(made("p", "small faint", upload.file));
     if (upload?.state === "checked") item.append(...(told === undefined ? [] : suggested(upload.url, told)), chooser(upload, cameras, "Choose the camera"));
     if (upload?.by_hand === true) item.append(chooser(upload, cameras.filter((camera) => camera !== upload.camera), "Another camera took it"));
     if (camera !== null) item.append(picker(camera, upload === null ? "Choose photograph" : "Another photograph"));
     if (upload !== null) {
-      const words = upload.state === "placed" ? "Set aside" : "Take away";
+      const words = upload.state === "placed" && !this.heic ? "Set aside" : "Take away";
       const away = button(words, `${words}: the photograph of ${title(name)}`);
       away.dataset.away = upload.url;
       item.append(away);
@@ -362,6 +368,12 @@ function poseOf({ folders }: Dropped, several: boolean): string | undefined {
   const folder = folders.at(-1);
   if (folder === undefined || !/^[A-Za-z0-9][A-Za-z0-9_-]{0,31}$/.test(folder)) return undefined;
   return several || /^\d+$/.test(folder) ? folder : undefined;
+}
+
+/** Title of a telephone's photograph: its number, if it can be used. */
+function ofWalk(index: number, upload: Upload): string {
+  if (upload.state === "placed") return String(index + 1).padStart(2, "0");
+  return upload.state === "receiving" ? "Arriving" : "Not taken";
 }
 
 /** A question with several answers; empty where it was left. */

@@ -229,7 +229,7 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
         ),
         "board-not-measured": Text(
             "The printed board was not measured: this alone makes each volume uncertain by {percent:.0f} %. "
-            "Measure the ruler on the print, and enter it in board.toml (edge_mm)."
+            "Measure its eleven columns, and enter their length in board.toml (edge_mm)."
         ),
         "body-moved-against-board": Text(
             "The body moved against the board between photographs, by about {moved_mm:.1f} mm. This was corrected: "

@@ -44,6 +44,16 @@ def thumbnail_path(upload: Upload) -> Path:
     return upload.path.with_suffix(".webp")
 
 
+def files_of(upload: Upload) -> list[Path]:
+    """Files of an upload that is not in a session."""
+    return [upload.path, Path(f"{upload.path}.lock"), thumbnail_path(upload)]
+
+
+def write_thumbnail(upload: Upload, photograph: Photograph) -> None:
+    """Write the small picture of an upload."""
+    small_picture(_roughly(photograph, _LONGEST_PX), thumbnail_path(upload))
+
+
 def screen_picture(photograph: Photograph) -> bytes:
     """WebP that fills a screen."""
     picture = _roughly(photograph, _SCREEN_PX)
@@ -215,7 +225,7 @@ def look(upload: Upload, target: Target) -> tuple[list[Finding], dict[str, Any]]
     pixels = "" if isinstance(target, Visit) else pixels_digest(photograph)
     if isinstance(target, DailyCheck):
         findings += known_photograph(upload, target, pixels, exposure.taken_s)
-    small_picture(_roughly(photograph, _LONGEST_PX), thumbnail_path(upload))
+    write_thumbnail(upload, photograph)
     seen = {"serial": exposure.serial, "taken_s": exposure.taken_s, "named": named, "pixels": pixels}
     return findings, seen if file is None else {**seen, "file": file}
 

@@ -6,10 +6,11 @@ from pathlib import Path
 from django.db.models import QuerySet
 
 from mammometry.base.errors import MammometryError
-from mammometry.clinic.models import Calibration, DailyCheck, Rig, Upload, Visit
+from mammometry.clinic.models import Calibration, DailyCheck, Job, Rig, Upload, Visit
 from mammometry.clinic.site import the_clinic
 
 Target = Visit | Calibration | DailyCheck
+_OPEN = (Job.State.QUEUED, Job.State.RUNNING)
 _POSE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
 
 
@@ -29,6 +30,16 @@ class UploadError(MammometryError):
         self.status = status
 
 
+def require_open(target: Target) -> None:
+    """Refuse changes during a computation.
+
+    Raises:
+        UploadError: a job of it is open.
+    """
+    if Job.objects.filter(**{field_of(target): target}, state__in=_OPEN).exists():
+        raise UploadError("This is being measured. Wait until it is done, or cancel it first.")
+
+
 def target_of(upload: Upload) -> Target:
     """The record that an upload belongs to."""
     target = upload.visit or upload.calibration or upload.check_of_day
@@ -40,10 +51,12 @@ def rig_of(target: Target) -> Rig:
     """The rig whose cameras photograph.
 
     Raises:
-        UploadError: the visit has a scan of another device, and no cameras.
+        UploadError: the visit has a scan of another device or a telephone's photographs, and no cameras.
     """
     if target.rig is None:
-        raise UploadError("This visit has a scan of another device. Start a new visit for photographs.")
+        by_telephone = isinstance(target, Visit) and target.is_walk
+        what = "photographs by a telephone" if by_telephone else "a scan of another device"
+        raise UploadError(f"This visit has {what}. Start a new visit for photographs by a rig.")
     return target.rig
 
 

@@ -5,10 +5,8 @@ or a kill. The complete file is checked against the sender's digest, examined, a
 step: a session never contains a partial or refused photograph.
 """
 
-import re
 import threading
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +17,12 @@ from filelock import FileLock, Timeout
 from mammometry.capture import checks
 from mammometry.capture.checks import Finding, refuses
 from mammometry.capture.sessions import cameras_of, make_session, manifest_text
-from mammometry.clinic.intake import photographs
+from mammometry.clinic.intake import photographs, walks
+from mammometry.clinic.intake.announced import Announced, check_announced
 from mammometry.clinic.intake.check_photographs import known_photograph
 from mammometry.clinic.intake.photographs import (
     clear_place,
+    files_of,
     known_cameras,
     look,
     poses_needed,
@@ -37,6 +37,7 @@ from mammometry.clinic.intake.places import (
     folder_of,
     place_of,
     pose_of,
+    require_open,
     rig_of,
     target_of,
     uploads_of,
@@ -49,9 +50,6 @@ from mammometry.io.write import disk_errors, file_digest, sync_folder
 
 CHUNK_BYTES = 4 << 20
 """Largest piece: a second on a slow line, and little enough to hold in memory."""
-_BY_A_CAMERA = re.compile(r"[A-Za-z]{0,4}[_-]?\d{2,8}\.[A-Za-z]{3,4}")
-"""Names that cameras give their files, such as IMG_0001.JPG, DSC01234.JPG, P1010001.JPG."""
-_SHA256 = re.compile(r"[0-9a-f]{64}")
 _ENDINGS = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png", b"II*\x00": ".tif", b"MM\x00*": ".tif"}
 _LOCK_S = 5.0  # for a piece to wait for another of the same photograph
 _DECODED_AT_ONCE = threading.BoundedSemaphore(2)  # examining a photograph of 250 megapixels takes 750 MB
@@ -61,21 +59,6 @@ class OccupiedError(UploadError):
     """Another photograph has the place, and replacing was not allowed."""
 
     code = "place-occupied"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Announced:
-    """A sender's announcement of a file, before its bytes come in."""
-
-    name: str
-    """The sender's file name. Only a camera's name in it, or a name given by a camera (IMG_0001.JPG), is stored."""
-    camera: str | None
-    """The camera to file it under. None: from its name or EXIF."""
-    pose: str = ""
-    """Of a calibration's photograph."""
-    size_bytes: int
-    sha256: str
-    """Hexadecimal. Empty: not known."""
 
 
 def begin(target: Target, by: Person | None, file: Announced, *, replace: bool = False) -> Upload:
@@ -91,18 +74,14 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
         OccupiedError: another photograph has the place.
         UploadError: it is too large, for an unknown camera, or for a visit that is being measured.
     """
+    if walks.is_walk(target):
+        return walks.begin(target, by, file)
     require_open(target)
     camera, pose, size_bytes, sha256 = file.camera, file.pose, file.size_bytes, file.sha256
     known = cameras_of(rig_of(target).definition)
     if camera is not None and camera not in known:
         raise UploadError(f"This rig has no camera {camera[:40]!r}, only {', '.join(known)}.", 400)
-    if sha256 and not _SHA256.fullmatch(sha256):
-        raise UploadError("The digest is no SHA-256 in small hexadecimal letters.", 400)
-    most = the_clinic().limits.photograph_mb * 10**6
-    if not 0 < size_bytes <= most:
-        raise UploadError(
-            f"The file has {size_bytes / 1e6:.0f} MB. A photograph has 1 byte to {most / 1e6:.0f} MB.", 413
-        )
+    check_announced(file)
     named = checks.camera_of_name(file.name, known)
     place = place_of(target, pose, camera or named or "")
     of_pose = pose if isinstance(target, Calibration) else ""
@@ -116,7 +95,7 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
             f"{f'Pose {pose}' if of_pose else 'This'} has another photograph of {camera or named} already."
         )
     named_by = [Finding("name", "ok", f"The file is called {named}.").as_table()] if named else []
-    if not named and _BY_A_CAMERA.fullmatch(file.name):  # any other name may be a patient's, and is not kept
+    if not named and file.camera_file is not None:
         named_by = [{**Finding("name", "unknown", f"The file is called {file.name}.").as_table(), "file": file.name}]
     with transaction.atomic():
         upload = Upload.objects.create(
@@ -242,12 +221,14 @@ def remove(upload: Upload) -> None:
     require_open(target)
     if upload.state == Upload.State.SET_ASIDE:
         raise UploadError("This photograph is set aside already.")
-    if upload.state == Upload.State.PLACED:
+    if walks.is_walk(target) and walks.is_prepared(target):
+        raise UploadError(walks.PREPARED)
+    if upload.state == Upload.State.PLACED and not walks.is_walk(target):
         with transaction.atomic():
             set_aside(upload, folder_of(target))
             note_ready(target, changed=True)
         return
-    for path in _files(upload):
+    for path in files_of(upload):
         path.unlink(missing_ok=True)
     upload.delete()
     note_ready(target)
@@ -274,16 +255,6 @@ def bring_back(upload: Upload) -> None:
         note_ready(target, changed=True)
 
 
-def require_open(target: Target) -> None:
-    """Refuse changes during a computation.
-
-    Raises:
-        UploadError: a job of it is open.
-    """
-    if Job.objects.filter(**{field_of(target): target}, state__in=queue.OPEN).exists():
-        raise UploadError("This is being measured. Wait until it is done, or cancel it first.")
-
-
 def table_of(upload: Upload) -> dict[str, Any]:
     """An upload as JSON, without addresses."""
     field = "visit" if upload.visit_id else "calibration" if upload.calibration_id else "check"
@@ -304,8 +275,18 @@ def table_of(upload: Upload) -> dict[str, Any]:
     }
 
 
+def _shot(upload: Upload, beside_others: Finding | None) -> dict[str, Any]:
+    """A telephone's photograph as JSON, with why it will be left out."""
+    table = {**table_of(upload), "by_hand": False}
+    return table if beside_others is None else {**table, "checks": [*table["checks"], beside_others.as_table()]}
+
+
 def state_of(target: Target) -> dict[str, Any]:
     """Every camera's photograph, missing ones, and findings on all together."""
+    if walks.is_walk(target):
+        out = walks.findings_together(target)
+        shots = [_shot(upload, out.get(upload.pk)) for upload in walks.photographs_of(target)]
+        return {**walks.state_of(target, out), "shots": shots, "unplaced": [], "set_aside": [], "missing": []}
     uploads = list(uploads_of(target).exclude(state=Upload.State.SET_ASIDE))
     newest = {(pose_of(upload), upload.camera): upload for upload in uploads if upload.camera}
     placed = {shot: upload for shot, upload in newest.items() if upload.state == Upload.State.PLACED}
@@ -366,9 +347,14 @@ def _judge_and_place(upload: Upload) -> None:
     target = target_of(upload)
     with _DECODED_AT_ONCE:
         by_serial = not upload.camera
-        findings, seen = look(upload, target)
+        findings, seen = walks.look(upload) if walks.is_walk(target) else look(upload, target)
     if refuses(findings):
         _refuse(upload, findings)
+        return
+    if walks.is_walk(target):
+        upload.checks, upload.state = [{**finding.as_table(), **seen} for finding in findings], Upload.State.PLACED
+        upload.save()
+        note_ready(target)
         return
     if by_serial and upload.camera and _has_photograph(target, pose_of(upload), upload.camera):
         sentence = f"Its serial number is that of {upload.camera}, which has another photograph. Choose the camera."
@@ -491,7 +477,3 @@ def remove_stale_locks() -> int:
     for path in stale:
         path.unlink(missing_ok=True)
     return len(stale)
-
-
-def _files(upload: Upload) -> list[Path]:
-    return [upload.path, Path(f"{upload.path}.lock"), thumbnail_path(upload)]

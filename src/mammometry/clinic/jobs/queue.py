@@ -73,6 +73,7 @@ _WORDS = {
     "wait": "Waiting for a free place",
     "start": "Starting",
     "prepare": "Preparing",
+    "board": "Finding the board in the photographs",
     "calibrate": "Calibrating the cameras",
     "match": "Matching the photographs",
     "surface": "Building the surface",

@@ -12,6 +12,7 @@ from typing import Any
 from django.db.models import F
 from django.utils import timezone
 
+from mammometry.clinic.intake.walks import discard_prepared
 from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Delivery, Job, Measurement, Visit, Volume
 from mammometry.clinic.records.comparing import measured_digests, refusal_of
 from mammometry.clinic.records.confirmations import settled_state
@@ -56,6 +57,7 @@ def begun(target: Target | Delivery | None) -> None:
 def cancelled(target: Target) -> None:
     """Reset a cancelled job's target."""
     if isinstance(target, Visit):
+        discard_prepared(target)
         target.state = settled_state(target)
         target.save(update_fields=["state"])
     elif isinstance(target, Calibration):
@@ -68,6 +70,7 @@ def cancelled(target: Target) -> None:
 def failed(target: Target | Delivery | None, message: str) -> None:
     """Note at a job's target that the job failed and is not tried again, and why."""
     if isinstance(target, Visit):
+        discard_prepared(target)
         target.state = Visit.State.CHANGED if target.has_unmeasured_drawing else Visit.State.REFUSED
         target.save(update_fields=["state"])
     elif isinstance(target, Calibration):
@@ -86,6 +89,7 @@ def failed(target: Target | Delivery | None, message: str) -> None:
 def enter(job: Job, answer: Mapping[str, Any]) -> None:
     """Enter the result of a job."""
     if job.visit is not None:
+        discard_prepared(job.visit)
         _measured(job, job.visit, answer)
     elif job.calibration is not None:
         _calibrated(job.calibration, answer["figures"])

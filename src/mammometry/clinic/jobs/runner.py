@@ -3,6 +3,7 @@
 Dask's workers compute, and lanes do the rest in threads of this process.
 """
 
+import json
 import logging
 import threading
 from collections.abc import Callable, Collection, Sequence
@@ -17,6 +18,7 @@ from mammometry.batch.cluster import Machines, machines
 from mammometry.batch.engine import Began, Ended, Engine, StopRequest, Task
 from mammometry.batch.record import RECORD, read_record
 from mammometry.clinic.config import ClinicConfig
+from mammometry.clinic.intake.walks import job_files
 from mammometry.clinic.jobs import queue, work
 from mammometry.clinic.jobs.lanes import Lane
 from mammometry.clinic.models import Job, Visit
@@ -28,6 +30,7 @@ _AGAIN_S = 5.0  # until an unavailable cluster is tried again
 _LOOKED_BACK = 40  # newest visits used to estimate memory
 _SHARES = {"prepare": 0.02, "calibrate": 0.05, "match": 0.3, "surface": 0.7, "measure": 0.92, "report": 1.0}
 """Stage → share of the total time at its end, approximately."""
+_BOARD, _BOARD_SHARE = "board", 0.2  # of a telephone's photographs: the share of finding the board, approximately
 _LOG = logging.getLogger(__name__)
 
 Workers = Callable[[], AbstractContextManager[Machines]]
@@ -153,6 +156,8 @@ class Runner:
         arguments: tuple[str, ...]
         if job.visit is not None and job.visit.is_scan:
             function, arguments = work.measure_scan, (str(job.visit.folder),)
+        elif job.visit is not None and job.visit.is_walk:
+            function, arguments = work.measure_walk, (str(job.visit.folder), json.dumps(job_files(job.visit)))
         elif job.visit is not None:
             assert job.visit.calibration is not None
             function, arguments = work.measure, (str(job.visit.folder), str(folder / job.visit.calibration.folder))
@@ -167,7 +172,7 @@ class Runner:
             assert check is not None
             assert check.calibration is not None
             function, arguments = work.check, (str(folder / check.calibration.folder), str(folder / check.folder))
-        size = _megapixels(job.visit) if job.visit is not None and not job.visit.is_scan else None
+        size = _megapixels(job.visit) if job.visit is not None and job.visit.rig_id is not None else None
         return Task(name=str(job.pk), call=Call(function=function, arguments=(*arguments, settings)), megapixels=size)
 
     def _settings(self) -> str:
@@ -193,6 +198,8 @@ def _words(reason: object, config: ClinicConfig) -> str:
 
 def whole(stage: str, fraction: float) -> float:
     """Share of a whole measurement at a fraction of a stage."""
+    if stage == _BOARD:
+        return _BOARD_SHARE * min(max(fraction, 0.0), 1.0)
     names = list(_SHARES)
     if stage not in _SHARES:
         return fraction if stage in ("check", "compare") else 0.0

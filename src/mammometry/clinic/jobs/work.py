@@ -10,14 +10,18 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import shutil
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mammometry
 from mammometry.api.job import open_session
+from mammometry.api.photos import BOARD, WALK, prepare_walk
 from mammometry.base.errors import SessionError
 from mammometry.base.notices import words_of
 from mammometry.base.progress import StageProgress
@@ -28,10 +32,12 @@ from mammometry.capture.checks import KnownCamera, clocks
 from mammometry.capture.sessions import share_calibration, take_over
 from mammometry.hospital.gather import quantities
 from mammometry.io import drift
+from mammometry.io.photographs.heic import is_heic
 from mammometry.io.photographs.images import EXTENSIONS, read_header
 from mammometry.io.photographs.same_pixels import pixels_digest
 from mammometry.io.photographs.tags import read_exposure
 from mammometry.io.session import Session
+from mammometry.io.write import disk_errors
 from mammometry.job.stages.calibrate import cameras as cameras_product
 from mammometry.job.stages.measure import boundaries
 from mammometry.measure.volume.attribution import curve_digest
@@ -73,6 +79,65 @@ def measure(progress: StageProgress, session: str, calibration: str, settings: s
     share_calibration(Path(calibration), Path(session))
     job = open_session(session, chosen)
     take_over(job, open_session(calibration, chosen))
+    return _measured(progress, session, settings)
+
+
+def measure_walk(progress: StageProgress, session: str, about: str, settings: str) -> dict[str, Any]:
+    """Measure photographs by one telephone and a printed board.
+
+    The session is made from them once. Later jobs use it, and not the photographs, which are then deleted.
+
+    Args:
+        progress: called with stage and fraction.
+        session: the visit's folder. It need not exist.
+        about: JSON of ``files`` in the photographs' order, the ``board`` as of board.toml, ``subject``, ``scratch``.
+        settings: TOML.
+
+    Returns:
+        As `measure`.
+
+    Raises:
+        MammometryError: the job cannot be done.
+    """
+    progress("prepare", 0.0)
+    folder = Path(session)
+    if not (folder / WALK).is_file():
+        walk = json.loads(about)
+        with _numbered(walk["files"], walk["board"], Path(walk["scratch"])) as photographs:
+            prepare_walk(
+                photographs, folder, posture="unknown",  # only the database knows it
+                subject=walk["subject"], progress=lambda fraction: progress("board", fraction),
+            )  # fmt: skip
+    return _measured(progress, session, settings)
+
+
+@contextmanager
+def _numbered(files: Sequence[str], board: Mapping[str, Any], scratch: Path) -> Iterator[Path]:
+    """A folder with photographs by number, "01.jpg", and board.toml, which exists as long as it is needed."""
+    shutil.rmtree(scratch, ignore_errors=True)  # of a killed job
+    with disk_errors(scratch):
+        scratch.mkdir(mode=0o700)
+        try:
+            for number, file in enumerate(map(Path, files), start=1):
+                ending = ".heic" if is_heic(file) else ".jpg"  # the reader recognises JPEG, PNG and TIFF by content
+                _link(file, scratch / f"{number:02d}{ending}")
+            lines = [f"{name} = {json.dumps(value)}" for name, value in board.items()]
+            (scratch / BOARD).write_text("\n".join(lines) + "\n", encoding="utf-8")
+            yield scratch
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _link(source: Path, goal: Path) -> None:
+    try:
+        os.link(source, goal)
+    except OSError:  # a disk without links
+        shutil.copy2(source, goal)
+
+
+def _measured(progress: StageProgress, session: str, settings: str) -> dict[str, Any]:
+    """Measure a visit's session, whose cameras are known."""
+    chosen = Settings.from_toml(settings)
     measured = measure_entry(progress, BatchEntry(address=session), settings)
     job = open_session(session, chosen)
     measurements = job.measure()

@@ -17,6 +17,7 @@ from mammometry.base.csv_cells import CsvWriter
 from mammometry.base.identity import as_utf_8
 from mammometry.clinic import audit
 from mammometry.clinic.config import ClinicConfig, ClinicError, new_private
+from mammometry.clinic.intake import walks
 from mammometry.clinic.maintenance.backups import PART, elsewhere, remove_leftovers, unfinished
 from mammometry.clinic.maintenance.rows import RowEncoder
 from mammometry.clinic.models import (
@@ -38,6 +39,7 @@ from mammometry.clinic.models import (
     Visit,
     VisitOrder,
     Volume,
+    Walk,
 )
 
 
@@ -76,6 +78,7 @@ def rows_of(patient: Patient) -> list[Model]:
         Drawing.objects.filter(visit__in=visits),
         VisitOrder.objects.filter(visit__in=visits),
         Scan.objects.filter(visit__in=visits),
+        Walk.objects.filter(visit__in=visits),
         NoteChange.objects.filter(Q(patient__in=records) | Q(visit__in=visits)),
     ]
     return [*records, *visits, *(row for query in queries for row in query)]
@@ -188,6 +191,7 @@ def _erase_visits(patient: Patient, visits: list[Visit], by: Person | None = Non
         for path in upload.path.parent.glob(f"{upload.id}*"):
             path.unlink(missing_ok=True)
     for visit in visits:
+        walks.erase(visit)
         if visit.folder.exists():
             shutil.rmtree(visit.folder)
     with transaction.atomic():

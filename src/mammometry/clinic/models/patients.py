@@ -16,6 +16,8 @@ from mammometry.clinic.models.people import Calibration, DailyCheck, InUse, Keye
 from mammometry.clinic.records.search_words import words_of
 from mammometry.clinic.site import the_clinic
 
+TELEPHONE = "Telephone"
+"""Name of the device of a walk."""
 ALPHABET = "ACDEFGHJKLMNPQRTUVWXY34679"
 """Letters and digits that are not confused: no B and 8, I and 1, O and 0, S and 5, Z and 2."""
 
@@ -214,7 +216,7 @@ class Visit(Keyed):
 
     patient = models.ForeignKey(Patient, on_delete=models.PROTECT, related_name="visits")
     rig = models.ForeignKey(Rig, null=True, on_delete=models.PROTECT, related_name="visits")
-    """None: another device made a mesh (`Scan`)."""
+    """None: another device made a mesh (`Scan`), or a telephone took the photographs (`Walk`)."""
     calibration = models.ForeignKey(Calibration, null=True, on_delete=models.PROTECT, related_name="visits")
     taken_at = models.DateTimeField()
     subject_kind = models.CharField(max_length=8, choices=Subject.choices, default=Subject.TORSO)
@@ -255,6 +257,8 @@ class Visit(Keyed):
         """Name of the rig, or of the other device."""
         if self.rig is not None:
             return self.rig.name
+        if self.is_walk:
+            return TELEPHONE
         scan = Scan.objects.filter(visit=self).first()
         return "" if scan is None else scan.scanner
 
@@ -296,7 +300,12 @@ class Visit(Keyed):
     @property
     def is_scan(self) -> bool:
         """Whether it is a scan of another device: a mesh without photographs."""
-        return self.rig_id is None
+        return self.rig_id is None and not self.is_walk
+
+    @property
+    def is_walk(self) -> bool:
+        """Whether its photographs were taken by one telephone, with a printed board."""
+        return self.rig_id is None and Walk.objects.filter(visit=self).exists()
 
 
 class NoteChange(Keyed):
@@ -338,6 +347,19 @@ class Scan(Keyed):
         return f"scan of {self.visit}"
 
 
+class Walk(Keyed):
+    """Printed board of a visit that one telephone photographed."""
+
+    visit = models.OneToOneField(Visit, on_delete=models.CASCADE, related_name="walk")
+    edge_mm = models.FloatField(null=True, blank=True)
+    """Measured length of the eleven columns of the printed board, mm. None: not measured."""
+    edge_std_mm = models.FloatField(null=True, blank=True)
+    """Its standard uncertainty, mm."""
+
+    def __str__(self) -> str:
+        return f"walk of {self.visit}"
+
+
 class Upload(Keyed):
     """One uploaded photograph, complete or in pieces."""
 
@@ -350,6 +372,8 @@ class Upload(Keyed):
         PLACED = "placed"
         SET_ASIDE = "set aside"
         """Its file is kept but not measured, and can be restored."""
+        PREPARED = "prepared"
+        """The session of its walk has what is measured of it. Its file is deleted."""
 
     visit = models.ForeignKey(Visit, null=True, on_delete=models.CASCADE, related_name="uploads")
     calibration = models.ForeignKey(Calibration, null=True, on_delete=models.CASCADE, related_name="uploads")

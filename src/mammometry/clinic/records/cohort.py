@@ -19,6 +19,7 @@ from django.db.models.functions import Cast
 from django.utils import timezone
 
 from mammometry.clinic.models import Confirmation, Measurement, Operation, Visit, Volume
+from mammometry.clinic.models.patients import TELEPHONE
 from mammometry.clinic.records.clinical import research_consent
 from mammometry.clinic.records.comparability import Basis, basis, is_between, why_apart
 from mammometry.clinic.records.confirmations import CHANGED
@@ -211,7 +212,7 @@ def study_rows(visits: QuerySet[Visit], reference: Basis | None = None) -> Itera
         reference: basis of most volumes (`Pooled.reference`); others have the reason for being separate.
     """
     columns = (
-        *("state", "patient__pseudonym", "patient__born", "taken_at", "rig__name", "scan__scanner"),
+        *("state", "patient__pseudonym", "patient__born", "taken_at", "rig__name", "scan__scanner", "walk__pk"),
         *("posture", "repeat_of__taken_at"),
     )
     read = _with_newest(visits, *columns)
@@ -220,7 +221,7 @@ def study_rows(visits: QuerySet[Visit], reference: Basis | None = None) -> Itera
         made = Measurement.objects.filter(pk__in=keys).values_list(_text("pk"), "software", "how")
         measured = {key: (software, how) for key, software, how in made}
         volumes, confirmed_at = _leading_volumes(keys), _confirmed_at(keys)
-        for key, changed, state, pseudonym, born, taken_at, rig, scanner, posture, repeated in some:
+        for key, changed, state, pseudonym, born, taken_at, rig, scanner, walk, posture, repeated in some:
             software, how = measured[key]
             day = timezone.localtime(taken_at).date()
             at = confirmed_at.get(key) if state == Visit.State.CONFIRMED else None
@@ -234,8 +235,8 @@ def study_rows(visits: QuerySet[Visit], reference: Basis | None = None) -> Itera
                     volume_cc=None if changed else volume_cc, low_cc=low_cc, high_cc=high_cc,
                     refused=CHANGED if changed else refused, state=CHANGED if changed else state,
                     confirmed=at is not None, confirmed_on=None if at is None else timezone.localtime(at).date(),
-                    rig=rig or scanner or "", software=software, posture=posture, settings=rests_on.settings,
-                    wall=rests_on.wall, boundary=rests_on.boundary,
+                    rig=rig or scanner or (TELEPHONE if walk else ""), software=software, posture=posture,
+                    settings=rests_on.settings, wall=rests_on.wall, boundary=rests_on.boundary,
                     apart=(
                         "" if reference is None or changed or volume_cc is None else why_apart(rests_on, reference)
                     ),

@@ -130,8 +130,9 @@ def of_number(record_number: str) -> list[Patient]:
 
 def same_photographs(visit: Visit) -> list[tuple[Visit, list[str]]]:
     """Other visits with the same files, with the cameras of this one."""
-    own = {row.sha256: row.camera for row in visit.uploads.filter(state=Upload.State.PLACED).exclude(sha256="")}
-    rows = Upload.objects.filter(sha256__in=own, state=Upload.State.PLACED, visit__binned_at=None)
+    used = (Upload.State.PLACED, Upload.State.PREPARED)
+    own = {row.sha256: row.camera for row in visit.uploads.filter(state__in=used).exclude(sha256="")}
+    rows = Upload.objects.filter(sha256__in=own, state__in=used, visit__binned_at=None)
     cameras_of: dict[Visit, list[str]] = {}
     for row in rows.exclude(visit=None).exclude(visit=visit).select_related("visit__patient"):
         assert row.visit is not None
@@ -141,7 +142,7 @@ def same_photographs(visit: Visit) -> list[tuple[Visit, list[str]]]:
 
 def elsewhere(other: Visit, cameras: Sequence[str]) -> str:
     """Sentence on photographs that are also in another visit."""
-    names = ", ".join(sorted(camera.replace("_", " ") for camera in cameras))
+    names = ", ".join(sorted({camera.replace("_", " ") for camera in cameras}))
     which = f"the visit of {_day(other.taken_at)} of {isolated(other.patient.name)}"
     return f"The same photograph{'s are' if len(cameras) > 1 else ' is'} also in {which}: {names}."
 

@@ -37,7 +37,8 @@ register = template.Library()
 @register.inclusion_tag("clinic/banner.html")
 def banner(patient: Patient, visit: Visit | None = None) -> dict[str, Any]:
     """The patient's banner, with the visit's photographs in small."""
-    shots = () if visit is None else visit.uploads.filter(state=Upload.State.PLACED).order_by("camera")
+    by_rig = visit is not None and visit.rig_id is not None  # those of a telephone are deleted when they are prepared
+    shots = () if visit is None or not by_rig else visit.uploads.filter(state=Upload.State.PLACED).order_by("camera")
     return {
         **patient_facts(patient),
         "visit": visit,
@@ -138,6 +139,8 @@ _INSTEAD = (
     (r" If they are right: --sides-checked\.", ""),
     (r", and then measure it with --sides-checked", ", and confirm them on the visit’s page"),
     (r", import the scanner's file again with --units", ", begin a new visit with this scan and choose its unit"),
+    (r", and enter their length in board\.toml \(edge_mm\)", ", and enter their length for the next visit"),
+    (r", and describe it in board\.toml as it was printed", ""),
     (r"--units(?: mm, cm, m, in or ft)?", "the unit of the mesh"),
     (r"--head", "the axis towards the head"),
     (r"--ahead", "the axis straight ahead"),

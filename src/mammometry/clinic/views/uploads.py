@@ -9,6 +9,7 @@ from django.urls import reverse
 
 from mammometry.base.errors import MammometryError
 from mammometry.clinic.intake import uploads
+from mammometry.clinic.intake.announced import Announced
 from mammometry.clinic.intake.photographs import screen_picture, thumbnail_path
 from mammometry.clinic.intake.places import UploadError, target_of
 from mammometry.clinic.models import Calibration, DailyCheck, Upload, Visit
@@ -57,7 +58,7 @@ def new(request: HttpRequest) -> HttpResponseBase:
         upload = uploads.begin(
             target,
             request.user,  # type: ignore[arg-type]  # logged in
-            uploads.Announced(
+            Announced(
                 name=text_of(table, "name", most=400),
                 camera=text_of(table, "camera") or None,
                 pose=text_of(table, "pose"),
@@ -172,8 +173,8 @@ def _find(request: HttpRequest, key: UUID) -> Upload:
 
 def _state(target: Visit | Calibration | DailyCheck) -> JsonResponse:
     table = uploads.state_of(target)
-    for name in ("unplaced", "set_aside"):
-        table[name] = [as_json(row) for row in table[name]]
+    for name in ("unplaced", "set_aside", "shots"):
+        table |= {name: [as_json(row) for row in table[name]]} if name in table else {}
     if isinstance(target, Visit):
         table["together"] += [
             {"check": "elsewhere", "level": "warn", "sentence": elsewhere(other, cameras),

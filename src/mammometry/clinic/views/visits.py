@@ -21,9 +21,10 @@ from mammometry.clinic import cameras
 from mammometry.clinic.forms import CircumstancesForm, ConclusionForm, VisitForm
 from mammometry.clinic.intake import uploads
 from mammometry.clinic.intake.photographs import fired_files, small_picture, thumbnail_path
-from mammometry.clinic.intake.places import rig_of
+from mammometry.clinic.intake.places import require_open, rig_of
+from mammometry.clinic.intake.walks import facts_of, is_prepared
 from mammometry.clinic.jobs import queue
-from mammometry.clinic.models import Calibration, Conclusion, Person, Scan, Upload, Visit
+from mammometry.clinic.models import Calibration, Conclusion, Person, Scan, Upload, Visit, Walk
 from mammometry.clinic.records.clinical import pictures_caution
 from mammometry.clinic.records.confirmations import CHANGED_SENTENCE, next_step
 from mammometry.clinic.records.operations import phase_of
@@ -40,6 +41,7 @@ from mammometry.clinic.roles import Role
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.patients import chosen_patient, is_part, search_context
 from mammometry.clinic.views.responses import Refused, json_view, person_of, visit_or_404
+from mammometry.clinic.walk_forms import BoardForm, print_words
 from mammometry.io.photographs.images import FORMATS
 from mammometry.report.words.anthropometry import length_table
 
@@ -69,6 +71,7 @@ def visit_page(
     *,
     conclusion: ConclusionForm | None = None,
     circumstances: CircumstancesForm | None = None,
+    board: BoardForm | None = None,
 ) -> HttpResponse:
     """One visit by its state: photographs, progress or result.
 
@@ -77,6 +80,7 @@ def visit_page(
         visit: its key.
         conclusion: one that could not be signed, to show again.
         circumstances: those that could not be saved, to show again.
+        board: a board that could not be saved, to show again.
     """
     shown = visit_or_404(visit)
     job = shown.jobs.order_by("-created").first()
@@ -85,6 +89,7 @@ def visit_page(
     person = person_of(request)
     failed = job if job is not None and job.state in ("failed", "cancelled") and not busy else None
     conclusions = list(shown.conclusions.select_related("by"))
+    walk = facts_of(shown) if shown.is_walk else None
     context = {
         "visit": shown,
         "patient": shown.patient,
@@ -106,13 +111,22 @@ def visit_page(
         "circumstances": circumstances or CircumstancesForm(instance=shown),
         "phase": phase_of(shown, list(shown.patient.operations.all())),
         "rig_verdict": None if shown.rig is None else today(shown.rig),
-        "photographs": not busy and not shown.is_scan and (measurement is None or "photographs" in request.GET),
+        "photographs": not busy and shown.rig is not None and (measurement is None or "photographs" in request.GET),
+        "walk": walk,
+        "prepared": shown.is_walk and is_prepared(shown),
+        "collecting": shown.is_walk and not busy and not is_prepared(shown),
+        **(_board_context(shown, board) if shown.is_walk else {}),
         "clinician": person.has_role(Role.CLINICIAN),
         "driven": shown.rig is not None and cameras.rig_file(shown.rig) is not None,
         "scan": Scan.objects.filter(visit=shown).first(),
         "limit_mb": the_clinic().limits.photograph_mb,
     }
     return render(request, "clinic/visit.html", context)
+
+
+def _board_context(visit: Visit, board: BoardForm | None) -> dict[str, Any]:
+    walk = Walk.objects.get(visit=visit)
+    return {"board": board or BoardForm(instance=walk), **print_words(), "is_measured_print": walk.edge_mm is not None}
 
 
 def refused_picture(request: HttpRequest, visit: uuid.UUID, name: str) -> HttpResponse:
@@ -254,7 +268,7 @@ def visit_look(request: HttpRequest, visit: UUID) -> HttpResponseBase:
 def visit_fire(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     """Fire. Pictures that may be measured are added to the visit."""
     row = visit_or_404(visit)
-    uploads.require_open(row)
+    require_open(row)
     service = cameras.service_of(rig_of(row), row.calibration)
     uploads.ready_folder(row)
     try:

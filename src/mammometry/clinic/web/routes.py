@@ -24,6 +24,7 @@ from mammometry.clinic.views import (
     today,
     uploads,
     visits,
+    walks,
 )
 from mammometry.clinic.views.patients import leads_on
 from mammometry.clinic.web.access import route
@@ -60,6 +61,10 @@ PAGES = [
     route("consents/<uuid:consent>/edit/", patients.consent_edit, "consent-edit", CARE),
     route("visits/new/", visits.visit_new, "visit-new", CARE),
     route("visits/scan/", scans.scan_new, "scan-new", CARE, body_bytes=scans.BODY_BYTES, atomic=False),
+    route("visits/telephone/", walks.walk_new, "walk-new", CARE),
+    route("visits/telephone/board.pdf", walks.walk_target, "walk-target", CARE, audited=False),
+    route("visits/<uuid:visit>/board/", walks.walk_board, "walk-board", CARE),
+    route("visits/<uuid:visit>/again/", walks.walk_again, "walk-again", CARE),
     route("worklist/", hospital.worklist, "worklist", CARE),
     route("visits/<uuid:visit>/", visits.visit_page, "visit", CARE),
     route("visits/<uuid:visit>/refused/<str:name>.png", visits.refused_picture, "refused-picture", CARE, audited=False),

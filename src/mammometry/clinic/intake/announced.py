@@ -1,0 +1,48 @@
+"""A sender's announcement of a photograph, before its bytes come in."""
+
+import re
+from dataclasses import dataclass
+
+from mammometry.clinic.intake.places import UploadError
+from mammometry.clinic.site import the_clinic
+
+_BY_A_CAMERA = re.compile(
+    r"[A-Za-z]{0,4}[_-]?\d{2,8}\.[A-Za-z]{3,4}|(?:IMG_|PXL_)?20\d{6}_\d{6,9}\.[A-Za-z]{3,4}", re.ASCII
+)
+"""Names that cameras give their files, such as IMG_0001.JPG, DSC01234.JPG, P1010001.JPG, IMG_20261129_143000.jpg."""
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Announced:
+    """A file that a sender is about to send."""
+
+    name: str
+    """The sender's file name. Only a camera's name in it, or a name given by a camera (IMG_0001.JPG), is stored."""
+    camera: str | None = None
+    """The camera to file it under. None: from its name or EXIF."""
+    pose: str = ""
+    """Of a calibration's photograph."""
+    size_bytes: int
+    sha256: str
+    """Hexadecimal. Empty: not known."""
+
+    @property
+    def camera_file(self) -> str | None:
+        """The file's name, if a camera gave it. Any other may be a patient's, and is not stored."""
+        return self.name if _BY_A_CAMERA.fullmatch(self.name) else None
+
+
+def check_announced(file: Announced) -> None:
+    """Refuse an impossible digest or size.
+
+    Raises:
+        UploadError: the digest is not a SHA-256, or the file is empty or too large.
+    """
+    if file.sha256 and not _SHA256.fullmatch(file.sha256):
+        raise UploadError("The digest is no SHA-256 in small hexadecimal letters.", 400)
+    most = the_clinic().limits.photograph_mb * 10**6
+    if not 0 < file.size_bytes <= most:
+        raise UploadError(
+            f"The file has {file.size_bytes / 1e6:.0f} MB. A photograph has 1 byte to {most / 1e6:.0f} MB.", 413
+        )
