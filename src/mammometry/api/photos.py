@@ -24,6 +24,8 @@ from mammometry.base.new_folder import require_new, whole_folder
 from mammometry.base.parse import read_text, toml_table
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress, no_progress
+from mammometry.calibration.targets.card_field import FIELD_MIDDLE
+from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry import Array, Bool, Camera, Rig
@@ -31,16 +33,16 @@ from mammometry.io.cameras.own import cameras_table
 from mammometry.io.looked_up import digest_of, file_digest
 from mammometry.io.outputs import require_apart
 from mammometry.io.write import disk_errors
+from mammometry.walk.bank_card import find_card, has_field
 from mammometry.walk.inputs import LeftOut
 from mammometry.walk.pairs import choose_pairs
+from mammometry.walk.print_size import PRINT_STD, sized
 from mammometry.walk.region import TELEPHONE_BOARD, Region, region_above
-from mammometry.walk.stations import TELEPHONE
+from mammometry.walk.stations import TELEPHONE, stations_of
 
 BOARD = "board.toml"
 WALK = "walk.json"
 _VERSION = 3  # raised when the same photographs give a different session
-PRINT_STD = 0.01
-"""Relative standard uncertainty of a board that was not measured: printers may scale a page by a few per cent."""
 _NOT_IN_A_PAIR = LeftOut(code="not-in-a-pair", found="not in a pair")
 _MARGIN_PX = 32  # margin around the region in the image, for windows at its edge
 
@@ -67,6 +69,8 @@ class PreparedWalk:
     """Relative standard uncertainty of all lengths."""
     point_std_mm: float
     """Standard uncertainty of a reconstructed point, from the telephone's positions and lens, mm."""
+    card_scale: float | None = None
+    """Length on the print by a bank card, relative to the length as drawn or typed. None: without a card."""
     times: Mapping[str, str] = field(default_factory=dict)
     """Number of a frame → its time in the video ("12.4 s"). Empty for photographs."""
 
@@ -102,6 +106,7 @@ def prepare_walk(
     Raises:
         SessionError: no photographs, photographs and a video, a ``board.toml`` that is not as documented, or other
             content in `out`.
+        BoardSizeError: a bank card contradicts the size in ``board.toml``.
         CalibrationError: too few photographs are usable, or the cameras' positions cannot be found from them.
         ImageError: the video cannot be read.
     """
@@ -121,6 +126,12 @@ def prepare_walk(
     target = read_board(folder)
     with usable_pictures(folder, target, progress) as pictures:
         stations, left_out = pictures.placed()
+        card = None
+        if isinstance(target, CharucoTarget) and has_field(target):
+            card = find_card(stations.rig.cameras, pictures.photographs, target, stations.plane_mm(FIELD_MIDDLE))
+            if card is not None:
+                target = sized(target, card)
+                stations = stations_of(replace(stations.calibration.observations, target=target))
         region = region_above(target)
         pairs = choose_pairs(_seeing(stations.rig, region), region.middle_world)
         in_pairs = sorted({name for pair in pairs.values() for name in pair})
@@ -141,6 +152,7 @@ def prepare_walk(
             focal_px=round(float(camera.matrix[0, 0]), 2),
             scale_std=target.scale_std or PRINT_STD,
             point_std_mm=round(stations.point_std_mm(rig, region), 4),
+            card_scale=None if card is None else round(card.scale, 5),
             times={} if video is None else pictures.names,
         )
         with disk_errors(out), whole_folder(out) as fresh:

@@ -112,6 +112,13 @@ class CalibrationError(MammometryError):
     code = "calibration"
 
 
+class BoardSizeError(CalibrationError):
+    """The size of a printed board by a bank card contradicts the one that was typed."""
+
+    code = "board-size"
+    kind = "CalibrationError"
+
+
 class MatchingError(MammometryError):
     """A pair could not be rectified or matched."""
 

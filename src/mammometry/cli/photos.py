@@ -129,4 +129,6 @@ def _measured(folder: Path, session: Path, options: Options, *, posture: str, su
 def _lines(walk: PreparedWalk, left_out: Mapping[str, LeftOut]) -> list[str]:
     used = f"{len(walk.used)} of {walk.pictures} photographs are used"
     board = f"board: {walk.board_rms_px:.2f} px RMS, bow {walk.board_bow_mm:.1f} mm"
-    return [f"{used}; {board}", *(f"left out: {name}: {why}" for name, why in left_out.items())]
+    by = "no bank card on it" if walk.card_scale is None else f"{100 * (walk.card_scale - 1):+.2f} % by the bank card"
+    size = f"size of the print: {by}; all lengths ± {200 * walk.scale_std:.2f} % (95 %)"
+    return [f"{used}; {board}", size, *(f"left out: {name}: {why}" for name, why in left_out.items())]

@@ -377,7 +377,7 @@ def target(
         require_apart(out, opened_session.brought)
         described = opened_session.manifest.target or {}
         table = {key: value for key, value in described.items() if key not in measured}
-    write_output(out, target_pdf(target_from_table(table), page=page), command="target")
+    write_output(out, target_pdf(target_from_table(table), page=page, card_field=telephone), command="target")
     lines = [f"{name} = {json_module.dumps(value)}" for name, value in table.items()]
     described_in = "board.toml beside the photographs" if telephone else "session.toml"
     return Answer(

@@ -4,13 +4,13 @@ from typing import Any
 
 from django import forms
 
-from mammometry.api.photos import PRINT_STD
 from mammometry.base.errors import SessionError
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.clinic.forms import DAY_AND_TIME, ask_about_day, name_empty_choices
 from mammometry.clinic.intake.walks import board_table, volume_share_of_print
 from mammometry.clinic.models import Visit, Walk
 from mammometry.clinic.record_form import RecordForm
+from mammometry.walk.print_size import PRINT_STD
 from mammometry.walk.region import TELEPHONE_BOARD
 
 PRINTED_MM = TELEPHONE_BOARD["squares"][0] * TELEPHONE_BOARD["square_mm"]

@@ -32,6 +32,7 @@ FEWEST = 8
 _MOST_RMS_PX, _MOST_BOW_MM = 1.5, 3.0
 """Largest residual and bow of a usable board. Good boards fit to 0.05 px, blurred photographs to 0.3 px, a board bent
 round the belly to 8 px; a bow of 3 mm was still corrected (RECIPES 7)."""
+_NEAR_MM = 60.0  # of a place: its nearest squares
 _STEPS = 7  # points along each side of the grid over which the stations' errors are averaged
 
 
@@ -65,6 +66,11 @@ class Stations:
         points = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
         std_mm = expected_std_mm(rig, self.expanded.covariance, points)
         return float(np.sqrt(np.nanmean(np.concatenate(list(std_mm.values())) ** 2)))
+
+    def plane_mm(self, place: tuple[float, float]) -> float:
+        """Height z of the board near a place of it, mm: not 0 where it is bowed."""
+        away = np.linalg.norm(self.calibration.target_points[:, :2] - np.array(place), axis=1)
+        return float(self.calibration.target_points[away < _NEAR_MM, 2].mean())
 
     @property
     def bow_mm(self) -> float:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from mammometry.base.errors import SettingsError
+from mammometry.calibration.targets.card_field import field_sheet
 from mammometry.calibration.targets.sheet import PrintedSheet
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Float64
@@ -37,6 +38,9 @@ _CAPTION_UP_MM = 8.0
 """Height of the caption above the lower margin, clear of the ruler's ticks."""
 _CUT_MM = 4.0
 """Length of a cutting mark."""
+_CARD_GAP_MM, _CARD_LINE_MM, _CARD_CORNER_MM, _CARD_TEXT_MM = 2.5, 12.0, 6.0, 9.0
+"""Field for a card: distance of its lines from the card's edges, which are measured up to 2 mm outside; length of the
+lines; how far they go below the card, inside its rounded corners; height of the text, which the card covers."""
 _FONT_POINTS = 6
 """Size of ruler's and caption's text."""
 _TRUETYPE = 42
@@ -49,7 +53,7 @@ _SPECKLE_SHIFT, _SPECKLE_SIZE = 0.16, 0.25
 _MM_PER_INCH = 25.4  # by definition; matplotlib sizes pages in inches
 
 
-def target_pdf(target: Target, *, page: str = "fit", margin_mm: float = 10.0) -> bytes:
+def target_pdf(target: Target, *, page: str = "fit", margin_mm: float = 10.0, card_field: bool = False) -> bytes:
     """Draw a board at true scale. Returns the content of a PDF file.
 
     Args:
@@ -57,6 +61,7 @@ def target_pdf(target: Target, *, page: str = "fit", margin_mm: float = 10.0) ->
         page: a name of `PAGES_MM`, in landscape if that fits better, or ``fit`` for a page of the board's size plus
             margins.
         margin_mm: white border; detectors need it, and printers cannot print to the edge.
+        card_field: whether to draw the telephone board's field for a bank card.
 
     Raises:
         SettingsError: the page is unknown, the board does not fit, or the target is not printed.
@@ -67,7 +72,8 @@ def target_pdf(target: Target, *, page: str = "fit", margin_mm: float = 10.0) ->
     needed_mm = (max(width_mm, _RULER_MM) + 2 * margin_mm, height_mm + 2 * margin_mm + _FOOT_MM)
     page_mm = _page(page, needed_mm)
     left_mm, top_mm = (page_mm[0] - width_mm) / 2, (page_mm[1] - _FOOT_MM - height_mm) / 2
-    return _draw(sheet, target.caption(), page_mm, (left_mm, top_mm), margin_mm)
+    field = field_sheet() if card_field else None
+    return _draw(sheet, target.caption(), page_mm, (left_mm, top_mm), margin_mm, field)
 
 
 def speckle_pdf(*, page: str = "A4", dot_mm: float = 1.5, margin_mm: float = 10.0, seed: int = 1) -> bytes:
@@ -124,7 +130,12 @@ def _page(page: str, needed_mm: tuple[float, float]) -> tuple[float, float]:
 
 
 def _draw(
-    sheet: PrintedSheet, caption: str, page_mm: tuple[float, float], corner_mm: Corner, margin_mm: float
+    sheet: PrintedSheet,
+    caption: str,
+    page_mm: tuple[float, float],
+    corner_mm: Corner,
+    margin_mm: float,
+    field: PrintedSheet | None = None,
 ) -> bytes:
     import matplotlib
     from matplotlib.backends.backend_pdf import FigureCanvasPdf
@@ -142,8 +153,13 @@ def _draw(
         foot_mm = page_mm[1] - margin_mm
         if sheet.cut_at_sides:
             _cuts(axes, sheet, corner_mm)
-        _ruler(axes, (page_mm[0] - _RULER_MM) / 2, foot_mm)
-        axes.text(page_mm[0] / 2, foot_mm - _CAPTION_UP_MM, caption, ha="center", va="bottom", fontsize=_FONT_POINTS)
+        middle_mm = page_mm[0] / 2
+        if field is not None:
+            axes.add_artist(PathPatch(_field(field, corner_mm), facecolor="black", edgecolor="none", linewidth=0))
+            _card_corners(axes, field, corner_mm)
+            middle_mm = page_mm[0] - corner_mm[0] - _RULER_MM / 2  # beside the field
+        _ruler(axes, middle_mm - _RULER_MM / 2, foot_mm)
+        axes.text(middle_mm, foot_mm - _CAPTION_UP_MM, caption, ha="center", va="bottom", fontsize=_FONT_POINTS)
         content = io.BytesIO()
         figure.savefig(content, format="pdf", metadata={"Title": caption, "CreationDate": None})
     return content.getvalue()
@@ -158,6 +174,24 @@ def _outline(sheet: PrintedSheet, corner_mm: Corner) -> Path:
         *(_rectangle(box, shift) for box in sheet.rectangles),
         *(Path.circle((float(x + shift[0]), float(y + shift[1])), float(radius)) for x, y, radius in sheet.discs),
     )
+
+
+def _field(field: PrintedSheet, corner_mm: Corner) -> Path:
+    """Bars of a field for a card, on the page."""
+    from matplotlib.path import Path
+
+    return Path.make_compound_path(*(_rectangle(box, np.array(corner_mm)) for box in field.rectangles))
+
+
+def _card_corners(axes: Axes, field: PrintedSheet, corner_mm: Corner) -> None:
+    """Lines beside the lower half of a card, outside it, and what the field is for."""
+    (left, _), (right, bottom) = field.extent_mm + np.array(corner_mm)
+    for x, side in ((left, -1.0), (right, 1.0)):
+        outer = x + side * _CARD_GAP_MM
+        axes.plot([outer] * 2, [bottom - _CARD_LINE_MM, bottom], color="black", linewidth=0.4)
+        axes.plot([outer, outer - side * _CARD_CORNER_MM], [bottom + _CARD_GAP_MM] * 2, color="black", linewidth=0.4)
+    text = "tape a bank card here, between the lines, flat: it gives the size of the print"
+    axes.text((left + right) / 2, bottom - _CARD_TEXT_MM, text, ha="center", va="center", fontsize=_FONT_POINTS)
 
 
 def _rectangle(box: Float64[Array, 4], shift: Float64[Array, 2]) -> Path:

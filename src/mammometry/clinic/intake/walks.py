@@ -15,7 +15,7 @@ from typing import Any, TypeGuard
 
 from django.db import transaction
 
-from mammometry.api.photos import PRINT_STD, WALK, read_walk
+from mammometry.api.photos import WALK, read_walk
 from mammometry.base.errors import ImageError
 from mammometry.base.extras import MissingLibraryError
 from mammometry.base.parse import LimitSettings
@@ -31,6 +31,7 @@ from mammometry.io.photographs.heic import is_heic
 from mammometry.io.photographs.tags import read_exposure
 from mammometry.io.photographs.telephone import read_facts, read_from_sensor
 from mammometry.walk.inputs import PictureFacts, judge_files
+from mammometry.walk.print_size import PRINT_STD
 from mammometry.walk.region import TELEPHONE_BOARD
 from mammometry.walk.sharpness import BoardImage, board_image, judge_images
 from mammometry.walk.stations import FEWEST, TELEPHONE, find_boards
