@@ -22,6 +22,7 @@ from mammometry.base.machine.cores import available_cores
 from mammometry.base.new_folder import require_new, whole_folder
 from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.targets.board import FlatBody
+from mammometry.calibration.targets.card_field import FIELD_MIDDLE, field_sheet
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.geometry import Array, Camera, Float64, Transform
 from mammometry.geometry.mesh_files.ply import write_ply
@@ -30,9 +31,9 @@ from mammometry.simulate.disturbances.registry import as_truth, check, disturbed
 from mammometry.simulate.disturbances.walks import WalkConditions, still_walk
 from mammometry.simulate.recipe import Situation, parse_situation
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.printed_board import printed_board
+from mammometry.simulate.rendering.printed_board import bank_card, printed_board
 from mammometry.simulate.rendering.render import render_subject
-from mammometry.simulate.rendering.scene import Room, StudioScene, SubjectMotion, light_scene, moved
+from mammometry.simulate.rendering.scene import Prop, Room, StudioScene, SubjectMotion, light_scene, moved
 from mammometry.simulate.rendering.skin import SKINS, SkinReflectance
 from mammometry.simulate.rigs.poses import looking
 from mammometry.simulate.studio import finish, refusing, take_picture
@@ -56,6 +57,8 @@ _BRIGHTNESS = 1.1  # radiance of white paper that faces the middle lamp; full sc
 _BELOW_FOLD_MM = 50.0  # from the lowest fold to the card's upper edge
 _GAP_MM = 2.0  # between the card and the nearest skin
 _EDGE_MM = 0.4  # edge of the triangles on the breasts for photographs at full size: about two pixels
+_CARD_GREYS = {"grey": 0.3, "white": 0.75, "black": 0.03}  # reflectance of bank cards
+_CARD_ASIDE_MM, _CARD_TURN_RAD = np.array([0.8, -0.6]), 0.017  # from the field: a card laid by hand
 _BREATH_AHEAD = (0.0, 0.3, 0.95)  # direction in which the chest moves when breathing in
 
 
@@ -139,7 +142,7 @@ def write_walk(out: Path, recipe: WalkRecipe = WalkRecipe(), *, progress: Progre
         woman,
         Transform.identity(),
         lamps,
-        Room(clutter=True, things=(printed_board(board, placed), *about.things)),
+        Room(clutter=True, things=(*_print(board, placed, walk), *about.things)),
         skin=skin,
         seed=seed,
     )
@@ -176,6 +179,17 @@ def _printed(scale: float) -> FlatBody:
     body = target_from_table({**table, **sizes}).body
     assert isinstance(body, FlatBody)
     return body
+
+
+def _print(board: FlatBody, placed: Transform, walk: WalkConditions) -> tuple[Prop, ...]:
+    """The board, and the bank card on it."""
+    if not walk.card:
+        return (printed_board(board, placed),)
+    middle = walk.print_scale * np.array(FIELD_MIDDLE) + _CARD_ASIDE_MM
+    return (
+        printed_board(board, placed, field_sheet(walk.print_scale)),
+        bank_card(middle, _CARD_TURN_RAD, placed, _CARD_GREYS[walk.card]),
+    )
 
 
 def _described(recipe: WalkRecipe) -> str:

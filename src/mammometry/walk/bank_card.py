@@ -37,9 +37,12 @@ _ASIDE_MM, _TURNED_RAD = 6.0, 0.07  # how far from its field and how turned a ca
 _REACH_MM = 2.0  # of the profiles across an edge, to either side
 _PROFILE_MM = 0.1  # step of the profiles
 _ROUND_MM = 6.0  # left out at each corner, which is rounded by 3.18 mm (ISO/IEC 7810)
+_ALONG_MM, _BESIDE = 0.5, 1  # step of the profiles along an edge, and how many are left out beside another print
 _CHUNK_MM = 5.0  # of an edge whose mean profile gives one place
 _PLATEAU_MM = (0.7, 1.6)  # from the edge: where card and paper have their own brightness
-_LEAST_STEP = 0.12  # of brightness at an edge, relative to white paper
+_LEAST_STEP = (
+    0.3  # of brightness at an edge, relative to white paper: at weaker ones shadows displace the edge by 0.4 mm
+)
 _MOST_OFF_MM = 1.2  # of an edge from its place in the last round: 1.4 % of the card's width on either side
 _PRINT_SEEN = 0.5  # correlation of a picture with the print beyond which nothing lies on it
 _WALL, _OBLIQUE = 0.03, 0.8  # tangent of the direction outwards: beyond it the side wall is seen; most inwards
@@ -276,11 +279,14 @@ def _places(patch: _Patch, card: _Rectangle, ink: Callable[..., Array]) -> Itera
         outwards = float((patch.camera[:2] - card.middle - far * normal) @ normal / patch.camera[2])
         if not -_OBLIQUE < outwards < _WALL:
             continue
-        along = np.arange(-half + _ROUND_MM, half - _ROUND_MM, 0.5)
+        along = np.arange(-half + _ROUND_MM, half - _ROUND_MM, _ALONG_MM)
         edge = card.middle + far * normal + along[:, None] * tangent
         places = edge[:, None] + across[:, None] * normal
         profiles, dark = patch.at(places), ink(places[:, beyond])
         kind = np.where(dark.all(axis=1), 1, np.where(dark.any(axis=1), -1, 0))
+        mixed = np.flatnonzero(kind[1:] != kind[:-1])
+        for border in mixed:  # the blur of what is printed beside them
+            kind[max(0, border + 1 - _BESIDE) : border + 1 + _BESIDE] = -1
         chunk = np.floor((along + half) / _CHUNK_MM).astype(int)
         for (_, inked), group in groupby(range(len(along)), key=lambda k: (chunk[k], kind[k])):
             rows = list(group)

@@ -14,7 +14,7 @@ from mammometry.geometry import Camera, Transform
 from mammometry.simulate.disturbances.registry import disturbed
 from mammometry.simulate.disturbances.walks import still_walk
 from mammometry.simulate.recipe import parse_situation
-from mammometry.simulate.rendering.printed_board import printed_board
+from mammometry.simulate.rendering.printed_board import bank_card, printed_board
 from mammometry.simulate.rigs.poses import looking
 from mammometry.simulate.walk import WalkRecipe, write_walk
 from mammometry.walk.region import TELEPHONE_BOARD, region_above
@@ -99,6 +99,22 @@ def test_a_walks_disturbances_change_what_they_say():
     assert walk.breath_mm.std() == pytest.approx(0.4 / np.sqrt(3.0), rel=0.15)
     assert walk.focal.std() == pytest.approx(0.005, rel=0.15)
     assert walk.print_scale == pytest.approx(0.99)
+    assert not walk.card
+    assert disturbed(walk, "walk", parse_situation("card=white"), seed=3).card == "white"
+
+
+def test_a_bank_card_is_a_box_before_the_board():
+    pose = Transform.from_rotation_vector(np.array([0.3, -0.2, 0.1]), np.array([5.0, 6.0, 7.0]))
+    card = bank_card(np.array([50.0, 40.0]), 0.02, pose, 0.3).props
+    points = pose.inverse().apply(card.vertices)
+    corners = points[card.faces]
+    outwards = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    volume_mm3 = np.einsum("ij,ij->i", corners[:, 0] - [50.0, 40.0, 0.0], outwards).sum() / 6  # its base is in z = 0
+    assert volume_mm3 == pytest.approx(85.60 * 53.98 * 0.76)
+    assert np.ptp(points[:, 2]) == pytest.approx(0.76)
+    assert points[:, 2].min() < -0.7  # towards the reader
+    normals = pose.inverse().rotate(card.normals)[card.faces[:, 0]]
+    assert (np.einsum("ij,ij->i", normals, outwards) > 0).all()
 
 
 def test_a_rigs_disturbance_and_a_cast_are_refused(tmp_path):

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mammometry.geometry import Array, Float64
-from mammometry.simulate.disturbances.registry import Number, disturbance
+from mammometry.simulate.disturbances.registry import Number, Word, disturbance
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -23,6 +23,8 @@ class WalkConditions:
     """Focal length at each photograph, relative to its usual value."""
     print_scale: float = 1.0
     """Size of the print relative to its stated size."""
+    card: str = ""
+    """Colour of the bank card on the board. Empty: none."""
 
 
 def still_walk(pictures: int) -> WalkConditions:
@@ -58,3 +60,13 @@ def _autofocus(walk: WalkConditions, std_percent: float, rng: np.random.Generato
 )
 def _misprint(walk: WalkConditions, percent: float, rng: np.random.Generator) -> WalkConditions:
     return replace(walk, print_scale=walk.print_scale * (1.0 + percent / 100.0))
+
+
+@disturbance(
+    "card",
+    "walk",
+    "a bank card on the board's field, 1 mm and 1 degree off; colour",
+    Word(usual="grey", words=("grey", "white", "black")),
+)
+def _card(walk: WalkConditions, colour: str, rng: np.random.Generator) -> WalkConditions:
+    return replace(walk, card=colour)

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 
-from mammometry.calibration.targets.board import FlatBody
+from mammometry.calibration.targets.board import BORDER_MM, FlatBody
+from mammometry.calibration.targets.card_field import CARD_MM, CARD_THICKNESS_MM
+from mammometry.calibration.targets.sheet import PrintedSheet
 from mammometry.geometry import Array, Float64, Transform
 from mammometry.simulate.rendering.props import Props
 from mammometry.simulate.rendering.scene import Prop
 from mammometry.simulate.rendering.solid_target import INKS
 
 
-def printed_board(body: FlatBody, rig_from_board: Transform) -> Prop:
+def printed_board(body: FlatBody, rig_from_board: Transform, field: PrintedSheet | None = None) -> Prop:
     """Sheet of a board of squares, cut along all edges of the print into rectangles of one colour.
 
     Args:
         body: a board without circles.
         rig_from_board: its pose.
+        field: what is printed below the squares, and makes the paper longer.
 
     Raises:
         ValueError: the board has circles.
@@ -24,7 +30,11 @@ def printed_board(body: FlatBody, rig_from_board: Transform) -> Prop:
     sheet = body.board.sheet()
     if len(sheet.discs):
         raise ValueError("a board of circles has no straight edges to cut along")
-    x, y = (_cuts(body.paper_mm[:, axis], sheet.rectangles[:, axis], sheet.rectangles[:, 2 + axis]) for axis in (0, 1))
+    paper_mm = body.paper_mm
+    if field is not None:
+        sheet = replace(sheet, rectangles=np.concatenate([sheet.rectangles, field.rectangles]))
+        paper_mm = np.stack([paper_mm[0], np.maximum(paper_mm[1], field.extent_mm[1] + BORDER_MM)])
+    x, y = (_cuts(paper_mm[:, axis], sheet.rectangles[:, axis], sheet.rectangles[:, 2 + axis]) for axis in (0, 1))
     middles = np.stack(np.meshgrid((x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2), axis=-1)
     dark = sheet.is_dark(middles.reshape(-1, 2))
     across, down = np.meshgrid(x, y)
@@ -42,6 +52,44 @@ def printed_board(body: FlatBody, rig_from_board: Transform) -> Prop:
             material=np.tile(np.where(dark, 0, 1), 2).astype(np.uint8),
         ),
         colours=np.repeat(np.array(INKS)[:, None], 3, axis=1),
+        smooth=1.0,
+    )
+
+
+def bank_card(middle: Float64[Array, 2], turn_rad: float, rig_from_board: Transform, grey: float) -> Prop:
+    """A bank card of nominal size on a board, without rounded corners.
+
+    Args:
+        middle: its place on the board, mm.
+        turn_rad: its turn in the board's plane.
+        rig_from_board: pose of the board.
+        grey: reflectance of its printed side; its side walls are white.
+    """
+    half = 0.5 * np.array(CARD_MM)
+    along = np.array([math.cos(turn_rad), math.sin(turn_rad)])
+    across = np.array([-along[1], along[0]])
+    corners = [middle + a * half[0] * along + b * half[1] * across for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    low = np.column_stack([corners, np.zeros(4)])
+    high = low - np.array([0.0, 0.0, CARD_THICKNESS_MM])  # towards the reader
+    sides = [high, *(np.stack([low[k], low[(k + 1) % 4], high[(k + 1) % 4], high[k]]) for k in range(4))]
+    middles = np.mean([low, high], axis=(0, 1))
+    vertices, normals, faces = [], [], []
+    for number, side in enumerate(sides):
+        normal = np.cross(side[1] - side[0], side[2] - side[0])
+        order = [0, 1, 2, 3]
+        if normal @ (side.mean(axis=0) - middles) < 0:
+            order, normal = order[::-1], -normal
+        vertices.append(side[order])
+        normals.append(np.broadcast_to(normal / np.linalg.norm(normal), (4, 3)))
+        faces += [[4 * number, 4 * number + 1, 4 * number + 2], [4 * number, 4 * number + 2, 4 * number + 3]]
+    return Prop(
+        props=Props(
+            vertices=rig_from_board.apply(np.concatenate(vertices)),
+            normals=rig_from_board.rotate(np.concatenate(normals)),
+            faces=np.array(faces, dtype=np.int32),
+            material=np.repeat([0, 1, 1, 1, 1], 2).astype(np.uint8),
+        ),
+        colours=np.repeat(np.array([[grey], [INKS[1]]]), 3, axis=1),
         smooth=1.0,
     )
 
