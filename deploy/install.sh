@@ -11,6 +11,6 @@ id clinic >/dev/null 2>&1 || useradd --system --create-home --home-dir /var/lib/
 install -d -m 700 -o clinic -g clinic /srv/clinic
 program=/usr/local/lib/mammometry
 python3 -m venv "$program"
-"$program/bin/python" -m pip install --quiet --no-cache-dir --upgrade -c "$here/../constraints.txt" "$wheel[clinic]"
+"$program/bin/python" -m pip install --quiet --no-cache-dir --upgrade -c "$here/../constraints.txt" "$wheel[clinic,heic]"
 ln -sf "$program/bin/mammometry" /usr/local/bin/mammometry
 if [ -d /etc/systemd/system ]; then cp "$here"/*.service "$here"/*.timer /etc/systemd/system/; fi

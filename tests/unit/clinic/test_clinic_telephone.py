@@ -382,6 +382,7 @@ def test_a_walk_without_a_session_keeps_its_files_for_another_try(
     page = sender.client.get(reverse("visit", args=[walk_visit.pk])).content.decode()
     assert "Glue it to card" in page
     assert "data-uploads" in page
+    assert reverse("job-retry", args=[job.pk]) not in page  # the photographs have the button
     assert sender.send(picture(70))["state"] == "placed"
     again = sender.client.post(reverse("job-retry", args=[job.pk]), "{}", content_type="application/json")
     assert again.status_code == 202
@@ -405,6 +406,7 @@ def test_a_refused_walk_is_taken_again_in_the_same_visit(
     sender.client.post(address)
     walk_visit.refresh_from_db()
     assert (walk_visit.state, Upload.objects.count(), walk_visit.folder.exists()) == (Visit.State.NEW, 0, False)
+    assert "The body moved." not in sender.client.get(reverse("visit", args=[walk_visit.pk])).content.decode()
     assert sender.send(picture(1))["state"] == "placed"
 
 

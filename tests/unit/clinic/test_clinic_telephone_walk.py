@@ -39,7 +39,8 @@ def walk(tmp_path: Path) -> tuple[list[Path], dict[str, float]]:
         for path in sorted((tmp_path / "walk" / PHOTOGRAPHS).glob("*.jpg"))
     ]
     wall = tmp_path / "walk" / "IMG_4199.JPG"
-    Image.new("RGB", Image.open(files[0]).size, (120, 90, 80)).save(wall)
+    with Image.open(files[0]) as first:
+        Image.new("RGB", first.size, (120, 90, 80)).save(wall)
     return [*files, wall], dict(made.true_volumes_cc)
 
 
@@ -51,6 +52,7 @@ def started(page: Page) -> None:
     page.get_by_label("Date of birth").fill("1980-02-28")
     page.get_by_label("Record number").fill("KIS-1")
     page.get_by_role("button", name="Save").click()
+    expect(page.get_by_role("heading", name="Meier, Eva")).to_be_visible()
     page.goto("/visits/new/")
     page.get_by_label("Who is photographed?").press_sequentially("eva meier")
     page.get_by_role("main").get_by_role("link", name="Meier, Eva").click()

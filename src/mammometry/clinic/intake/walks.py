@@ -281,7 +281,7 @@ def _facts(row: Upload) -> PictureFacts:
 
 
 def _will_be_left_out(why: str) -> Finding:
-    return Finding("board", "warn", f"The photograph will be left out: {_of_board(why).rstrip('.')}.")
+    return Finding("board", "warn", f"The photograph will be left out: {_of_board(why)}")
 
 
 def _refused(sentence: str) -> Finding:
@@ -290,7 +290,7 @@ def _refused(sentence: str) -> Finding:
 
 def _of_board(reason: str) -> str:
     """A reason of the detector, in the words of the clinic's pages."""
-    return reason.replace("target", "board")
+    return f"{reason.replace('target', 'board').rstrip('.')}."
 
 
 def _seen(row: Upload) -> dict[str, Any]:

@@ -88,6 +88,8 @@ def visit_page(
     busy = job is not None and job.state in OPEN
     person = person_of(request)
     failed = job if job is not None and job.state in ("failed", "cancelled") and not busy else None
+    if failed is not None and shown.is_walk and not shown.uploads.filter(created__lte=failed.created).exists():
+        failed = None  # its photographs were deleted, to send others
     conclusions = list(shown.conclusions.select_related("by"))
     walk = facts_of(shown) if shown.is_walk else None
     context = {
