@@ -121,6 +121,7 @@ FIELDS = {
     "date": ("[rig]\n", "date = 2026-01-31\n[rig]\n"),
     "target": ("square_mm = ", "edge_std_mm = 0.05\nedge_mm = 350.5\nsquare_mm = "),
     **{f"walk.{name}": ("[subject]\n", f"{_WALK}[subject]\n") for name in ("region_mm", "scale_std", "point_std_mm")},
+    "walk.card_scale": ("[subject]\n", f"{_WALK}card_scale = 0.99\n[subject]\n"),
     "intrinsics.target": (
         "[subject]\n",
         '[intrinsics]\ntarget = { kind = "chessboard", squares = [10, 7], square_mm = 25.0 }\n[subject]\n',

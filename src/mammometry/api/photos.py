@@ -257,4 +257,5 @@ def _manifest(walk: PreparedWalk, rig: Rig, region: Region, posture: str, subjec
         f'[rig]\nname = "telephone"\npairs = [\n{pairs}\n]\n\n'
         f'[subject]\nkind = "torso"\n{named}posture = "{posture}"\n\n'
         f"[walk]\nregion_mm = {corners}\nscale_std = {walk.scale_std:.4g}\npoint_std_mm = {walk.point_std_mm:.3g}"
+        + ("" if walk.card_scale is None else f"\ncard_scale = {walk.card_scale:.5g}")
     )

@@ -125,6 +125,8 @@ class WalkEntry(BaseModel):
     """Relative standard uncertainty of all lengths, from the printed board's size."""
     point_std_mm: Annotated[float, Field(ge=0, le=10)]
     """Standard uncertainty of a reconstructed point from the telephone's poses and lens, mm."""
+    card_scale: Annotated[float, Field(gt=0.9, lt=1.1)] | None = None
+    """Length on the print by a bank card on it, relative to the length as drawn or typed."""
 
     @model_validator(mode="after")
     def _is_a_box(self) -> WalkEntry:

@@ -265,7 +265,12 @@ class Session:
             return None
         low, high = np.array(entry.region_mm)
         region = Region(low_world=low, high_world=high)
-        return Walk(region=region, scale_std=entry.scale_std, point_std_mm=entry.point_std_mm)
+        return Walk(
+            region=region,
+            scale_std=entry.scale_std,
+            point_std_mm=entry.point_std_mm,
+            card_scale=entry.card_scale,
+        )
 
     # --- files ---
 

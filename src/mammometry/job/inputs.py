@@ -39,6 +39,14 @@ class Walk:
     """Relative standard uncertainty of all lengths."""
     point_std_mm: float
     """Standard uncertainty of a reconstructed point due to the telephone's poses and lens, mm."""
+    card_scale: float | None = None
+    """Length on the print by a bank card on it, relative to the length as drawn or typed. None: without a card."""
+
+    @property
+    def errors(self) -> tuple[float, ...]:
+        """Its uncertainties, and the card's size if there is one, for keys of products."""
+        card = () if self.card_scale is None else (self.card_scale,)
+        return (self.scale_std, self.point_std_mm, *card)
 
     @property
     def key(self) -> str:
@@ -158,7 +166,7 @@ class Inputs:
             "rim": self.rim_radius_mm,
             "scale": self.scale_std,
             "region": None if self.walk is None else self.walk.key,
-            "walk-errors": None if self.walk is None else (self.walk.scale_std, self.walk.point_std_mm),
+            "walk-errors": None if self.walk is None else self.walk.errors,
         }
 
     def _lacks(self, name: str) -> bool:

@@ -220,6 +220,15 @@ def walk_concerns(walk: Walk, motion: WalkMotion) -> Iterator[Notice]:
     if walk.scale_std > _SIZE_KNOWN:
         share = 100 * COVERAGE_95 * 3 * walk.scale_std
         yield Notice(code="board-not-measured", values={"percent": float(share)})
+    if walk.card_scale is not None:
+        yield Notice(
+            code="board-measured-by-card",
+            level="note",
+            values={
+                "percent": float(100 * (walk.card_scale - 1.0)),
+                "uncertain_percent": float(100 * COVERAGE_95 * walk.scale_std),
+            },
+        )
     if motion.size_mm >= _MOVED_MM:
         yield Notice(
             code="body-moved-against-board",

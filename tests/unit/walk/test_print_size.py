@@ -1,13 +1,18 @@
 """The size of a print by two witnesses."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from board_walk import BOARD
 
 from mammometry.base.errors import BoardSizeError
+from mammometry.job.inputs import Walk
+from mammometry.report.warnings import walk_concerns
 from mammometry.walk.bank_card import CardScale
 from mammometry.walk.print_size import sized
+from mammometry.walk.region import Region
 
 
 def by_card(scale, std=7e-4):
@@ -34,3 +39,11 @@ def test_a_contradiction_is_refused():
     assert sized(typed, by_card(1.002)).scale_std < 7e-4
     with pytest.raises(BoardSizeError):
         sized(typed, by_card(0.99))
+
+
+def test_the_report_notes_a_card():
+    region = Region(low_world=np.zeros(3), high_world=np.ones(3))
+    walk = Walk(region=region, scale_std=7e-4, point_std_mm=0.1, card_scale=0.99)
+    (noted,) = walk_concerns(walk, SimpleNamespace(size_mm=0.0))
+    assert (noted.code, noted.level) == ("board-measured-by-card", "note")
+    assert noted.values["percent"] == pytest.approx(-1.0)

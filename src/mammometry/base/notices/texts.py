@@ -231,6 +231,10 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
             "The printed board was not measured: this alone makes each volume uncertain by {percent:.0f} %. "
             "Measure its eleven columns, and enter their length in board.toml (edge_mm)."
         ),
+        "board-measured-by-card": Text(
+            "The bank card on the board shows a print that is {percent:+.2f} % off its stated size. All lengths are "
+            "corrected, and known to ± {uncertain_percent:.2f} % (95 %)."
+        ),
         "body-moved-against-board": Text(
             "The body moved against the board between photographs, by about {moved_mm:.1f} mm. This was corrected: "
             "pairs disagree by {after_mm:.2f} mm instead of {before_mm:.2f} mm. Hold the breath next time."
