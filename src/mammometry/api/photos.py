@@ -42,7 +42,7 @@ from mammometry.walk.stations import TELEPHONE, stations_of
 
 BOARD = "board.toml"
 WALK = "walk.json"
-_VERSION = 3  # raised when the same photographs give a different session
+_VERSION = 4  # raised when the same photographs give a different session
 _NOT_IN_A_PAIR = LeftOut(code="not-in-a-pair", found="not in a pair")
 _MARGIN_PX = 32  # margin around the region in the image, for windows at its edge
 

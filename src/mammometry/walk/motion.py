@@ -32,6 +32,9 @@ _LEVER_MM = 150.0  # from the body's centre to its sides: ratio of the shift to 
 _CELL_MM = 0.05  # own error of a cell's distance
 _HUBER = 2.0  # threshold of Huber's loss, standard deviations
 _ROUNDS = 5  # rounds of reweighting
+_STILL_MM = 0.3
+"""Disagreement up to which a body counts as still. Pairs of still virtual walks disagree by 0.16 to 0.27 mm: matching
+errs at flat angles. Motions that explain this away doubled the errors of the positions (decision 52)."""
 _REST_MM = 1.0
 """Largest disagreement after the correction. Half of it in each pair, over the 300 cm² of a breast's skin, is 15 cc."""
 
@@ -85,7 +88,8 @@ def find_motion(rig: Rig, range_images: Sequence[RangeImage], rows: Mapping[str,
     points = [comparison.points for comparison in apart] or [image.valid_points_world() for image in range_images]
     centre = np.concatenate(points).mean(axis=0)
     seen = observed(rig, apart, rows, None, partial(_effects, cameras, centre), _noise_mm2)
-    fits = {size_mm: _robust_fit(seen, size_mm) for size_mm in _SIZES_MM}
+    before_mm = _robust(seen.values[seen.distances])
+    fits = {size_mm: _robust_fit(seen, size_mm) for size_mm in (_SIZES_MM if before_mm > _STILL_MM else _SIZES_MM[:1])}
     size_mm = max(fits, key=lambda size_mm: fits[size_mm][0])
     fit = fits[size_mm][1]
     rest = (seen.values - seen.by_unknown @ fit.motions)[seen.distances]
@@ -97,7 +101,7 @@ def find_motion(rig: Rig, range_images: Sequence[RangeImage], rows: Mapping[str,
         shift_mm=fit.motions.reshape(-1, 6)[:, 3:].copy(),
         centre_world=centre,
         size_mm=size_mm,
-        before_mm=_robust(seen.values[seen.distances]),
+        before_mm=before_mm,
         rest_mm=_robust(rest),
         point_std_mm=float(np.hypot(_robust(spread), _robust(rest)) / np.sqrt(2)),
     )

@@ -19,9 +19,11 @@ from mammometry.geometry import Array, Camera, Float64, Rig
 
 NARROWEST_DEG, BEST_DEG, WIDEST_DEG = 8.0, 14.0, 25.0
 """Angle between the directions from which a pair sees the body. From three virtual walks (RECIPES 7)."""
-MOST = 16
+MOST = 20
 """Most pairs of a walk: more take time and measure the same skin again."""
 _FORWARD = 0.15  # largest relative difference of the two distances: beyond it, the scales differ too much
+_ALONG = 0.5
+"""Largest cosine between the baseline and the viewing direction: beyond it, the rectified images become very large."""
 _FORWARD_DEG = 40.0  # cost of a relative difference of 1 between the distances, degrees off the best angle
 _AGAIN_DEG = 6.0  # cost of each other pair with the same photograph
 _NEAR_DEG = 12.0  # a pair closer than this to the direction of an earlier one adds little
@@ -49,9 +51,12 @@ def candidates(cameras: Sequence[Camera], middle_world: Float64[Array, 3]) -> li
         far_one, far_other = float(np.linalg.norm(to_one)), float(np.linalg.norm(to_other))
         angle = float(np.degrees(np.arccos(np.clip(to_one @ to_other / (far_one * far_other), -1, 1))))
         forward = abs(far_other / far_one - 1)
-        if not NARROWEST_DEG <= angle <= WIDEST_DEG or forward > _FORWARD:
+        ahead = one.camera_from_world.rotation[2] + other.camera_from_world.rotation[2]
+        baseline = other.centre_world - one.centre_world
+        along = abs(float(ahead @ baseline)) / float(np.linalg.norm(ahead) * np.linalg.norm(baseline))
+        if not NARROWEST_DEG <= angle <= WIDEST_DEG or forward > _FORWARD or along > _ALONG:
             continue
-        right_of_one = one.camera_from_world.rotation @ (other.centre_world - one.centre_world)
+        right_of_one = one.camera_from_world.rotation @ baseline
         left, right = (one, other) if right_of_one[0] > 0 else (other, one)
         towards = to_one / far_one + to_other / far_other
         found.append(

@@ -78,7 +78,7 @@ def stillness(
         )
 
 
-@product("surface", version=1)
+@product("surface", version=2)
 def walk_motion(
     cameras: CameraSet,
     range_images: Mapping[str, RangeImage],
