@@ -12,18 +12,18 @@ from dataclasses import replace
 from itertools import combinations
 from typing import TypeAlias
 
-import cv2
 import numpy as np
 
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.detection.detect import Detection, Observations, detection_of
+from mammometry.calibration.detection.finders.printed_board import fit_print
 from mammometry.calibration.features.board_map import LENS_TOLERANCE, fit_board_map
 from mammometry.calibration.features.keypoints import Keypoints, keypoints, matched
 from mammometry.calibration.features.pixels import linear_luma
-from mammometry.calibration.features.printed_board import fit_print
+from mammometry.calibration.features.pose_of_points import pose_of
 from mammometry.calibration.judge.reconstruction import triangulate
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget
-from mammometry.geometry import Array, Camera, Float64, StereoPair, Transform
+from mammometry.geometry import Array, Camera, Float64, StereoPair
 from mammometry.walk.stations import TELEPHONE, Stations
 
 _REACH, _NEIGHBOURS = 3, 3
@@ -114,21 +114,9 @@ def _placed(name: str, around: Mapping[str, Camera], features: Mapping[str, Keyp
         for one, other in combinations(around, 2)
     ]
     places, uv = (np.concatenate(parts) for parts in zip(*shared, strict=True))
-    if len(places) < _FEWEST_FEATURES:
-        return None
     lens = next(iter(around.values()))
-    ideal = lens.normalised_from_pixels(uv)
-    cv2.setRNGSeed(0)
-    found, turn, shift, inside = cv2.solvePnPRansac(
-        places, ideal, np.eye(3), np.zeros(5), iterationsCount=1000, confidence=0.999, flags=cv2.SOLVEPNP_EPNP,
-        reprojectionError=_FIT_PX / float(lens.matrix[0, 0]),
-    )  # fmt: skip
-    if not found or inside is None or len(inside) < _FEWEST_FEATURES:
-        return None
-    good = inside.ravel()
-    turn, shift = cv2.solvePnPRefineLM(places[good], ideal[good], np.eye(3), np.zeros(5), turn, shift)
-    pose = Transform.from_rotation_vector(turn.ravel(), shift.ravel())
-    return replace(lens, name=name, camera_from_world=pose)
+    pose = pose_of(places, lens.normalised_from_pixels(uv), _FIT_PX / float(lens.matrix[0, 0]), _FEWEST_FEATURES)
+    return None if pose is None else replace(lens, name=name, camera_from_world=pose)
 
 
 _Matches: TypeAlias = tuple[Float64[Array, "m 2"], Float64[Array, "m 2"]]

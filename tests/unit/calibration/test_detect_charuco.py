@@ -83,6 +83,7 @@ def test_very_oblique_views_lose_corners_but_invent_none(degrees):
         assert np.median(whitened) < 8
 
 
+@pytest.mark.requirement("R-PHOTO-4")
 @pytest.mark.parametrize("turn_deg", [(0.0, 76.0, 10.0), pytest.param((-77.0, 0.0, 5.0), marks=pytest.mark.slow)])
 def test_nearly_all_corners_of_a_strongly_tilted_board_are_found(turn_deg):
     """The rims around the markers are 3.5 mm wide: at 76 degrees, less than three pixels."""

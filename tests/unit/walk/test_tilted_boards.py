@@ -12,7 +12,7 @@ from mammometry.geometry import Camera, Transform
 from mammometry.walk.stations import find_boards, stations_of
 from mammometry.walk.tilted_boards import tilted_boards
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.requirement("R-PHOTO-4")]
 ASIDE_DEG = 79.0
 AZIMUTHS_DEG = (-40.0, -25.0, -10.0, 5.0, 20.0, 32.0, 44.0, 54.0, 63.0, 72.0, ASIDE_DEG)
 PX_PER_MM, FINE = 6, 2

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from mammometry.base.photograph import Photograph
+from mammometry.calibration.detection.finders.printed_board import fit_print
 from mammometry.calibration.features.board_map import BoardMap, fit_board_map, search_tolerance_px
 from mammometry.calibration.features.corners import CornerGrid, MarkerArea, refine_corners
 from mammometry.calibration.features.dots import mark_size
@@ -22,7 +23,6 @@ from mammometry.calibration.features.pixels import (
     merged_points,
     reduced,
 )
-from mammometry.calibration.features.printed_board import fit_print
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget, charuco_board
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, UInt8
 

@@ -1,8 +1,8 @@
-"""Measure the corners of a strongly tilted ChArUco board by comparing the photograph with the print, markers included.
+"""Measure the corners of a strongly tilted ChArUco board by comparison with its print.
 
 `features.corners` excludes the markers and their blurred edges. On a board at a flat angle nothing is left of the
-squares then. Here the print is drawn as the photograph should show it, and shifted around each corner until it fits
-(Lucas and Kanade 1981).
+squares then. Here the print, markers included, is drawn as the photograph should show it, and shifted around each
+corner until it fits (Lucas and Kanade 1981).
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from mammometry.calibration.detection.finders.print_kernels import draw_print
 from mammometry.calibration.features.board_map import LENS_TOLERANCE, BoardMap, fit_board_map
 from mammometry.calibration.features.pixels import FoundPoints
-from mammometry.calibration.features.print_kernels import draw_print
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget, printed_cells
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64
 
