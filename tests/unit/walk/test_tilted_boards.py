@@ -15,7 +15,7 @@ from mammometry.walk.tilted_boards import tilted_boards
 pytestmark = [pytest.mark.slow, pytest.mark.requirement("R-PHOTO-4")]
 ASIDE_DEG = 79.0
 AZIMUTHS_DEG = (-40.0, -25.0, -10.0, 5.0, 20.0, 32.0, 44.0, 54.0, 63.0, 72.0, ASIDE_DEG)
-PX_PER_MM, FINE = 6, 2
+PX_PER_MM, MARGIN_MM, FINE = 6, 32.0, 2  # of the printed sheet
 CENTRE = np.array([*BOARD.extent_mm.mean(axis=0), 0.0])
 
 
@@ -41,7 +41,7 @@ def seen(view, plane, origin, across, down):
     from_plane = view.matrix @ (pose.rotation @ sides + np.outer(pose.translation_mm, [0, 0, 1]))
     fine = np.array([[FINE, 0, (FINE - 1) / 2], [0, FINE, (FINE - 1) / 2], [0, 0, 1]])
     size = (SIZE_WH[0] * FINE, SIZE_WH[1] * FINE)
-    return cv2.warpPerspective(plane, fine @ from_plane, size, flags=cv2.INTER_AREA, borderValue=-1.0)
+    return cv2.warpPerspective(plane, fine @ from_plane, size, flags=cv2.INTER_LINEAR, borderValue=-1.0)
 
 
 def shoot(view):
@@ -50,16 +50,17 @@ def shoot(view):
     across, ahead = np.array([np.cos(turn), 0.0, np.sin(turn)]), np.array([-np.sin(turn), 0.0, np.cos(turn)])
     rng = np.random.default_rng(5)
     texture = sum(
-        cv2.resize(rng.uniform(20, 75, (n, n)), (4200, 4200), interpolation=cv2.INTER_CUBIC) for n in (60, 150, 300)
+        cv2.resize(rng.uniform(0.02, 0.1, (n, n)), (4200, 4200), interpolation=cv2.INTER_CUBIC) for n in (60, 150, 300)
     )
     wall = seen(
         view, texture, CENTRE + 300 * ahead - 350 * across - [0.0, 350.0, 0.0], across, np.array([0.0, 1.0, 0.0])
     )
-    paper = printed_sheet().astype(float)
-    board = seen(view, paper, np.array([-12.0, -12.0, 0.0]) + 0.5 / PX_PER_MM, np.eye(3)[0], np.eye(3)[1])
+    paper = np.asarray(printed_sheet(), float)
+    board = seen(view, paper, np.array([-MARGIN_MM, -MARGIN_MM, 0.0]) + 0.5 / PX_PER_MM, np.eye(3)[0], np.eye(3)[1])
     image = cv2.GaussianBlur(np.where(board >= 0, board, wall), (0, 0), FINE * 0.6)
     small = image.reshape(SIZE_WH[1], FINE, SIZE_WH[0], FINE).mean(axis=(1, 3))
-    pixels = np.repeat(np.rint(np.clip(small, 0, 255)).astype(np.uint8)[..., None], 3, axis=2)
+    encoded = 1.055 * np.clip(small, 0.0031308, 1) ** (1 / 2.4) - 0.055
+    pixels = np.repeat(np.rint(255 * encoded).astype(np.uint8)[..., None], 3, axis=2)
     return Photograph(name=view.name, pixels=pixels)
 
 
