@@ -55,14 +55,16 @@ def drop(page: Page, files: Sequence[Path]) -> None:
     page.dispatch_event("[data-drop]", "drop", {"dataTransfer": transfer})
 
 
-def write_prepared(folder: Path, *, left_out: Mapping[str, LeftOut], pictures: int) -> None:
+def write_prepared(
+    folder: Path, *, left_out: Mapping[str, LeftOut], pictures: int, card_scale: float | None = None
+) -> None:
     """A session's folder as the preparation of a walk leaves it, without anything to measure."""
-    folder.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
     numbers = [f"{number:02d}" for number in range(1, pictures + 1)]
     table = {
         "source": "x", "pictures": pictures, "used": [number for number in numbers if number not in left_out],
         "left_out": {number: asdict(why) for number, why in left_out.items()},
         "board_rms_px": 0.05, "board_bow_mm": 0.1, "focal_px": 900.0, "scale_std": 0.01,
-        "point_std_mm": 0.1,
+        "point_std_mm": 0.1, "card_scale": card_scale,
     }  # fmt: skip
     (folder / WALK).write_text(json.dumps(table))

@@ -355,6 +355,8 @@ def test_the_sent_files_are_deleted_when_the_session_is_made_and_the_page_lists_
     assert f"{FEWEST - 1} of {FEWEST}" in page
     assert "02, IMG_0001.HEIC: no board" in page
     assert "264 ± 2.6 mm" in page
+    write_prepared(walk_visit.folder, left_out={}, pictures=FEWEST, card_scale=0.99)
+    assert "264 ± 2.6 mm" not in sender.client.get(reverse("visit", args=[walk_visit.pk])).content.decode()
     for change in (sender.begin(picture(7)), sender.client.delete(reverse("upload", args=[Upload.objects.first().pk]))):  # type: ignore[union-attr]
         assert change.status_code == 409
     sender.client.post(reverse("walk-again", args=[walk_visit.pk]))  # it has a result

@@ -236,6 +236,8 @@ class WalkFacts:
     edge_mm: float | None
     """Measured length of the print's columns, mm. None: not measured."""
     edge_std_mm: float | None
+    is_by_card: bool
+    """Whether a bank card on the board gave the print's size."""
 
 
 def facts_of(visit: Visit) -> WalkFacts | None:
@@ -256,6 +258,7 @@ def facts_of(visit: Visit) -> WalkFacts | None:
         board_bow_mm=prepared.board_bow_mm,
         edge_mm=walk.edge_mm,
         edge_std_mm=walk.edge_std_mm,
+        is_by_card=prepared.card_scale is not None,
     )
 
 
