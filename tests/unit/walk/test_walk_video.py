@@ -42,6 +42,7 @@ def film(tmp_path_factory):
     return write_video(tmp_path_factory.mktemp("film") / "walk.mp4", frames)
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-PHOTO-2")
 def test_sharp_frames_that_are_spread_over_the_walk_are_used(film, tmp_path):
     (tmp_path / "photos").mkdir()
