@@ -24,7 +24,6 @@ from mammometry.walk.inputs import LeftOut, judge_files, require_enough, usual_o
 from mammometry.walk.one_lens import judge_lenses
 from mammometry.walk.sharpness import board_image, judge_images
 from mammometry.walk.stations import FEWEST, Stations, find_boards, stations_of
-from mammometry.walk.tilted_boards import tilted_boards
 
 _STILLS = (*EXTENSIONS, *HEIC_EXTENSIONS)
 _DECODING = 0.5  # share of the time that a video's frames take
@@ -49,21 +48,15 @@ class WalkPictures:
         Raises:
             CalibrationError: too few fit, or they do not determine the positions.
         """
-        observations, out = self.observations, dict(self.left_out)
-        stations = stations_of(observations)
+        stations = stations_of(self.observations)
         odd = judge_lenses(stations.calibration, stations.rig.cameras)
-        if odd:
-            out |= odd
-            good = tuple(board for board in observations.detections if board.pose not in odd)
-            require_enough([board.pose for board in good], out, self.names, FEWEST)
-            # The odd ones have pulled at the common lens: a zoom of 50 % by 0.3 %.
-            observations = replace(observations, detections=good)
-            stations = stations_of(observations)
-        tilted = tilted_boards(observations, stations, self.photographs)
-        if len(tilted.detections) == len(observations.detections):
-            return stations, out
-        found = {board.pose for board in tilted.detections}
-        return stations_of(tilted), {name: why for name, why in out.items() if name not in found}
+        if not odd:
+            return stations, self.left_out
+        out = {**self.left_out, **odd}
+        good = tuple(board for board in self.observations.detections if board.pose not in odd)
+        require_enough([board.pose for board in good], out, self.names, FEWEST)
+        # The odd ones have pulled at the common lens: a zoom of 50 % by 0.3 %.
+        return stations_of(replace(self.observations, detections=good)), out
 
 
 def walk_files(folder: Path) -> dict[str, Path]:

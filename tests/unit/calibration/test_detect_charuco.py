@@ -83,18 +83,6 @@ def test_very_oblique_views_lose_corners_but_invent_none(degrees):
         assert np.median(whitened) < 8
 
 
-@pytest.mark.requirement("R-PHOTO-4")
-@pytest.mark.parametrize("turn_deg", [(0.0, 76.0, 10.0), pytest.param((-77.0, 0.0, 5.0), marks=pytest.mark.slow)])
-def test_nearly_all_corners_of_a_strongly_tilted_board_are_found(turn_deg):
-    """The rims around the markers are 3.5 mm wide: at 76 degrees, less than three pixels."""
-    view = camera(turn_deg=turn_deg, size_wh=(900, 700), focal_px=1500.0)
-    found = find(shoot(view, sigma_px=0.8))
-    assert len(found.ids) > 0.9 * len(BOARD.points_target)
-    error = found.uv - board_in_view(view)[found.ids]
-    assert np.sqrt(np.square(error).mean()) < 0.1
-    assert np.abs(error).max() < 0.3
-
-
 @pytest.mark.slow
 def test_covariance_matches_the_scatter_under_noise(straight, monkeypatch):
     view, _, light = straight

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -87,20 +87,6 @@ class FoundPoints:
     """Covariance of each point's `uv` by the fit alone, px²."""
     inverse: bool = False
     """Whether they were found in the inverted photograph: the target is printed white on black."""
-
-
-def merged_points(one: FoundPoints | None, other: FoundPoints | None) -> FoundPoints | None:
-    """Different points of the same photograph."""
-    if one is None or other is None:
-        return one or other
-    ids = np.concatenate([one.ids, other.ids])
-    order = np.argsort(ids)
-    return replace(
-        one,
-        ids=ids[order],
-        uv=np.concatenate([one.uv, other.uv])[order],
-        covariance_px2=np.concatenate([one.covariance_px2, other.covariance_px2])[order],
-    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,7 +31,7 @@ def _pose_inputs(job: Context) -> dict[str, str]:
 
 @product_of_each(
     "calibrate",
-    version=10,
+    version=9,
     name="observations/{item}",
     settings="calibration.detect",
     inputs=_pose_inputs,
@@ -51,7 +51,7 @@ def _lens_inputs(job: Context) -> dict[str, str]:
 
 @product_of_each(
     "calibrate",
-    version=10,
+    version=9,
     name="observations/intrinsics-{item}",
     settings="calibration.detect",
     inputs=_lens_inputs,

@@ -10,19 +10,10 @@ import cv2
 import numpy as np
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.detection.finders.printed_board import fit_print
 from mammometry.calibration.features.board_map import BoardMap, fit_board_map, search_tolerance_px
 from mammometry.calibration.features.corners import CornerGrid, MarkerArea, refine_corners
 from mammometry.calibration.features.dots import mark_size
-from mammometry.calibration.features.pixels import (
-    Cause,
-    FoundPoints,
-    enlarge,
-    grey_bytes,
-    linear_luma,
-    merged_points,
-    reduced,
-)
+from mammometry.calibration.features.pixels import Cause, FoundPoints, enlarge, grey_bytes, linear_luma, reduced
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget, charuco_board
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, UInt8
 
@@ -114,17 +105,6 @@ _NEARLY_ALL = 0.95
 """Share of the markers inside the image that one threshold must find."""
 _FEWEST_MARKERS = 8
 """Fewest markers for testing whether all were found."""
-_LARGER = 2
-"""Width of the images of the second search, widths of the first one."""
-_STRETCHES = np.array([[1.0, 1.0], [2.0, 1.0], [1.0, 2.0]])
-"""Factors of width and height in the second search: markers that are narrower than a third of their height are not
-recognised."""
-_NARROW_RIM_PX = 2.0
-"""Width of the rim between a marker's blurred edge and the square's edge, px, below which a corner fit has too few
-pixels."""
-_FEWEST_TILTED, _LACKING = 4, 0.5
-"""Corners in narrow squares, and their ratio to the measured ones, up to which no comparison with the print is made: it
-takes as long as all other measurements."""
 _RATIO_OFF = 0.05
 """Largest relative difference of markers from their stated size: printers and rulers err by at most 2 %."""
 
@@ -146,10 +126,12 @@ def find_charuco(target: CharucoTarget, photograph: Photograph, search_width_px:
     Raises:
         SessionError: unknown dictionary.
     """
-    seen = _search(grey_bytes(photograph), charuco_board(target), search_width_px)
+    small, scale = reduced(grey_bytes(photograph), search_width_px)
+    seen = _search(small, charuco_board(target))
     if seen is None:
         return None
-    board_mm, uv, markers, scale = seen
+    board_mm, corners, markers = seen
+    uv = enlarge(corners, scale)
     tolerance_px = search_tolerance_px(photograph.size_wh, scale)
     found = fit_board_map(board_mm, uv, tolerance_px=tolerance_px)
     if found is None:
@@ -162,7 +144,7 @@ def find_charuco(target: CharucoTarget, photograph: Photograph, search_width_px:
     markers_mm = board_mm[:markers].reshape(-1, 4, 2).mean(axis=1)
     if cause := _about_marker_size(linear, board_map, markers_mm, target):
         return cause
-    measured = refine_corners(
+    return refine_corners(
         linear,
         board_map,
         board_mm[used],
@@ -173,46 +155,19 @@ def find_charuco(target: CharucoTarget, photograph: Photograph, search_width_px:
         ),
         blank=MarkerArea(square_mm=target.square_mm, marker_mm=target.marker_mm, rim_px=_BLUR_MARGIN_PX),
     )
-    tilted = _tilted_corners(board_map, target, measured, linear.shape)
-    count = 0 if measured is None else len(measured.ids)
-    if len(tilted) <= max(_LACKING * count, _FEWEST_TILTED):
-        return measured
-    return merged_points(measured, fit_print(linear, board_map, target, tilted))
-
-
-def _tilted_corners(
-    board_map: BoardMap, target: CharucoTarget, measured: FoundPoints | None, shape_hw: tuple[int, ...]
-) -> Int64[Array, " k"]:
-    """Ids of the corners inside the image that are not measured because their squares are too narrow."""
-    corners_mm = target.points_target[:, :2]
-    uv = board_map.image(corners_mm)
-    inside = ((uv > 2.0) & (uv < np.array(shape_hw[::-1]) - 3.0)).all(axis=1)
-    narrowest = np.linalg.svd(board_map.jacobian(corners_mm), compute_uv=False)[:, 1]
-    narrow = narrowest * (target.square_mm - target.marker_mm) / 2 < _BLUR_MARGIN_PX + _NARROW_RIM_PX
-    ids = np.flatnonzero(inside & narrow)
-    return ids if measured is None else np.setdiff1d(ids, measured.ids)
 
 
 def _search(
-    grey: UInt8[Array, "h w"], board: cv2.aruco.CharucoBoard, search_width_px: int
-) -> tuple[Float64[Array, "n 2"], Float64[Array, "n 2"], int, Float64[Array, 2]] | None:
-    """Points of the board, mm, in the image, px, the number of marker corners, which come first, and the scale.
+    small: UInt8[Array, "h w"], board: cv2.aruco.CharucoBoard
+) -> tuple[Float64[Array, "n 2"], Float64[Array, "n 2"], int] | None:
+    """Points of the board, mm, in the reduced image, px, and the number of marker corners, which come first.
 
     One threshold finds nearly all markers of an evenly lit image in half the time. If markers are missing, the other
-    thresholds are used too, and then larger images, in which narrow markers of a tilted board are stretched.
+    thresholds are used too.
     """
-    small, scale = reduced(grey, search_width_px)
-    best = _detected(small, board, _ONE_THRESHOLD)
-    if not _is_complete(best[2], best[3], board, small.shape):
-        best = _detected(small, board, cv2.aruco.DetectorParameters())
-        if not _is_complete(best[2], best[3], board, small.shape):
-            large, large_scale = reduced(grey, _LARGER * search_width_px)
-            for stretch in _STRETCHES if scale.max() > 1 else _STRETCHES[1:]:
-                image = cv2.resize(large, None, fx=stretch[0], fy=stretch[1], interpolation=cv2.INTER_CUBIC)
-                found = _detected(np.asarray(image, dtype=np.uint8), board, cv2.aruco.DetectorParameters())
-                if len(found[2]) > len(best[2]):
-                    best, scale = found, large_scale / stretch
-    corners, ids, markers, marker_ids = best
+    corners, ids, markers, marker_ids = _detected(small, board, _ONE_THRESHOLD)
+    if not _is_complete(markers, marker_ids, board, small.shape):
+        corners, ids, markers, marker_ids = _detected(small, board, cv2.aruco.DetectorParameters())
     if marker_ids is None or len(marker_ids) == 0:
         return None
     first_id = {int(number): place for place, number in enumerate(np.ravel(board.getIds()))}
@@ -228,7 +183,7 @@ def _search(
     if ids is not None and len(ids):
         board_mm.append(np.asarray(board.getChessboardCorners(), np.float64)[np.ravel(ids), :2])
         uv.append(np.asarray(corners, np.float64).reshape(-1, 2))
-    return np.concatenate(board_mm), enlarge(np.concatenate(uv), scale), 4 * len(known), scale
+    return np.concatenate(board_mm), np.concatenate(uv), 4 * len(known)
 
 
 def _detected(
