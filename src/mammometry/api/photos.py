@@ -189,6 +189,20 @@ def read_board(folder: Path) -> Target:
         ) from None
 
 
+def board_pdf(page: str = "A4") -> bytes:
+    """PDF at true scale of the telephone's board, with its field for a bank card.
+
+    Args:
+        page: as of `target_pdf`.
+
+    Raises:
+        SessionError: the board does not fit the page.
+    """
+    from mammometry.calibration.targets.pdf import target_pdf
+
+    return target_pdf(target_from_table(TELEPHONE_BOARD), page=page, card_field=True)
+
+
 def _seeing(rig: Rig, region: Region) -> Rig:
     """The cameras that see the body's region."""
     cameras = {name: camera for name, camera in rig.cameras.items() if region.mask(camera).any()}

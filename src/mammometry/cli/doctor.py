@@ -1,4 +1,4 @@
-"""What is installed on this machine, and what each job needs: `mammometry doctor` and `--version`."""
+"""`mammometry doctor` and `--version`: what is installed here, and what is missing for each job."""
 
 from __future__ import annotations
 

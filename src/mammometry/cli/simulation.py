@@ -348,6 +348,7 @@ def target(
     ] = False,
 ) -> Answer:
     """Draw a calibration board as a PDF to print at true scale. Check the ruler on the print."""
+    from mammometry.api.photos import board_pdf
     from mammometry.calibration.targets.pdf import speckle_pdf, target_pdf
     from mammometry.calibration.targets.table import target_from_table
     from mammometry.io.outputs import require_apart, require_free, write_output
@@ -369,7 +370,7 @@ def target(
     if telephone:
         if session is not None:
             raise typer.BadParameter("--telephone draws one board for all patients: leave out --session")
-        table, page = dict(TELEPHONE_BOARD), "A4"
+        table = dict(TELEPHONE_BOARD)
     if session is not None:
         # Drawn in its nominal size: the measured size is that of an earlier print.
         measured = ("edge_mm", "edge_std_mm", "flatness_mm")
@@ -377,7 +378,8 @@ def target(
         require_apart(out, opened_session.brought)
         described = opened_session.manifest.target or {}
         table = {key: value for key, value in described.items() if key not in measured}
-    write_output(out, target_pdf(target_from_table(table), page=page, card_field=telephone), command="target")
+    content = board_pdf() if telephone else target_pdf(target_from_table(table), page=page)
+    write_output(out, content, command="target")
     lines = [f"{name} = {json_module.dumps(value)}" for name, value in table.items()]
     described_in = "board.toml beside the photographs" if telephone else "session.toml"
     return Answer(

@@ -44,7 +44,7 @@ class Walk:
 
     @property
     def errors(self) -> tuple[float, ...]:
-        """Its uncertainties, and the card's size if there is one, for keys of products."""
+        """Values of a walk that change intervals: its uncertainties and the card's size."""
         card = () if self.card_scale is None else (self.card_scale,)
         return (self.scale_std, self.point_std_mm, *card)
 

@@ -40,9 +40,8 @@ _ROUND_MM = 6.0  # left out at each corner, which is rounded by 3.18 mm (ISO/IEC
 _ALONG_MM, _BESIDE = 0.5, 1  # step of the profiles along an edge, and how many are left out beside another print
 _CHUNK_MM = 5.0  # of an edge whose mean profile gives one place
 _PLATEAU_MM = (0.7, 1.6)  # from the edge: where card and paper have their own brightness
-_LEAST_STEP = (
-    0.3  # of brightness at an edge, relative to white paper: at weaker ones shadows displace the edge by 0.4 mm
-)
+_LEAST_STEP = 0.3
+"""Least step of brightness at an edge, relative to white paper. At weaker ones shadows displace the edge by 0.4 mm."""
 _MOST_OFF_MM = 1.2  # of an edge from its place in the last round: 1.4 % of the card's width on either side
 _PRINT_SEEN = 0.5  # correlation of a picture with the print beyond which nothing lies on it
 _WALL, _OBLIQUE = 0.03, 0.8  # tangent of the direction outwards: beyond it the side wall is seen; most inwards

@@ -79,26 +79,6 @@ class Stations:
         return float(np.ptp(moved[:, 2]))
 
 
-def find_stations(
-    photographs: Mapping[str, Photograph],
-    target: Target,
-    settings: CalibrateSettings = CalibrateSettings(),
-    progress: Progress = no_progress,
-) -> Stations:
-    """Find the board in each photograph, and calibrate the telephone's lens and poses.
-
-    Args:
-        photographs: name → photograph, all of one size.
-        target: the board.
-        settings: settings of the adjustment.
-        progress: of the search for the board.
-
-    Raises:
-        CalibrationError: too few photographs show the board, they do not determine the lens, or the board is bent.
-    """
-    return stations_of(find_boards(photographs, target, progress), settings)
-
-
 def find_boards(
     photographs: Mapping[str, Photograph], target: Target, progress: Progress = no_progress
 ) -> Observations:

@@ -87,7 +87,7 @@ def visits(clinic: ClinicConfig) -> list[Visit]:
 
 
 def open_pairs() -> set[tuple[int, int]]:
-    found = Job.objects.filter(kind="compare", state__in=queue.OPEN).select_related("comparison")
+    found = Job.objects.filter(kind="compare", state__in=Job.OPEN).select_related("comparison")
     days = {visit.pk: (visit.taken_at - NOON).days for visit in Visit.objects.all()}
     return {(days[job.comparison.before_id], days[job.comparison.after_id]) for job in found if job.comparison}
 

@@ -190,7 +190,7 @@ def test_a_drawing_whose_measurement_did_not_end_stays_changed(measured: Visit, 
         queue.cancel(job)
     measured.refresh_from_db()
     assert measured.state == Visit.State.CHANGED
-    assert Job.objects.filter(state__in=queue.OPEN).count() == 0
+    assert Job.objects.filter(state__in=Job.OPEN).count() == 0
     measure(measured, digest="e")
     assert measured.state == Visit.State.MEASURED
 
@@ -278,7 +278,7 @@ def test_what_cannot_be_measured_now_stays_changed(
 ) -> None:
     answer = save(client_of(Role.CLINICIAN), measured).json()  # the rig has no calibration
     assert answer["visit"]["state"] == "changed"
-    assert not Job.objects.filter(state__in=queue.OPEN).exists()
+    assert not Job.objects.filter(state__in=Job.OPEN).exists()
 
 
 def test_saving_what_stands_there_already_changes_nothing(

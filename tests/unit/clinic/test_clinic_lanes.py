@@ -154,7 +154,7 @@ def test_one_backup_or_restore_test_at_a_time_and_one_delivery_besides(
     thread = threading.Thread(target=lambda: (one.run(), connection.close()))
     thread.start()
     until = time.monotonic() + 30
-    while Job.objects.filter(state__in=queue.OPEN).exists() and time.monotonic() < until:
+    while Job.objects.filter(state__in=Job.OPEN).exists() and time.monotonic() < until:
         time.sleep(0.05)
     one.stop()
     thread.join()

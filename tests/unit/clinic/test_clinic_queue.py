@@ -99,7 +99,7 @@ def test_the_database_refuses_a_second_open_job(about):
     check = DailyCheck.objects.create(rig=visit.rig, taken_at=timezone.now())
     target = {"visit": visit, "calibration": visit.calibration, "check_of_day": check}[about]
     job = queue.enqueue(target, None)
-    for state in queue.OPEN:
+    for state in Job.OPEN:
         Job.objects.filter(pk=job.pk).update(state=state)
         with pytest.raises(IntegrityError), transaction.atomic():
             Job.objects.create(**{about: target}, kind=job.kind)

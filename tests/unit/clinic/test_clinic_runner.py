@@ -51,7 +51,7 @@ def test_two_runners_do_each_job_once(shared_database, clinic, monkeypatch):
         thread.start()
     try:
         until = time.monotonic() + 240
-        while Job.objects.filter(state__in=queue.OPEN).count() > 1 and time.monotonic() < until:
+        while Job.objects.filter(state__in=Job.OPEN).count() > 1 and time.monotonic() < until:
             time.sleep(0.2)
         jobs[0].refresh_from_db()
         assert (jobs[0].state, jobs[0].stage) == ("running", "match")

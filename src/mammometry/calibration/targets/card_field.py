@@ -26,7 +26,7 @@ _BARS = ((30.0, 181.0, 20.0, 10.0), (68.0, 181.0, 20.0, 10.0))
 
 
 def field_sheet(scale: float = 1.0) -> PrintedSheet:
-    """What is printed below the squares for the card's lower edge.
+    """Outline of the card's field, and the bars below the squares for its lower edge.
 
     Args:
         scale: size of the print relative to the drawing.

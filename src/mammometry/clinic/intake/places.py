@@ -10,7 +10,6 @@ from mammometry.clinic.models import Calibration, DailyCheck, Job, Rig, Upload, 
 from mammometry.clinic.site import the_clinic
 
 Target = Visit | Calibration | DailyCheck
-_OPEN = (Job.State.QUEUED, Job.State.RUNNING)
 _POSE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
 
 
@@ -36,7 +35,7 @@ def require_open(target: Target) -> None:
     Raises:
         UploadError: a job of it is open.
     """
-    if Job.objects.filter(**{field_of(target): target}, state__in=_OPEN).exists():
+    if Job.objects.filter(**{field_of(target): target}, state__in=Job.OPEN).exists():
         raise UploadError("This is being measured. Wait until it is done, or cancel it first.")
 
 

@@ -43,7 +43,6 @@ from mammometry.clinic.intake.places import (
     uploads_of,
 )
 from mammometry.clinic.intake.reassign import reassign
-from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Upload, Visit
 from mammometry.clinic.site import the_clinic
 from mammometry.io.write import disk_errors, file_digest, sync_folder
@@ -296,7 +295,7 @@ def state_of(target: Target) -> dict[str, Any]:
         "set_aside": [
             table_of(upload) for upload in uploads_of(target).filter(state=Upload.State.SET_ASIDE).order_by("camera")
         ],
-        "busy": Job.objects.filter(**{field_of(target): target}, state__in=queue.OPEN).exists(),
+        "busy": Job.objects.filter(**{field_of(target): target}, state__in=Job.OPEN).exists(),
     }
     if isinstance(target, Calibration):
         poses = sorted({pose for pose, _ in newest})

@@ -216,8 +216,8 @@ def erase(visit: Visit) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LeftOut:
-    """A photograph that is not used."""
+class UnusedPhotograph:
+    """A photograph that is not used, for its page."""
 
     name: str
     """Its number, and its file's name if a camera gave it."""
@@ -230,7 +230,7 @@ class WalkFacts:
 
     pictures: int
     used: int
-    left_out: Sequence[LeftOut]
+    left_out: Sequence[UnusedPhotograph]
     board_rms_px: float
     board_bow_mm: float
     edge_mm: float | None
@@ -251,7 +251,7 @@ def facts_of(visit: Visit) -> WalkFacts | None:
         pictures=prepared.pictures,
         used=len(prepared.used),
         left_out=[
-            LeftOut(name=", ".join(filter(None, [number, files.get(number)])), reason=_of_board(str(reason)))
+            UnusedPhotograph(name=", ".join(filter(None, [number, files.get(number)])), reason=_of_board(str(reason)))
             for number, reason in sorted(prepared.left_out.items())
         ],
         board_rms_px=prepared.board_rms_px,

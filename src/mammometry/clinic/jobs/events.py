@@ -42,7 +42,7 @@ def table_of(job: Job, place: int | None = None) -> dict[str, Any]:
         "place": place,
         "attempt": job.attempt,
         "stage": job.stage,
-        "stage_words": queue.stage_words(job.stage) if job.state in queue.OPEN else "",
+        "stage_words": queue.stage_words(job.stage) if job.state in Job.OPEN else "",
         "fraction": round(job.fraction, 3),
         "message": job.message,
         "created": job.created.isoformat(),
@@ -63,7 +63,7 @@ def newest() -> dict[str, dict[str, Any]]:
     since = timezone.now() - timedelta(seconds=_ENDED_S)
     jobs = (
         queue.computations()
-        .filter(Q(state__in=queue.OPEN) | Q(ended__gt=since))
+        .filter(Q(state__in=Job.OPEN) | Q(ended__gt=since))
         .select_related("visit__patient", "comparison__after__patient", "calibration", "check_of_day")
         .order_by("created", "pk")
     )
@@ -143,7 +143,7 @@ async def stream(about: Mapping[str, str], *, visits: bool = True) -> AsyncItera
             number += 1
             yield f"id: {number}\nevent: job\ndata: {json.dumps(job)}\n\n".encode()
         sent = mine
-        if about and all(job["state"] not in queue.OPEN for job in mine.values()):
+        if about and all(job["state"] not in Job.OPEN for job in mine.values()):
             yield b"event: end\ndata: {}\n\n"
             return
         if not news:

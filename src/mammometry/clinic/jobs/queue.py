@@ -32,7 +32,6 @@ LEASE_S = 45.0
 """Without a renewal for this long, a runner is considered dead. It renews every third of it."""
 _GAVE_UP_DAYS = 30  # an administrator is shown jobs that gave up so recently
 _STOPPED_S = 10.0  # time for stopping a cancelled job's process
-OPEN = (Job.State.QUEUED, Job.State.RUNNING)
 _KINDS: Mapping[type, tuple[str, str]] = {
     Visit: (Job.Kind.MEASURE, "visit"),
     Calibration: (Job.Kind.CALIBRATE, "calibration"),
@@ -116,7 +115,7 @@ def enqueue(target: Target | Delivery, by: Person | None) -> Job:
     """
     kind, field = _KINDS[type(target)]
     about: dict[str, Any] = {field: target}
-    open_one = Job.objects.filter(**about, state__in=OPEN).first()
+    open_one = Job.objects.filter(**about, state__in=Job.OPEN).first()
     if open_one is not None:
         return open_one
     if isinstance(target, Visit):
@@ -128,7 +127,7 @@ def enqueue(target: Target | Delivery, by: Person | None) -> Job:
             job = Job.objects.create(**about, kind=kind, created_by=by)
             results.queued(target)
     except IntegrityError:  # queued by somebody else at the same time
-        return Job.objects.get(**about, state__in=OPEN)
+        return Job.objects.get(**about, state__in=Job.OPEN)
     return job
 
 
@@ -143,7 +142,7 @@ def enqueue_upkeep(kind: Job.Kind, by: Person | None, *, once: str = "") -> None
     key = uuid5(NAMESPACE_OID, once) if once else uuid4()
     if not once:
         Job.objects.filter(kind=kind, state=Job.State.QUEUED, due__gt=timezone.now()).update(due=timezone.now())
-    if Job.objects.filter(Q(pk=key) | Q(kind=kind, state__in=OPEN)).exists():
+    if Job.objects.filter(Q(pk=key) | Q(kind=kind, state__in=Job.OPEN)).exists():
         return
     with suppress(IntegrityError), transaction.atomic():  # another process queued it at this moment
         Job.objects.create(pk=key, kind=kind, created_by=by)
@@ -177,7 +176,7 @@ def retry(job: Job, by: Person | None) -> Job:
 def cancel(job: Job) -> bool:
     """Remove a job from the queue, or stop it. Returns whether it was still open."""
     with transaction.atomic():
-        done = Job.objects.filter(pk=job.pk, state__in=OPEN).update(state=Job.State.CANCELLED, ended=timezone.now())
+        done = Job.objects.filter(pk=job.pk, state__in=Job.OPEN).update(state=Job.State.CANCELLED, ended=timezone.now())
         if done:
             results.cancelled(target_of(job))
     job.refresh_from_db()

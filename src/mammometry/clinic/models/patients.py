@@ -209,7 +209,7 @@ class Visit(Keyed):
         LYING = "lying", "Lying"
 
     class Subject(models.TextChoices):
-        """What is photographed."""
+        """Whether a patient or a model is photographed."""
 
         TORSO = "torso"
         MODEL = "model"

@@ -60,6 +60,9 @@ class Job(Keyed):
         FAILED = "failed"
         CANCELLED = "cancelled"
 
+    OPEN = (State.QUEUED, State.RUNNING)
+    """States of a job that has not ended."""
+
     visit = models.ForeignKey(Visit, null=True, on_delete=models.CASCADE, related_name="jobs")
     calibration = models.ForeignKey(Calibration, null=True, on_delete=models.CASCADE, related_name="jobs")
     check_of_day = models.ForeignKey(DailyCheck, null=True, on_delete=models.CASCADE, related_name="jobs")

@@ -68,9 +68,6 @@ def next_to_confirm(after: Visit) -> Visit | None:
     return waiting.exclude(pk=after.pk).order_by("taken_at").first()
 
 
-_OPEN = (Job.State.QUEUED, Job.State.RUNNING)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NextStep:
     """The next step, and the button that does it."""
@@ -93,7 +90,7 @@ def next_step(visit: Visit, job: Job | None, measurement: Measurement | None, pe
         measurement: its newest.
         person: viewing the page.
     """
-    if job is not None and job.state in _OPEN:
+    if job is not None and job.state in Job.OPEN:
         return None
     if job is not None and job.state in (Job.State.FAILED, Job.State.CANCELLED):
         return None  # the page has the reason and a button to retry

@@ -281,7 +281,7 @@ def _set(row: Model | None, **values: Any) -> None:
 
 
 def _require_idle(visit: Visit) -> None:
-    if Job.objects.filter(visit=visit, state__in=queue.OPEN).exists():
+    if Job.objects.filter(visit=visit, state__in=Job.OPEN).exists():
         raise CorrectionError("This visit is being measured. Wait until it is done, or cancel it first.")
 
 

@@ -43,7 +43,7 @@ def many(request: HttpRequest) -> HttpResponseBase:
         .order_by("-created")
     )
     if request.GET.get("state") == "open":
-        rows = rows.filter(state__in=queue.OPEN)
+        rows = rows.filter(state__in=Job.OPEN)
     waiting = queue.computations().filter(state=Job.State.QUEUED).count()
     running = queue.computations().filter(state=Job.State.RUNNING).count()
     return JsonResponse({"jobs": events.tables(list(rows[:_MOST])), "queued": waiting, "running": running})
@@ -68,7 +68,7 @@ def cancel(request: HttpRequest, job: UUID) -> HttpResponseBase:
 def retry(request: HttpRequest, job: UUID) -> HttpResponseBase:
     """Queue a job's computation again."""
     row = _find(request, job)
-    if row.state in queue.OPEN:
+    if row.state in Job.OPEN:
         raise Refused("This has not ended yet.")
     return _queued(request, queue.target_of(row), anyway=True)
 

@@ -119,7 +119,7 @@ def scene(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 def draw(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     """The page for drawing boundaries and landmarks. Not available while a visit is measured."""
     shown = visit_or_404(visit)
-    if shown.jobs.filter(state__in=queue.OPEN).exists() or not shown.measurements.exists():
+    if shown.jobs.filter(state__in=Job.OPEN).exists() or not shown.measurements.exists():
         busy = shown.state == Visit.State.QUEUED
         messages.info(
             request, "This visit is being measured. Its boundaries are shown afterwards."

@@ -19,7 +19,7 @@ from mammometry.clinic.intake.photographs import screen_picture
 from mammometry.clinic.intake.places import UploadError
 from mammometry.clinic.intake.reassign import exchange_of_check, put_check_right
 from mammometry.clinic.jobs import queue
-from mammometry.clinic.models import Calibration, DailyCheck, Rig
+from mammometry.clinic.models import Calibration, DailyCheck, Job, Rig
 from mammometry.clinic.rig_form import RigForm, board_of, board_svg, is_measured
 from mammometry.clinic.rig_history import drift_rows
 from mammometry.clinic.rig_history import today as verdict_of
@@ -185,7 +185,7 @@ def check(request: HttpRequest, check: uuid.UUID) -> HttpResponse:
 def check_put_right(request: HttpRequest, check: uuid.UUID) -> HttpResponse:
     """Correct the exchanged photographs of a check, and evaluate it again."""
     shown = get_object_or_404(DailyCheck.objects.select_related("rig", "calibration"), pk=check)
-    if request.method == "POST" and shown.jobs.filter(state__in=queue.OPEN).exists():
+    if request.method == "POST" and shown.jobs.filter(state__in=Job.OPEN).exists():
         messages.error(request, "This is being evaluated. Wait until it is done.")
     elif request.method == "POST":
         try:

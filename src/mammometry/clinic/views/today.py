@@ -11,7 +11,7 @@ from django.urls import reverse
 from django.utils import timezone
 
 from mammometry.clinic.jobs import queue
-from mammometry.clinic.models import Calibration, Patient, Person, Rig, Visit
+from mammometry.clinic.models import Calibration, Job, Patient, Person, Rig, Visit
 from mammometry.clinic.records.results import latest
 from mammometry.clinic.rig_history import today as verdict_of
 from mammometry.clinic.roles import ADMINISTRATOR, CARE, RIGS, Role
@@ -115,7 +115,7 @@ def today(request: HttpRequest) -> HttpResponse:
     to_confirm = list(unconfirmed.order_by("taken_at")[:_MANY])
     request.shown = [visit.id for visit in (*visits, *unfinished, *to_confirm)]  # type: ignore[attr-defined]
     rigs = [(rig, verdict_of(rig)) for rig in Rig.objects.filter(active=True)]
-    jobs = queue.computations().filter(state__in=queue.OPEN).count()
+    jobs = queue.computations().filter(state__in=Job.OPEN).count()
     context = {
         "now": now,
         "first_day": first_day_of(person),

@@ -24,7 +24,7 @@ from mammometry.clinic.intake.photographs import fired_files, small_picture, thu
 from mammometry.clinic.intake.places import require_open, rig_of
 from mammometry.clinic.intake.walks import facts_of, is_prepared
 from mammometry.clinic.jobs import queue
-from mammometry.clinic.models import Calibration, Conclusion, Person, Scan, Upload, Visit, Walk
+from mammometry.clinic.models import Calibration, Conclusion, Job, Person, Scan, Upload, Visit, Walk
 from mammometry.clinic.records.clinical import pictures_caution
 from mammometry.clinic.records.confirmations import CHANGED_SENTENCE, next_step
 from mammometry.clinic.records.operations import phase_of
@@ -44,8 +44,6 @@ from mammometry.clinic.views.responses import Refused, json_view, person_of, vis
 from mammometry.clinic.walk_forms import BoardForm, print_words
 from mammometry.io.photographs.images import FORMATS
 from mammometry.report.words.anthropometry import length_table
-
-OPEN = ("queued", "running")
 
 
 def visit_new(request: HttpRequest) -> HttpResponse:
@@ -85,7 +83,7 @@ def visit_page(
     shown = visit_or_404(visit)
     job = shown.jobs.order_by("-created").first()
     measurement = shown.measurements.prefetch_related("volumes").first()
-    busy = job is not None and job.state in OPEN
+    busy = job is not None and job.state in Job.OPEN
     person = person_of(request)
     failed = job if job is not None and job.state in ("failed", "cancelled") and not busy else None
     if failed is not None and shown.is_walk and not shown.uploads.filter(created__lte=failed.created).exists():
@@ -189,8 +187,8 @@ def jobs(request: HttpRequest) -> HttpResponse:
         "visit__patient", "comparison__before", "comparison__after__patient", "calibration__rig", "check_of_day__rig"
     )
     context = {
-        "open": list(all_jobs.filter(state__in=OPEN).order_by("created")),
-        "ended": list(all_jobs.exclude(state__in=OPEN).order_by("-ended", "-created")[:50]),
+        "open": list(all_jobs.filter(state__in=Job.OPEN).order_by("created")),
+        "ended": list(all_jobs.exclude(state__in=Job.OPEN).order_by("-ended", "-created")[:50]),
     }
     return render(request, "clinic/jobs.html", context)
 

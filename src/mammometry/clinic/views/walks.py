@@ -8,7 +8,7 @@ from django.http import HttpRequest, HttpResponse
 from django.shortcuts import get_object_or_404, redirect, render
 from django.utils import timezone
 
-from mammometry.calibration.targets.table import target_from_table
+from mammometry.api.photos import board_pdf
 from mammometry.clinic.intake import walks
 from mammometry.clinic.intake.places import UploadError, require_open
 from mammometry.clinic.models import Visit, Walk
@@ -16,7 +16,6 @@ from mammometry.clinic.views.patients import chosen_patient, is_part, search_con
 from mammometry.clinic.views.responses import person_of
 from mammometry.clinic.views.visits import visit_page
 from mammometry.clinic.walk_forms import BoardForm, WalkForm, print_words
-from mammometry.walk.region import TELEPHONE_BOARD
 
 
 def walk_new(request: HttpRequest) -> HttpResponse:
@@ -40,11 +39,8 @@ def walk_new(request: HttpRequest) -> HttpResponse:
 
 def walk_target(request: HttpRequest) -> HttpResponse:
     """The printed board as a PDF at true scale."""
-    from mammometry.calibration.targets.pdf import target_pdf
-
-    content = target_pdf(target_from_table(TELEPHONE_BOARD), page="A4")
     headers = {"Content-Disposition": 'inline; filename="board-telephone.pdf"'}
-    return HttpResponse(content, content_type="application/pdf", headers=headers)
+    return HttpResponse(board_pdf(), content_type="application/pdf", headers=headers)
 
 
 def walk_board(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:

@@ -30,13 +30,8 @@ from mammometry.io.photographs.tags import EXIF_IFD, camera_model
 from mammometry.walk.inputs import Mode, PictureFacts
 
 _ORIENTATION = 274  # TIFF 6.0, section 8; also of the EXIF data of a HEIC
-_EXPOSURE_S, _CUSTOM_RENDERED, _ZOOM, _FOCAL_MM, _FOCAL_35 = (
-    0x829A,
-    0xA401,
-    0xA404,
-    0x920A,
-    0xA405,
-)  # EXIF 2.32, table 8
+_EXPOSURE_S, _CUSTOM_RENDERED, _ZOOM = 0x829A, 0xA401, 0xA404  # EXIF 2.32, table 8
+_FOCAL_MM, _FOCAL_35 = 0x920A, 0xA405
 _MODES: dict[int, Mode] = {6: "panorama", 7: "portrait", 8: "portrait"}
 """Apple's values of CustomRendered (exiftool.org/TagNames/EXIF.html). Its values 2 to 4 (HDR) are ordinary."""
 _PANORAMA_MARK = b"GPano:"  # namespace of panoramas in XMP (developers.google.com/streetview/spherical-metadata)
