@@ -91,15 +91,18 @@ def require_enough(left: Collection[str], out: Mapping[str, LeftOut], names: Map
     """
     if len(left) >= fewest:
         return
-    kinds = Counter(why.code for why in out.values())
-    most = next((code for code, _ in kinds.most_common(1)), None)
-    name, why = next(((name, why) for name, why in out.items() if why.code == most), (None, None))
-    example = "" if name is None else f" ({names[name]}: {why.found})" if why is not None else ""
+    example, expected, remedy = "", f"at least {fewest}", "Take 20 to 30 photographs of the walk"
+    if out:
+        usual = _usual([why.code for why in out.values()])
+        name, why = next((name, why) for name, why in out.items() if why.code == usual)
+        example = f" ({names[name]}: {why.found})"
+        expected += f"; {why.expected}" if why.expected else ""
+        remedy = why.remedy or "Keep the whole board in the picture, in focus"
     error = CalibrationError(
         "the photographs",
         found=f"{len(left)} usable of {len(left) + len(out)}{example}",
-        expected=f"at least {fewest}" + (f"; {why.expected}" if why is not None and why.expected else ""),
-        remedy=(why.remedy if why is not None else "") or "Keep the whole board in the picture, in focus",
+        expected=expected,
+        remedy=remedy,
     )
     error.details = tuple(f"{names[number]}: {reason}" for number, reason in out.items())
     raise error
