@@ -251,6 +251,7 @@ def test_a_renderer_and_a_subject_make_a_session(run: Callable[[str], dict[str, 
     assert np.ptp(np.percentile(red[lit], [10, 90])) < 30  # evenly painted
 
 
+@pytest.mark.slow
 def test_a_figure_is_drawn_with_those_of_its_stage(run: Callable[[str], dict[str, Any]]) -> None:
     run("A figure")
     measurements = [synthetic.measurement("left", interval_cc=(440.0, 460.0)), synthetic.measurement("right")]

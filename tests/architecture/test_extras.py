@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 _EXTRAS = (
     *("django", "uvicorn", "asgiref", "distributed", "dask", "bokeh", "pyarrow", "fsspec", "s3fs", "sshfs"),
     *("allauth", "argon2", "axes", "auditlog", "whitenoise", "psycopg", "pydicom", "pynetdicom", "highdicom", "fhir"),
@@ -44,6 +46,7 @@ def without_extras(code: str) -> "subprocess.CompletedProcess[str]":
     )
 
 
+@pytest.mark.slow
 def test_what_measures_and_reports_imports_no_extra() -> None:
     done = without_extras(_IMPORT_ALL)
     assert done.returncode == 0, done.stderr
@@ -71,6 +74,7 @@ print(json.dumps(found))
 """
 
 
+@pytest.mark.slow
 def test_what_needs_an_extra_names_it(tmp_path: Path) -> None:
     (tmp_path / "session").mkdir()
     (tmp_path / "session" / "session.toml").touch()

@@ -74,9 +74,13 @@ TABLE = {
     "a column of circles too many": (CIRCLES, as_it_is, replace(CIRCLES, grid=(10, 7)), "Write grid = [9, 7] in"),
 }
 
+REPEATED = {"other dictionary", "a column of circles too many"}
+"""Searched again with other descriptions, as `test_detect_bad_input` does."""
+
 
 @pytest.mark.parametrize(
-    "case", [pytest.param(case, marks=pytest.mark.slow) if "chess" in case else case for case in TABLE]
+    "case",
+    [pytest.param(case, marks=pytest.mark.slow) if "chess" in case or case in REPEATED else case for case in TABLE],
 )
 def test_what_the_photograph_shows_instead_is_named_with_its_remedy(case: str) -> None:
     printed, changed, described, remedy = TABLE[case]
@@ -95,6 +99,7 @@ def test_what_is_described_rightly_is_found_whole(printed: Target) -> None:
     assert len(found.ids) == len(printed.points_target)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("printed", [NEW, CIRCLES, pytest.param(CHESS, marks=pytest.mark.slow)])
 def test_a_negative_is_read_as_well_and_named(printed: Target) -> None:
     photograph = photographed(printed)
@@ -129,6 +134,7 @@ def test_a_board_that_opencv_drew_is_found_as_opencv_numbers_it(legacy: bool) ->
     assert detect_in(photograph, replace(target, legacy_pattern=not legacy), camera="a", pose="00") is None
 
 
+@pytest.mark.slow
 def test_one_camera_s_mirrored_photographs_are_named_before_its_lack_of_views() -> None:
     photographs = {(f"{k:02d}", "b"): mirrored(photographed(NEW)) for k in range(3)}
     seen = detect(photographs, NEW)

@@ -34,6 +34,7 @@ def test_a_glb_is_read_right_or_refused_by_name(tmp_path: Path, container: Conta
     require_right(container, tmp_path / "a.glb")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "container",
     [pytest.param(each, marks=[] if each.name in ("a proxy", "a PointInstancer") else pytest.mark.slow)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.brought.scan_twins import in_unit, mirrored, scaled, written
+from tests.first_cases import first
 from tests.unit.measure.trunks import LEFT, RIGHT, edge_of, trunk_mesh
 
 from mammometry.api.job import open_session
@@ -64,6 +65,7 @@ def test_a_mirror_image_is_inside_out(axis: int, whole: bool) -> None:
     assert not repair_scan(TriangleMesh(vertices=mesh.vertices, faces=np.ascontiguousarray(faces))).inside_out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "suffix", ["obj", *(pytest.param(each, marks=pytest.mark.slow) for each in ("ply", "stl", "glb"))]
 )
@@ -183,7 +185,7 @@ SPELLINGS = {
 COMMENTS = ("units: {}", "unit {}", "Units = {}", "File units = {}", "units are in {}")
 
 
-@pytest.mark.parametrize("unit", MM_PER_UNIT)
+@pytest.mark.parametrize("unit", first(2, MM_PER_UNIT))
 @pytest.mark.requirement("R-UNIT-1")
 def test_every_unit_and_every_spelling_is_the_same_scan(tmp_path: Path, unit: str) -> None:
     twin = in_unit(front(), unit)
@@ -251,6 +253,7 @@ def test_an_imported_scans_unit_is_noted_when_it_is_measured(tmp_path: Path) -> 
 # --- the shared bodies ---
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [BODIES[0], *(pytest.param(name, marks=pytest.mark.slow) for name in BODIES[1:])])
 @pytest.mark.requirement("R-SIDE-4")
 def test_every_shared_scan_has_its_twins(tmp_path: Path, name: str) -> None:

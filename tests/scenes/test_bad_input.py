@@ -131,8 +131,8 @@ CASES = [
 ]
 
 
-QUICK = (malformed_manifest, unknown_key, unknown_format, unknown_dictionary, truncated_calibration_image)
-"""What the tests of a session's files show as well."""
+QUICK = (malformed_manifest, unknown_key, unknown_format, unknown_dictionary, truncated_calibration_image, swapped_pair)
+"""What the tests of a session's files and of rectification show as well."""
 
 
 @pytest.mark.parametrize(
@@ -250,6 +250,7 @@ def without(session: Path, *stages: str) -> Path:
     return session
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "stage", "finished", "line"),
     [

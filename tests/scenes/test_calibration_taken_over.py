@@ -60,6 +60,7 @@ def test_a_calibration_is_judged_in_figures_that_a_database_can_hold(tiny_finish
     assert figures["poses"] == 8
 
 
+@pytest.mark.slow
 def test_a_check_that_is_begun_twice_is_entered_once(tiny_finished: Path, tmp_path: Path) -> None:
     """The board where one pose of the calibration had it: nothing has moved."""
     folder = later_exposure(tiny_finished / "calibration" / "00", tmp_path / "check")

@@ -64,6 +64,7 @@ def test_a_fired_cast_has_its_true_volume(tmp_path, tiny_settings, capsys):
     assert answer["volumes_cc"]["model"] == pytest.approx(TRUE_CC, rel=TOLERANCE), answer["intervals_cc"]
 
 
+@pytest.mark.slow
 def test_an_exchanged_cable_is_found_on_the_board_and_the_pose_is_not_taken(rig_toml):
     text = rig_toml.read_text().replace('" }\n', '", scene = "03", faults = { front_left = "swapped=front_right" } }\n')
     rig_toml.write_text(text)

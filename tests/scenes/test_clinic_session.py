@@ -30,6 +30,7 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return clean, disturbed
 
 
+@pytest.mark.slow
 def test_truth_says_what_was_disturbed(both):
     clean, disturbed = (json.loads((folder / "truth" / "truth.json").read_text()) for folder in both)
     assert "disturbances" not in clean

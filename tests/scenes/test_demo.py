@@ -154,6 +154,7 @@ def test_the_demo_is_right_within_three_thousandths(tmp_path: Path) -> None:
     assert table["watertight"] is True
 
 
+@pytest.mark.slow
 def test_a_run_with_nothing_to_do_imports_no_algorithm(tiny_finished: Path, tiny_settings: Path) -> None:
     """It took 3.3 processor seconds with all of them, and takes one."""
     script = (

@@ -90,6 +90,7 @@ def test_what_it_cannot_draw_is_drawn_here(
     assert "the previews of match are drawn here: no memory there" in caplog.text
 
 
+@pytest.mark.slow
 def test_what_hinders_their_writing_is_said_by_the_run(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise StorageError("results", found="a full disk", expected="room", remedy="Make room")

@@ -199,6 +199,7 @@ def test_a_mesh_from_a_file_is_photographed(tmp_path, ending):
     assert kind == "model"
 
 
+@pytest.mark.slow
 def test_sixteen_bits_say_more_than_eight(tmp_path):
     film = Film(electrons=1e9, read_noise=0.0, blur_px=0.0)
     recipe = SessionRecipe(rig="reference:front", subject="sphere", scale=0.04, poses=1)

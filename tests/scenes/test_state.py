@@ -88,6 +88,7 @@ def test_a_run_at_work_is_said(tiny: Path, capsys: pytest.CaptureFixture[str]) -
     assert answer(capsys, "info", tiny)["at_work"] == ""
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-LOSS-14")
 def test_a_current_session_is_used_where_nothing_may_be_written(
     tiny_finished: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str]
@@ -99,6 +100,7 @@ def test_a_current_session_is_used_where_nothing_may_be_written(
         assert "no permission" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-RIG-1")
 def test_a_check_refuses_what_cannot_show_a_later_movement(
     tiny_finished: Path, tiny_settings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -86,6 +86,7 @@ def test_every_byte_of_the_results_is_checked(session: Path, most: int) -> None:
     assert not verify(results, session).damaged
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("most", [pytest.param(1, id="draw"), pytest.param(24, marks=pytest.mark.slow, id="more")])
 @pytest.mark.requirement("R-LOSS-9")
 def test_every_file_of_a_session_is_checked_or_named(tiny_finished: Path, tiny_settings: Path, most: int) -> None:

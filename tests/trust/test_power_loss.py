@@ -43,6 +43,7 @@ def run_recorded(tmp_path: Path) -> tuple[Recording, dict[str, bytes]]:
     return recording, contents(results)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("lost", [LOST[0], *(pytest.param(lost, marks=pytest.mark.slow) for lost in LOST[1:])])
 @pytest.mark.requirement("R-LOSS-2")
@@ -55,6 +56,7 @@ def test_a_power_cut_at_any_moment_of_a_run(tmp_path: Path, lost: float) -> None
         check_whole(left, wanted)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("moments", [pytest.param(8, id="8"), pytest.param(100, id="100", marks=pytest.mark.slow)])
 @pytest.mark.requirement("R-LOSS-2")

@@ -57,7 +57,10 @@ def _slow_functions(path: Path) -> set[str]:
         return {one.name for one in tests}
     marking = {one.name for one in functions if one not in tests and "mark.slow" in ast.unparse(one)}
     marks = {one.name: [ast.unparse(mark) for mark in one.decorator_list] for one in tests}
-    return {name for name, found in marks.items() if any("mark.slow" in mark or mark in marking for mark in found)}
+    words = ("mark.slow", "first(")  # the second: tests/first_cases.py
+    slow = {name for name, found in marks.items() if any(word in mark for mark in found for word in words)}
+    slow |= {name for name, found in marks.items() if marking & set(found)}
+    return slow | {one.name for one in tests if marking & {each.arg for each in one.args.args}}  # its fixture's cases
 
 
 def test_the_table_names_slow_tests_and_files_that_there_are(repository: Path) -> None:

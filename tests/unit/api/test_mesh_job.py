@@ -65,6 +65,7 @@ def test_a_second_process_draws_the_same_report(tmp_path: Path, monkeypatch: pyt
     assert {"front", "closed-model", "sections-model"} <= set(contents[0]["measure"])
 
 
+@pytest.mark.slow
 def test_what_is_refused_is_measured_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whoever draws beside waits until there is something to draw, and does not try the measurement again."""
     mesh = export(dome(sink_mm=10.0), tmp_path / "dome.ply")

@@ -48,6 +48,7 @@ def silent_stages(report: StageProgress, silent_s: float) -> int:
     return 1
 
 
+@pytest.mark.slow
 def test_a_stage_that_reports_nothing_is_reported_all_the_same() -> None:
     """On the road of each job of the clinic and each session of a batch."""
     heard: list[tuple[str, float, float]] = []

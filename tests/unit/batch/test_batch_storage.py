@@ -65,7 +65,7 @@ def s3(server, monkeypatch):
     return f"s3://{name}"
 
 
-@pytest.fixture(params=["file", "file[1]", "s3[1]"])
+@pytest.fixture(params=["file", "file[1]", pytest.param("s3[1]", marks=pytest.mark.slow)])
 def address(request, tmp_path):
     """Address of a session on either storage. Brackets and stars in an address are no pattern."""
     kind, brackets, _ = request.param.partition("[1]")

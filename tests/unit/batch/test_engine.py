@@ -165,6 +165,7 @@ def test_stopping_ends_what_runs(there, tmp_path):
     assert path.read_text().split() == ["began"]
 
 
+@pytest.mark.slow
 def test_tasks_are_served_as_they_come_and_one_is_stopped_without_the_others(there, tmp_path):
     """No more are taken than there are cores; what is stopped ends without an event, and its process with it."""
     long, short = tmp_path / "long", [tmp_path / name for name in "abc"]

@@ -34,6 +34,7 @@ def worst_projection_px(calibration: Calibration, world_pose: str = "00") -> flo
     return float(np.abs(errors).max())
 
 
+@pytest.mark.slow
 def test_without_noise_the_truth_comes_out() -> None:
     calibration = calibrate(observe(CAMERAS, POSES, noise_px=0.0), PAIRS, "virtual")
     assert worst_projection_px(calibration) < 1e-5

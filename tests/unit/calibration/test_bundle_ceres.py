@@ -66,6 +66,7 @@ class View(pyceres.CostFunction):  # type: ignore[misc]
         return True
 
 
+@pytest.mark.slow
 def test_same_minimum_as_ceres() -> None:
     problem, start = small_problem(free_target=False, huber=np.inf)
     network = problem.network

@@ -155,6 +155,7 @@ def test_left_out_poses_fit_as_the_others_do() -> None:
     assert left_out.excess == pytest.approx(1.0, abs=0.01)  # errors are independent
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [4, pytest.param(6, marks=pytest.mark.slow)])
 def test_excess_of_left_out_poses_tells_shared_errors_from_many_unknowns(count: int) -> None:
     """Fitted residuals keep 1 − p/n of the errors' variance; poses left out have 1 + q/n of it and more.

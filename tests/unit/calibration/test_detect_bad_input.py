@@ -153,11 +153,13 @@ CASES = {
         "border",
     ),
 }
+REPEATED = {"other chessboard", "cut chessboard", "other dictionary", "smaller board", "larger board"}
+"""Cost most; `tests/brought/test_boards.py` shows the same of small photographs."""
 
 
 @pytest.mark.parametrize(
     "case",
-    [pytest.param(name, marks=[pytest.mark.slow] if name == "other chessboard" else []) for name in CASES],
+    [pytest.param(name, marks=[pytest.mark.slow] if name in REPEATED else []) for name in CASES],
 )
 def test_what_cannot_be_used_is_named(radiance, case):
     make, target, found, remedy = CASES[case]

@@ -161,6 +161,7 @@ def test_corners_of_an_independent_renderer(shared_data):
     assert np.sqrt(np.square(np.concatenate(errors)).mean()) < 0.03
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("corners", [4, 6])
 def test_a_few_corners_of_a_board_are_of_use(corners):
     """Of a board that leaves the picture: its markers say which corners they are."""

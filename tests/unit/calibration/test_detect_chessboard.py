@@ -22,6 +22,7 @@ def find(photograph, target=BOARD, **how):
     return detect_in(photograph, target, camera="camera", pose="00", **how)
 
 
+@pytest.mark.slow
 def test_corners_are_where_they_are_projected_in_full_and_reduced_searches():
     view = camera(turn_deg=(25.0, -20.0, 13.0), distortion=(-0.1, 0.05, 0.0, 0.001, 0.0))
     photograph = shoot(view)

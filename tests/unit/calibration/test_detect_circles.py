@@ -10,6 +10,7 @@ from mammometry.calibration.detection.detect import detect_in
 from mammometry.calibration.targets.kinds.circles import CirclesTarget
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "target",
     [
@@ -32,6 +33,7 @@ def test_centres_are_where_they_are_projected(target):
     assert np.sqrt(np.square(error).mean()) < 0.03
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn_deg", [(52.0, 0.0, 6.0), pytest.param((-20.0, 50.0, -8.0), marks=pytest.mark.slow)])
 def test_perspective_moves_no_centre_however_oblique(turn_deg):
     """Large circles, near, and aslant: their ellipses' centres lie up to 0.4 px beside the circles' centres."""

@@ -33,6 +33,7 @@ def shoot(target, pattern, *, white_on_black):
     return photograph_of_board(VIEW, reflectance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("white_on_black", [pytest.param(False, marks=pytest.mark.slow), True])
 @pytest.mark.parametrize("kind", BOARDS)
 def test_a_board_is_found_either_way(kind, white_on_black):

@@ -65,6 +65,7 @@ def roof():
     return places, view, photograph_of_roof(view, places)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("diameter_mm", [DIAMETER_MM, pytest.param(None, marks=pytest.mark.slow)])
 def test_dots_of_a_roof_are_found_named_and_measured(roof, diameter_mm):
     places, view, photograph = roof

@@ -82,6 +82,7 @@ def test_two_cameras_that_moved_are_both_named() -> None:
     assert {one.cameras for one in quality.movements[:2]} == {("front_left",), ("floor_right",)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 6))])
 def test_still_rigs_give_no_alarm(seed: int) -> None:
     quality = judged(observed({}, (), seed=seed))

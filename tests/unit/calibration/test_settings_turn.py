@@ -132,7 +132,8 @@ def test_free_target_poses_decides_whether_the_board_is_adjusted(
     assert (len(network.free_points) > 0) == is_free
 
 
-@pytest.mark.parametrize(("sigma", "is_free"), [pytest.param(NEVER, True, marks=pytest.mark.slow), (1e9, False)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("sigma", "is_free"), [(NEVER, True), (1e9, False)])
 def test_k3_sigma_decides_whether_k3_is_adjusted(sigma: float, is_free: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("mammometry.calibration.adjust.bundle.K3_SIGMA", sigma)
     settings = CalibrateSettings(bundle=replace(STIFF.bundle, k3="auto"))

@@ -44,6 +44,7 @@ def basler(monkeypatch):
     rig.close()
 
 
+@pytest.mark.slow
 def test_eight_emulated_basler_cameras_deliver_by_software_trigger(basler, tmp_path):
     for firing in (1, 2):
         shot = PendingShot(tmp_path)
@@ -111,6 +112,7 @@ def genicam():
         server.wait()
 
 
+@pytest.mark.slow
 def test_aravis_fake_cameras_deliver_and_an_absent_one_is_named(genicam, tmp_path):
     genicam.settings(CameraSettings(exposure_ms=10.0, trigger="software"))  # the fake ones are black at 1 ms
     shot = PendingShot(tmp_path, suffix="png")
@@ -138,6 +140,7 @@ def nikon(monkeypatch, tmp_path):
     rig.close()
 
 
+@pytest.mark.slow
 def test_a_simulated_nikon_delivers_its_own_file_and_an_absent_one_is_named(nikon, tmp_path):
     rig, content = nikon
     if "a camera" in rig.health("a").fault or "no camera" in rig.health("a").fault:
@@ -152,6 +155,7 @@ def test_a_simulated_nikon_delivers_its_own_file_and_an_absent_one_is_named(niko
     assert "usb:001,077" in taken.faults["b"].found
 
 
+@pytest.mark.slow
 def test_each_tethered_camera_has_a_process_that_ends(nikon):
     rig, _ = nikon
     running = multiprocessing.active_children()

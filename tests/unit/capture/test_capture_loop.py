@@ -56,8 +56,8 @@ def test_a_faultless_firing_becomes_the_session_s_capture(place):
             8,
             marks=pytest.mark.slow,
         ),
-        ('front_left = "late=0.003"', {("", "times", "refuse")}, 8),
-        ('front_left = "swapped=left_right"', {("", "names", "refuse")}, 8),
+        pytest.param('front_left = "late=0.003"', {("", "times", "refuse")}, 8, marks=pytest.mark.slow),
+        pytest.param('front_left = "swapped=left_right"', {("", "names", "refuse")}, 8, marks=pytest.mark.slow),
         pytest.param('floor_left = "swapped=floor_right"', {("", "names", "refuse")}, 8, marks=pytest.mark.slow),
         pytest.param('front_left = "moved"', {("", "moved", "refuse")}, 8, marks=pytest.mark.slow),
         pytest.param('left_left = "blurred"', {("left_left", "sharpness", "warn")}, 8, marks=pytest.mark.slow),
@@ -149,6 +149,7 @@ def test_a_full_disk_is_named_and_what_fits_is_kept(place, monkeypatch):
     assert all("room" in sentence for sentence in missing)
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-FIRE-1")
 def test_a_disk_without_any_room_leaves_nothing(place, monkeypatch):
     def write(path, data):
@@ -211,6 +212,7 @@ def test_a_wrong_rig_file_is_one_sentence(place, capsys, wrong, code):
     assert not (place / "s").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-FIRE-7")
 def test_two_rigs_on_one_bus_are_told_who_has_the_camera(place):
     """The same serial number in two rigs' files: the second is refused, and the first goes on."""

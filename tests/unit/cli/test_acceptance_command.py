@@ -153,6 +153,7 @@ def test_any_name_of_a_device_gives_a_description_that_can_be_read(name: str) ->
     assert described["device"]["person"] == " ".join(name.split())
 
 
+@pytest.mark.slow
 def test_a_new_test_is_refused_until_it_is_filled_in(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "test"
     code, table = answered(capsys, "acceptance", "new", folder, "--device", 'Rig "3"', "--person", "ab")

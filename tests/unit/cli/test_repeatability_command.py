@@ -55,6 +55,7 @@ def test_a_table_becomes_a_page_numbers_and_pictures(tmp_path: Path, capsys: pyt
     assert again["repetitions"] == answer["repetitions"]
 
 
+@pytest.mark.slow
 def test_left_and_right_in_one_row_litres_and_uncounted_captures(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -78,6 +78,7 @@ def test_templates_are_read_again(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert all(450 < row.truth.volume_cc < 560 for row in rows)
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-TRUTH-2")
 def test_folders_give_every_definition(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

@@ -232,6 +232,7 @@ def test_a_patient_who_is_being_measured_stays(client_of: Callable[..., Client],
 # --- the first day ---
 
 
+@pytest.mark.slow
 def test_the_first_day_goes_step_by_step_and_ends_by_itself(
     client_of: Callable[..., Client], person_of: Callable[..., Person]
 ) -> None:

@@ -277,6 +277,7 @@ def test_an_erased_patients_entries_are_found_by_the_pseudonym(
     assert {"Patient deleted", "Visit deleted", "Erase"} <= set(titles)
 
 
+@pytest.mark.slow
 def test_its_pages_are_turned_by_key(client_of: Callable[..., Client]) -> None:
     client = client_of(Role.ADMINISTRATOR)
     for _ in range(2 * SHOWN):

@@ -60,6 +60,7 @@ def asked(client: Client, visit: Visit, what: str, body: object = None) -> dict:
     return {"status": answer.status_code, **answer.json()}
 
 
+@pytest.mark.slow
 def test_a_technician_aims_fires_and_measures(
     before_rig: Callable[..., Visit], client_of: Callable[..., Client]
 ) -> None:

@@ -81,6 +81,7 @@ def calibrated_with(client, rig, data, name="front_left.jpg"):
     Calibration.objects.filter(pk=calibration.pk).update(state=Calibration.State.DONE)
 
 
+@pytest.mark.slow
 def test_the_calibrations_own_photograph_is_refused_in_any_file_and_place(client, rig):
     data = photograph(1)
     calibrated_with(client, rig, data)
@@ -95,6 +96,7 @@ def test_the_calibrations_own_photograph_is_refused_in_any_file_and_place(client
     assert check.send(photograph(2))["state"] == "placed"
 
 
+@pytest.mark.slow
 def test_yesterdays_photographs_are_refused(client, rig):
     yesterday = timezone.now() - datetime.timedelta(days=1)
     first = begin(client, rig)
@@ -139,6 +141,7 @@ def test_of_two_checks_with_the_same_photographs_one_is_judged(client, rig):
     assert client.post(f"/checks/{other.target.pk}/run/", "{}", content_type="application/json").status_code == 409
 
 
+@pytest.mark.slow
 def test_a_photograph_is_newer_than_its_cameras_last_one(client, rig):
     calibrated_with(client, rig, timed(1, "2026:03:02 08:00:00"))
     check = begin(client, rig)

@@ -257,6 +257,7 @@ def test_a_repeat_of_another_patient_is_none(clinic: ClinicConfig) -> None:
     assert second.repeated is None
 
 
+@pytest.mark.slow
 def test_a_repeat_is_declared_on_the_visits_page(clinic: ClinicConfig, client_of: Callable[..., Client]) -> None:
     first, second = repeated(0, declared=False)
     client, address = client_of(Role.TECHNICIAN), reverse("circumstances", args=[second.pk])

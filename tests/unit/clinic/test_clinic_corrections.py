@@ -250,6 +250,7 @@ def pages_of(visit: Visit) -> list[str]:
     return [reverse(name, kwargs=keys) for name in names] + [reverse("visit-fhir", args=[visit.pk, "r4"])]
 
 
+@pytest.mark.slow
 def test_what_is_in_the_bin_is_nowhere_else(
     anna: Patient, rig: Rig, client_of: Callable[..., Client], person_of: Callable[..., object]
 ) -> None:
@@ -341,6 +342,7 @@ def test_after_30_days_nothing_is_undone_and_the_administrator_erases(
 # --- pages ---
 
 
+@pytest.mark.slow
 def test_every_correction_has_a_page_a_reason_and_an_undo(
     anna: Patient, berta: Patient, rig: Rig, client_of: Callable[..., Client]
 ) -> None:

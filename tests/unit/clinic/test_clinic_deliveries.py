@@ -229,6 +229,7 @@ class _Heard(BaseHTTPRequestHandler):
         """Say nothing."""
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-SEC-7")
 def test_each_archive_gets_its_own_login_and_nobody_else_does(
     clinic: ClinicConfig, monkeypatch: pytest.MonkeyPatch
@@ -328,6 +329,7 @@ def test_a_failed_one_is_tried_again_by_a_button(
     assert [job.state for job in Job.objects.order_by("created")] == ["failed", "queued"]
 
 
+@pytest.mark.slow
 def test_the_test_button_asks_the_archive(client_of: Callable[..., Client], archive: Destination) -> None:
     client = client_of(Role.ADMINISTRATOR)
     address = reverse("destination-test", args=[archive.pk])

@@ -460,6 +460,7 @@ def test_a_double_click_makes_one(
     assert FormToken.objects.count() == 1
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-KEEP-7")
 def test_a_long_request_is_carried_out_once_too(
     clinic: object, shared_database: None, client_of: Clients, monkeypatch: pytest.MonkeyPatch

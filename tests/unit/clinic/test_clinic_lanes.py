@@ -39,6 +39,7 @@ def lane_done(clinic: ClinicConfig, lane: Lane) -> Job | None:
     return jobs[0] if jobs else None
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-KEEP-1")
 def test_two_runners_make_one_backup_a_day(
     shared_database: None, night: ClinicConfig, monkeypatch: pytest.MonkeyPatch
@@ -121,6 +122,7 @@ def test_a_restore_is_tested_by_a_job(clinic: ClinicConfig, settings: Settings) 
     assert outcome.passed
 
 
+@pytest.mark.slow
 def test_one_backup_or_restore_test_at_a_time_and_one_delivery_besides(
     shared_database: None, clinic: ClinicConfig, visit: Visit, monkeypatch: pytest.MonkeyPatch
 ) -> None:

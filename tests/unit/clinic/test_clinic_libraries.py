@@ -65,6 +65,7 @@ def imported(tree: ast.AST) -> Iterator[str]:
         yield from imported(node)
 
 
+@pytest.mark.slow
 def test_the_extra_brings_all_that_the_pages_import() -> None:
     root = Path(mammometry.__file__).parent
     files = [path for folder in ("clinic", "hospital") for path in (root / folder).rglob("*.py")]

@@ -139,6 +139,7 @@ def test_a_web_socket_is_not_answered() -> None:
     assert inner.bodies == []
 
 
+@pytest.mark.slow
 def test_a_body_that_does_not_come_is_not_waited_for() -> None:
     inner = Inner()
     sent: list[Message] = []
@@ -159,6 +160,7 @@ def test_a_body_that_does_not_come_is_not_waited_for() -> None:
     assert inner.bodies == []
 
 
+@pytest.mark.slow
 def test_a_large_body_has_longer_on_a_slow_line(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ten pieces of 10 kB, one each 150 ms: longer than the second that a small one has."""
     inner = Inner()

@@ -80,6 +80,7 @@ def test_exchanged_photographs_are_put_right(sender, rig_visit):  # noqa: F811
         assert post(sender, f"/visits/{rig_visit.pk}/put-right/", {"exchanged": wrong}).status_code in (400, 409)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("geometry")
 def test_what_is_being_measured_is_not_put_right(sender, rig_visit):  # noqa: F811
     sender.send(LEFT, name="front_right.jpg")
@@ -89,6 +90,7 @@ def test_what_is_being_measured_is_not_put_right(sender, rig_visit):  # noqa: F8
     assert in_place(rig_visit) == {"front_left": RIGHT, "front_right": LEFT}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("role", [Role.ADMINISTRATOR, Role.RESEARCHER])
 @pytest.mark.usefixtures("geometry")
 def test_others_put_nothing_right(sender, client_of, rig_visit, role):  # noqa: F811
@@ -100,6 +102,7 @@ def test_others_put_nothing_right(sender, client_of, rig_visit, role):  # noqa: 
     assert post(other, f"/uploads/{upload.pk}/place/", {"camera": "front_left"}).status_code == 403
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-RIG-4")
 @pytest.mark.usefixtures("geometry")
 def test_unnamed_photographs_get_the_camera_that_the_calibration_says(sender):  # noqa: F811
@@ -126,6 +129,7 @@ def test_what_the_calibration_cannot_tell_is_asked(sender, monkeypatch):  # noqa
     assert sender.state()["by_geometry"] == {}
 
 
+@pytest.mark.slow
 def test_a_choice_is_changed_and_the_other_photograph_makes_room(sender, rig_visit):  # noqa: F811
     first = sender.send(LEFT, camera="front_right", name="IMG_0001.JPG")
     answer = post(sender, f"/uploads/{first['id']}/place/", {"camera": "front_left"})
@@ -138,6 +142,7 @@ def test_a_choice_is_changed_and_the_other_photograph_makes_room(sender, rig_vis
     assert len(list((rig_visit.folder / "capture").iterdir())) == 2
 
 
+@pytest.mark.slow
 def test_a_camera_of_another_size_or_serial_number_is_no_choice(sender, rig_visit):  # noqa: F811
     row = sender.send(photograph(5, serial="A1"))
     answer = post(sender, f"/uploads/{row['id']}/place/", {"camera": "front_right"})
@@ -152,6 +157,7 @@ def test_a_camera_of_another_size_or_serial_number_is_no_choice(sender, rig_visi
     assert set(in_place(rig_visit)) == {"front_left"}
 
 
+@pytest.mark.slow
 def test_a_choice_is_changed_on_a_disk_without_links(sender, rig_visit, monkeypatch):  # noqa: F811
     def refuse(*_):
         raise OSError("no links here")
@@ -163,6 +169,7 @@ def test_a_choice_is_changed_on_a_disk_without_links(sender, rig_visit, monkeypa
     assert in_place(rig_visit) == {"front_left": LEFT, "front_right": RIGHT}
 
 
+@pytest.mark.slow
 def test_a_choice_of_a_check_and_of_a_pose_is_changed(client_of, rig_visit):  # noqa: F811
     client = client_of(Role.TECHNICIAN)
     Calibration.objects.update(figures={"cameras": {}, "verdict": "pass"})

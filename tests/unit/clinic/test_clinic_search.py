@@ -147,6 +147,7 @@ def test_a_strange_day_is_asked_about_once(clinic: ClinicConfig, client_of: Call
     assert answer.status_code == 302
 
 
+@pytest.mark.slow
 def test_days_that_no_clinic_has_are_refused_whoever_insists(
     clinic: ClinicConfig, client_of: Callable[..., Client]
 ) -> None:

@@ -155,6 +155,7 @@ def test_addresses_of_no_database_are_refused_without_saying_the_password(tmp_pa
     assert "p@ss" not in str(refused.value)
 
 
+@pytest.mark.slow
 def test_an_address_that_is_not_free_is_refused_before_anything_is_started(tmp_path: Path) -> None:
     from mammometry.clinic.web.server import require_free
 

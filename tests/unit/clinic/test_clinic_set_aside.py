@@ -8,6 +8,7 @@ import pytest
 from django.test import Client
 from django.utils import timezone
 from tests.clinic_seed import DEFINITION
+from tests.first_cases import first
 from tests.unit.clinic.test_clinic_uploads import SIZE_WH, Sender, photograph
 
 from mammometry.clinic.jobs import queue
@@ -52,6 +53,7 @@ def files(visit: Visit) -> dict[str, str]:
     return {path.relative_to(visit.folder).as_posix(): file_digest(path) for path in found}
 
 
+@pytest.mark.slow
 def test_what_is_set_aside_keeps_its_bytes_and_comes_back(sender: Sender, rig_visit: Visit) -> None:
     data = photograph(1)
     left = sender.send(data)
@@ -80,7 +82,7 @@ def test_what_is_set_aside_keeps_its_bytes_and_comes_back(sender: Sender, rig_vi
     assert sender.client.post(f"{aside['url']}back/").status_code == 409
 
 
-@pytest.mark.parametrize("form", ["JPEG", "PNG"])
+@pytest.mark.parametrize("form", first(1, ["JPEG", "PNG"]))
 def test_a_new_photograph_sets_the_old_one_aside(sender: Sender, rig_visit: Visit, form: str) -> None:
     first, second = photograph(1), photograph(3, form=form)
     sender.send(first)
@@ -104,6 +106,7 @@ def test_a_new_photograph_sets_the_old_one_aside(sender: Sender, rig_visit: Visi
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_same_photograph_sent_again_changes_nothing(sender: Sender, rig_visit: Visit) -> None:
     sender.send(photograph(1))
     sender.send(photograph(2), name="front_right.jpg")
@@ -167,6 +170,7 @@ def test_a_full_disk_leaves_the_photograph_in_its_place(
 # --- the same photographs in two visits ---
 
 
+@pytest.mark.slow
 def test_photographs_of_another_visit_are_told_before_they_are_measured(sender: Sender, rig_visit: Visit) -> None:
     patient = Patient.objects.create(family_name="Q", given_name="Q", record_number="2")
     other = Visit.objects.create(

@@ -216,6 +216,7 @@ def test_the_same_photograph_counts_once(sender: Sender) -> None:
     assert [each["state"] for each in sender.state()["shots"]] == ["placed", "refused"]
 
 
+@pytest.mark.slow
 def test_too_few_photographs_are_not_measured(sender: Sender, walk_visit: Visit) -> None:
     rows = filled(walk_visit, FEWEST - 1)
     assert sender.state()["ready"] is False
@@ -235,6 +236,7 @@ def test_photographs_without_the_board_are_not_measured(sender: Sender, walk_vis
     assert measured_now(sender.client, walk_visit).status_code == 409
 
 
+@pytest.mark.slow
 def test_a_photograph_of_another_size_is_marked_and_too_many_of_them_are_not_measured(
     sender: Sender, walk_visit: Visit
 ) -> None:
@@ -261,6 +263,7 @@ def test_a_blurred_photograph_is_marked_beside_the_others(sender: Sender, walk_v
     assert marked == [str(rows[3].pk)]
 
 
+@pytest.mark.slow
 def test_no_more_than_sixty(sender: Sender, walk_visit: Visit) -> None:
     filled(walk_visit, 60)
     assert sender.begin(picture(61)).status_code == 409
@@ -369,6 +372,7 @@ def test_the_sent_files_are_deleted_when_the_session_is_made_and_the_page_lists_
         assert sender.client.get(address).status_code == 200
 
 
+@pytest.mark.slow
 def test_a_walk_without_a_session_keeps_its_files_for_another_try(
     sender: Sender, walk_visit: Visit, clinic: ClinicConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -393,6 +397,7 @@ def test_a_walk_without_a_session_keeps_its_files_for_another_try(
     assert again.status_code == 202
 
 
+@pytest.mark.slow
 def test_a_refused_walk_is_taken_again_in_the_same_visit(
     sender: Sender, walk_visit: Visit, clinic: ClinicConfig
 ) -> None:

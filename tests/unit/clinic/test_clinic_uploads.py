@@ -223,6 +223,7 @@ def test_what_cannot_be_used_is_refused_and_not_in_the_session(sender, rig_visit
 EVIL_NAMES = ("front_left.jpg\r\nX-Evil: 1", "../../front_left.jpg", "<script>alert(1)</script>.jpg")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EVIL_NAMES)
 def test_a_senders_name_goes_nowhere(sender, rig_visit, name):
     """Not into a header, not into a path, not onto a page."""
@@ -268,6 +269,7 @@ def test_a_photograph_of_nobody_knows_whose_waits_to_be_placed(sender, rig_visit
     assert not sender.state()["unplaced"]
 
 
+@pytest.mark.slow
 def test_the_same_photograph_twice_is_not_ready(sender):
     sender.send(photograph())
     sender.send(photograph(), name="front_right.jpg")
@@ -276,6 +278,7 @@ def test_the_same_photograph_twice_is_not_ready(sender):
     assert any(each["check"] == "twice" and each["level"] == "refuse" for each in state["together"])
 
 
+@pytest.mark.slow
 def test_a_second_photograph_takes_the_place_of_the_first_even_of_another_kind(sender, rig_visit):
     sender.send(photograph(1))
     sender.send(photograph(2, form="PNG"), name="front_left.png", replace=True)
@@ -331,6 +334,7 @@ def test_nothing_changes_while_it_is_measured(sender, rig_visit):
     assert sender.client.delete(table["url"]).status_code == 409
 
 
+@pytest.mark.slow
 def test_two_people_send_the_same_place_at_once_and_one_whole_photograph_remains(shared_database, client_of, rig_visit):
     first, second = photograph(1), photograph(2)
     senders = [Sender(client_of(Role.TECHNICIAN, name=name), rig_visit) for name in ("anna", "bert")]
@@ -371,6 +375,7 @@ def test_a_second_photograph_replaces_the_first_only_where_that_is_said(sender, 
     assert (rig_visit.folder / "capture" / "front_left.jpg").read_bytes() == second
 
 
+@pytest.mark.slow
 def test_a_calibration_says_how_many_poses_it_still_needs(client_of, rig_visit):
     from mammometry.clinic.rig_history import may_queue, new_calibration
 

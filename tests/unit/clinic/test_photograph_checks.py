@@ -62,6 +62,7 @@ def test_a_torso_may_go_on_beyond_the_picture_and_a_cast_may_not():
     assert "cut" in found.sentence
 
 
+@pytest.mark.slow
 def test_blur_grows_with_the_lens():
     blurs = [checks.look(subject(blur_px=sigma)).blur for sigma in (0.6, 1.5, 2.5, 4.0)]
     assert blurs == sorted(blurs)
@@ -73,6 +74,7 @@ def test_nothing_before_the_wall_is_said():
     assert "subject" in found["whole"].sentence
 
 
+@pytest.mark.slow
 def test_a_16_bit_photograph_is_judged_as_its_8_bit_twin():
     plain = subject()
     deep = Photograph(name="it", pixels=plain.pixels.astype(np.uint16) * 257)

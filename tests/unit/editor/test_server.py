@@ -403,6 +403,7 @@ def test_a_line_that_crosses_itself_is_shown_where_it_does_and_not_saved(client:
     assert "crosses itself" in refused.json()["error"]
 
 
+@pytest.mark.slow
 def test_an_untouched_line_has_exactly_the_measured_number(tmp_path: Path, login: OneTimeLogin) -> None:
     whole = measured(job(tmp_path), volume_cc=407.25)
     with running(editor_app(lambda: whole, login)) as address:  # type: ignore[arg-type,return-value]

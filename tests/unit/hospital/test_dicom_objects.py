@@ -154,6 +154,7 @@ def test_the_structured_report_says_volumes_intervals_and_lengths(made: list[Dat
     assert found["Both sides", "nipple to nipple, straight"] == (201.25, "mm")
 
 
+@pytest.mark.slow
 @DCMTK
 def test_dcmtk_reads_the_report(made: list[Dataset], tmp_path: Path) -> None:
     for name, content in files(made).items():
@@ -219,6 +220,7 @@ def test_without_a_patient_the_subject_is_the_patient(tmp_path: Path) -> None:
     assert {each.PatientID for each in objects(exported(tmp_path))} == {"P-EXAMPLE"}
 
 
+@pytest.mark.slow
 def test_two_patients_with_the_same_photographs_are_two_studies(tmp_path: Path) -> None:
     one, other = (objects(exported(tmp_path), replace(ANNA, id=number))[0] for number in ("1", "2"))
     assert one.StudyInstanceUID != other.StudyInstanceUID

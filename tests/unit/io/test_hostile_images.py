@@ -69,6 +69,7 @@ def test_of_a_camera_file_with_several_pictures_the_first_is_taken(tmp_path: Pat
     assert read_photograph(tmp_path / "a.jpg", "a").size_wh == (30, 20)
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-IN-7")
 def test_too_many_pixels_are_refused_by_the_header(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.png").write_bytes(bomb(30_000, 30_000))

@@ -55,6 +55,7 @@ def test_what_scipy_writes_is_read_as_scipy_reads_it(variables: dict[str, Any], 
         require_same(value, theirs[name])
 
 
+@pytest.mark.slow
 @given(st.data())
 @settings(max_examples=300, deadline=None)
 def test_a_damaged_file_is_refused_or_read(data: st.DataObject) -> None:

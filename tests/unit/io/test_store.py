@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.first_cases import first
 
 from mammometry.base.errors import BusyError, FullDiskError, StorageError
 from mammometry.base.progress import Progress
@@ -201,9 +202,7 @@ store.Store(folder).recall(key(version=2), Maker(5.0))
 """
 
 
-@pytest.mark.parametrize(
-    ("moment", "finished"), [("rename", False), ("0", True), pytest.param("1", True, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("moment", "finished"), first(1, [("rename", False), ("0", True), ("1", True)]))
 def test_killed_while_it_puts_a_result_in_place(tmp_path: Path, moment: str, finished: bool) -> None:
     Store(tmp_path).recall(key(), Maker())
     script = KILLED.format(tests=str(Path(__file__).parent))

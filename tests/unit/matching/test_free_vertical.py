@@ -26,6 +26,7 @@ def judged(pair: RectifiedPair, found: DisparityMap) -> np.ndarray:
     return ndimage.binary_erosion(pair.left_mask & pair.right_mask, iterations=12) & found.valid
 
 
+@pytest.mark.slow
 def test_what_no_polynomial_follows_is_found_at_each_pixel() -> None:
     pair, d_h = make_pair(np.random.default_rng(11), size_wh=SIZE_WH, d_v_px=waves)
     v, u = np.indices(d_h.shape).astype(np.float64)
@@ -39,6 +40,7 @@ def test_what_no_polynomial_follows_is_found_at_each_pixel() -> None:
     assert np.median(np.abs(free.d_h_px - d_h)[at]) < np.median(np.abs(polynomial.d_h_px - d_h)[at])
 
 
+@pytest.mark.slow
 def test_by_a_right_calibration_both_agree_within_their_deviation() -> None:
     pair, _ = make_pair(np.random.default_rng(12), size_wh=SIZE_WH)
     free, polynomial = match(pair, FREE), match(pair)

@@ -97,6 +97,7 @@ def test_a_rig_that_moved_is_noticed_by_matching_itself() -> None:
     assert quality.d_v_median_px == pytest.approx(0.6, abs=0.03)
 
 
+@pytest.mark.slow
 def test_weak_texture_is_reported_where_it_is_and_nowhere_else() -> None:
     rng = np.random.default_rng(3)
     pair, _ = make_pair(rng, noise=0.0)

@@ -55,6 +55,7 @@ def test_the_common_level_would_be_moved_by_both() -> None:
     assert abs(at_level - RADIUS) > 0.5
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(
     place=st.floats(-0.8, 0.8),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from alone import foreground
 from ball_scene import RADIUS_MM, Look, photograph, rig
+from tests.first_cases import first
 
 from mammometry.base.photograph import Photograph
 from mammometry.geometry.camera import Rig
@@ -41,7 +42,7 @@ def found(ball: Look, behind: Look, plane_z_mm: float) -> list[tuple[np.ndarray,
 
 
 @pytest.mark.parametrize("ball", [SKIN, DARK_SKIN], ids=["skin", "dark skin"])
-@pytest.mark.parametrize("wall", [WALL, SMOOTH_WALL], ids=["textured", "smooth"])
+@pytest.mark.parametrize("wall", first(1, [WALL, SMOOTH_WALL]), ids=["textured", "smooth"])
 def test_a_ball_before_a_pale_wall_is_the_subject(ball: Look, wall: Look) -> None:
     """Its outline is 520 px long: 1 % of the ball's area is half a pixel all around."""
     for mask, true in found(ball, wall, FAR_MM):
@@ -49,6 +50,7 @@ def test_a_ball_before_a_pale_wall_is_the_subject(ball: Look, wall: Look) -> Non
         assert np.count_nonzero(true & ~mask) < 0.02 * np.count_nonzero(true)
 
 
+@pytest.mark.slow
 def test_a_dark_ball_on_a_pale_table_is_the_subject() -> None:
     """The table goes through the ball nearly at its middle: as near as the ball itself, and a plane."""
     for mask, true in found(DARK_SKIN, TABLE, LAID_MM):
@@ -56,6 +58,7 @@ def test_a_dark_ball_on_a_pale_table_is_the_subject() -> None:
         assert np.count_nonzero(true & ~mask) < 0.03 * np.count_nonzero(true)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plane_z_mm", [FAR_MM, LAID_MM])
 def test_before_a_dark_background_brightness_has_the_last_word(plane_z_mm: float) -> None:
     """The same outline, bit for bit, as without any stereo."""
@@ -68,7 +71,7 @@ def test_before_a_dark_background_brightness_has_the_last_word(plane_z_mm: float
         assert np.array_equal(alone.coverage, both.coverage)
 
 
-@pytest.mark.parametrize("contrast", [0.0, PLASTER.contrast], ids=["smooth", "textured"])
+@pytest.mark.parametrize("contrast", first(1, [PLASTER.contrast, 0.0]), ids=["textured", "smooth"])
 def test_of_what_colour_does_not_part_from_its_background_no_silhouette_is_known(contrast: float) -> None:
     """Plaster before a wall of the same colour and light: everything is matched."""
     for mask, _ in found(PLASTER, replace(PLASTER, contrast=contrast), FAR_MM):
@@ -163,7 +166,7 @@ def test_seeds_are_where_they_say() -> None:
 
 
 @pytest.mark.parametrize("turn_deg", [-9.0, 0.0, 7.2], ids=["axes meet before it", "in it", "axes are parallel"])
-@pytest.mark.parametrize("held", [None, np.zeros(3)], ids=["no target seen", "target seen"])
+@pytest.mark.parametrize("held", first(1, [np.zeros(3), None]), ids=["target seen", "no target seen"])
 def test_the_subject_is_where_the_target_was_held_and_not_where_axes_meet(
     turn_deg: float, held: np.ndarray | None
 ) -> None:

@@ -277,6 +277,7 @@ def test_a_clear_tip_decides_within_an_areola_that_is_not_centred_on_it() -> Non
         assert np.linalg.norm(found.points_world[0, :2] - nipple) < 1.0
 
 
+@pytest.mark.slow
 def test_the_areola_decides_where_a_scan_flattened_the_tip() -> None:
     """Noise alike over 4 mm, a quarter as high as the tip that is left."""
     away = []
@@ -306,6 +307,7 @@ def test_a_moved_surface_is_brought_back() -> None:
     assert np.abs(back.apply(bumps) - bumps).max() < 0.1
 
 
+@pytest.mark.slow
 def test_the_mid_sagittal_plane_of_a_trunk() -> None:
     """Mirror symmetric without its bumps, and turned, shifted and put into a rough frame."""
     motion = Transform.from_rotation_vector(np.array([0.1, 0.3, -0.2]), np.array([30.0, -20.0, 10.0]))

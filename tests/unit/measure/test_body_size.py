@@ -139,6 +139,7 @@ def test_the_trunks_breadth_scales_with_the_body(factor: float) -> None:
     assert breadth_mm == pytest.approx(factor * 2 * RADIUS_MM, rel=0.03)  # skin of 75 to 100° shows .98 of it
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-UNIT-3")
 def test_centimetres_as_inches_are_refused_with_factor_and_unit(tmp_path: Path) -> None:
     """Before there is a volume, for every road that asks for one."""

@@ -56,6 +56,7 @@ def found_boundary(bend_radius_mm: float | None, settings: MeasureSettings = EXA
     return boundary
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bend_radius_mm", [None, pytest.param(200.0, marks=pytest.mark.slow)])
 def test_a_cast_is_measured_to_half_a_percent(bend_radius_mm: float | None) -> None:
     surface = seen_surface(bend_radius_mm)
@@ -135,6 +136,7 @@ def test_a_base_moves_with_an_outline_as_told() -> None:
         assert found == pytest.approx(predicted_mm, rel=0.25, abs=0.004)  # Tukey's weights change as well
 
 
+@pytest.mark.slow
 def test_a_rim_seen_in_part_leaves_the_base_uncertain() -> None:
     candidates = rim_candidates(seen_surface(None), photographed(None), RIG)
     part = candidates.chosen(candidates.points_world[:, 1] > 25.0)
@@ -145,6 +147,7 @@ def test_a_rim_seen_in_part_leaves_the_base_uncertain() -> None:
     assert part_mm > 3 * whole_mm
 
 
+@pytest.mark.slow
 def test_a_sixth_of_a_rim_is_too_little() -> None:
     surface = seen_surface(None)
     candidates = rim_candidates(surface, photographed(None), RIG)
@@ -189,6 +192,7 @@ def test_a_base_that_cuts_measured_skin_off_is_none() -> None:
     assert leaving_whole([high], measured) == [high]
 
 
+@pytest.mark.slow
 def test_limbs_are_no_candidates_for_the_rim() -> None:
     candidates = rim_candidates(seen_surface(None), photographed(None), RIG)
     heights = candidates.points_world[:, 2]
@@ -200,6 +204,7 @@ def test_limbs_are_no_candidates_for_the_rim() -> None:
     assert ((candidates.outward * radial).sum(axis=1) > 0).mean() > 0.99
 
 
+@pytest.mark.slow
 def test_rays_go_through_their_candidates() -> None:
     candidates = rim_candidates(seen_surface(None), photographed(None), RIG)
     towards = candidates.points_world - candidates.centres_world

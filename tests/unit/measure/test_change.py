@@ -121,6 +121,7 @@ def test_swapped_dates_turn_every_sign() -> None:
     assert np.linalg.norm(both.apply(points) - points, axis=1).max() < 0.5
 
 
+@pytest.mark.slow
 def test_a_date_that_shows_more_of_the_flanks_is_the_same_body() -> None:
     seen = visit()[1]
     whole = trunk_of(seen.surface, [one.boundary_world for one in seen.measurements], seen.frame)

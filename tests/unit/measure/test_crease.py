@@ -44,6 +44,7 @@ def test_the_curve_runs_where_curved_skin_joins_straight_skin(reach: float, top:
     assert found.seen.all()
 
 
+@pytest.mark.slow
 def test_the_curve_moves_as_little_as_the_edge_does() -> None:
     """A sawtooth of half a millimetre was on it where the path was rounded to whole steps."""
     caps = [cap(60.0 + moved_mm, 45.0) for moved_mm in (0.0, 0.1, 0.2, 0.3, 0.4)]

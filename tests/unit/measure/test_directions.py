@@ -82,6 +82,7 @@ def test_hanging_breasts_do_not_tilt_the_trunks_axis() -> None:
     assert lean_deg < 3.0
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-FRONT-1")
 def test_a_scan_without_a_front_is_refused_with_a_picture_of_all_sides(tmp_path: Path) -> None:
     path, results = tmp_path / "egg.ply", tmp_path / "out" / "results"

@@ -80,6 +80,7 @@ def test_creases_of_an_open_front_are_found() -> None:
     assert [boundary.name for boundary in found] == ["left", "right"]
 
 
+@pytest.mark.slow
 def test_the_front_says_where_ahead_is() -> None:
     assert np.allclose(scanned.frame_from_axes(front()), np.eye(3))
     turned = TriangleMesh(vertices=front().vertices[:, [0, 2, 1]] * [1, -1, 1], faces=front().faces)  # ahead is -y

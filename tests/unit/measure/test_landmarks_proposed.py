@@ -53,6 +53,7 @@ def test_a_groove_and_noise_are_no_hollow():
     assert set(proposed(front(noise_mm=0.5))) == {"midline"}
 
 
+@pytest.mark.slow
 def test_a_hollow_beside_the_midline_or_among_the_breasts_is_none_of_them():
     for place in ([30.0, 170.0], [0.0, 40.0], [0.0, -110.0], [25.0, -190.0]):
         assert set(proposed(front((np.array(place), 7.0)))) == {"midline"}

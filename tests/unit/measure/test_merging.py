@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.first_cases import first
 from tests.unit.measure.two_scans import SIDE_MM, height_mm, painted, part
 
 from mammometry.base.errors import MeasureError
@@ -21,6 +22,7 @@ FIRST_FROM_SECOND = Transform(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first_from_second", [Transform.identity(), FIRST_FROM_SECOND], ids=["as given", "anywhere"])
 @pytest.mark.requirement("R-MERGE-1")
 def test_a_scan_is_found_on_the_other_one_wherever_it_lies(first_from_second: Transform) -> None:
@@ -39,7 +41,7 @@ def scaled(factor: float) -> TriangleMesh:
     return SECOND.mapped(lambda points: factor * points)
 
 
-@pytest.mark.parametrize("factor", [1.01, 0.99, pytest.param(1.1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("factor", first(1, [1.01, 0.99, 1.1]))
 @pytest.mark.requirement("R-MERGE-2")
 def test_another_scale_is_refused_with_its_percentage(factor: float) -> None:
     with pytest.raises(MeasureError) as refused:
@@ -93,6 +95,7 @@ def test_both_scans_become_one_surface_that_says_who_showed_what() -> None:
     assert np.abs(fused.colours[np.abs(y) < 20].mean() - 100) < 15
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-MERGE-3")
 def test_a_difference_of_both_scans_makes_no_step_at_the_seam() -> None:
     lifted = SECOND.mapped(lambda points: points + np.array([0.0, 0.0, 1.0]))

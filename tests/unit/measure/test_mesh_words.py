@@ -5,6 +5,8 @@ import re
 from collections.abc import Collection
 from pathlib import Path
 
+import pytest
+
 import mammometry.measure
 
 OF_PHOTOGRAPHS = re.compile(
@@ -50,6 +52,7 @@ def test_no_refusal_of_a_mesh_speaks_of_photographs() -> None:
     assert [(place, text) for place, text in table if OF_PHOTOGRAPHS.search(text)] == []
 
 
+@pytest.mark.slow
 def test_only_who_drew_a_boundary_is_asked_to_draw_it_again() -> None:
     """With --automatic nobody has drawn one. The same refusals serve sessions, whose boundaries are found too."""
     again = re.compile(r"redraw|draw (it|the boundary) again", re.IGNORECASE)

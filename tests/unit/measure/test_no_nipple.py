@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from solids import as_surface
+from tests.first_cases import first
 from trunks import LEFT, RIGHT, edge_of, radius_mm, trunk_mesh
 
 from mammometry.measure.landmarks.landmarks import Landmark
@@ -48,7 +49,7 @@ def found_on(areolae: tuple[str, ...]) -> tuple[tuple[Landmark, ...], Dimensions
     return marks, dimensions(surface.mesh, measured, marks, FRAME, plane=MIDDLE)
 
 
-@pytest.mark.parametrize("there", [("left", "right"), ("left",), ()])
+@pytest.mark.parametrize("there", first(1, [(("left",),), (("left", "right"),), ((),)]))
 def test_what_rests_on_a_nipple_is_only_there_with_the_nipple(there: tuple[str, ...]) -> None:
     marks, found = found_on(there)
     assert {mark.name for mark in marks if "nipple" in mark.name} == {f"nipple_{side}" for side in there}

@@ -49,6 +49,7 @@ def breast(settings: Settings) -> OpenBreast:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_dented")
 def test_a_wall_of_ones_own_is_chosen_measured_drawn_and_named() -> None:
     settings = Settings().overridden(["measure.wall=dented"])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from solids import as_surface, rig_around
+from tests.first_cases import first
 from trunks import LEFT, LENGTH_MM, RADIUS_MM, bump_mm, edge_of, trunk_mesh, volume_cc
 
 from mammometry.base.errors import MeasureError
@@ -48,6 +49,7 @@ def one_sided() -> RepairedSurface:
     return torso_with(LEFT, flat=FLAT)
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-SIDE-3")
 def test_a_side_without_a_breast_is_a_result_and_the_other_one_is_as_with_two() -> None:
     alone = outline_torso(one_sided(), np.eye(3))
@@ -63,6 +65,7 @@ def test_a_side_without_a_breast_is_a_result_and_the_other_one_is_as_with_two() 
     assert "fold" in left.method
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-FRONT-2")
 def test_a_low_dome_on_one_side_does_not_show_that_the_other_lost_its_breast() -> None:
     """A man's chest, or a child's: 21 mm on one side, nothing on the other."""
@@ -108,7 +111,7 @@ def test_a_base_that_no_breast_has_is_refused(width_mm: float, height_mm: float,
             _check_base(flat, "left", trunk)
 
 
-@pytest.mark.parametrize("turn_deg", [(0, 0, 0), (6, 15, -6), (-5, -20, 4)])
+@pytest.mark.parametrize("turn_deg", first(1, [((6, 15, -6),), ((0, 0, 0),), ((-5, -20, 4),)]))
 def test_the_bodys_frame_is_its_own_whatever_the_cameras_say(turn_deg: tuple[float, float, float]) -> None:
     rough = Rotation.from_euler("xyz", turn_deg, degrees=True).as_matrix()
     body = find_body(one_sided(), rough)
@@ -125,6 +128,7 @@ def test_a_round_trunk_shows_no_plane_and_says_so() -> None:
     assert (body.plane, body.plane_sigma_mm) == (None, None)
 
 
+@pytest.mark.slow
 def test_two_breasts_show_left_where_the_trunk_shows_no_plane() -> None:
     """Before cameras that stand 55° to one side of the patient, both breasts lie on one side of the middle."""
     surface = torso_with(HIGH, (-HIGH[0], *HIGH[1:]))
@@ -262,6 +266,7 @@ def test_what_stands_out_of_a_slope_is_measured_before_the_slope() -> None:
     assert 25.0 < found.top_mm < 30.0  # smoothed over 6 mm
 
 
+@pytest.mark.slow
 def test_a_flank_that_goes_far_around_the_trunk_is_not_cut() -> None:
     """A leaning torso with arms at its sides reached 97° about the axis that its seen skin told."""
     across, up = np.meshgrid(np.arange(-280.0, 280.1, PIXEL_MM), np.arange(-140.0, 140.1, PIXEL_MM))

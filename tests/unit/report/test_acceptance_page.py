@@ -63,6 +63,7 @@ def test_the_page_stands_alone_and_has_every_number(outcome: Outcome, files: dic
         assert shown(one.quantity, one.limit).replace(" ", "\u00a0") in page
 
 
+@pytest.mark.slow
 def test_pages_of_equal_tests_are_equal(outcome: Outcome, files: dict[str, bytes]) -> None:
     assert acceptance_page_files(outcome, [EARLIER, as_past(outcome)]) == files
 
@@ -80,6 +81,7 @@ def test_the_meaning_is_computed_from_the_error(outcome: Outcome) -> None:
     assert sum(len(table.rows) for table in rest) == len(outcome.findings)
 
 
+@pytest.mark.slow
 def test_the_protocol_has_a_box_per_position() -> None:
     page = protocol_page("Rig").decode()
     assert page.count("<li>") == sum(len(POSITIONS[kind]) for kind in KINDS)

@@ -175,6 +175,7 @@ def test_a_clean_run_warns_of_nothing_but_what_the_calibration_says(rig) -> None
     assert warned(rig, quality=quality) == ""
 
 
+@pytest.mark.slow
 def test_each_fault_has_its_warning(rig) -> None:
     quality = replace(assess(synthetic.calibration(rig)), findings=(finding(LITTLE),))
     assert words_of(LITTLE) in warned(rig, quality=quality)

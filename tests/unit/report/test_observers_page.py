@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytest
 from tests.unit.measure.solids import dome
 
 from mammometry.report.documents.study_pages import observers_files, observers_names
@@ -18,6 +19,7 @@ def drawing(observer: str, repeat: int, radius_mm: float, cc: float) -> Observed
     )
 
 
+@pytest.mark.slow
 def test_the_page_says_what_was_found() -> None:
     drawings = [
         drawing("anna", 1, 50.0, 99.0),

@@ -148,6 +148,7 @@ def opened(browser: Browser, address: str, width: int, scheme: str) -> Page:
     return page
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("width", "scheme"), [(1280, "light"), pytest.param(768, "light", marks=pytest.mark.slow), (360, "dark")]
 )

@@ -31,6 +31,7 @@ def automatic() -> ReportContent:
     return replace(made, breasts=found, scene="[]", concerns=(Notice(code="cameras-imported"),))
 
 
+@pytest.mark.slow
 def test_photographs_of_the_board_are_no_matter_of_a_clinics_report() -> None:
     content = replace(
         automatic(),
@@ -119,6 +120,7 @@ def test_the_first_page_tells_whose_boundary_is_confirmed() -> None:
     )
 
 
+@pytest.mark.slow
 def test_it_is_rendered_in_a_moment() -> None:
     stored = packed(automatic())
     render(unpacked(stored), {}, Clinical())  # imports

@@ -124,6 +124,7 @@ def centre_colour(canvas: Locator) -> np.ndarray:
     return drawn[height // 2 + 20 : height // 2 + 40, width // 2 - 10 : width // 2 + 10].reshape(-1, 3).mean(axis=0)
 
 
+@pytest.mark.slow
 def test_photograph_and_layers_are_drawn_in_their_colours(viewer: Locator) -> None:
     colour = viewer.get_by_label("Colour")
     press(viewer, "Boundary")  # off: its line must not lie in the way
@@ -246,6 +247,7 @@ def test_a_screenshot_is_saved(viewer: Locator) -> None:
     assert np.ptp(saved[..., 3]) == 255  # the model on a clear ground
 
 
+@pytest.mark.slow
 def test_it_fits_a_telephone_and_no_length_covers_another(viewer: Locator) -> None:
     viewer.page.set_viewport_size({"width": 360, "height": 740})
     try:

@@ -86,6 +86,7 @@ def test_scar_and_loose_skin_lift_and_colour_the_skin():
     assert np.median(np.abs(away[right])) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "volume_cc", [150.0, pytest.param(80.0, marks=pytest.mark.slow), pytest.param(400.0, marks=pytest.mark.slow)]
 )

@@ -51,6 +51,7 @@ def _shift_px(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return total
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("mitsuba") is None, reason="the extra sim is not installed")
 def test_mitsubas_surface_lies_under_the_same_pixels():
     import mitsuba as mi

@@ -113,6 +113,7 @@ def test_moles_come_as_often_as_said():
     )  # of about 200: 7 % by chance, and small ones are missed
 
 
+@pytest.mark.slow
 def test_light_below_the_skin_moves_and_is_kept():
     solid = sphere(50.0, 1.0)
     light = np.array([[0.0, 0.0, 900.0, 900.0**2]])
@@ -155,6 +156,7 @@ def test_hairs_are_thin_dark_and_on_the_skin(camera):
     assert ratio.min() < 0.95
 
 
+@pytest.mark.slow
 def test_clutter_fills_the_picture_and_leaves_the_subject(camera):
     solid = sphere(30.0, 2.0)
     light = np.array([[0.0, 0.0, 900.0, 900.0**2]])
@@ -170,6 +172,7 @@ def test_clutter_fills_the_picture_and_leaves_the_subject(camera):
     assert pictures[1][corner].min() > 0.0
 
 
+@pytest.mark.slow
 def test_sheen_moves_with_the_camera_and_paint_does_not():
     rig = make_rig("reference:front", 0.12, 3)
     solid = sphere(40.0, 2.0)

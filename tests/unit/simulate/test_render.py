@@ -60,6 +60,7 @@ def test_coverage_is_the_spheres_outline(ball, camera):
     assert coverage[outside > 1.0].max() == 0.0
 
 
+@pytest.mark.slow
 def test_silhouette_in_the_picture_is_the_true_one(ball, camera):
     image = render_subject(ball, camera, _PLAIN, seed=1)[..., 0]
     coverage = subject_coverage(ball, camera)
@@ -104,6 +105,7 @@ def test_breast_shades_its_own_fold_and_its_backdrop():
     assert scene.subject.volume_mm3() == pytest.approx(solid.mesh.volume_mm3(), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_samples_of_plain_pixels_lie_on_their_own_rays(ball, camera):
     (plain,) = (block for block in blocks(ball, camera, PINHOLE) if not block.is_edge)
     offsets = net_offsets(4)
@@ -132,6 +134,7 @@ def test_samples_of_plain_pixels_lie_on_their_own_rays(ball, camera):
     assert np.abs(radius - _RADIUS_MM).mean() < 0.002
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["plaster", "skin"])
 def test_sharing_light_and_coarse_paint_within_a_pixel_changes_nothing_to_be_seen(ball, camera, monkeypatch, name):
     skin = SKINS[name]
@@ -160,6 +163,7 @@ def _ridged(solid: SubjectSolid) -> StudioScene:
     return light_scene(solid, Transform.identity(), flashes())
 
 
+@pytest.mark.slow
 def test_both_cameras_of_a_pair_see_the_same_paint():
     rig = make_rig("reference:front", 0.25, 3)
     scene = _ridged(sphere(40.0, 1.0))
@@ -177,6 +181,7 @@ def test_both_cameras_of_a_pair_see_the_same_paint():
     assert np.corrcoef(values)[0, 1] > 0.95
 
 
+@pytest.mark.slow
 def test_mottling_reaches_down_to_the_pixel_at_every_scale():
     for scale in (0.1, 0.4):
         camera = make_rig("reference:front", scale, 3).cameras["front_left"]

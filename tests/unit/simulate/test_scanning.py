@@ -61,6 +61,7 @@ def test_more_noise_gives_a_rougher_scan():
     assert rough[1] > 1.5 * rough[0]
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_scan_and_another_one_scans_anew():
     first, again, other = (scan(ball(), SMALL, seed).mesh for seed in (1, 1, 2))
     assert np.array_equal(first.vertices, again.vertices)

@@ -150,6 +150,7 @@ def test_dots_of_a_cylinder_are_where_the_model_says(monkeypatch):
         assert np.sqrt((error**2).mean()) < 0.05
 
 
+@pytest.mark.slow
 def test_unsharpness_leaves_the_silhouette_in_place():
     camera = make_rig("reference:front", 0.1, 3).cameras["front_left"]
     scene = light_scene(sphere(60.0, 2.0), Transform.identity(), np.array([[*camera.centre_world, 700.0**2]]))

@@ -39,6 +39,7 @@ def manifold_cc(mesh: TriangleMesh) -> float:
     return float(body.volume()) / 1000.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["torso", pytest.param("torso_4", marks=pytest.mark.slow)])
 def test_breasts_are_closed_and_their_volume_is_that_of_skin_less_wall(name):
     solid = made(name)

@@ -65,6 +65,7 @@ def test_a_camera_looks_at_its_point_upright():
     assert rolled.rotation[0] @ looking(centre, target).rotation[0] == pytest.approx(np.cos(0.1))
 
 
+@pytest.mark.slow
 def test_the_board_is_photographed_where_the_truth_says(walk):
     made, truth = walk
     body = target_from_table(TELEPHONE_BOARD).body

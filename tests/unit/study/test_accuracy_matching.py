@@ -210,6 +210,7 @@ def test_what_stands_before_a_point_hides_it(scene: RayScene) -> None:
     assert mixed.seen_from(np.array([0.0, 0, -DISTANCE]), points).hit.tolist() == [False, True]
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_visibility_agrees_with_an_independent_renderers(shared_data: Path) -> None:
     """Its truth says which vertices each pair sees by the same rule (75°); both cast rays at the same mesh."""

@@ -98,6 +98,7 @@ def test_persons_who_differ_no_more_than_their_repeats_are_one_person(seed: int)
     assert found.between.sem.value == pytest.approx(pooled, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_intervals_hold_the_true_scatter() -> None:
     """400 studies of 6 breasts by 3 persons twice, drawn with known components: about 95 % hold both."""
     rng = np.random.default_rng(3)

@@ -58,6 +58,7 @@ def test_the_mean_of_alike_subjects_has_the_standard_error_of_their_means() -> N
     assert found.sd**2 == pytest.approx(means.var(ddof=1) + within / 2)  # Zou 2013, equal numbers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("between", "within"), [(1.0, 0.5), (0.3, 1.0)])
 def test_intervals_hold_as_often_as_they_say(between: float, within: float) -> None:
     """Both breasts of ten women, five of whom have one: 250 draws; 95 % ± three standard errors of that share.

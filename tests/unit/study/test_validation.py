@@ -95,6 +95,7 @@ def test_passing_and_bablok_by_counting_slopes() -> None:
     assert passing_bablok(first, outlier).slope.value == pytest.approx(forth.slope.value, abs=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-TRUTH-1")
 def test_intervals_hold_the_true_slope() -> None:
     rng, held, tables = np.random.default_rng(11), np.zeros(2), 300

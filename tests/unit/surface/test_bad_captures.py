@@ -27,6 +27,7 @@ def is_closed_ball(mesh):
     return mesh.is_watertight() and mesh.components()[0] == 1 and mesh.euler_number() == 2
 
 
+@pytest.mark.slow
 def test_one_view_empty():
     images, foregrounds, rig = captured()
     images[1] = images[1].keeping(np.zeros(images[1].valid.shape, dtype=bool))
@@ -76,6 +77,7 @@ def test_a_subject_outside_the_volume_that_all_see():
         extract(away, foregrounds, rig, COARSE)
 
 
+@pytest.mark.slow
 def test_a_hole_as_big_as_the_subject_is_closed_and_called_invented(monkeypatch):
     """Only a rim of data around the subject is left; silhouettes and rim close it."""
     images, foregrounds, rig = captured()

@@ -108,6 +108,7 @@ def disagreeing():
     return stood, [image for image, _ in both.values()], {pair: rows for pair, (_, rows) in both.items()}
 
 
+@pytest.mark.slow
 def test_a_correction_that_features_confirm_is_made(disagreeing):
     stood, images, rows = disagreeing
     found = find(RIG, images, rows, shared=lambda: shared_by(stood, 200, noise=0.02))

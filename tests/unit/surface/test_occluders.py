@@ -88,6 +88,7 @@ def test_a_single_other_camera_is_outvoted_by_none():
     assert find_occlusions([images[0]], few, rig) == {}
 
 
+@pytest.mark.slow
 def test_a_band_that_no_camera_matches_takes_nothing():
     """A dark band around the sphere: beside the subject for all, measured by none. The skin on both sides spans it."""
     images, foregrounds, rig = sphere_seen()

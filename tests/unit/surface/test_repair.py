@@ -52,6 +52,7 @@ def test_a_dented_sphere_is_pulled_back(target):
     assert (result.provenance == Provenance.MEASURED).mean() > 0.95
 
 
+@pytest.mark.slow
 def test_a_stiffer_surface_moves_less():
     first, valid = dented(), valid_views(AROUND)
     left = [np.abs(radial_error(repair(first, valid, RepairSettings(rho=rho)).mesh)).max() for rho in (0.1, 10.0, 1e4)]

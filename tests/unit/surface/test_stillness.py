@@ -134,6 +134,7 @@ def test_no_false_alarm(seed):
     assert not find(RIG, images, rows).moved
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moves", [False, True])
 def test_rows_that_no_motion_explains_move_nothing(still, turned, moves):
     """Much of one pair was matched by chance: its rows miss one another by a pixel, here and there."""
@@ -195,6 +196,7 @@ def test_what_is_left_is_as_large_as_claimed():
     assert 0.2 < np.sqrt(np.mean(np.square(ratios))) < 1.5
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-CAL-2")
 def test_one_camera_that_turned_is_named():
     _, images, rows = capture({"left_r": np.array([0.0, np.radians(0.06), 0.0])})
@@ -261,6 +263,7 @@ def test_a_body_that_ripples_is_not_explained_and_refused_beyond_the_limit(monke
     assert {notice.code for notice in concerns(unsure)} & {"motion-not-corrected", "motion-not-confirmed"}
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-CAL-2")
 def test_far_motions_are_refused_by_name():
     _, images, rows = capture({"right_l": np.array([0.0, np.radians(0.3), 0.0])})
@@ -314,6 +317,7 @@ def test_pairs_without_common_skin_are_not_compared():
     assert "compared" in summary(found)
 
 
+@pytest.mark.slow
 def test_a_pair_that_no_other_sees_moves_by_as_much_as_the_others_for_all_we_know():
     rng = np.random.default_rng(3)
     _, images, rows = capture({name: np.radians(0.08) * _unit(rng) for name in RIG.cameras})

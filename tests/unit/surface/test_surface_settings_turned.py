@@ -72,11 +72,13 @@ def test_dents_drop_what_another_view_looks_through_by_more_than_the_distance(mo
     assert kept() > 0.8
 
 
+@pytest.mark.slow
 def test_extract_cubes_twice_as_large_give_a_quarter_of_the_triangles(half_ball):
     fine, coarse = (len(extract(*half_ball, ExtractSettings(cube_mm=cube_mm)).faces) for cube_mm in (1.0, 2.0))
     assert coarse == pytest.approx(fine / 4, rel=0.15)
 
 
+@pytest.mark.slow
 def test_extract_smoothing_draws_a_ball_in(half_ball, monkeypatch):
     volumes = []
     for sigma in (0.5, 2.0):
@@ -142,6 +144,7 @@ def test_nothing_unmeasured_stands_before_what_spans_a_gap(jump_mm, hollow, monk
     assert behind < 0
 
 
+@pytest.mark.slow
 def test_repair_rounds_are_the_most():
     for rounds in (1, 2):
         assert len(repair(dented(), valid_views(AROUND), RepairSettings(rounds=rounds)).convergence) <= rounds
@@ -239,6 +242,7 @@ def test_cubes_suit_the_subject_unless_their_edge_is_chosen():
     assert ExtractSettings(cube_mm=1.2).of("torso").cube_mm == 1.2
 
 
+@pytest.mark.slow
 def test_cubes_of_no_edge_are_the_papers(half_ball):
     by_default, chosen = (extract(*half_ball, ExtractSettings(cube_mm=cube_mm)) for cube_mm in (0.0, 0.5))
     assert len(by_default.faces) == len(chosen.faces)

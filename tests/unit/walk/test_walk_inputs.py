@@ -59,6 +59,7 @@ def bad_pictures(folder):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-PHOTO-1")
 def test_bad_pictures_are_left_out_by_name(good, tmp_path):
     folder = tmp_path / "photos"
@@ -89,6 +90,7 @@ def test_too_few_that_are_left_are_a_refusal_that_lists_all(good, tmp_path):
     assert not (tmp_path / "session").exists()
 
 
+@pytest.mark.slow
 def test_a_telephone_that_is_turned_is_the_same_camera(tmp_path):
     """Upright, on either side, and upside down: one lens, whose principal point is not the picture's middle."""
     folder = tmp_path / "photos"

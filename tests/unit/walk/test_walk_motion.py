@@ -88,6 +88,7 @@ def test_a_still_body_is_left_as_it_is(walk):
     assert found.rest_mm < 0.05
 
 
+@pytest.mark.slow
 def test_a_still_body_that_pairs_match_with_small_errors_is_left_as_it_is(walk):
     """At flat angles matching errs by some tenths of a millimetre, alike in neighbouring places."""
     true, images = walk
@@ -103,6 +104,7 @@ def test_a_still_body_that_pairs_match_with_small_errors_is_left_as_it_is(walk):
     assert np.abs(found.shift_mm).max() < 0.08
 
 
+@pytest.mark.slow
 def test_a_body_that_swayed_is_put_right(walk):
     true, images = walk
     shift_mm = np.random.default_rng(5).normal(size=(len(ANGLES_DEG), 3)) * 0.3

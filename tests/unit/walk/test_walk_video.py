@@ -59,6 +59,7 @@ def test_sharp_frames_that_are_spread_over_the_walk_are_used(film, tmp_path):
     assert (numbers > 2 * 24 + 1).sum() <= 1  # one of those at rest
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-PHOTO-2")
 def test_a_video_and_photographs_or_two_videos_are_a_choice_of_the_user(film, tmp_path):
     shutil.copy(film, tmp_path / "walk.MP4")
