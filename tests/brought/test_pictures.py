@@ -181,6 +181,7 @@ def test_a_sensors_bits_in_the_lower_part_of_sixteen_are_named(
         read_photograph(tmp_path / f"a.{ending}", "a")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("folder", [b"caf\xe9", b"\xff\xfe", "七乳".encode(), b"a b\nc"], ids=ascii)
 @pytest.mark.parametrize(("bits", "ending"), list(product((8, 16), ("png", "tif", "jpg"))))
 def test_a_folder_may_have_any_name(tmp_path: Path, folder: bytes, bits: int, ending: str) -> None:

@@ -193,6 +193,7 @@ def turned(mesh: TriangleMesh, pitch_deg: float, roll_deg: float) -> tuple[Trian
     return mesh.mapped(lambda points: points @ turn.T), turn
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("pitch_deg", "roll_deg"), first(1, [(20.0, 30.0), (40.0, 0.0), (-30.0, 0.0)]))
 def test_a_front_is_cut_in_the_bodys_own_frame(pitch_deg: float, roll_deg: float) -> None:
     lying, turn = turned(front(), pitch_deg, roll_deg)

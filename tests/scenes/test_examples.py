@@ -18,6 +18,7 @@ def test_every_example_is_tested() -> None:
     assert {path.stem for path in EXAMPLES} == set(SAID)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "path",
     [pytest.param(path, marks=[] if path.stem.startswith("01") else [pytest.mark.slow]) for path in EXAMPLES],

@@ -151,6 +151,7 @@ def test_same_seed_same_bytes_other_seed_other_rig(tmp_path):
     assert _files(other.folder)[capture] != _files(one.folder)[capture]
 
 
+@pytest.mark.slow
 def test_png_and_other_subjects(tmp_path):
     session = write_session(
         tmp_path / "ball",
@@ -400,6 +401,7 @@ def test_a_given_subject_is_photographed_instead_of_the_recipes(tmp_path: Path) 
     assert session.scene.subject_faces == len(ball.mesh.faces)
 
 
+@pytest.mark.slow
 def test_rig_from_a_file_is_photographed(tmp_path, repository):
     session = write_session(
         tmp_path / "bench",

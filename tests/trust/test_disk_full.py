@@ -89,6 +89,7 @@ def on_a_small_disk(results: Path, size: str, command: str, out: Path) -> tuple[
     return int((out / "code").read_text()), (out / "first").read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("can_mount")
 @pytest.mark.parametrize("size", ["16k", *(pytest.param(size, marks=pytest.mark.slow) for size in ("32k", "48k"))])
 @pytest.mark.requirement("R-LOSS-3")

@@ -67,6 +67,7 @@ def files_of(folder: Path) -> list[Path]:
     return sorted(path for path in folder.rglob("*") if path.is_file() and not path.name.startswith(".lock"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("most", [12, pytest.param(_WHOLE, marks=pytest.mark.slow)])
 @pytest.mark.requirement("R-LOSS-9")
 def test_every_byte_of_the_results_is_checked(session: Path, most: int) -> None:

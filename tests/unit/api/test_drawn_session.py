@@ -58,6 +58,7 @@ def confirm(session: Path, curve: np.ndarray) -> None:
     change_drawn(session, "torso", {LEFT: change})
 
 
+@pytest.mark.slow
 def test_a_landmark_changes_no_boundary_and_no_volume(session: Path) -> None:
     before = keys(session)
     mark = drawn_entry(np.array([[1.0, 2.0, 3.0]]), method="picked by hand", author="A. Nurse")

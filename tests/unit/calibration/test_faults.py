@@ -51,6 +51,7 @@ def exchanged(pictures: Mapping[Shot, Shot]) -> Observations:
     return Observations(target=BOARD, sizes_wh=sizes, detections=detections)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("camera", "change", "effect_mm"),
     [

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.first_cases import first
 from tests.made_once import made_once
 from tests.unit.api.test_mesh_job import RIM, curves, export
 from tests.unit.io.scan_files import scanned
@@ -27,10 +28,11 @@ from mammometry.io.outputs import write_outputs
 from mammometry.io.results.records import RECORDS
 
 FOLDERS = ("imported", "measured")
+_RUN_WITHOUT_REPORT = partialmethod(MeshJob.run, report=False)
 
 
 def _fill(folder: Path) -> None:
-    """A cast of few faces: imported, and measured from its file in cm into a folder."""
+    """A cast of few faces: imported, and measured from its file in cm into a folder; no report, which takes longest."""
     given = curves(folder / "b.json", model=RIM / 10)  # in the mesh's own unit
     mesh = export(dome(sink_mm=10.0, rings=30, around=120), folder / "dome.ply", 0.1)
     write_outputs(
@@ -38,7 +40,9 @@ def _fill(folder: Path) -> None:
     )
     curves(folder / "imported" / BOUNDARIES, model=RIM)
     asked = [str(mesh), "--units", "cm", "--boundary", str(given), "--out", str(folder / "measured")]
-    assert run(["measure", *asked, "-q"]) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(MeshJob, "run", _RUN_WITHOUT_REPORT)
+        assert run(["measure", *asked, "-q"]) == 0
     mm.open_session(folder / "imported").run(report=False)
 
 
@@ -52,7 +56,7 @@ def place(tmp_path_factory: pytest.TempPathFactory, tmp_path: Path) -> Path:
 @pytest.fixture
 def without_report(monkeypatch: pytest.MonkeyPatch) -> None:
     """Commands measure and draw no report, which takes most of their time."""
-    monkeypatch.setattr(MeshJob, "run", partialmethod(MeshJob.run, report=False))
+    monkeypatch.setattr(MeshJob, "run", _RUN_WITHOUT_REPORT)
 
 
 def _answer(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, dict[str, Any]]:
@@ -63,9 +67,11 @@ def _answer(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int
 
 
 @pytest.mark.requirement("R-FOLDER-1")
-@pytest.mark.parametrize("name", FOLDERS)
+@pytest.mark.parametrize("name", first(1, FOLDERS))
 def test_commands_answer_on_a_scans_folder(place: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     folder = place / name
+    if name == "measured":
+        assert run(["report", str(folder), "-q"]) == 0
     _, about = _answer(capsys, "info", folder)
     assert {stage: known["state"] for stage, known in about["stages"].items()} == {
         "measure": "current",
@@ -97,7 +103,7 @@ def test_pages_figures_and_batches_of_a_scans_folder(
 
 @pytest.mark.requirement("R-FOLDER-1")
 @pytest.mark.parametrize("name", FOLDERS)
-@pytest.mark.parametrize("command", ["calibrate", "match", "surface", "evaluate", "figure 1"])
+@pytest.mark.parametrize("command", first(2, ["evaluate", "figure 1", "calibrate", "match", "surface"]))
 def test_what_needs_photographs_is_refused(
     place: Path, name: str, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -118,7 +124,7 @@ def test_python_opens_a_scans_folder(place: Path, name: str) -> None:
         _ = job.session
 
 
-@pytest.mark.parametrize("name", FOLDERS)
+@pytest.mark.parametrize("name", first(1, FOLDERS))
 def test_a_scans_folder_is_drawn_on(place: Path, name: str) -> None:
     """The page shows the boundary that was given, in mm, and what is drawn is measured."""
     desk = DrawingSession(drawable(place / name))
@@ -130,6 +136,7 @@ def test_a_scans_folder_is_drawn_on(place: Path, name: str) -> None:
     assert job.inputs.boundaries["model"] == pytest.approx(RIM * 0.999)
 
 
+@pytest.mark.slow
 def test_a_refused_drawing_can_be_corrected(place: Path) -> None:
     folder = place / "measured"
     curves(folder / BOUNDARIES, model=RIM * 1.5)  # off the mesh
@@ -153,16 +160,24 @@ def test_another_drawing_never_replaces_an_edited_one(place: Path) -> None:
 
 
 @pytest.mark.requirement("R-FOLDER-2")
-def test_a_mesh_that_is_gone_or_another_one_is_noticed(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_mesh_that_is_gone_or_another_one_is_noticed(place: Path) -> None:
     folder, mesh = place / "measured", place / "dome.ply"
     before = stats_of(folder)
     export(dome(sink_mm=9.0, rings=30, around=120), mesh, 0.1)
     assert stats_of(folder) != before  # a batch measures it again
-    code, checked = _answer(capsys, "verify", folder)
-    assert (code, len(checked["changed"])) == (StorageError.exit_code, 1)
     mesh.unlink()
     with pytest.raises(SessionError, match="no such file"):
         mm.open_session(folder)
+
+
+@pytest.mark.slow  # makes a report
+@pytest.mark.requirement("R-FOLDER-2")
+def test_results_of_another_mesh_are_named(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = place / "measured"
+    assert run(["report", str(folder), "-q"]) == 0
+    export(dome(sink_mm=9.0, rings=30, around=120), place / "dome.ply", 0.1)
+    code, checked = _answer(capsys, "verify", folder)
+    assert (code, len(checked["changed"])) == (StorageError.exit_code, 1)
 
 
 def test_both_are_moved_together(place: Path) -> None:

@@ -66,8 +66,10 @@ def django_db_setup(django_db_setup: None, django_db_blocker: DjangoDbBlocker) -
 def clinic(db: None) -> ClinicConfig:
     """The open clinic, with an empty database and empty folders."""
     for each in FOLDERS:
-        shutil.rmtree(_FOLDER / each, ignore_errors=True)
-        (_FOLDER / each).mkdir()
+        (_FOLDER / each).mkdir(exist_ok=True)
+        if any((_FOLDER / each).iterdir()):
+            shutil.rmtree(_FOLDER / each, ignore_errors=True)
+            (_FOLDER / each).mkdir()
     cache.clear()  # holds how often something was tried
     return CONFIG
 

@@ -101,6 +101,7 @@ def test_a_view_that_was_mounted_past_the_table_is_refused(clinic: object, rf: R
         DeniedByDefault(lambda request: HttpResponse()).process_view(rf.get("/"), lambda request: None, (), {})
 
 
+@pytest.mark.slow
 def test_a_script_is_answered_in_json_whatever_it_sends(clinic: object, client: Client) -> None:
     bodies = {"application/json": b"{}", "application/offset+octet-stream": b"photograph", "text/plain": b""}
     for path, access in table():

@@ -64,6 +64,7 @@ def test_what_cannot_be_entered(client_of: Callable[..., Client], changed: dict[
     assert not Person.objects.filter(full_name="Anna Ahorn").exists()
 
 
+@pytest.mark.slow
 def test_a_person_is_let_in_again(client_of: Callable[..., Client], person_of: Callable[..., Person]) -> None:
     client, person = client_of(Role.ADMINISTRATOR), person_of(Role.TECHNICIAN)
     person.set_password("three grey herons wade")

@@ -128,6 +128,7 @@ def test_photographs_of_a_check_that_was_never_judged_may_be_sent_again(client, 
     assert begin(client, rig).send(photograph(3))["state"] == "placed"
 
 
+@pytest.mark.slow
 def test_of_two_checks_with_the_same_photographs_one_is_judged(client, rig):
     one, other = begin(client, rig), begin(client, rig)
     for sender in (one, other):

@@ -128,6 +128,7 @@ def rows_by_objects(**asked: object) -> list[CohortRow]:
     return rows
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("random_clinic")
 def test_rows_and_figures_are_those_of_the_visits_own_results() -> None:
     for confirmed in (False, True):

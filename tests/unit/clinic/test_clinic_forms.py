@@ -299,6 +299,7 @@ def at_once(act: Callable[[int], Any], number: int) -> list[Any]:
         return list(threads.map(begun, range(number)))
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-KEEP-8")
 def test_what_a_note_said_before_is_shown_to_those_who_may_read_notes(visit: Visit, client_of: Clients) -> None:
     client, patient = client_of(Role.TECHNICIAN), visit.patient

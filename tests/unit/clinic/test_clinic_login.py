@@ -110,6 +110,7 @@ def test_an_inactive_person_is_out_at_once(anna: Person, client: Client) -> None
     assert not is_in(client)
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-SEC-2")
 def test_a_session_ends_when_idle_and_after_its_hours(
     anna: Person, client: Client, monkeypatch: pytest.MonkeyPatch

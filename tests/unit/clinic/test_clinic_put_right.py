@@ -222,6 +222,7 @@ def test_a_checks_photographs_are_put_right_and_judged_again(exchanged_check, cl
     assert {each.stem: each.read_bytes() for each in folder.iterdir()} == {"front_left": LEFT, "front_right": RIGHT}
 
 
+@pytest.mark.slow
 def test_others_put_no_check_right(exchanged_check, client_of):
     key = DailyCheck.objects.get().pk
     page = client_of(Role.CLINICIAN).get(f"/checks/{key}/").content.decode()

@@ -192,6 +192,7 @@ def test_cancelled_jobs_leave_the_queue_or_are_stopped_and_can_be_tried_again():
     assert Measurement.objects.count() == 0
 
 
+@pytest.mark.slow
 def test_many_runners_at_once_never_have_the_same_job(shared_database):
     for visit in visits(30):
         queue.enqueue(visit, None)

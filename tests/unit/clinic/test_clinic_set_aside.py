@@ -141,6 +141,7 @@ def test_photographs_of_the_board_are_set_aside_too(
     assert row.name == ("calibration/01/front_left.jpg" if pose else "front_left.jpg")
 
 
+@pytest.mark.slow
 def test_nothing_comes_back_while_it_is_measured(sender: Sender, rig_visit: Visit) -> None:
     sent = sender.send(photograph(1))
     sender.client.delete(sent["url"])

@@ -104,6 +104,7 @@ def test_a_print_that_was_not_measured_is_stated_with_its_effect(
     assert "± 6 %" in page
 
 
+@pytest.mark.slow
 def test_the_board_is_drawn_for_print(client_of: Callable[..., Client], clinic: ClinicConfig) -> None:
     answer = client_of(Role.TECHNICIAN).get(reverse("walk-target"))
     # With the field for a bank card, as by `mammometry target --telephone`.

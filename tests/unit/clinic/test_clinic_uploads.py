@@ -257,6 +257,7 @@ def test_its_serial_number_places_a_photograph_that_no_name_does(sender):
     assert sender.send(photograph(serial="B2"), name="IMG_0042.JPG")["camera"] == "front_right"
 
 
+@pytest.mark.slow
 def test_a_photograph_of_nobody_knows_whose_waits_to_be_placed(sender, rig_visit):
     table = sender.send(photograph(), name="IMG_0042.JPG")
     assert (table["state"], table["camera"]) == ("checked", None)
@@ -319,6 +320,7 @@ def test_a_calibration_takes_poses_and_no_path(client_of, rig_visit):
     assert (folder_of(sender.target) / "calibration" / "01" / "front_left.jpg").is_file()
 
 
+@pytest.mark.slow
 def test_an_administrator_sees_no_patients_photographs(client_of, sender):
     table = sender.send(photograph())
     administrator = client_of(Role.ADMINISTRATOR)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import http.client
 import json
 import re
@@ -515,13 +516,28 @@ def test_an_open_surface_has_nothing_to_draw(tmp_path: Path, login: OneTimeLogin
 # --- in a browser ---
 
 
+class _QuickServer(uvicorn.Server):
+    """Ends when it is asked to. uvicorn's own looks ten times a second and then waits as long for its connections."""
+
+    async def main_loop(self) -> None:
+        await self.on_tick(0)
+        while not self.should_exit:
+            await asyncio.sleep(0.005)
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        for connection in list(self.server_state.connections):
+            connection.shutdown()
+        for server in self.servers:
+            server.close()
+
+
 @contextmanager
 def running(app: Application) -> Iterator[str]:
     """The address of a page that really listens."""
     listener = socket.socket()
     listener.bind((HOST, 0))
     listener.listen()
-    server = uvicorn.Server(uvicorn.Config(app, log_config=None, log_level="error", lifespan="off"))
+    server = _QuickServer(uvicorn.Config(app, log_config=None, log_level="error", lifespan="off"))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
     thread.start()
     try:

@@ -216,6 +216,7 @@ def test_a_deidentified_study_tells_no_name_and_no_day(tmp_path: Path) -> None:
     assert files(made) == files(objects(deidentified(tmp_path)))
 
 
+@pytest.mark.slow
 def test_without_a_patient_the_subject_is_the_patient(tmp_path: Path) -> None:
     assert {each.PatientID for each in objects(exported(tmp_path))} == {"P-EXAMPLE"}
 
@@ -239,6 +240,7 @@ def test_a_confirmed_report_is_verified_and_holds_the_conclusion(tmp_path: Path)
     assert numbers(report)["Left breast", "Volume"] == (354.25, "cm3")
 
 
+@pytest.mark.slow
 def test_what_is_verified_is_not_said_to_be_confirmed_yet(tmp_path: Path) -> None:
     automatic = tuple(
         replace(quantity, boundary="automatic: the fold", boundary_remarks=("to-be-confirmed",))
@@ -260,6 +262,7 @@ def test_what_nobody_confirmed_or_concluded_is_not_said_to_be(made: list[Dataset
     assert "121076" not in str(without)
 
 
+@pytest.mark.slow
 @DCMTK
 def test_dcmtk_reads_a_verified_report(tmp_path: Path) -> None:
     (report,) = of_kind(objects(signed(tmp_path / "in"), ANNA, ORDER), "SR")

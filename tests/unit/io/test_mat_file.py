@@ -44,6 +44,7 @@ def require_same(ours: Any, theirs: Any) -> None:
         np.testing.assert_array_equal(np.squeeze(ours), np.squeeze(theirs))
 
 
+@pytest.mark.slow
 @given(st.dictionaries(NAMES, VALUES, min_size=1, max_size=3), st.booleans())
 @settings(max_examples=40, deadline=None)
 def test_what_scipy_writes_is_read_as_scipy_reads_it(variables: dict[str, Any], packed: bool) -> None:

@@ -202,6 +202,7 @@ store.Store(folder).recall(key(version=2), Maker(5.0))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("moment", "finished"), first(1, [("rename", False), ("0", True), ("1", True)]))
 def test_killed_while_it_puts_a_result_in_place(tmp_path: Path, moment: str, finished: bool) -> None:
     Store(tmp_path).recall(key(), Maker())

@@ -139,6 +139,7 @@ def test_a_larger_window_is_surer_of_its_shift(noisy: tuple[RectifiedPair, np.nd
     assert variances[1] < 0.4 * variances[0]  # a quarter, of four times the area
 
 
+@pytest.mark.slow
 def test_coarser_smoothings_take_more_noise(
     noisy: tuple[RectifiedPair, np.ndarray], by_default: DisparityMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -90,6 +90,7 @@ def test_a_maps_figures_are_in_pixels_of_the_rectified_pair() -> None:
     assert row_errors(replace(whole, halvings=1)).pixel_rad == row_errors(whole).pixel_rad / 2
 
 
+@pytest.mark.slow
 def test_a_rig_that_moved_is_noticed_by_matching_itself() -> None:
     pair, _ = make_pair(np.random.default_rng(2), d_v_px=0.6)
     quality = assess(match(pair))

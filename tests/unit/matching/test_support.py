@@ -93,6 +93,7 @@ def test_a_board_that_one_pair_sees_clearly_is_the_support_of_all() -> None:
     assert np.array_equal(front, shared)
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-MASK-1")
 def test_one_pair_that_mistakes_a_repeating_pattern_is_outvoted() -> None:
     """A part of the board, larger than the small hill, is matched a square too far behind it."""

@@ -181,6 +181,7 @@ def test_a_bent_base_is_found_where_a_part_of_its_rim_only_is_seen() -> None:
     assert mean_height(found.base, rim) == pytest.approx(mean_height(true, rim), abs=0.3)
 
 
+@pytest.mark.slow
 def test_a_base_that_cuts_measured_skin_off_is_none() -> None:
     surface = seen_surface(None)
     candidates = rim_candidates(surface, photographed(None), RIG)

@@ -190,6 +190,7 @@ def test_where_nothing_shows_the_border_it_runs_as_real_womens_do_and_says_that_
     assert found.sigma_mm[top] > 1.5 * found.sigma_mm[bottom]
 
 
+@pytest.mark.slow
 def test_a_border_that_runs_over_the_breast_says_how_far_the_breast_goes_on() -> None:
     """It may end no further than 25 mm from the top, and falls to a third of its height 52 mm from it."""
     whole = follow_crease(relief_of(cap(80.0, 90.0)), np.zeros(2))

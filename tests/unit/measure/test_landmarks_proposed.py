@@ -59,6 +59,7 @@ def test_a_hollow_beside_the_midline_or_among_the_breasts_is_none_of_them():
         assert set(proposed(front((np.array(place), 7.0)))) == {"midline"}
 
 
+@pytest.mark.slow
 def test_the_flank_of_a_hollow_below_the_breasts_is_no_navel():
     for below_mm in (30.0, 57.0, 68.0):  # the navel is looked for from 80 mm on
         assert set(proposed(front((np.array([0.0, LOWEST - below_mm]), 9.0)))) == {"midline"}

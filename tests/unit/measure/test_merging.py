@@ -41,6 +41,7 @@ def scaled(factor: float) -> TriangleMesh:
     return SECOND.mapped(lambda points: factor * points)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", first(1, [1.01, 0.99, 1.1]))
 @pytest.mark.requirement("R-MERGE-2")
 def test_another_scale_is_refused_with_its_percentage(factor: float) -> None:

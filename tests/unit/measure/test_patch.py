@@ -58,6 +58,7 @@ def test_a_curve_that_crosses_itself_is_filled_with_its_signed_area(seed: int, s
     assert {edge for edge in once if edge[::-1] not in once} == {(i, (i + 1) % len(loop)) for i in range(len(loop))}
 
 
+@pytest.mark.slow
 def test_a_curve_that_comes_to_cross_itself_changes_its_filling_little() -> None:
     """What lies over a fold of the curve goes through the crossing smoothly."""
     angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)

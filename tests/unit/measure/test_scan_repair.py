@@ -157,6 +157,7 @@ def split_once(mesh: TriangleMesh) -> TriangleMesh:
     return TriangleMesh(vertices=np.concatenate([mesh.vertices, *new]), faces=np.concatenate(faces).astype(np.int32))
 
 
+@pytest.mark.slow
 def test_pieces_that_touch_are_joined() -> None:
     left, right = halves()
     for other in (right, right.turned_over(), right.mapped(lambda points: points + 0.02)):

@@ -170,6 +170,7 @@ def test_two_boundaries_show_left_where_the_trunk_shows_no_plane() -> None:
     np.testing.assert_allclose(body.left, [1, 0, 0], atol=0.01)
 
 
+@pytest.mark.slow
 def test_two_breasts_show_which_way_a_trunk_lies_whose_sides_are_covered() -> None:
     """As by a gown. One breast alone does not."""
     for breasts, reach_mm in (((HIGH, (-HIGH[0], *HIGH[1:])), 80), ((HIGH,), 50)):

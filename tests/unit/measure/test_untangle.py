@@ -21,6 +21,7 @@ def curled(places, radius_mm=2.0, corners=18):
     return loop
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10_000))
 def test_crossings_are_those_of_all_pairs(seed):
     loop = np.random.default_rng(seed).uniform(-1, 1, (12, 2))

@@ -147,6 +147,7 @@ def bare_trunk() -> TriangleMesh:
     return TriangleMesh(vertices=vertices, faces=mesh.faces)
 
 
+@pytest.mark.slow
 def test_a_side_without_a_breast_is_the_wall_of_the_other() -> None:
     walls = {wall.kind: wall for wall in chest_wall.fit_all(one_breast())}
     assert walls["mirrored"].closed.is_watertight()

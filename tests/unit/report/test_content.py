@@ -197,6 +197,7 @@ def test_each_fault_has_its_warning(rig) -> None:
     assert warned(rig, measurements=[leaking]).startswith("The closed solid of the cast is not watertight")
 
 
+@pytest.mark.slow
 def test_a_poor_photograph_of_the_board_comes_last_and_the_rig_first(rig) -> None:
     calibration = synthetic.calibration(rig)
     view = calibration.observations.detections[0]

@@ -48,6 +48,7 @@ def source(pairs: int = 2) -> Any:
     return MadePlan(made_products), SimpleNamespace(photographs=synthetic.photographs(rig)), Settings()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "number",
     [

@@ -19,7 +19,9 @@ def made() -> list[tuple[str, set[str]]]:
     """Codes that the program makes, with the names of their values."""
     found = []
     for path in SOURCE.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
+        if "Notice(" not in (text := path.read_text(encoding="utf-8")):
+            continue
+        for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "Notice":
                 given = {word.arg: word.value for word in node.keywords}
                 if isinstance(given["code"], ast.Constant):

@@ -229,6 +229,7 @@ def test_motion_turns_as_a_rotation_does():
     assert (breathing.at(far, 0.1) - far)[:, 2] == pytest.approx([0.8, 0.0], abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_moved_subject_takes_its_paint_along():
     camera = make_rig("reference:front", 0.06, 3).cameras["front_left"]
     skin = SkinReflectance(contrast=0.12)

@@ -194,6 +194,7 @@ def test_mottling_reaches_down_to_the_pixel_at_every_scale():
         assert fine.std() / patch.mean() > 0.01
 
 
+@pytest.mark.slow
 def test_contrast_can_be_nearly_nothing(camera):
     scene = _ridged(sphere(40.0, 4.0))
     spreads = []

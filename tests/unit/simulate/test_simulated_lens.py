@@ -119,6 +119,7 @@ def test_corners_stay_where_they_are_sharp_or_not(focus_mm):
     assert np.sqrt((error**2).mean()) < 0.04
 
 
+@pytest.mark.slow
 def test_dots_of_a_cylinder_are_where_the_model_says(monkeypatch):
     target = DottedCylinderTarget(
         dots=(7, 20), radius_mm=100.0 / math.pi, row_pitch_mm=10.0, column_pitch_mm=10.0, dot_mm=5.0

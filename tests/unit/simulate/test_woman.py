@@ -102,6 +102,7 @@ def made(name: str) -> Woman:
     return woman_named(name, 0, edge_mm=4.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", first(1, ["leaning-woman_3", "woman_1"]))
 def test_a_woman_is_closed_and_her_volumes_are_exact(name: str) -> None:
     woman = made(name)

@@ -162,6 +162,7 @@ def test_a_table_and_a_stand_are_not_taken_for_the_ball() -> None:
     assert errors["form"].error < 0.15
 
 
+@pytest.mark.slow
 def test_spikes_within_the_ball_are_reported() -> None:
     """2 % of the points fly 20 mm before the ball: more than the rule lets be left out."""
     mesh = artefact_mesh(BALL, POSITIONS["sphere"][0], edge_mm=3.0)
@@ -174,6 +175,7 @@ def test_spikes_within_the_ball_are_reported() -> None:
     assert abs(result.findings[1].error) < 0.5
 
 
+@pytest.mark.slow
 def test_moderate_outliers_count_in_the_form() -> None:
     mesh = artefact_mesh(BALL, POSITIONS["sphere"][0], edge_mm=3.0)
     rng = np.random.default_rng(0)

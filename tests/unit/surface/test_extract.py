@@ -76,6 +76,7 @@ def test_the_unseen_back_is_closed_plainly(monkeypatch):
     assert box.distance_mm(mesh.vertices).max() > -1.0  # it does reach the back
 
 
+@pytest.mark.slow
 def test_silhouettes_bound_what_ranges_do_not_show(monkeypatch):
     images, foregrounds, rig = scene(FRONT, (30.0,) * 3)
     half_blind = [image.keeping(image.points_world()[..., 1] > -5.0) for image in images]

@@ -127,6 +127,7 @@ def test_where_features_are_silent_a_correction_must_explain_the_disagreement(di
     assert ("motion-not-confirmed" in {notice.code for notice in concerns(found)}) != made
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-CAL-2")
 def test_a_correction_that_features_refute_is_not_made_and_said(disagreeing):
     """Pairs disagree as if cameras had turned, but all that they share lies where it should."""

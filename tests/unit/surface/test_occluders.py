@@ -47,6 +47,7 @@ def test_a_bar_in_one_photograph_takes_nothing_of_a_sphere():
     assert all(opened[name] is barred[name] for name in ("c1", "c2", "c3"))
 
 
+@pytest.mark.slow
 def test_where_two_of_three_cameras_are_blocked_the_third_one_decides():
     """One is blocked beside the place, too, where both others see the skin: it has no vote."""
     images, foregrounds, rig = sphere_seen([(0, 0, 1), (0.6, 0, 1), (-0.6, 0, 1), (0.3, 0, 1), (0, 0.8, 1)])

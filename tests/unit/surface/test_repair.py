@@ -145,6 +145,7 @@ def test_no_triangle_turns_over():
     assert turned.mean() < 1e-3
 
 
+@pytest.mark.slow
 def test_two_sheets_that_data_pull_through_one_another_stay_apart(monkeypatch):
     """The near side of a second body lies where the data have the first: both are drawn to one surface."""
     sphere, above = sphere_mesh(RADIUS - 0.3, rings=60), sphere_mesh(12.0, rings=40)

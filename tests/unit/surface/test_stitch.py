@@ -21,6 +21,7 @@ def ellipsoid(radii, centre):
     return sample
 
 
+@pytest.mark.slow
 @settings(max_examples=6, deadline=None, phases=(Phase.explicit, Phase.generate))
 @given(
     radii=st.tuples(*[st.floats(11.0, 15.0)] * 3),

@@ -99,6 +99,7 @@ def test_extract_back_and_around_are_the_boxs_distances(half_ball, monkeypatch):
     assert wide - small == pytest.approx([0.0, 7, 7, 7, 7, 7])
 
 
+@pytest.mark.slow
 def test_field_truncation_cuts_the_signed_distance(half_ball, monkeypatch):
     box = closing_box_of(half_ball[0])
     for truncation_mm in (1.0, 3.0):
@@ -151,6 +152,7 @@ def test_repair_rounds_are_the_most():
     assert len(repair(dented(), valid_views(AROUND), RepairSettings(rounds=1)).convergence) == 1
 
 
+@pytest.mark.slow
 def test_repair_false_weight_holds_vertices_without_data(monkeypatch):
     """Displacements fade at once here: the heavier a vertex without data, the less its neighbours carry it along."""
     first = TriangleMesh(vertices=1.05 * sphere_mesh(RADIUS, 60).vertices, faces=sphere_mesh(RADIUS, 60).faces)

@@ -115,6 +115,7 @@ def test_a_body_that_swayed_is_put_right(walk):
     assert shape_errors(corrected) < 0.4 * shape_errors(seen)
 
 
+@pytest.mark.slow
 def test_a_body_that_moved_otherwise_is_refused(walk):
     true, images = walk
     rng = np.random.default_rng(6)

@@ -103,6 +103,7 @@ def test_frames_are_turned_as_the_metadata_say(tmp_path):
     assert with_turn.shape[1::-1] == SIZE_WH[::-1]
 
 
+@pytest.mark.slow
 def test_directions_are_those_of_the_telephone():
     for azimuth, elevation in ((0.0, 0.0), (30.0, 10.0), (-40.0, -10.0)):
         frame = Photograph(name="1", pixels=photograph(azimuth, elevation))
