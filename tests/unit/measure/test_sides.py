@@ -267,6 +267,24 @@ def test_what_stands_out_of_a_slope_is_measured_before_the_slope() -> None:
     assert 25.0 < found.top_mm < 30.0  # smoothed over 6 mm
 
 
+@pytest.mark.parametrize("inside_mm", [0.0, 5.0])
+def test_a_hanging_breast_is_as_high_over_an_outline_inside_its_fold(inside_mm: float) -> None:
+    """Without a membrane below the overhang, one of 600 cc was 18 mm high and "unclear" (`hanging_2`)."""
+    axes = np.arange(-100.0, 100.1, PIXEL_MM)
+    x, y = np.meshgrid(axes, axes)
+    rho2 = (x**2 + y**2) / 60.0**2
+    hangs = 60.0 * np.clip(0.5 - y / 120.0, 0, 1)  # flush above, 60 mm over the fold below
+    relief = Relief(
+        low=np.array([-100.0, -100.0]),
+        bulge_mm=np.where(rho2 < 1, hangs, 0.0),
+        known=np.ones(x.shape, dtype=bool),
+        arm=np.zeros(x.shape, dtype=bool),
+    )
+    found = prominence_within(relief, np.sqrt(rho2) < 1 - inside_mm / 60.0, 0.7)
+    assert found.mean_mm == pytest.approx(30.0, rel=0.1)
+    assert found.top_mm > 45.0
+
+
 @pytest.mark.slow
 def test_a_flank_that_goes_far_around_the_trunk_is_not_cut() -> None:
     """A leaning torso with arms at its sides reached 97° about the axis that its seen skin told."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, label, maximum_filter
+from scipy.ndimage import gaussian_filter, label, maximum_filter, minimum_filter
 from scipy.sparse import coo_matrix, identity
 from scipy.sparse.linalg import spsolve
 
@@ -163,6 +163,9 @@ _MIRRORED_CREASED = 0.7
 """Least share of the outline in a crease of a low mound at the mirrored place of the other breast. Photographed mounds
 of 80 cc had 0.74 to 0.78 there, others at least 0.87. Chests without a breast had 0.1 to 0.8, but at least 39 mm from
 that place (docs/decisions/0026)."""
+_OVERHANG_MM, _OVERHANG_REACH = 10.0, 3
+"""Least step of the skin at an overhang, mm, and its distance outside the outline, pixels: outlines of hanging breasts
+are up to 6 mm inside the fold, and the step is 20 to 90 mm (docs/decisions/appendix/0043.md)."""
 _TOP = 0.98  # quantile of the heights that is the top, so that specks do not count
 
 
@@ -210,6 +213,7 @@ def prominence_within(relief: Relief, inside: Bool[Array, "h w"], creased: float
     """Prominence within an outline on the flattened trunk.
 
     The membrane is harmonic over (half width × θ, y) and equal to the bulge along the outline, like the default wall.
+    Where the breast hangs over the outline, it is equal to the trunk's skin below the overhang.
 
     Args:
         relief: the flattened skin.
@@ -225,12 +229,13 @@ def prominence_within(relief: Relief, inside: Bool[Array, "h w"], creased: float
     number[inside] = np.arange(count)
     row, column = np.nonzero(inside)
     right = np.zeros(count)
+    edge_mm = _below_overhang_mm(relief)
     entries = []
     for down, aside in ((1, 0), (-1, 0), (0, 1), (0, -1)):
         beside = number[row + down, column + aside]
         within = beside >= 0
         entries.append((np.flatnonzero(within), beside[within]))
-        right[~within] += relief.bulge_mm[row + down, column + aside][~within]
+        right[~within] += edge_mm[row + down, column + aside][~within]
     rows, columns = (np.concatenate(places) for places in zip(*entries, strict=True))
     laplace = 4 * identity(count) - coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(count, count))
     wall_mm = spsolve(laplace.tocsc(), right)
@@ -242,3 +247,9 @@ def prominence_within(relief: Relief, inside: Bool[Array, "h w"], creased: float
         area_cm2=float(count * PIXEL_MM**2 / 100),
         creased=creased,
     )
+
+
+def _below_overhang_mm(relief: Relief) -> Float64[Array, "h w"]:
+    """The bulge, and next to a step the lower side's, mm."""
+    lowest: Float64[Array, "h w"] = minimum_filter(relief.bulge_mm, size=2 * _OVERHANG_REACH + 1)
+    return np.where(relief.bulge_mm - lowest > _OVERHANG_MM, lowest, relief.bulge_mm)
