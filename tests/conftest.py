@@ -20,6 +20,8 @@ import pytest
 from tests.not_run import NotRun
 from tests.record_seconds import Recorder
 from tests.rota import RECORDED, chosen, function_of, longest_first, turn
+from xdist.remote import Producer
+from xdist.scheduler import LoadFileScheduling
 
 gc.disable()  # until all is collected
 
@@ -155,6 +157,17 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     now = chosen(groups.items(), number)
     config.hook.pytest_deselected(items=[item for item in items if _group(item) not in now])
     items[:] = [item for item in items if _group(item) in now]
+
+
+@pytest.hookimpl(optionalhook=True)  # of xdist
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LoadFileScheduling | None:
+    """Give architecture tests to one worker: parsing all modules takes longer than any of these tests."""
+    return _ByFile(config, log) if config.getoption("dist") == "loadfile" else None
+
+
+class _ByFile(LoadFileScheduling):
+    def _split_scope(self, nodeid: str) -> str:
+        return "tests/architecture" if nodeid.startswith("tests/architecture/") else super()._split_scope(nodeid)
 
 
 def _is_slow(item: pytest.Item) -> bool:

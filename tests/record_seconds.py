@@ -14,6 +14,8 @@ from tests.rota import function_of, recorded
 
 LONG_FILE_S, LONG_TEST_S = 4.0, 0.5
 """Shorter files of the default run, and shorter slow tests, are not worth a line."""
+LONG_DEFAULT_S = 0.7
+"""Longer tests of the default run are listed: 290 s for all of them are 0.06 s each (decision 35)."""
 _PROPERTY = "cpu seconds"
 
 
@@ -52,6 +54,15 @@ class Recorder:
             self._cases[report.nodeid][-1] += seconds
             if slow:
                 self._slow.add(report.nodeid)
+
+    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+        took = {test: seconds[0] for test, seconds in self._cases.items() if test not in self._slow}
+        long = sorted((test for test in took if took[test] >= LONG_DEFAULT_S), key=lambda test: -took[test])
+        terminalreporter.section(
+            f"default tests: {sum(took.values()):.0f} s, {len(long)} of {LONG_DEFAULT_S} s and more"
+        )
+        for test in long:
+            terminalreporter.write_line(f"{took[test]:7.1f} {test}: make it cheaper, or mark it slow")
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         if hasattr(session.config, "workerinput"):

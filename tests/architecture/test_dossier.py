@@ -1,29 +1,35 @@
 """The dossier: every requirement has its test, every library a purpose and a licence that may be there."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
 from tools import dossier
 
 ROWS = dossier.requirements()
-TESTS = list(dossier.marked_tests())
+
+
+@cache
+def marked() -> list[dossier.MarkedTest]:
+    """All tests with the requirements that they show; not while tests are collected, which each worker does."""
+    return list(dossier.marked_tests())
 
 
 def test_every_requirement_has_a_test_and_every_mark_a_requirement() -> None:
     assert len(ROWS) > 70
-    assert dossier.faults(ROWS, TESTS) == []
+    assert dossier.faults(ROWS, marked()) == []
 
 
 def test_the_page_of_requirements_is_that_of_today(repository: Path) -> None:
     page = (repository / "docs" / "dossier" / "requirements.md").read_text(encoding="utf-8")
-    assert page == dossier.requirements_page(ROWS, TESTS), "call make dossier"
+    assert page == dossier.requirements_page(ROWS, marked()), "call make dossier"
 
 
 def test_what_does_not_hold_together_is_named() -> None:
     row = replace(ROWS[0], id="R-NONE-1", code=("no_such_module.py",), measured="no-such-section")
-    mark = replace(TESTS[0], requirements=("R-NONE-2",))
-    wrong = dossier.faults([*ROWS, row, ROWS[0]], [*TESTS, mark])
+    mark = replace(marked()[0], requirements=("R-NONE-2",))
+    wrong = dossier.faults([*ROWS, row, ROWS[0]], [*marked(), mark])
     assert [sentence.partition(": ")[2] for sentence in wrong] == [
         "two requirements have this name",
         "no requirement is named R-NONE-2",

@@ -4,6 +4,8 @@ import ast
 import re
 from pathlib import Path
 
+from tests.architecture.test_imports import nodes, syntax
+
 CLINIC = "src/mammometry/clinic"
 BASE = "record_form.py"
 FACTORIES = {"modelform_factory", "modelformset_factory", "inlineformset_factory", "fields_for_model"}
@@ -16,8 +18,8 @@ WITHOUT = ("account_logout", "job-cancel")
 def test_every_form_of_a_record_is_a_record_form(repository: Path) -> None:
     found = []
     for path in sorted((repository / CLINIC).rglob("*.py")):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        names = {node.attr if isinstance(node, ast.Attribute) else node.id for node in ast.walk(tree)
+        tree = syntax(path)
+        names = {node.attr if isinstance(node, ast.Attribute) else node.id for node in nodes(tree)
                  if isinstance(node, ast.Attribute | ast.Name)}  # fmt: skip
         if names & {"ModelForm", "BaseModelForm", *FACTORIES}:
             found.append(path.name)
@@ -27,7 +29,7 @@ def test_every_form_of_a_record_is_a_record_form(repository: Path) -> None:
 def test_no_record_form_goes_without_the_comparison(repository: Path) -> None:
     """`is_valid` is where a stale form is found, so no form may have its own."""
     for path in sorted((repository / CLINIC).rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes(syntax(path)):
             if isinstance(node, ast.ClassDef) and path.name != BASE:
                 own = {each.name for each in node.body if isinstance(each, ast.FunctionDef)}
                 assert not own & {"is_valid", "_compare", "full_clean"}, f"{path.name}: {node.name}"

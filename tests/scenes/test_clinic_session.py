@@ -43,6 +43,7 @@ def test_truth_says_what_was_disturbed(both):
     assert f"{_TEXT}" in (both[1] / "session.toml").read_text()
 
 
+@pytest.mark.slow
 def test_nothing_else_differs(both):
     clean, disturbed = both
     for name in ("mesh.ply", "cameras.json", "boards.json", "boundary_base.xyz"):
@@ -64,6 +65,7 @@ def test_colour_is_halved_in_the_files_if_asked_for(tmp_path):
             assert JpegImagePlugin.get_sampling(picture) == (2 if halved else 0)
 
 
+@pytest.mark.slow
 def test_the_wall_is_bright_behind_the_cast_and_no_part_of_its_depth(both):
     clean, disturbed = (np.asarray(Image.open(folder / "capture" / "front_left.jpg"), dtype=float) for folder in both)
     known = tifffile.imread(both[1] / "truth" / "depth" / "front_left.tif", key=1).astype(bool)
@@ -73,6 +75,7 @@ def test_the_wall_is_bright_behind_the_cast_and_no_part_of_its_depth(both):
     assert disturbed[corner].mean() > clean[corner].mean() + 60.0
 
 
+@pytest.mark.slow
 def test_depth_is_that_of_the_cameras_at_the_capture(both):
     truth = both[1] / "truth"
     camera = read_true_cameras(truth)["front_left"]

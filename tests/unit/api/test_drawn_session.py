@@ -66,6 +66,7 @@ def test_a_landmark_changes_no_boundary_and_no_volume(session: Path) -> None:
     assert keys(session)[:2] == before[:2]
 
 
+@pytest.mark.slow
 def test_a_confirmed_automatic_boundary_is_told_and_nothing_is_measured_anew(
     session: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -41,6 +41,7 @@ def straight():
     return view, develop(light), light
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("turn_deg", "sigma_px", "distortion"),
     [

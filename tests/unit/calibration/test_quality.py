@@ -54,6 +54,7 @@ def test_clean_calibration_passes(clean: Calibration) -> None:
     assert len(quality.views) == len(clean.observations.detections)
 
 
+@pytest.mark.slow
 def test_photographs_that_could_not_be_used_are_named_and_those_without_the_target_are_not(clean: Calibration) -> None:
     mirrored = MissedView(camera="a", pose="90", found="a mirrored board", remedy="Do not flip it")
     elsewhere = MissedView(camera="b", pose="91", found="no target", remedy="")

@@ -53,6 +53,7 @@ def test_right_names_are_left_alone(rig, seen):
     assert check_board_names(rig, seen) is None
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-FIRE-4")
 def test_any_two_cameras_of_which_one_sees_the_board_are_named(rig, seen):
     for pair in list(combinations(rig.cameras, 2))[::5]:

@@ -96,6 +96,7 @@ def test_what_cannot_be_analysed_is_refused(
     assert not out.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-REP-3")
 def test_folders_of_results_by_their_levels(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

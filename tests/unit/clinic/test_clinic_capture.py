@@ -96,6 +96,7 @@ def test_a_technician_aims_fires_and_measures(
     assert "visit-look" not in pages  # five a second
 
 
+@pytest.mark.slow
 def test_a_refused_firing_leaves_the_visit_without_photographs(
     before_rig: Callable[..., Visit], client_of: Callable[..., Client]
 ) -> None:

@@ -321,6 +321,7 @@ def test_a_disk_that_refuses_is_a_sentence_and_in_the_log(
 # --- what is said of a change that is not measured ---
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-WHO-6")
 def test_an_unmeasured_change_is_said_everywhere_and_no_number_is_shown(
     client_of: Callable[..., Client], measured: Visit, monkeypatch: pytest.MonkeyPatch, tmp_path: Path

@@ -261,6 +261,7 @@ def test_a_large_picture_is_refused_by_its_header(
     assert nothing_is_left(clinic)
 
 
+@pytest.mark.slow
 def test_photographs_have_no_place_in_a_scans_visit(
     client_of: Callable[..., Client], patient: Patient, files: dict[str, bytes]
 ) -> None:
@@ -290,6 +291,7 @@ def test_only_care_sends_scans(client_of: Callable[..., Client], patient: Patien
     assert not Visit.objects.exists()
 
 
+@pytest.mark.slow
 def test_a_refused_scans_page_shows_what_was_seen(
     client_of: Callable[..., Client], patient: Patient, files: dict[str, bytes]
 ) -> None:

@@ -347,6 +347,7 @@ def test_the_job_prepares_numbered_photographs_with_the_board_once(
     assert not [path for path in (clinic.folder / "uploads").iterdir() if path.name.startswith("walk-")]
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-KEEP-10")
 def test_the_sent_files_are_deleted_when_the_session_is_made_and_the_page_lists_what_was_left_out(
     sender: Sender, walk_visit: Visit, clinic: ClinicConfig
@@ -438,6 +439,7 @@ def test_photographs_of_another_visit_are_asked_about(
     assert sender.client.post(address, '{"anyway": true}', content_type="application/json").status_code == 202
 
 
+@pytest.mark.slow
 def test_a_walk_is_in_studies_exports_and_erasure(
     sender: Sender, walk_visit: Visit, clinic: ClinicConfig, tmp_path: Path
 ) -> None:

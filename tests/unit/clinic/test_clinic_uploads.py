@@ -362,6 +362,7 @@ def test_two_people_send_the_same_place_at_once_and_one_whole_photograph_remains
     assert Upload.objects.filter(state=Upload.State.PLACED).count() == 1
 
 
+@pytest.mark.slow
 def test_a_second_photograph_replaces_the_first_only_where_that_is_said(sender, rig_visit):
     first, second = photograph(1), photograph(2)
     sender.send(first)
@@ -398,6 +399,7 @@ def test_a_calibration_says_how_many_poses_it_still_needs(client_of, rig_visit):
     assert may_queue(sender.target) is None
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-FIRE-5")
 def test_exchanged_photographs_are_named_before_they_are_measured(sender, rig_visit, monkeypatch):
     from mammometry.calibration.judge.camera_names import PhotographCheck

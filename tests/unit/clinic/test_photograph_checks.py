@@ -2,6 +2,7 @@
 
 import datetime
 import io
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from mammometry.io.photographs.tags import PhotographTags, read_exposure
 SIZE_WH = (900, 600)
 
 
+@lru_cache
 def subject(centre=(0.5, 0.5), radius=0.3, value=0.6, blur_px=0.6, seed=3):
     """A pale, mottled ball before a dark wall, as a lens draws it that blurs by a Gaussian σ."""
     width, height = SIZE_WH

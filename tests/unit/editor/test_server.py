@@ -529,6 +529,8 @@ class _QuickServer(uvicorn.Server):
             connection.shutdown()
         for server in self.servers:
             server.close()
+        while self.server_state.tasks:  # each closes the file that holds its request
+            await asyncio.sleep(0.005)
 
 
 @contextmanager

@@ -150,6 +150,7 @@ def test_a_coarser_map_has_the_cameras_of_its_own_pixels(monkeypatch: pytest.Mon
     assert np.median(np.abs(found.d_h_px - means / 2)[found.valid]) < 0.03
 
 
+@pytest.mark.slow
 def test_a_coarse_solution_comes_back_at_full_resolution(monkeypatch: pytest.MonkeyPatch) -> None:
     pair, truth = make_pair(np.random.default_rng(8), noise=0.002)
     monkeypatch.setattr("mammometry.matching.dense.least_squares.FINEST_SPAN_PX", 100.0)

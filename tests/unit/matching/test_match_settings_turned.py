@@ -12,6 +12,7 @@ from alone import foreground as foreground_of
 from scipy import ndimage
 from test_foreground import RADIUS, SIZE, U, picture
 from test_rectify import converging, foreground, grey
+from tests.first_cases import first
 from textured_pair import Texture, make_pair
 
 from mammometry.base.progress import no_progress
@@ -107,6 +108,7 @@ def test_both_pictures_are_matched_where_the_subject_spans_no_more_than_asked(mo
     assert levels(790).last_both == 1
 
 
+@pytest.mark.slow
 def test_the_start_searches_that_share_of_the_subjects_width(
     noisy: tuple[RectifiedPair, np.ndarray], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -153,7 +155,7 @@ def test_coarser_smoothings_take_more_noise(
 # --- what is accepted
 
 
-@pytest.mark.parametrize(("name", "limit"), [("DIRECTIONS_APART_PX", 0.02), ("LARGEST_SIGMA_PX", 0.1)])
+@pytest.mark.parametrize(("name", "limit"), first(1, [("DIRECTIONS_APART_PX", 0.02), ("LARGEST_SIGMA_PX", 0.1)]))
 def test_less_is_accepted_where_more_is_asked(
     noisy: tuple[RectifiedPair, np.ndarray],
     by_default: DisparityMap,

@@ -269,6 +269,7 @@ def test_nipples_are_proposed_by_colour_and_shape(tip_mm: float, red: float, how
     assert found.sigma_mm >= 1.5
 
 
+@pytest.mark.slow
 def test_a_clear_tip_decides_within_an_areola_that_is_not_centred_on_it() -> None:
     for off_mm in ((4.0, 0.0), (0.0, -4.0)):
         mesh, colours, boundary, nipple = _breast_with_nipple(5.0, 0.15, off_mm=off_mm)

@@ -166,6 +166,7 @@ def test_paths_are_weighed_as_all_of_them_are_together(stiffness: float) -> None
     assert np.argmin(found.spread_steps[0]) == 2
 
 
+@pytest.mark.slow
 def test_a_border_moves_little_where_the_skin_changes_little() -> None:
     """Noise of 1 mm, a millimetre wide: about what two scans of one body differ by."""
     rng = np.random.default_rng(2)
@@ -203,6 +204,7 @@ def test_a_border_that_runs_over_the_breast_says_how_far_the_breast_goes_on() ->
     assert valley.sigma_mm[0] < 8
 
 
+@pytest.mark.slow
 def test_a_border_beside_the_end_of_the_trunk_may_lie_beyond_it() -> None:
     """A breast reaches 110 mm aside. 74 mm are known, and closing turned the last 12 mm back behind the trunk."""
     x, _ = np.meshgrid(AXES, AXES)

@@ -91,6 +91,7 @@ def test_a_trunks_curvature_along_the_body_is_that_of_its_radius() -> None:
     np.testing.assert_allclose(thorax.bend_per_mm(places), (2 * here - below - above) / 25, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_plane_has_a_skirt_and_an_exact_volume() -> None:
     """A curve that dips symmetrically about its plane: the volume over the plane is that of the lid's height field."""
     wall = walls("right")["plane"]
@@ -127,6 +128,7 @@ def test_both_breasts_are_found_each_on_its_side() -> None:
         assert set(measured.interval_terms_cc) == {"chest wall", "boundary", "matching"}
 
 
+@pytest.mark.slow
 def test_cameras_are_not_needed_where_both_boundaries_are_given() -> None:
     with_rig, without = (chest_wall.fit(breast_of(EDGES[1], frame=frame)) for frame in (rig_frame(RIG), None))
     assert without.closed.volume_mm3() == pytest.approx(with_rig.closed.volume_mm3(), rel=0.01)

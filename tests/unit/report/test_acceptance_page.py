@@ -48,6 +48,7 @@ def files(outcome: Outcome) -> dict[str, bytes]:
     return acceptance_page_files(outcome, [EARLIER, as_past(outcome)])
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-ACCEPT-2")
 def test_the_page_stands_alone_and_has_every_number(outcome: Outcome, files: dict[str, bytes]) -> None:
     page = files[PAGE].decode()

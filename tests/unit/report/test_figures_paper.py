@@ -83,6 +83,7 @@ def test_figures_that_compare_pairs_need_two(number: int, tmp_path: Path) -> Non
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_vectors_come_out_the_same_each_time(tmp_path: Path) -> None:
     for name in ("a.svg", "b.svg"):
         write_figure(4, source(), tmp_path / name)

@@ -198,6 +198,7 @@ def test_pictures_lie_inside_the_page_and_the_text_is_text() -> None:
     assert fonts
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-NAME-1")
 def test_names_of_every_script_are_read_on_the_first_page() -> None:
     """Patient, who confirmed, who concluded, and what: all that people enter."""

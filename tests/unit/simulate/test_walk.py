@@ -86,6 +86,7 @@ def _at(grey, camera, points):
     return grey[row, column].astype(float)
 
 
+@pytest.mark.slow
 def test_both_breasts_are_in_the_region_above_the_board(walk):
     made, truth = walk
     region = region_above(read_board(made.folder / "photos"))

@@ -153,6 +153,7 @@ def test_an_open_cast_is_refused() -> None:
         evaluate_mesh(TriangleMesh(vertices=mesh.vertices, faces=mesh.faces[1:]), "cast", "1", CAST, Limits())
 
 
+@pytest.mark.slow
 def test_a_table_and_a_stand_are_not_taken_for_the_ball() -> None:
     table = plate(400.0, 400.0, 6.0, edge_mm=4.0).mesh
     up = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
@@ -187,7 +188,7 @@ def test_moderate_outliers_count_in_the_form() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "wrong"), first(2, [("plane", "cast"), ("bar", "sphere"), ("sphere", "bar"), ("sphere", "plane")])
+    ("kind", "wrong"), first(1, [("bar", "sphere"), ("plane", "cast"), ("sphere", "bar"), ("sphere", "plane")])
 )
 def test_another_artefact_is_refused(kind: Kind, wrong: Kind) -> None:
     mesh = artefact_mesh(ARTEFACTS[wrong], POSITIONS[wrong][0], edge_mm=3.0)

@@ -187,6 +187,7 @@ def test_repair_reach_is_how_far_data_are_plausible(monkeypatch):
         repair(first, valid)
 
 
+@pytest.mark.slow
 def test_repair_tangential_reaches_beyond_the_edge_of_the_data(monkeypatch):
     first, valid = sphere_mesh(RADIUS, rings=60), valid_views(AROUND, lambda points: points[..., 2] < 20.0)
     measured = []
@@ -196,6 +197,7 @@ def test_repair_tangential_reaches_beyond_the_edge_of_the_data(monkeypatch):
     assert measured[1] > measured[0]
 
 
+@pytest.mark.slow
 def test_repair_similarity_is_the_distance_at_which_data_lose_weight(monkeypatch):
     first, valid = dented(), valid_views(AROUND)
     errors = []

@@ -83,6 +83,7 @@ def test_a_damaged_video_is_refused_by_name(tmp_path, content):
     assert refused.value.subject == "walk.mp4"
 
 
+@pytest.mark.slow
 def test_a_truncated_video_is_refused(film, tmp_path):
     content = film.read_bytes()
     (tmp_path / "walk.mp4").write_bytes(content[: len(content) // 2])
