@@ -1,10 +1,13 @@
-"""Walks with one telephone around virtual women (another renderer): surface and volumes against truth.
+"""Walks with one telephone around virtual women: surface and volumes against truth.
 
     python -m benchmarks.accuracy.photos --walks ../shared/data/photos --out OUT
+    python -m benchmarks.accuracy.photos --women 9701 9702 9703 --out OUT
 
-Each folder of `--walks` has ``photos/`` and ``truth/`` (``truth.json`` with the board's pose and the nipples, and
-``body.ply``). The surface is judged on the skin within 85 mm of a nipple, whether the photographs show it or not. Each
-volume is compared with that of the true mesh by the same program. A walk that is in OUT already is not measured again.
+The first measures walks of another renderer. The second renders its own, one for each woman, under the conditions
+`CONDITIONS` in turn. Each folder of `--walks` has ``photos/`` and ``truth/`` (``truth.json`` with the board's pose
+and the nipples, and ``body.ply``). The surface is judged on the skin within 85 mm of a nipple, whether the
+photographs show it or not. Each volume is compared with that of the true mesh by the same program. A walk that is in
+OUT already is not measured again.
 """
 
 from __future__ import annotations
@@ -24,7 +27,17 @@ from mammometry.geometry import TriangleMesh
 from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.job.stages import surface
+from mammometry.simulate.recipe import Situation, parse_situation
+from mammometry.simulate.rendering.skin import SKINS
+from mammometry.simulate.walk import WalkRecipe, write_walk
 
+CONDITIONS = {
+    "clean": ("skin", ""),
+    "held": ("skin", "breath=0.3,autofocus=0.1,stabiliser=5,rolling=1"),
+    "smooth": ("pale-skin", ""),
+}
+"""Name → skin and disturbances of a rendered walk. ``held``: a held breath, lens and shutter of a telephone."""
+_SCALE = 0.3  # photographs of 1210 × 907: time
 _NEAR_MM = 85.0  # of a nipple: a large breast's skin
 _FAR_MM = 1.0  # clip of the mean signed distance, which a few wild places would decide otherwise
 
@@ -89,6 +102,23 @@ def measured(walk: Path, out: Path) -> str:
     return f"| {walk.name} | {used} | {errors} | {'; '.join(volumes)} | {processor_s() - begun_s:.0f} |"
 
 
+def render(women: list[int], folder: Path) -> None:
+    """Render a walk for each woman that has none yet."""
+    for number, seed in enumerate(women):
+        name = list(CONDITIONS)[number % len(CONDITIONS)]
+        skin, disturbances = CONDITIONS[name]
+        out = folder / f"{seed}-{name}"
+        if not out.exists():
+            recipe = WalkRecipe(
+                subject=f"woman_{seed}",
+                seed=seed,
+                scale=_SCALE,
+                skin=SKINS[skin],
+                situation=parse_situation(disturbances) if disturbances else Situation(),
+            )
+            write_walk(out, recipe)
+
+
 def processor_s() -> float:
     """Processor seconds of this process and its children so far."""
     own, children = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -98,13 +128,18 @@ def processor_s() -> float:
 def main() -> None:
     """Measure all walks, and print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--walks", type=Path, required=True)
+    walks = parser.add_mutually_exclusive_group(required=True)
+    walks.add_argument("--walks", type=Path)
+    walks.add_argument("--women", type=int, nargs="+")
     parser.add_argument("--out", type=Path, required=True)
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
+    folder = arguments.walks or arguments.out / "rendered"
+    if arguments.women:
+        render(arguments.women, folder)
     print("| walk | pictures used | surface, mm: mean RMS 95 %, within 1 mm, bias | true mesh, cc: error | CPU s |")
     print("| --- | --- | --- | --- | --- |")
-    for walk in sorted(path for path in arguments.walks.iterdir() if (path / "truth").is_dir()):
+    for walk in sorted(path for path in folder.iterdir() if (path / "truth").is_dir()):
         print(measured(walk, arguments.out), flush=True)
 
 

@@ -107,7 +107,12 @@ def test_a_copied_folder_shows_its_own_name(
     assert answer(capsys, "info", huber, *options)["stages"]["report"]["state"] == "current"
 
 
-_WALK = "[walk]\nregion_mm = [[-300.0, -300.0, -300.0], [300.0, 300.0, 300.0]]\nscale_std = 0.01\npoint_std_mm = 0.1\n"
+_WALK = """[walk]
+region_mm = [[-300.0, -300.0, -300.0], [300.0, 300.0, 300.0]]
+board_mm = [[-120.0, 350.0], [120.0, 500.0]]
+scale_std = 0.01
+point_std_mm = 0.1
+"""
 FIELDS = {
     "rig.name": ('name = "', 'name = "another '),
     "rig.mounting": ("[rig]\n", '[rig]\nmounting = "upside-down"\n'),
@@ -120,7 +125,10 @@ FIELDS = {
     "subject.posture": ('kind = "torso"', 'kind = "torso"\nposture = "standing"'),
     "date": ("[rig]\n", "date = 2026-01-31\n[rig]\n"),
     "target": ("square_mm = ", "edge_std_mm = 0.05\nedge_mm = 350.5\nsquare_mm = "),
-    **{f"walk.{name}": ("[subject]\n", f"{_WALK}[subject]\n") for name in ("region_mm", "scale_std", "point_std_mm")},
+    **{
+        f"walk.{name}": ("[subject]\n", f"{_WALK}[subject]\n")
+        for name in ("region_mm", "board_mm", "scale_std", "point_std_mm")
+    },
     "walk.card_scale": ("[subject]\n", f"{_WALK}card_scale = 0.99\n[subject]\n"),
     "intrinsics.target": (
         "[subject]\n",

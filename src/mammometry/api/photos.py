@@ -42,7 +42,7 @@ from mammometry.walk.stations import TELEPHONE, stations_of
 
 BOARD = "board.toml"
 WALK = "walk.json"
-_VERSION = 4  # raised when the same photographs give a different session
+_VERSION = 5  # raised when the same photographs give a different session
 _NOT_IN_A_PAIR = LeftOut(code="not-in-a-pair", found="not in a pair")
 _MARGIN_PX = 32  # margin around the region in the image, for windows at its edge
 
@@ -156,7 +156,7 @@ def prepare_walk(
             times={} if video is None else pictures.names,
         )
         with disk_errors(out), whole_folder(out) as fresh:
-            _write(fresh, walk, rig, region, pictures.photographs, posture, subject)
+            _write(fresh, walk, rig, region, target, pictures.photographs, posture, subject)
     return walk
 
 
@@ -214,6 +214,7 @@ def _write(
     walk: PreparedWalk,
     rig: Rig,
     region: Region,
+    target: Target,
     photographs: Mapping[str, Photograph],
     posture: str,
     subject: str | None,
@@ -233,7 +234,7 @@ def _write(
         Image.fromarray(mask[rows, columns]).save(masks / f"{name}.png")
     texts = {
         "cameras.json": json.dumps(cameras_table(cameras), indent=1),
-        "session.toml": _manifest(walk, rig, region, posture, subject),
+        "session.toml": _manifest(walk, rig, region, target, posture, subject),
         WALK: json.dumps(asdict(walk), indent=1),
     }
     for name, text in texts.items():
@@ -258,18 +259,23 @@ def _cropped(camera: Camera, rows: slice, columns: slice) -> Camera:
     return replace(camera, matrix=matrix, size_wh=size_wh)
 
 
-def _manifest(walk: PreparedWalk, rig: Rig, region: Region, posture: str, subject: str | None) -> str:
+def _manifest(walk: PreparedWalk, rig: Rig, region: Region, target: Target, posture: str, subject: str | None) -> str:
     pairs = "\n".join(
         f'    {{ name = "{name}", left = "{left}", right = "{right}" }},'
         for name, (left, right) in rig.pair_names.items()
     )
     named = "" if subject is None else f"id = {json.dumps(subject)}\n"
-    corners = [[round(float(x), 3) for x in corner] for corner in (region.low_world, region.high_world)]
+    points = target.points_target[:, :2]
+    corners, board = (
+        [[round(float(x), 3) for x in corner] for corner in box]
+        for box in ((region.low_world, region.high_world), (points.min(axis=0), points.max(axis=0)))
+    )
     return (
         "# Made by `mammometry photos`: photographs by one telephone and a printed board.\n"
         'format = 1\nunits = "mm"\n\n'
         f'[rig]\nname = "telephone"\npairs = [\n{pairs}\n]\n\n'
         f'[subject]\nkind = "torso"\n{named}posture = "{posture}"\n\n'
-        f"[walk]\nregion_mm = {corners}\nscale_std = {walk.scale_std:.4g}\npoint_std_mm = {walk.point_std_mm:.3g}"
+        f"[walk]\nregion_mm = {corners}\nboard_mm = {board}\n"
+        f"scale_std = {walk.scale_std:.4g}\npoint_std_mm = {walk.point_std_mm:.3g}"
         + ("" if walk.card_scale is None else f"\ncard_scale = {walk.card_scale:.5g}")
     )

@@ -270,6 +270,7 @@ class Session:
             scale_std=entry.scale_std,
             point_std_mm=entry.point_std_mm,
             card_scale=entry.card_scale,
+            board_mm=np.array(entry.board_mm),
         )
 
     # --- files ---

@@ -39,6 +39,8 @@ class Walk:
     """Relative standard uncertainty of all lengths."""
     point_std_mm: float
     """Standard uncertainty of a reconstructed point due to the telephone's poses and lens, mm."""
+    board_mm: Float64[Array, "2 2"]
+    """Lowest and highest corner (x, y) of the board's points, world frame, mm."""
     card_scale: float | None = None
     """Length on the print by a bank card on it, relative to the length as drawn or typed. None: without a card."""
 
@@ -50,8 +52,8 @@ class Walk:
 
     @property
     def key(self) -> str:
-        """The walk's region, for keys of products."""
-        corners = (self.region.low_world, self.region.high_world)
+        """The walk's region and board, for keys of products."""
+        corners = (self.region.low_world, self.region.high_world, self.board_mm)
         return repr([corner.tolist() for corner in corners])
 
 

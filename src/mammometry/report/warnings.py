@@ -234,3 +234,5 @@ def walk_concerns(walk: Walk, motion: WalkMotion) -> Iterator[Notice]:
             code="body-moved-against-board",
             values={"moved_mm": motion.size_mm, "after_mm": motion.rest_mm, "before_mm": motion.before_mm},
         )
+    if motion.lens_px > 0.0:
+        yield Notice(code="lens-changed-in-walk", level="note", values={"px": motion.lens_px})

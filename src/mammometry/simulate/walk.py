@@ -16,6 +16,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from mammometry.base.errors import SessionError, StorageError
 from mammometry.base.machine.cores import available_cores
@@ -24,7 +25,7 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.targets.board import FlatBody
 from mammometry.calibration.targets.card_field import FIELD_MIDDLE, field_sheet
 from mammometry.calibration.targets.table import target_from_table
-from mammometry.geometry import Array, Camera, Float64, Transform
+from mammometry.geometry import Array, Camera, Float32, Float64, Transform
 from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.simulate.disturbances.about import Surroundings
 from mammometry.simulate.disturbances.registry import as_truth, check, disturbed
@@ -152,7 +153,7 @@ def write_walk(out: Path, recipe: WalkRecipe = WalkRecipe(), *, progress: Progre
         with whole_folder(out) as made:
             (made / PHOTOGRAPHS).mkdir()
             shot = replace(recipe, skin=skin)
-            _photograph(made / PHOTOGRAPHS, shot, cameras, partial(_breathing, scene, walk, chest), progress)
+            _photograph(made / PHOTOGRAPHS, shot, cameras, walk, partial(_breathing, scene, walk, chest), progress)
             (made / PHOTOGRAPHS / BOARD).write_text(_described(recipe), encoding="utf-8")
             (made / TRUTH).mkdir()
             write_ply(made / TRUTH / "body.ply", woman.mesh)
@@ -231,7 +232,7 @@ def _lamps() -> Float64[Array, "l 4"]:
 
 
 def _cameras(recipe: WalkRecipe, walk: WalkConditions, aim: Float64[Array, 3]) -> dict[str, Camera]:
-    """Number of a photograph → camera, body's frame. They share a lens, apart from its autofocus.
+    """Number of a photograph → camera, body's frame. They share a lens, apart from its focus and stabilisation.
 
     Args:
         recipe: the walk.
@@ -253,10 +254,11 @@ def _cameras(recipe: WalkRecipe, walk: WalkConditions, aim: Float64[Array, 3]) -
         )
         centre = aim + rng.uniform(*_DISTANCE_MM) * out
         name, focal = f"{number + 1:02d}", focal_px * walk.focal[number]
+        column, row = middle + recipe.scale * walk.centre_px[number]
         cameras[name] = Camera(
             name=name,
             size_wh=(width, height),
-            matrix=np.array([[focal, 0.0, middle[0]], [0.0, focal, middle[1]], [0.0, 0.0, 1.0]]),
+            matrix=np.array([[focal, 0.0, column], [0.0, focal, row], [0.0, 0.0, 1.0]]),
             distortion=np.array(_DISTORTION),
             camera_from_world=looking(centre, aim + rng.normal(0.0, _AIM_MM, 3), rng.normal(0.0, _ROLL_RAD)),
         )
@@ -267,27 +269,47 @@ def _photograph(
     folder: Path,
     recipe: WalkRecipe,
     cameras: Mapping[str, Camera],
+    walk: WalkConditions,
     at: Callable[[int], StudioScene],
     progress: Progress,
 ) -> None:
     """Write all photographs. `at` returns the scene of a photograph by its index."""
 
     def take(number: int, camera: Camera) -> None:
-        render = partial(
-            render_subject,
-            at(number),
-            camera,
-            recipe.skin,
-            seed=recipe.seed,
-            aperture=recipe.film.aperture(camera),
-            background=recipe.film.stray_light,
-        )
+        def render() -> Float32[Array, "h w 3"]:
+            image = render_subject(
+                at(number),
+                camera,
+                recipe.skin,
+                seed=recipe.seed,
+                aperture=recipe.film.aperture(camera),
+                background=recipe.film.stray_light,
+            )
+            return skewed(image, recipe.scale * walk.skew_px[number])
+
         noise = int(np.random.default_rng([recipe.seed, 32, number]).integers(1 << 62))
         take_picture(folder / f"{camera.name}.jpg", render, recipe.film, noise)
 
     with ThreadPoolExecutor(max(1, min(len(cameras), available_cores()))) as pool:
         taking = [pool.submit(take, number, camera) for number, camera in enumerate(cameras.values())]
         finish(pool, taking, progress)
+
+
+def skewed(image: Float32[Array, "h w 3"], last_row_px: Float64[Array, 2]) -> Float32[Array, "h w 3"]:
+    """The image of a camera that turns while its rows are read: each row is shifted in proportion to its number.
+
+    Args:
+        image: image with all rows read at once, as at the middle row.
+        last_row_px: shift (column, row) of the last row relative to the first, pixels.
+    """
+    if not last_row_px.any():
+        return image
+    height, width = image.shape[:2]
+    late = (np.arange(height) / (height - 1) - 0.5)[:, None]
+    rows = np.arange(height)[:, None] - late * last_row_px[1] + np.zeros(width)
+    columns = np.arange(width) - late * last_row_px[0]
+    moved = [map_coordinates(image[..., band], [rows, columns], order=3, mode="nearest") for band in range(3)]
+    return np.maximum(np.stack(moved, axis=-1), np.float32(0))
 
 
 def _breathing(scene: StudioScene, walk: WalkConditions, chest: Float64[Array, 3], number: int) -> StudioScene:
@@ -312,6 +334,7 @@ def _truth(
         "board_pose": body_from_board.matrix.tolist(),
         "print_scale": walk.print_scale,
         "breath_mm": [round(float(depth), 4) for depth in walk.breath_mm],
+        "skew_px": walk.skew_px.tolist(),
         "cameras": {
             name: {
                 "matrix": camera.matrix.tolist(),

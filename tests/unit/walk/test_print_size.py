@@ -43,7 +43,7 @@ def test_a_contradiction_is_refused():
 
 def test_the_report_notes_a_card():
     region = Region(low_world=np.zeros(3), high_world=np.ones(3))
-    walk = Walk(region=region, scale_std=7e-4, point_std_mm=0.1, card_scale=0.99)
-    (noted,) = walk_concerns(walk, SimpleNamespace(size_mm=0.0))
+    walk = Walk(region=region, scale_std=7e-4, point_std_mm=0.1, board_mm=np.zeros((2, 2)), card_scale=0.99)
+    (noted,) = walk_concerns(walk, SimpleNamespace(size_mm=0.0, lens_px=0.0))
     assert (noted.code, noted.level) == ("board-measured-by-card", "note")
     assert noted.values["percent"] == pytest.approx(-1.0)

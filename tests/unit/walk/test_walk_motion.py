@@ -4,18 +4,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 from tests.unit.walk.test_pairs import MIDDLE, looking
 
 from mammometry.base.errors import SurfaceError
-from mammometry.geometry import Rig
+from mammometry.geometry import Rig, Transform
 from mammometry.surface.motion.moved_images import retriangulated
 from mammometry.surface.ranges.range_image import RangeImage
+from mammometry.walk.lens_freedom import pose_errors
 from mammometry.walk.motion import before_still_body, find_motion
 
 RADIUS_MM = 120.0
 ANGLES_DEG = (-30, -18, -6, 6, 18, 30)
 PAIRS = {f"{i}-{i + 1}": (str(i), str(i + 1)) for i in range(len(ANGLES_DEG) - 1)}
 SCALE = 0.12
+BOARD_MM = MIDDLE[:2] + np.array([[-120.0, 170.0], [120.0, 290.0]])
+"""The board is below the ball (y goes down)."""
+ROOM = np.repeat([1e-3, 1.0], 3)  # scale of a pose's turns, rad, and shifts, mm
 
 
 def ball_seen_by(name, camera):
@@ -82,7 +87,7 @@ def shape_errors(images):
 
 def test_a_still_body_is_left_as_it_is(walk):
     true, images = walk
-    found = find_motion(true, images, {})
+    found = find_motion(true, images, {}, BOARD_MM)
     assert found.size_mm <= 0.03
     assert np.abs(found.shift_mm).max() < 0.05
     assert found.rest_mm < 0.05
@@ -98,7 +103,7 @@ def test_a_still_body_that_pairs_match_with_small_errors_is_left_as_it_is(walk):
         row, column = np.mgrid[: image.valid.shape[0], : image.valid.shape[1]]
         wave = 0.2 * np.sin(row / 15 + rng.uniform(0, 6)) * np.sin(column / 20 + rng.uniform(0, 6))
         waved.append(replace(image, range_mm=np.where(image.valid, image.range_mm + wave, 0).astype(np.float32)))
-    found = find_motion(true, waved, {})
+    found = find_motion(true, waved, {}, BOARD_MM)
     assert found.before_mm > 0.05
     assert found.size_mm <= 0.01
     assert np.abs(found.shift_mm).max() < 0.08
@@ -109,7 +114,7 @@ def test_a_body_that_swayed_is_put_right(walk):
     true, images = walk
     shift_mm = np.random.default_rng(5).normal(size=(len(ANGLES_DEG), 3)) * 0.3
     board, seen = as_by_the_board(true, images, np.zeros((len(ANGLES_DEG), 3)), shift_mm)
-    found = find_motion(board, seen, {})
+    found = find_motion(board, seen, {}, BOARD_MM)
     assert found.before_mm > 4 * found.rest_mm
     corrected = [found.apply_motion(image, board) for image in seen]
     assert shape_errors(corrected) < 0.4 * shape_errors(seen)
@@ -124,4 +129,60 @@ def test_a_body_that_moved_otherwise_is_refused(walk):
         wave = rng.normal() * 6 * np.sin(np.mgrid[: image.valid.shape[0], : image.valid.shape[1]][1] / 5)
         bent.append(replace(image, range_mm=np.where(image.valid, image.range_mm + wave, 0).astype(np.float32)))
     with pytest.raises(SurfaceError):
-        find_motion(true, bent, {})
+        find_motion(true, bent, {}, BOARD_MM)
+
+
+def board_points(board_mm):
+    x, y = np.linspace(*board_mm, 7).T
+    return np.stack([*np.meshgrid(x, y), np.zeros((7, 7))], axis=-1).reshape(-1, 3)
+
+
+@pytest.mark.parametrize("change", [(0.5, 0.0, 0.0), (0.0, 0.7, 0.0), (0.0, 0.0, -0.6)])
+def test_a_lens_that_changed_is_undone_on_the_skin(walk, change):
+    """A pose fitted to the board with the wrong lens, then corrected, shows the skin where the photograph shows it."""
+    true, images = walk
+    camera = next(iter(true.cameras.values()))
+    skin = images[0].valid_points_world()[::50]
+    matrix = camera.matrix.copy()
+    matrix[[0, 1], [0, 1]] *= 1 + change[0] / (camera.size_wh[0] / 2)
+    matrix[[0, 1], 2] += change[1:]
+    other = replace(camera, matrix=matrix)
+
+    def pose(twist):
+        turned = Transform.from_rotation_vector(twist[:3], np.zeros(3)).rotation @ camera.camera_from_world.rotation
+        return replace(
+            camera,
+            camera_from_world=Transform(rotation=turned, translation_mm=-turned @ (camera.centre_world + twist[3:])),
+        )
+
+    board = board_points(BOARD_MM)
+    fitted = (
+        least_squares(lambda scaled: (pose(scaled * ROOM).project(board) - other.project(board)).ravel(), np.zeros(6)).x
+        * ROOM
+    )
+    corrected = pose(fitted + pose_errors(camera, BOARD_MM, skin) @ np.array(change))
+    before, after = (
+        np.sqrt(np.mean((seen.project(skin) - other.project(skin)) ** 2)) for seen in (pose(fitted), corrected)
+    )
+    assert after < 0.2 * before
+
+
+def test_a_lens_that_changed_is_told_from_a_body_that_moved(walk):
+    true, images = walk
+    rng = np.random.default_rng(8)
+    skin = np.concatenate([image.valid_points_world()[::50] for image in images])
+    cameras = {}
+    for name, camera in true.cameras.items():
+        turn = pose_errors(camera, BOARD_MM, skin) @ rng.normal(0.0, 0.5, 3)
+        rotation = Transform.from_rotation_vector(turn[:3], np.zeros(3)).rotation @ camera.camera_from_world.rotation
+        centre = camera.centre_world + turn[3:]
+        cameras[name] = replace(
+            camera, camera_from_world=Transform(rotation=rotation, translation_mm=-rotation @ centre)
+        )
+    board = replace(true, cameras=cameras)
+    seen = [retriangulated(image, true.pair(image.name), board.pair(image.name)) for image in images]
+    found = find_motion(board, seen, {}, BOARD_MM)
+    assert found.lens_px > 0
+    assert found.size_mm <= 0.03
+    corrected = [found.apply_motion(image, board) for image in seen]
+    assert shape_errors(corrected) < 0.4 * shape_errors(seen)

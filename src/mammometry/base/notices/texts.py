@@ -239,6 +239,10 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
             "The body moved against the board between photographs, by about {moved_mm:.1f} mm. This was corrected: "
             "pairs disagree by {after_mm:.2f} mm instead of {before_mm:.2f} mm. Hold the breath next time."
         ),
+        "lens-changed-in-walk": Text(
+            "Focus or stabilisation changed the lens between photographs, by about {px:.0f} px. This was corrected. "
+            "Lock the focus next time, and switch the stabilisation off if the telephone allows it."
+        ),
         "size-unusual": Text(
             "The surface has an unusual size: its longest side is {mm:,.0f} mm. Check that the sizes of target or "
             "cameras are in millimetres."

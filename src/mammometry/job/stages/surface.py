@@ -78,7 +78,7 @@ def stillness(
         )
 
 
-@product("surface", version=2)
+@product("surface", version=3, inputs=("region",))
 def walk_motion(
     cameras: CameraSet,
     range_images: Mapping[str, RangeImage],
@@ -89,7 +89,8 @@ def walk_motion(
     """Motion of the body at each photograph of a walk, estimated from pairs that see the same skin."""
     from mammometry.walk.motion import find_motion
 
-    return find_motion(cameras.rig, tuple(range_images.values()), vertical_residuals)
+    assert job.inputs.walk is not None
+    return find_motion(cameras.rig, tuple(range_images.values()), vertical_residuals, job.inputs.walk.board_mm)
 
 
 @product("surface", version=2, name="stood")
