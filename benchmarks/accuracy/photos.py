@@ -110,7 +110,7 @@ def render(women: list[int], folder: Path) -> None:
         out = folder / f"{seed}-{name}"
         if not out.exists():
             recipe = WalkRecipe(
-                subject=f"woman_{seed}",
+                subject=f"torso_{seed}",
                 seed=seed,
                 scale=_SCALE,
                 skin=SKINS[skin],

@@ -245,7 +245,7 @@ def simulate(
         bool,
         typer.Option(
             "--telephone",
-            help="Photographs by one telephone instead of a rig. --subject is a torso or a woman; the options of rigs, "
+            help="Photographs by one telephone instead of a rig. --subject is a torso; the options of rigs, "
             "targets and lenses are not used.",
         ),
     ] = False,

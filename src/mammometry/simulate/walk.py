@@ -68,7 +68,7 @@ class WalkRecipe:
     """A virtual walk."""
 
     subject: str = "torso_2"
-    """A torso or a woman in `subjects.registry.SUBJECTS`."""
+    """A torso in `subjects.registry.SUBJECTS`."""
     seed: int = 7
     """Seed of all random values."""
     pictures: int = 24
@@ -127,7 +127,7 @@ def write_walk(out: Path, recipe: WalkRecipe = WalkRecipe(), *, progress: Progre
     seed, situation = recipe.seed, recipe.situation
     with refusing(
         SessionError,
-        expected="a torso or a woman, and disturbances of the patient, her skin, her surroundings or the walk",
+        expected="a torso, and disturbances of the patient, her skin, her surroundings or the walk",
         remedy="Correct the argument; --help names the choices",
     ):
         check(situation, without="shoot")
