@@ -42,12 +42,15 @@ _LEVER_MM = 150.0  # from the body's centre to its sides: ratio of the shift to 
 _CELL_MM = 0.05  # own error of a cell's distance
 _HUBER = 2.0  # threshold of Huber's loss, standard deviations
 _ROUNDS = 5  # rounds of reweighting
-_STILL_MM = 0.3
-"""Disagreement up to which a body counts as still. Pairs of still virtual walks disagree by 0.16 to 0.27 mm: matching
-errs at flat angles. Motions that explain this away doubled the errors of the positions (decision 52)."""
-_REST_MM = 0.5
-"""Largest disagreement after the correction. Half of it in each pair, over the 300 cm² of a breast's skin, is 7 cc. A
-held breath leaves 0.2 to 0.3 mm, one of ± 1 mm 0.46, one of ± 2 mm 0.61, whose border was lost (decision 52)."""
+_STILL = 0.8
+"""Disagreement, relative to that expected from the data's own errors, up to which a body counts as still. Still virtual
+walks have 0.60 to 0.75. Motions that explain this away doubled the errors of the positions (decision 52)."""
+_MATCHED = 0.7
+"""The same of a still body, on average: the part of the disagreement that is by matching."""
+_REST_MM = 0.35
+"""Largest other disagreement after the correction, mm. Half of it in each pair, over the 300 cm² of a breast's skin, is
+5 cc. A breath of ± 1 mm and a stabilised lens leave 0.2 to 0.3, a breath of ± 2 mm 0.45, with a wrong border (decision
+52)."""
 
 
 @value(eq=False)
@@ -111,7 +114,9 @@ def find_motion(
         np.linalg.solve(_pose_by_twist(rig.cameras[name], centre), pose_errors(rig.cameras[name], board_mm, skin))
         for name in cameras
     ]
-    sizes = list(product(_SIZES_MM, _LENS_PX)) if before_mm > _STILL_MM else [(_SIZES_MM[0], _LENS_PX[0])]
+    expected_mm = float(np.median(np.concatenate([comparison.expected_mm for comparison in apart]))) if apart else 0.0
+    is_still = before_mm <= _STILL * expected_mm
+    sizes = [(_SIZES_MM[0], _LENS_PX[0])] if is_still else list(product(_SIZES_MM, _LENS_PX))
     (size_mm, lens_px), fit = _most_probable(seen, by_lens, sizes)
     rest = (seen.values - seen.by_unknown @ fit.motions)[seen.distances]
     effect = seen.by_unknown[seen.distances]
@@ -127,8 +132,9 @@ def find_motion(
         rest_mm=_robust(rest),
         point_std_mm=float(np.hypot(_robust(spread), _robust(rest)) / np.sqrt(2)),
     )
-    if found.rest_mm > _REST_MM:
-        raise _moved_too_much(found)
+    most_mm = float(np.hypot(_REST_MM, _MATCHED * expected_mm))
+    if found.rest_mm > most_mm:
+        raise _moved_too_much(found, most_mm)
     return found
 
 
@@ -216,13 +222,13 @@ def _robust(lengths: Float64[Array, " n"]) -> float:
     return float(MAD * np.median(np.abs(lengths))) if len(lengths) else 0.0
 
 
-def _moved_too_much(found: WalkMotion) -> SurfaceError:
+def _moved_too_much(found: WalkMotion, most_mm: float) -> SurfaceError:
     order = np.argsort(-np.linalg.norm(found.shift_mm, axis=1))[:3]
     worst = ", ".join(f"{found.cameras[i]} ({np.linalg.norm(found.shift_mm[i]):.1f} mm)" for i in order)
     return SurfaceError(
         "the photographs",
         found=f"a body that moved relative to the board, most in {worst}: after the correction of each photograph's "
         f"motion, pairs disagree by {found.rest_mm:.2f} mm",
-        expected=f"at most {_REST_MM:g} mm",
+        expected=f"at most {most_mm:.2f} mm",
         remedy="Have the patient hold her breath for each half of the walk, and photograph again",
     )

@@ -102,7 +102,8 @@ def test_a_still_body_that_pairs_match_with_small_errors_is_left_as_it_is(walk):
     for image in images:
         row, column = np.mgrid[: image.valid.shape[0], : image.valid.shape[1]]
         wave = 0.2 * np.sin(row / 15 + rng.uniform(0, 6)) * np.sin(column / 20 + rng.uniform(0, 6))
-        waved.append(replace(image, range_mm=np.where(image.valid, image.range_mm + wave, 0).astype(np.float32)))
+        range_mm = np.where(image.valid, image.range_mm + wave, 0).astype(np.float32)
+        waved.append(replace(image, range_mm=range_mm, sigma_mm=4 * image.sigma_mm))
     found = find_motion(true, waved, {}, BOARD_MM)
     assert found.before_mm > 0.05
     assert found.size_mm <= 0.01
