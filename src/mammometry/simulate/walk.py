@@ -296,7 +296,9 @@ def _photograph(
 
 
 def skewed(image: Float32[Array, "h w 3"], last_row_px: Float64[Array, 2]) -> Float32[Array, "h w 3"]:
-    """The image of a camera that turns while its rows are read: each row is shifted in proportion to its number.
+    """The image of a camera that turns while its rows are read.
+
+    Each row is shifted in proportion to its number.
 
     Args:
         image: image with all rows read at once, as at the middle row.

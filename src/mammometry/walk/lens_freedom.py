@@ -20,9 +20,9 @@ _STEPS = 6  # points along each side of the board; not critical
 def pose_errors(
     camera: Camera, board_mm: Float64[Array, "2 2"], skin_world: Float64[Array, "n 3"]
 ) -> Float64[Array, "6 3"]:
-    """Corrections of a pose found from the board, in the order of `POSE_NAMES_CAMERA`, for a unit change of the lens.
+    """Corrections of a pose found from the board, for a unit change of the lens.
 
-    The columns are a focal length that moves points at half the picture's width by 1 px, and a principal point moved by
+    The rows are those of `POSE_NAMES_CAMERA`. The columns are a focal length that moves points at half the picture's width by 1 px, and a principal point moved by
     1 px along the rows and columns. A change c of the lens moves image points by L c, and one d of the pose by P d. On
     the board the pose has taken up d = P⁺ L c. On the skin the correct pose and lens act as one pose that is changed by
     P⁺ L c there, less d.

@@ -1,4 +1,4 @@
-"""Disturbances of a walk with a telephone: breathing, autofocus, stabilisation, rolling shutter, size of the print.
+"""Disturbances of a walk with a telephone: breathing, lens, shutter, size of the print.
 
 All sizes here are made up; no measurement uses them.
 """
