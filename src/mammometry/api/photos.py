@@ -156,7 +156,7 @@ def prepare_walk(
             times={} if video is None else pictures.names,
         )
         with disk_errors(out), whole_folder(out) as fresh:
-            _write(fresh, walk, rig, region, target, pictures.photographs, posture, subject)
+            _write(fresh, walk, rig, target, pictures.photographs, posture, subject)
     return walk
 
 
@@ -213,13 +213,13 @@ def _write(
     out: Path,
     walk: PreparedWalk,
     rig: Rig,
-    region: Region,
     target: Target,
     photographs: Mapping[str, Photograph],
     posture: str,
     subject: str | None,
 ) -> None:
     capture, masks = out / "capture", out / "masks"
+    region = region_above(target)
     capture.mkdir()
     masks.mkdir()
     cameras = {}
@@ -234,7 +234,7 @@ def _write(
         Image.fromarray(mask[rows, columns]).save(masks / f"{name}.png")
     texts = {
         "cameras.json": json.dumps(cameras_table(cameras), indent=1),
-        "session.toml": _manifest(walk, rig, region, target, posture, subject),
+        "session.toml": _manifest(walk, rig, target, posture, subject),
         WALK: json.dumps(asdict(walk), indent=1),
     }
     for name, text in texts.items():
@@ -259,13 +259,13 @@ def _cropped(camera: Camera, rows: slice, columns: slice) -> Camera:
     return replace(camera, matrix=matrix, size_wh=size_wh)
 
 
-def _manifest(walk: PreparedWalk, rig: Rig, region: Region, target: Target, posture: str, subject: str | None) -> str:
+def _manifest(walk: PreparedWalk, rig: Rig, target: Target, posture: str, subject: str | None) -> str:
     pairs = "\n".join(
         f'    {{ name = "{name}", left = "{left}", right = "{right}" }},'
         for name, (left, right) in rig.pair_names.items()
     )
     named = "" if subject is None else f"id = {json.dumps(subject)}\n"
-    points = target.points_target[:, :2]
+    region, points = region_above(target), target.points_target[:, :2]
     corners, board = (
         [[round(float(x), 3) for x in corner] for corner in box]
         for box in ((region.low_world, region.high_world), (points.min(axis=0), points.max(axis=0)))
