@@ -14,7 +14,8 @@ from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary, outline_torso
-from mammometry.measure.boundary.breasts import _check_base, _sides, _trunk_beside
+from mammometry.measure.boundary.breasts import _by_mirrored, _check_base, _Side, _sides, _trunk_beside
+from mammometry.measure.boundary.crease import Crease
 from mammometry.measure.boundary.prominence import Middle, Prominence, prominence_within
 from mammometry.measure.trunk.body import BodyDirections, Mounting, find_body, lies_across, rig_frame
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
@@ -248,6 +249,26 @@ def test_a_camera_turned_about_its_axis_and_named_so_gives_the_same_frame(mounti
 def test_what_counts_as_a_breast(top: float, volume: float, creased: float, astray: float | None, verdict: str) -> None:
     found = Prominence(top_mm=top, volume_cc=volume, area_cm2=110.0, creased=creased)
     assert found.verdict(astray) == verdict
+
+
+@pytest.mark.requirement("R-FRONT-2")
+@pytest.mark.parametrize(
+    ("creased", "offset_mm", "verdict"),
+    [
+        (0.83, 11.0, "breast"),  # two mounds of 60 and 70 cc, by telephone
+        (0.83, 60.0, "unclear"),  # folds beside an armpit and above the belly
+        (0.58, 11.0, "unclear"),  # no border is seen
+    ],
+)
+def test_two_low_mounds_that_mirror_each_other_are_breasts(creased: float, offset_mm: float, verdict: str) -> None:
+    """A man's: neither stands out far enough to be a breast by itself."""
+    low = Prominence(top_mm=9.1, volume_cc=54.0, area_cm2=135.0, creased=creased)
+    none = np.zeros(3)
+    empty = Crease(flat=np.zeros((3, 2)), concavity_per_mm=none, seen=none > 0, sigma_mm=none)
+    left = _Side(middle=np.array([80.0, 0.0]), crease=empty, prominence=low, verdict=low.verdict())
+    right = replace(left, middle=np.array([-80.0, offset_mm]))
+    assert left.verdict == "unclear"
+    assert {side.verdict for side in _by_mirrored({"left": left, "right": right}).values()} == {verdict}
 
 
 def test_what_stands_out_of_a_slope_is_measured_before_the_slope() -> None:

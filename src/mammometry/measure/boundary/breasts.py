@@ -16,6 +16,7 @@ from mammometry.measure.boundary.crease import CREASE_PER_MM, Crease, follow_cre
 from mammometry.measure.boundary.hidden_fold import hidden_fold_cm2
 from mammometry.measure.boundary.prominence import (
     DOME_MM,
+    ELSEWHERE_MM,
     LEAST_CREASED,
     LOW_CREASED,
     MIDLINE_MM,
@@ -287,17 +288,30 @@ def _sides(relief: Relief, trunk: Trunk, middles: dict[SideName, Middle | None])
         creased = float((crease.concavity_per_mm > CREASE_PER_MM).mean())
         prominence = prominence_within(relief, _pixels_within(relief, crease.flat), creased)
         sides[name] = _Side(middle=middle.flat, crease=crease, prominence=prominence, verdict=prominence.verdict())
-    for name, side in sides.items():
-        other = sides[_OTHER[name]]
-        if side.verdict == "unclear" and side.prominence is not None and other.verdict == "breast":
-            offset_mm = float(np.linalg.norm(side.middle - other.middle * [-1.0, 1.0]))
-            sides[name] = replace(side, verdict=side.prominence.verdict(offset_mm))
+    sides = _by_mirrored(sides)
     return {
         name: replace(side, verdict="unclear")
         if side.verdict == "none" and not _is_absent(sides[_OTHER[name]], relief)
         else side
         for name, side in sides.items()
     }
+
+
+def _by_mirrored(sides: dict[SideName, _Side]) -> dict[SideName, _Side]:
+    """Sides with unclear verdicts decided by the other side.
+
+    A breast is compared with its mirrored place. Two low domes, each at the mirrored place of the other, support each
+    other: chests without breasts have none there.
+    """
+    decided = dict(sides)
+    for name, side in sides.items():
+        other = decided[_OTHER[name]]
+        if side.verdict != "unclear" or side.prominence is None or other.verdict == "none":
+            continue
+        offset_mm = float(np.linalg.norm(side.middle - other.middle * [-1.0, 1.0]))
+        if other.verdict == "breast" or offset_mm <= ELSEWHERE_MM:
+            decided[name] = replace(side, verdict=side.prominence.verdict(offset_mm))
+    return decided
 
 
 def _is_absent(other: _Side, relief: Relief) -> bool:

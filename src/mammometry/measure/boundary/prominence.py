@@ -158,7 +158,9 @@ LEAST_CREASED = 0.4
 
 Verdict: TypeAlias = Literal["breast", "none", "unclear"]
 
-_ELSEWHERE_MM = 25.0  # distance from the other breast's mirrored middle; chests' own forms: 39 to 79 (decision 26)
+ELSEWHERE_MM = 25.0
+"""Distance from the other breast's mirrored middle up to which a low mound is a breast's, mm. Chests' own forms are 39
+to 79 mm from it (docs/decisions/0026)."""
 _MIRRORED_CREASED = 0.7
 """Least share of the outline in a crease of a low mound at the mirrored place of the other breast. Photographed mounds
 of 80 cc had 0.74 to 0.78 there, others at least 0.87. Chests without a breast had 0.1 to 0.8, but at least 39 mm from
@@ -199,7 +201,7 @@ class Prominence:
         """
         if self.top_mm < MIN_PROMINENCE_MM:
             return "none"
-        mirrored = offset_mm is not None and offset_mm <= _ELSEWHERE_MM
+        mirrored = offset_mm is not None and offset_mm <= ELSEWHERE_MM
         low_creased = _MIRRORED_CREASED if mirrored else LOW_CREASED
         if self.mean_mm < CHEST_MM and self.creased < low_creased:
             return "none" if offset_mm is not None and not mirrored else "unclear"
