@@ -56,7 +56,6 @@ def found_boundary(bend_radius_mm: float | None, settings: MeasureSettings = EXA
     return boundary
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("bend_radius_mm", [None, pytest.param(200.0, marks=pytest.mark.slow)])
 def test_a_cast_is_measured_to_half_a_percent(bend_radius_mm: float | None) -> None:
     surface = seen_surface(bend_radius_mm)
@@ -214,6 +213,7 @@ def test_rays_go_through_their_candidates() -> None:
     assert np.abs((candidates.outward * candidates.rays).sum(axis=1)).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_without_silhouettes_there_is_no_rim() -> None:
     everything = {name: replace(seen, everything=True) for name, seen in photographed(None).items()}
     with pytest.raises(MeasureError, match=r"model: .*\b0 "):

@@ -141,6 +141,7 @@ def test_another_body_is_refused_and_a_doubtful_one_told() -> None:
     assert sure_change.doubtful
 
 
+@pytest.mark.slow
 def test_a_breast_and_its_wall_must_be_there_at_both_dates() -> None:
     whole = visit()[1]
     with pytest.raises(MeasureError, match=r"dates: .*right .*left"):

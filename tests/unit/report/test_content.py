@@ -111,6 +111,7 @@ def test_what_changes_a_volumes_meaning_stands_beside_it(rig) -> None:
     assert cautions(calibration=None) == ["The interval does not cover the cameras' errors."]
 
 
+@pytest.mark.slow
 def test_a_caution_names_the_breast_that_it_is_about() -> None:
     content = test_pdf.page_content("left", "right")
     notices = (Notice(code="solid-not-watertight", about=("left",)), Notice(code="cameras-imported"))

@@ -57,6 +57,7 @@ def test_breasts_are_closed_and_their_volume_is_that_of_skin_less_wall(name):
     assert difference == pytest.approx(sum(volumes.values()), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_volume_is_kept_where_it_stands():
     solid = made("torso")
     placed = solid.placed(rig_from_solid(solid, 3))

@@ -77,6 +77,7 @@ def test_bad_pictures_are_left_out_by_name(good, tmp_path):
     assert walk.focal_px == pytest.approx(board_walk.FOCAL_PX, rel=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.requirement("R-PHOTO-1")
 def test_too_few_that_are_left_are_a_refusal_that_lists_all(good, tmp_path):
     folder = tmp_path / "photos"
