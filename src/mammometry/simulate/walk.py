@@ -50,7 +50,7 @@ _FILM = Film(vignetting=0.15, electrons=9000.0, jpeg_quality=92, chroma_halved=T
 _SIZE_WH = (4032, 3024)  # of a photograph at full size
 _FOCAL = 0.74  # focal length relative to the picture's width: 26 mm on a frame of 36 mm, as in main cameras
 _DISTORTION = (0.05, -0.1, 0.0, 0.0, 0.0)  # about 1 % in the corners
-_ARC_DEG, _HEIGHTS_DEG = 62.0, (-14.0, 18.0)  # largest angle to either side, and elevations of the two passes
+_ARC_DEG, _HEIGHTS_DEG = 62.0, (-30.0, 12.0)  # largest angle to either side, and elevations of the two passes
 _JITTER_DEG, _AIM_MM, _ROLL_RAD = 1.5, 15.0, 0.03  # standard deviations of the telephone's position and direction
 _DISTANCE_MM = (560.0, 640.0)  # smallest and largest, from the midpoint between breasts and board
 _LAMPS_MM = ((-900.0, 700.0, 1300.0), (900.0, 600.0, 1300.0), (0.0, 150.0, 1700.0))  # in front of the chest
