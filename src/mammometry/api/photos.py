@@ -14,6 +14,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from PIL import Image
@@ -33,6 +34,7 @@ from mammometry.io.cameras.own import cameras_table
 from mammometry.io.looked_up import digest_of, file_digest
 from mammometry.io.outputs import require_apart
 from mammometry.io.write import disk_errors
+from mammometry.measure.trunk.body import Mounting, camera_up
 from mammometry.walk.bank_card import find_card, has_field
 from mammometry.walk.inputs import LeftOut
 from mammometry.walk.pairs import choose_pairs
@@ -203,6 +205,19 @@ def board_pdf(page: str = "A4") -> bytes:
     return target_pdf(target_from_table(TELEPHONE_BOARD), page=page, card_field=True)
 
 
+def mounting_by_board(rig: Rig) -> Mounting:
+    """How the telephone was held, the same in all photographs: the board's rows are level, its text is upright.
+
+    Args:
+        rig: the photographs' cameras, in the board's frame (y down).
+    """
+
+    def upright(mounting: Mounting) -> float:
+        return -sum(float(camera_up(camera, mounting)[1]) for camera in rig.cameras.values())
+
+    return max(get_args(Mounting), key=upright)
+
+
 def _seeing(rig: Rig, region: Region) -> Rig:
     """The cameras that see the body's region."""
     cameras = {name: camera for name, camera in rig.cameras.items() if region.mask(camera).any()}
@@ -265,6 +280,8 @@ def _manifest(walk: PreparedWalk, rig: Rig, target: Target, posture: str, subjec
         for name, (left, right) in rig.pair_names.items()
     )
     named = "" if subject is None else f"id = {json.dumps(subject)}\n"
+    mounting = mounting_by_board(rig)
+    held = "" if mounting == "upright" else f'mounting = "{mounting}"\n'
     region, points = region_above(target), target.points_target[:, :2]
     corners, board = (
         [[round(float(x), 3) for x in corner] for corner in box]
@@ -273,7 +290,7 @@ def _manifest(walk: PreparedWalk, rig: Rig, target: Target, posture: str, subjec
     return (
         "# Made by `mammometry photos`: photographs by one telephone and a printed board.\n"
         'format = 1\nunits = "mm"\n\n'
-        f'[rig]\nname = "telephone"\npairs = [\n{pairs}\n]\n\n'
+        f'[rig]\nname = "telephone"\n{held}pairs = [\n{pairs}\n]\n\n'
         f'[subject]\nkind = "torso"\n{named}posture = "{posture}"\n\n'
         f"[walk]\nregion_mm = {corners}\nboard_mm = {board}\n"
         f"scale_std = {walk.scale_std:.4g}\npoint_std_mm = {walk.point_std_mm:.3g}"

@@ -256,6 +256,7 @@ class Session:
             landmarks=landmarks,
             wall=read_wall(wall) if wall.is_file() else None,
             digests=digests,
+            head_stated=manifest.walk is not None,
             walk=self._walk(),
         )
 

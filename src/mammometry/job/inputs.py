@@ -95,7 +95,7 @@ class Inputs:
     removed: tuple[Literal["left", "right"], ...] = ()
     """Breasts that the user stated to be removed. They are not searched for."""
     head_stated: bool = False
-    """Whether the user stated where a mesh's head is. The program then does not check it."""
+    """Whether the head's direction is stated for a mesh, or shown by the board of a walk. It is then not checked."""
     attributions: Mapping[str, Attribution] = field(default_factory=dict)
     """Breast → who drew its boundary, and who confirmed it."""
     landmarks: Mapping[str, Float64[Array, "k 3"]] = field(default_factory=dict)
