@@ -206,7 +206,7 @@ def board_pdf(page: str = "A4") -> bytes:
 
 
 def mounting_by_board(rig: Rig) -> Mounting:
-    """How the telephone was held, the same in all photographs: the board's rows are level, its text is upright.
+    """How the telephone was held in all photographs: the board's text is upright.
 
     Args:
         rig: the photographs' cameras, in the board's frame (y down).
