@@ -47,10 +47,10 @@ _STILL = 0.8
 walks have 0.60 to 0.75. Motions that explain this away doubled the errors of the positions (decision 52)."""
 _MATCHED = 0.7
 """The same of a still body, on average: the part of the disagreement that is by matching."""
-_REST_MM = 0.35
+_REST_MM = 0.38
 """Largest other disagreement after the correction, mm. Half of it in each pair, over the 300 cm² of a breast's skin, is
-5 cc. A breath of ± 1 mm and a stabilised lens leave 0.2 to 0.3, a breath of ± 2 mm 0.45, with a wrong border (decision
-52)."""
+6 cc. A held breath, one of ± 1 mm and a stabilised lens leave 0.2 to 0.32, a breath of ± 2 mm 0.45, with a wrong border
+(decision 52)."""
 
 
 @value(eq=False)
