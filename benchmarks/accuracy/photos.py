@@ -1,13 +1,15 @@
 """Walks with one telephone around virtual women: surface and volumes against truth.
 
     python -m benchmarks.accuracy.photos --walks ../shared/data/photos --out OUT
+    python -m benchmarks.accuracy.photos --walks ../shared/data/photos --shifted 10 --out OUT
     python -m benchmarks.accuracy.photos --women 9701 9702 9703 --out OUT
 
-The first measures walks of another renderer. The second renders its own, one for each woman, under the conditions
-`CONDITIONS` in turn. Each folder of `--walks` has ``photos/`` and ``truth/`` (``truth.json`` with the board's pose
-and the nipples, and ``body.ply``). The surface is judged on the skin within 85 mm of a nipple, whether the
-photographs show it or not. Each volume is compared with that of the true mesh by the same program. A walk that is in
-OUT already is not measured again.
+The first measures walks of another renderer. The second crops each of their photographs at random first, as a
+stabilised lens shifts them: standard deviation in pixels. The third renders its own, one for each woman, under the
+conditions `CONDITIONS` in turn. Each folder of `--walks` has ``photos/`` and ``truth/`` (``truth.json`` with the
+board's pose and the nipples, and ``body.ply``). The surface is judged on the skin within 85 mm of a nipple, whether
+the photographs show it or not. Each volume is compared with that of the true mesh by the same program. A walk that is
+in OUT already is not measured again.
 """
 
 from __future__ import annotations
@@ -15,9 +17,11 @@ from __future__ import annotations
 import argparse
 import json
 import resource
+import shutil
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 import mammometry as mm
 from mammometry.api.mesh import MeshFiles, MeshJob
@@ -38,6 +42,7 @@ CONDITIONS = {
 }
 """Name → skin and disturbances of a rendered walk. ``held``: a held breath, lens and shutter of a telephone."""
 _SCALE = 0.3  # photographs of 1210 × 907: time
+_MOST_SHIFT_PX = 24  # of a photograph, either way
 _NEAR_MM = 85.0  # of a nipple: a large breast's skin
 _FAR_MM = 1.0  # clip of the mean signed distance, which a few wild places would decide otherwise
 
@@ -119,6 +124,24 @@ def render(women: list[int], folder: Path) -> None:
             write_walk(out, recipe)
 
 
+def shifted(walk: Path, out: Path, std_px: float) -> Path:
+    """The walk with each photograph cropped at a random place, as by a lens that a stabiliser shifts."""
+    if not out.exists():
+        shutil.copytree(walk / "truth", out / "truth")
+        (out / "photos").mkdir()
+        rng = np.random.default_rng(5)
+        for path in sorted((walk / "photos").iterdir()):
+            if path.suffix != ".jpg":
+                shutil.copy(path, out / "photos")
+                continue
+            with Image.open(path) as image:
+                (width, height), most = image.size, _MOST_SHIFT_PX
+                x, y = np.clip(np.rint(rng.normal(0.0, std_px, 2)), -most, most).astype(int)
+                part = image.crop((most + x, most + y, width - most + x, height - most + y))
+                part.save(out / "photos" / path.name, quality=97, subsampling=0)
+    return out
+
+
 def processor_s() -> float:
     """Processor seconds of this process and its children so far."""
     own, children = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -131,6 +154,7 @@ def main() -> None:
     walks = parser.add_mutually_exclusive_group(required=True)
     walks.add_argument("--walks", type=Path)
     walks.add_argument("--women", type=int, nargs="+")
+    parser.add_argument("--shifted", type=float, default=0.0, help="px")
     parser.add_argument("--out", type=Path, required=True)
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -140,6 +164,9 @@ def main() -> None:
     print("| walk | pictures used | surface, mm: mean RMS 95 %, within 1 mm, bias | true mesh, cc: error | CPU s |")
     print("| --- | --- | --- | --- | --- |")
     for walk in sorted(path for path in folder.iterdir() if (path / "truth").is_dir()):
+        if arguments.shifted:
+            px = arguments.shifted
+            walk = shifted(walk, arguments.out / "shifted" / f"{walk.name}-{px:g}px", px)
         print(measured(walk, arguments.out), flush=True)
 
 

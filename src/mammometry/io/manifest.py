@@ -128,9 +128,7 @@ class WalkEntry(BaseModel):
     """Standard uncertainty of a reconstructed point from the telephone's poses and lens, mm."""
     card_scale: Annotated[float, Field(gt=0.9, lt=1.1)] | None = None
     """Length on the print by a bank card on it, relative to the length as drawn or typed."""
-    board_mm: Annotated[
-        list[Annotated[list[float], Field(min_length=2, max_length=2)]], Field(min_length=2, max_length=2)
-    ]
+    board_mm: Annotated[list[_Place], Field(min_length=2, max_length=2)]
     """Lowest and highest corner (x, y) of the board's points, world frame, mm."""
 
     @model_validator(mode="after")

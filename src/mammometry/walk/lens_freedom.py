@@ -22,10 +22,10 @@ def pose_errors(
 ) -> Float64[Array, "6 3"]:
     """Corrections of a pose found from the board, for a unit change of the lens.
 
-    The rows are those of `POSE_NAMES_CAMERA`. The columns are a focal length that moves points at half the
-    picture's width by 1 px, and a principal point moved by 1 px along the rows and columns. A change c of the lens
-    moves image points by L c, and one d of the pose by P d. On the board the pose has taken up d = P⁺ L c. On the
-    skin the correct pose and lens act as one pose that is changed by P⁺ L c there, less d.
+    The rows are those of `POSE_NAMES_CAMERA`. The columns are a focal length that moves points at half the width of
+    the camera's picture by 1 px, and a principal point moved by 1 px along the rows and columns. A change c of
+    the lens moves image points by L c, and one d of the pose by P d. On the board the pose has taken up d = P⁺
+    L c. On the skin the correct pose and lens act as one pose that is changed by P⁺ L c there, less d.
 
     Args:
         camera: the telephone at the photograph, in the board's frame.

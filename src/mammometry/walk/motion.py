@@ -227,8 +227,8 @@ def _moved_too_much(found: WalkMotion, most_mm: float) -> SurfaceError:
     worst = ", ".join(f"{found.cameras[i]} ({np.linalg.norm(found.shift_mm[i]):.1f} mm)" for i in order)
     return SurfaceError(
         "the photographs",
-        found=f"a body that moved relative to the board, most in {worst}: after the correction of each photograph's "
-        f"motion, pairs disagree by {found.rest_mm:.2f} mm",
+        found=f"a body that moved relative to the board, most in photographs {worst}, counted in their order: after "
+        f"the correction of each photograph's motion, pairs disagree by {found.rest_mm:.2f} mm",
         expected=f"at most {most_mm:.2f} mm",
         remedy="Have the patient hold her breath for each half of the walk, and photograph again",
     )

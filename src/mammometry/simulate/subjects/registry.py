@@ -117,7 +117,7 @@ def make_subject(
         if family.has(name):
             wanted = SubjectRequest(name=name, seed=seed, edge_mm=edge_mm, mesh_file=mesh_file, reshape=reshape)
             if reshape is not None and not family.has_patients:
-                raise UnknownWordError("only torsos have patients' disturbances", f"subject {name!r}")
+                raise UnknownWordError("only torsos have postures and patients' disturbances", f"subject {name!r}")
             return family.make(wanted)
     choices = ", ".join(family.choices for family in SUBJECTS.values())
     raise UnknownWordError(f"subjects are {choices}", f"{name!r}")
