@@ -7,9 +7,9 @@
 The first measures walks of another renderer. The second crops each of their photographs at random first, as a
 stabilised lens shifts them: standard deviation in pixels. The third renders its own, one for each woman, under the
 conditions `CONDITIONS` in turn. Each folder of `--walks` has ``photos/`` and ``truth/`` (``truth.json`` with the
-board's pose and the nipples, and ``body.ply``). The surface is judged on the skin within 85 mm of a nipple, whether
-the photographs show it or not. Each volume is compared with that of the true mesh by the same program. A walk that is
-in OUT already is not measured again.
+board's pose and the nipples, and ``body.ply``). The surface is judged on the true skin within 85 mm of a nipple,
+whether the photographs show it or not, and by the skin that was measured there. Each volume is compared with that of
+the true mesh by the same program, and with the true volume of an own woman. A walk in OUT is not measured again.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import argparse
 import json
 import resource
 import shutil
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,7 @@ from mammometry.job.stages import surface
 from mammometry.simulate.recipe import Situation, parse_situation
 from mammometry.simulate.rendering.skin import SKINS
 from mammometry.simulate.walk import WalkRecipe, write_walk
+from mammometry.surface.repair.repair import Provenance
 
 CONDITIONS = {
     "clean": ("skin", ""),
@@ -76,6 +78,13 @@ def surface_errors(mesh: TriangleMesh, body: TriangleMesh, nipples: np.ndarray) 
     return f"{mean:.3f} {rms:.2f} {most:.2f}, {100 * whole:.0f} %, {bias:+.2f}"
 
 
+def measured_errors(vertices: np.ndarray, body: TriangleMesh, nipples: np.ndarray) -> str:
+    """Distance of measured vertices on the breasts from the true skin, mm: mean and 95 %."""
+    near = np.linalg.norm(vertices[:, None] - nipples[None], axis=2).min(axis=1) < _NEAR_MM
+    distances_mm = closest_on_mesh(vertices[near], body).distances_mm
+    return f"{distances_mm.mean():.3f} {np.quantile(distances_mm, 0.95):.2f}"
+
+
 def measured(walk: Path, out: Path) -> str:
     """One row of the table."""
     truth = json.loads((walk / "truth" / "truth.json").read_text(encoding="utf-8"))
@@ -90,8 +99,9 @@ def measured(walk: Path, out: Path) -> str:
         job = mm.open_session(out / walk.name)
         results = job.run()
     except MammometryError as error:
-        return f"| {walk.name} | refused: {error} | | | |"
-    mesh = job.plan[surface.repaired]().mesh
+        return f"| {walk.name} | refused: {error} | | | | |"
+    repaired = job.plan[surface.repaired]()
+    mesh = repaired.mesh
     moved = TriangleMesh(vertices=mesh.vertices @ pose[:3, :3].T + pose[:3, 3], faces=mesh.faces)
     volumes = []
     for side, volume_cc in true_cc.items():
@@ -102,13 +112,19 @@ def measured(walk: Path, out: Path) -> str:
         held = interval is not None and interval[0] <= volume_cc <= interval[1]
         off = 100 * (results.volumes_cc[side] / volume_cc - 1)
         volumes.append(f"{side} {volume_cc:.0f}: {off:+.1f} %, {'held' if held else 'not held'}")
-    errors = surface_errors(moved, body, np.array(truth["nipples"]))
+        if true := truth.get("true_volumes_cc"):
+            holds = interval is not None and interval[0] <= true[side] <= interval[1]
+            off = 100 * (results.volumes_cc[side] / true[side] - 1)
+            volumes[-1] += f" (truth {true[side]:.0f}: {off:+.1f} %, {'held' if holds else 'not held'})"
+    nipples = np.array(truth["nipples"])
+    seen = moved.vertices[repaired.provenance == Provenance.MEASURED]
+    errors = f"{surface_errors(moved, body, nipples)} | {measured_errors(seen, body, nipples)}"
     used = f"{len(found.used)} of {found.pictures}"
     return f"| {walk.name} | {used} | {errors} | {'; '.join(volumes)} | {processor_s() - begun_s:.0f} |"
 
 
-def render(women: list[int], folder: Path) -> None:
-    """Render a walk for each woman that has none yet."""
+def render(women: list[int], folder: Path) -> Iterator[Path]:
+    """Walks of these women, rendered when they are asked for and not there yet."""
     for number, seed in enumerate(women):
         name = list(CONDITIONS)[number % len(CONDITIONS)]
         skin, disturbances = CONDITIONS[name]
@@ -122,6 +138,7 @@ def render(women: list[int], folder: Path) -> None:
                 situation=parse_situation(disturbances) if disturbances else Situation(),
             )
             write_walk(out, recipe)
+        yield out
 
 
 def shifted(walk: Path, out: Path, std_px: float) -> Path:
@@ -158,12 +175,15 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    folder = arguments.walks or arguments.out / "rendered"
-    if arguments.women:
-        render(arguments.women, folder)
-    print("| walk | pictures used | surface, mm: mean RMS 95 %, within 1 mm, bias | true mesh, cc: error | CPU s |")
-    print("| --- | --- | --- | --- | --- |")
-    for walk in sorted(path for path in folder.iterdir() if (path / "truth").is_dir()):
+    found: Iterable[Path] = (
+        render(arguments.women, arguments.out / "rendered")
+        if arguments.women
+        else sorted(path for path in arguments.walks.iterdir() if (path / "truth").is_dir())
+    )
+    columns = ("walk", "pictures used", "surface, mm: mean RMS 95 %, within 1 mm, bias", "measured, mm: mean 95 %")
+    print("| " + " | ".join((*columns, "true mesh, cc: error", "CPU s")) + " |")
+    print("| --- | --- | --- | --- | --- | --- |")
+    for walk in found:
         if arguments.shifted:
             px = arguments.shifted
             walk = shifted(walk, arguments.out / "shifted" / f"{walk.name}-{px:g}px", px)
