@@ -34,8 +34,8 @@ for module in pkgutil.walk_packages(mammometry.__path__, "mammometry.", onerror=
         print(module.name)
 """
 _MAY_NEED_ONE = (
-    *("mammometry.clinic", "mammometry.hospital", "mammometry.editor.server", "mammometry.editor.auth"),
-    *("mammometry.capture.page", "mammometry.batch.worker_resources"),
+    *("mammometry.clinic", "mammometry.hospital", "mammometry.editor.server", "mammometry.web.local"),
+    *("mammometry.web.server", "mammometry.capture.page", "mammometry.batch.worker_resources"),
 )
 
 

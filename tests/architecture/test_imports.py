@@ -22,7 +22,7 @@ CV2_MAY = (
     "io/photographs/video.py",
     "io/cameras/opencv.py",
 )
-SERVERS = {"editor/server.py", "editor/auth.py", "capture/page.py"}
+SERVERS = {"web/server.py"}
 """Written in terms of such a library throughout, and themselves imported where they are used."""
 SYSTEM = "base/machine/system.py"
 """May name what only some systems have."""
@@ -175,14 +175,15 @@ def test_only_what_serves_pages_exports_and_batches_speaks_to_the_network(reposi
         "batch/storage.py imports fsspec",
         "batch/storage.py imports fsspec.core",
         # Pages are served at the address that the command names:
-        "clinic/web/server.py imports uvicorn",
-        "clinic/web/server.py imports uvicorn.protocols.http.h11_impl",
-        "editor/server.py imports uvicorn",
+        "web/server.py imports uvicorn",
+        "web/server.py imports uvicorn.protocols.http.h11_impl",
         "clinic/web/server.py imports socket",  # whether the port is free
-        "editor/server.py imports socket",
+        "web/local.py imports socket",
         "clinic/jobs/events.py imports asyncio",  # to wait between two looks at the database
-        "clinic/web/requests.py imports asyncio",  # to stop waiting for a body, to hand requests to threads
-        "clinic/web/server.py imports asyncio",  # to close connections on which no request comes
+        "clinic/web/requests.py imports asyncio",  # to hand requests to threads
+        "web/local.py imports asyncio",  # the same
+        "web/limits.py imports asyncio",  # to stop waiting for a body
+        "web/server.py imports asyncio",  # to close connections on which no request comes
         # To the archive that a command or the clinic's administrator names:
         "hospital/dicom/association.py imports pynetdicom",
         "hospital/dicom/association.py imports pynetdicom.sop_class",
@@ -208,15 +209,14 @@ def test_only_the_command_line_prints(repository: Path) -> None:
 
 
 def test_django_is_the_clinics_alone(repository: Path) -> None:
-    """The rest is used without the extra `clinic`; the editor's local page takes the clinic's way to serve."""
+    """The rest is used without the extra `clinic`."""
     foreign = ("django", "allauth", "axes", "auditlog", "whitenoise", "psycopg")
     using = {
         path.relative_to(repository / PACKAGE).parts[0]
         for path in modules(repository)
         if any(name.partition(".")[0] in foreign for name in imports(syntax(path)))
     }
-    assert "clinic" in using
-    assert using <= {"clinic", "editor", "capture"}
+    assert using == {"clinic"}
 
 
 @pytest.mark.parametrize("limit", [500])
@@ -288,14 +288,3 @@ def test_truth_is_read_by_evaluation_alone(repository: Path) -> None:
             found.append(str(path.relative_to(repository / PACKAGE)))
     assert "simulate/session.py" in found, "has this test lost its object?"
     assert [name for name in found if not any(fnmatch(name, allowed) for allowed in names)] == []
-
-
-@pytest.mark.requirement("R-SENT-1")
-def test_only_what_serves_pages_imports_django(repository: Path) -> None:
-    using = {
-        path.relative_to(repository / PACKAGE).parts[0]
-        for path in modules(repository)
-        for name in imports(syntax(path))
-        if name.partition(".")[0] == "django"
-    }
-    assert using == {"capture", "clinic", "editor"}

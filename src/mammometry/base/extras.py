@@ -6,7 +6,7 @@ from importlib.util import find_spec
 
 from mammometry.base.errors import StorageError
 
-WEB = ("django", "uvicorn")
+WEB = ("uvicorn",)
 """Libraries that serve pages: extra `edit`."""
 
 

@@ -13,8 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from django.http import HttpRequest, HttpResponse
-from django.urls import URLPattern, path
 from PIL import Image
 
 from mammometry.base.errors import MammometryError, SessionError
@@ -26,11 +24,10 @@ from mammometry.calibration.targets.target import Target
 from mammometry.capture.camera import Backend
 from mammometry.capture.checks import Finding, Seen, judge
 from mammometry.capture.loop import CaptureResult, OpenRig, PoseResult
-from mammometry.editor.auth import OneTimeLogin
-from mammometry.editor.page import resource
-from mammometry.editor.server import Application, entrance_route, guarded_app, html_page, listen, page_view
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, UInt8
 from mammometry.matching.foreground.block_segmentation import segment
+from mammometry.web.local import OneTimeLogin, Page, html_page, listen, local_app, resource
+from mammometry.web.replies import Application
 
 WIDTH_PX = 480
 """Columns of a live picture on the page, about."""
@@ -334,7 +331,25 @@ class Goal:
 
 def capture_app(service: CameraService, goal: Goal, login: OneTimeLogin) -> Application:
     """Make the page's server."""
-    return guarded_app(_routes(service, goal, login), login)
+    title = f"{'Calibrate' if goal.posing else 'Capture'} {goal.session.name} with rig {service.rigged.file.rig.name}"
+
+    def document(body: bytes) -> str:
+        page, style = (resource("mammometry.capture", f"capture.{kind}") for kind in ("html", "css"))
+        return html_page(page, title, style=style, script=resource("mammometry.report", "capture.js"))
+
+    def fire(body: bytes) -> dict[str, Any]:
+        if goal.posing:
+            return service.pose(goal.session)
+        fired = service.fire(goal.session, subject_id=goal.subject_id)
+        return firing_table(fired, command_line("mammometry", "run", goal.session))
+
+    pages: Mapping[str, Page] = {
+        "GET /": document,
+        "GET /state": lambda body: service.state(title, goal.session, posing=goal.posing),
+        "POST /look": service.look,
+        "POST /fire": fire,
+    }
+    return local_app(pages, login)
 
 
 def serve(rigged: OpenRig, goal: Goal, *, ready: Callable[[str, str], None]) -> None:
@@ -343,33 +358,10 @@ def serve(rigged: OpenRig, goal: Goal, *, ready: Callable[[str, str], None]) -> 
     Args:
         rigged: open cameras, which are released at the end.
         goal: session for firings.
-        ready: called as soon as the page answers, with an address that works once, and the address of a local file that
-            opens the page.
+        ready: as for `listen`.
     """
     login, service = OneTimeLogin("capture --page"), CameraService(rigged)
     try:
         listen(capture_app(service, goal, login), login, ready=ready)
     finally:
         service.close()
-
-
-def _routes(service: CameraService, goal: Goal, login: OneTimeLogin) -> tuple[URLPattern, ...]:
-    title = f"{'Calibrate' if goal.posing else 'Capture'} {goal.session.name} with rig {service.rigged.file.rig.name}"
-
-    def document(request: HttpRequest) -> HttpResponse:
-        page, style = (resource("mammometry.capture", f"capture.{kind}") for kind in ("html", "css"))
-        return html_page(page, title, style=style, script=resource("mammometry.report", "capture.js"))
-
-    def fire(request: HttpRequest) -> dict[str, Any]:
-        if goal.posing:
-            return service.pose(goal.session)
-        fired = service.fire(goal.session, subject_id=goal.subject_id)
-        return firing_table(fired, command_line("mammometry", "run", goal.session))
-
-    return (
-        entrance_route(login),
-        path("", page_view(GET=document)),
-        path("state", page_view(GET=lambda request: service.state(title, goal.session, posing=goal.posing))),
-        path("look", page_view(POST=lambda request: service.look(request.body))),
-        path("fire", page_view(POST=fire)),
-    )

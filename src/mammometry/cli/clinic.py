@@ -21,7 +21,7 @@ app = typer.Typer(name="clinic", help="Patients, visits, rigs and people in one 
 people = typer.Typer(name="people", help="Who may log in.")
 app.add_typer(people, no_args_is_help=True)
 
-_LIBRARIES = (*WEB, "allauth", "argon2", "axes", "auditlog", "whitenoise", "distributed")
+_LIBRARIES = (*WEB, "django", "allauth", "argon2", "axes", "auditlog", "whitenoise", "distributed")
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The clinic's folder.", show_default=False)]
 RoleNames = Annotated[
     list[str], typer.Option("--role", help="technician, clinician, researcher or administrator. May be repeated.")

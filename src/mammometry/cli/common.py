@@ -165,6 +165,20 @@ def examples(*lines: str) -> str:
     return "\n\n".join(["Examples:", *(f"  $ {line}" for line in lines)])
 
 
+def opener(browser: bool) -> Callable[[str, str], None]:
+    """A function that prints a local page's one-time address, and may open it."""
+
+    def ready(address: str, local_file: str) -> None:
+        import webbrowser
+
+        # Standard output is for the answer, after the page was closed.
+        print(f"{address} (works once; Ctrl-C stops)", file=sys.stderr, flush=True)  # noqa: T201
+        if browser:
+            webbrowser.open(local_file)
+
+    return ready
+
+
 def nothing_made(made_at: str | None) -> str:
     """State that all results are current, and when they were made."""
     when = "" if made_at is None else datetime.fromisoformat(made_at).strftime(", made %Y-%m-%d %H:%M UTC")

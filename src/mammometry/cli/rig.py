@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-import webbrowser
 from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
@@ -12,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mammometry.base.shell import command_line
-from mammometry.cli.common import SUBJECT_ID, Answer, Bars, Options, OutputOptions, SessionFolder, command
+from mammometry.cli.common import SUBJECT_ID, Answer, Bars, Options, OutputOptions, SessionFolder, command, opener
 
 if TYPE_CHECKING:
     from mammometry.io.drift import History
@@ -309,17 +307,11 @@ def _on_a_page(
     from mammometry.capture.loop import OpenRig
     from mammometry.capture.page import Goal, serve
 
-    def ready(address: str, local_page: str) -> None:
-        # Standard output is for the answer, after the page was closed.
-        print(f"{address} (works once; Ctrl-C stops)", file=sys.stderr, flush=True)  # noqa: T201
-        if browser:
-            webbrowser.open(local_page)
-
     with (
         OpenRig(rig, backend=backend, needs_calibration=not posing) as rigged,
         suppress(KeyboardInterrupt),
     ):  # stops the page
-        serve(rigged, Goal(session=session, subject_id=subject_id, posing=posing), ready=ready)
+        serve(rigged, Goal(session=session, subject_id=subject_id, posing=posing), ready=opener(browser))
     made = session / ("calibration" if posing else "capture")
     taken = made.is_dir() and any(made.iterdir())
     lines: list[Any] = (

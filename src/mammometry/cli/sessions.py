@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-import webbrowser
 from contextlib import suppress
 from enum import StrEnum
 from typing import Annotated, Any
@@ -11,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from mammometry.base.shell import command_line
-from mammometry.cli.common import Answer, Bars, Options, OutputOptions, SessionFolder, SessionOrScan, command
+from mammometry.cli.common import Answer, Bars, Options, OutputOptions, SessionFolder, SessionOrScan, command, opener
 from mammometry.cli.stages import expect
 
 app = typer.Typer()
@@ -123,19 +121,13 @@ def edit(
     from mammometry.editor.server import serve
     from mammometry.io.drawn import BOUNDARIES, LANDMARK_FILE
 
-    def ready(address: str, local_page: str) -> None:
-        # Standard output is for the answer, after the page was closed.
-        print(f"{address} (works once; Ctrl-C stops)", file=sys.stderr, flush=True)  # noqa: T201
-        if browser:
-            webbrowser.open(local_page)
-
     chosen = options.settings()
     with Bars(options.silent) as bars:
         job = drawable(session, chosen, watch=bars.watch)
         expect(job, bars)
         job.surface()
     with suppress(KeyboardInterrupt):  # the way to stop it
-        serve(lambda: drawable(session, chosen), ready=ready, author=author)
+        serve(lambda: drawable(session, chosen), ready=opener(browser), author=author)
     present = [name for name in (BOUNDARIES, LANDMARK_FILE) if (session / name).is_file()]
     then = command_line("mammometry", "run", session, *options.words)
     return Answer({"session": str(session), "drawn": present}, [f"Then: {then}"] if present else [])

@@ -44,9 +44,9 @@ def the_clinic() -> ClinicConfig:
 def application(config: ClinicConfig) -> Any:
     """The clinic as an ASGI application."""
     configure(config)
-    from mammometry.clinic.web.requests import Dispatcher, Limited
+    from mammometry.clinic.web.requests import ClinicLimited, Dispatcher
 
-    return Limited(Dispatcher(), config.limits)
+    return ClinicLimited(Dispatcher(), config.limits)
 
 
 def settings_of(config: ClinicConfig, secret_key: str) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Messages from the page (lengths in mm, world frame), checked as far as possible without the session."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
@@ -76,10 +76,3 @@ class Finish(EditorMessage):
     author: Author
     curves: dict[Breast, Annotated[str, Field(max_length=64)]]
     """Breast → digest of the curve that was checked."""
-
-
-def sentence(errors: list[dict[str, Any]]) -> str:
-    """State the fault of a message, without repeating its content."""
-    first = errors[0]
-    where = ".".join(str(part) for part in first.get("loc", ()) if part != "body")
-    return f"{where or 'The request'}: {first.get('msg', 'not as expected')}."

@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 import json
-import logging
 from dataclasses import replace
-from importlib.resources import files
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from pydantic import ValidationError
-
 from mammometry.api.stored_report import stored_scene
-from mammometry.base.errors import FullDiskError, MammometryError, StorageError
-from mammometry.editor.messages import EditorMessage, Finish, Measure, Save, sentence
+from mammometry.editor.messages import EditorMessage, Finish, Measure, Save
 from mammometry.editor.session import DrawingSession
-from mammometry.io.drawn import LateError
 from mammometry.report.figures.shading import front_frame
 from mammometry.report.models import viewer_scene
 from mammometry.report.scene import to_json
@@ -25,7 +19,6 @@ if TYPE_CHECKING:
     from mammometry.api.job import Job
 
 _TRIANGLES = 150_000  # of the surface on the page: fine enough to see the nipple, small enough to load; display only
-_LOG = logging.getLogger(__name__)
 _Message = TypeVar("_Message", bound=EditorMessage)
 
 
@@ -104,23 +97,6 @@ def read(kind: type[_Message], body: bytes) -> _Message:
         ValidationError: it is invalid.
     """
     return kind.model_validate_json(body)
-
-
-def refusal(error: MammometryError | ValidationError) -> tuple[int, dict[str, Any]]:
-    """HTTP status and JSON of an error, for the page."""
-    if isinstance(error, ValidationError):
-        return 422, {"error": sentence([dict(item) for item in error.errors(include_url=False)])}
-    if isinstance(error, LateError):
-        return 409, {"error": error.on_page, "late": [list(item) for item in error.items]}
-    if isinstance(error, StorageError):
-        _LOG.error("%s", error)
-        return (507 if isinstance(error, FullDiskError) else 503), {"error": str(error)}
-    return 422, {"error": str(error)}
-
-
-def resource(package: str, name: str) -> str:
-    """Text of a package's template."""
-    return files(package).joinpath("templates", name).read_text(encoding="utf-8")
 
 
 def _signed(sent: Any, author: str | None) -> Any:

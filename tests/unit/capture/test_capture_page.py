@@ -7,13 +7,12 @@ import threading
 import time
 
 import pytest
-from django.conf import settings
 from tests.unit.capture.virtual_capture import rig_file
 
 from mammometry.base.errors import SessionError
 from mammometry.capture.loop import OpenRig
 from mammometry.capture.page import CameraService, Goal, capture_app, firing_table, serve
-from mammometry.editor.auth import OneTimeLogin
+from mammometry.web.local import OneTimeLogin
 
 CHROMIUM = shutil.which("chromium")
 
@@ -41,6 +40,7 @@ def test_the_page_shows_states_and_live_pictures_and_fires(page, place):
         page.look(b"[]")
 
 
+@pytest.mark.requirement("R-SENT-2")
 def test_nobody_without_the_key_may_look_or_fire(page, place):
     app = capture_app(page, Goal(session=place / "s"), OneTimeLogin("capture --page"))
     for method, path in (("GET", "/"), ("GET", "/state"), ("POST", "/look"), ("POST", "/fire")):
@@ -72,8 +72,6 @@ def test_a_technician_aims_and_fires_in_the_browser(place, monkeypatch):
     import uvicorn
     from tests.patience import patient
 
-    if settings.configured:  # by the clinic's tests, where they are collected in the same process
-        monkeypatch.setattr(settings, "MIDDLEWARE", [])
     servers = []
     monkeypatch.setattr(uvicorn.Server, "capture_signals", quietly)
     started = uvicorn.Server.__init__

@@ -306,7 +306,7 @@ def test_a_disk_that_refuses_is_a_sentence_and_in_the_log(
     with pytest.raises(StorageError) as caught, disk_errors(measured.folder):
         raise OSError(number, os.strerror(number))
     page.error = caught.value
-    logger = logging.getLogger("mammometry.editor.page")  # other tests may have cut it off from the root
+    logger = logging.getLogger("mammometry.web.replies")  # other tests may have cut it off from the root
     monkeypatch.setattr(logger, "disabled", False)
     monkeypatch.setattr(logger, "handlers", [caplog.handler])
     caplog.set_level(logging.ERROR, logger.name)

@@ -15,7 +15,8 @@ from mammometry.clinic.config import ClinicConfig, RateLimits
 from mammometry.clinic.roles import Role
 from mammometry.clinic.web import requests
 from mammometry.clinic.web.access import BODY_BYTES
-from mammometry.clinic.web.requests import Limited
+from mammometry.clinic.web.requests import ClinicLimited
+from mammometry.web.replies import Scope
 
 Message = dict[str, Any]
 
@@ -27,7 +28,7 @@ class Inner:
         self.bodies: list[int] = []
         self.headers: list[tuple[bytes, bytes]] = []
 
-    async def __call__(self, scope: Message, receive: Any, send: Any) -> None:
+    async def __call__(self, scope: Scope, receive: Any, send: Any) -> None:
         read, more = 0, True
         while more:
             message = await receive()
@@ -40,7 +41,7 @@ class Inner:
 
 
 def ask(
-    application: Limited,
+    application: ClinicLimited,
     chunks: list[bytes],
     headers: list[tuple[bytes, bytes]] | None = None,
     client: str = "10.0.0.1",
@@ -64,8 +65,8 @@ def ask(
     return int(sent[0]["status"])
 
 
-def limited(inner: Inner, per_second: int = 1000, clock: Any = lambda: 0.0) -> Limited:
-    return Limited(inner, RateLimits(requests_per_second=per_second), clock=clock)
+def limited(inner: Inner, per_second: int = 1000, clock: Any = lambda: 0.0) -> ClinicLimited:
+    return ClinicLimited(inner, RateLimits(requests_per_second=per_second), clock=clock)
 
 
 def test_a_body_up_to_the_limit_is_passed_on() -> None:
@@ -152,7 +153,7 @@ def test_a_body_that_does_not_come_is_not_waited_for() -> None:
         sent.append(dict(message))
 
     scope: Message = {"type": "http", "path": "/", "headers": [], "client": ("10.0.0.1", 4711)}
-    application = Limited(inner, RateLimits(request_s=1))
+    application = ClinicLimited(inner, RateLimits(request_s=1))
     begun = time.monotonic()
     asyncio.run(application(scope, receive, send))
     assert sent[0]["status"] == 408
@@ -177,7 +178,7 @@ def test_a_large_body_has_longer_on_a_slow_line(monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setattr(requests, "_granted", lambda path: 1_000_000)
     scope: Message = {"type": "http", "path": "/", "headers": [], "client": ("10.0.0.1", 4711)}
-    asyncio.run(Limited(inner, RateLimits(request_s=1))(scope, receive, send))
+    asyncio.run(ClinicLimited(inner, RateLimits(request_s=1))(scope, receive, send))
     assert inner.bodies == [100_000]
 
 

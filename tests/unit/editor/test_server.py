@@ -2,41 +2,39 @@
 
 from __future__ import annotations
 
-import asyncio
 import http.client
 import json
 import re
 import shutil
-import socket
 import stat
-import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
-from urllib.parse import unquote, urlencode, urlsplit
+from urllib.parse import unquote, urlsplit
 
 import numpy as np
 import pytest
 import test_drawing
 import uvicorn
-from django.conf import settings
 from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
+from tests.local_server import running
 from tests.patience import patient
 
 from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.identity import Identity
 from mammometry.editor import server as served
-from mammometry.editor.auth import HOST, LARGEST_BYTES, OneTimeLogin, local_page
 from mammometry.editor.messages import PlaceChange, Save, SentHandle, Sketch, SketchChange
-from mammometry.editor.server import Application, editor_app
+from mammometry.editor.server import editor_app
 from mammometry.editor.session import DrawingSession
 from mammometry.job.stages import measure
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.surface.texture.texture import TexturedMesh
+from mammometry.web.local import BODY_BYTES, HOST, REQUEST_S, OneTimeLogin, local_file
+from mammometry.web.replies import Application
 
 CHROMIUM = shutil.which("chromium")
 FLAGS = [
@@ -44,7 +42,6 @@ FLAGS = [
     *("--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-first-run"),
 ]
 JSON = {"Content-Type": "application/json"}
-FORM = {"Content-Type": "application/x-www-form-urlencoded"}
 HANDLES = [{"point": [60.0, 0.0, 0.0]}, {"point": [0.0, 60.0, 0.0]}, {"point": [-60.0, 0.0, 0.0]}]
 HALF_BALL_CC = 2 / 3 * np.pi * test_drawing.RADIUS_MM**3 / 1000
 
@@ -98,13 +95,6 @@ def login() -> OneTimeLogin:
     return OneTimeLogin()
 
 
-@pytest.fixture(autouse=True)
-def alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As in a process of its own, where no clinic is open."""
-    if settings.configured:
-        monkeypatch.setattr(settings, "MIDDLEWARE", [])
-
-
 @pytest.fixture
 def app(tmp_path: Path, login: OneTimeLogin) -> Application:
     return editor_app(lambda: job(tmp_path), login)  # type: ignore[arg-type,return-value]
@@ -152,7 +142,7 @@ class Client:
         return self.ask("POST", path, json.dumps(sent).encode(), {**JSON, **(headers or {})})
 
     def enter(self, key: str) -> Told:
-        return self.ask("POST", "/enter", urlencode({"key": key}).encode(), FORM)
+        return self.post("/enter", key)
 
 
 @pytest.fixture
@@ -209,18 +199,26 @@ def test_only_those_who_came_in_by_a_key_are_answered(address: str, login: OneTi
     assert client.get("/drawing").status == 404
 
 
-def test_a_used_link_shows_a_page_and_opens_again_for_who_is_inside(address: str, login: OneTimeLogin) -> None:
+def test_a_used_link_is_refused_and_opens_again_for_who_is_inside(address: str, login: OneTimeLogin) -> None:
     inside, key = Client(address), login.new_key()
-    browser = {"Accept": "text/html,application/xhtml+xml,*/*;q=0.8", **FORM}
+    browser = {"Accept": "text/html,application/xhtml+xml,*/*;q=0.8"}
+    entrance = inside.ask("GET", "/enter", headers=browser)
+    assert (entrance.status, entrance.headers["content-type"].split(";")[0]) == (200, "text/html")
     assert inside.enter(key).status == 200
-    used = Client(address).ask("POST", "/enter", urlencode({"key": key}).encode(), browser)
-    assert (used.status, used.headers["content-type"].split(";")[0]) == (403, "text/html")
-    assert "<h1>" in used.text
+    assert inside.enter(key).status == 200
+    used = Client(address).enter(key)
+    assert used.status == 403
+    assert used.json()["error"]
     assert used.headers["cache-control"] == "no-store"
     bare = Client(address).ask("GET", "/", headers=browser)  # without any key
     assert (bare.status, bare.headers["content-type"].split(";")[0]) == (403, "text/html")
-    assert inside.ask("POST", "/enter", urlencode({"key": key}).encode(), browser).status == 200
-    assert Client(address).enter(key).json()["error"]  # programs still read JSON
+    assert "<h1>" in bare.text
+
+
+def test_the_page_runs_its_own_script_alone(client: Client) -> None:
+    policy = dict(part.split(" ", 1) for part in client.get("/").headers["content-security-policy"].split("; "))
+    assert policy["default-src"] == policy["frame-ancestors"] == "'none'"
+    assert re.fullmatch(r"'sha256-\S+' blob:", policy["script-src"])
 
 
 @pytest.mark.parametrize(
@@ -245,12 +243,12 @@ def test_another_page_cannot_save(client: Client, tmp_path: Path, headers: dict[
 
 def test_what_is_too_large_or_of_another_kind_is_refused_before_it_is_read(client: Client) -> None:
     def endless() -> Iterator[bytes]:
-        yield b"{}"
+        yield from [b" " * (1 << 16)] * (BODY_BYTES >> 15)
 
-    large = client.ask("POST", "/save", b" " * (LARGEST_BYTES + 1), JSON)
+    large = client.ask("POST", "/save", b" " * (BODY_BYTES + 1), JSON)
     assert large.status == 413
-    assert "1 MB" in large.json()["error"]
-    assert client.ask("POST", "/save", endless(), JSON).status == 411
+    assert large.json()["error"]
+    assert client.ask("POST", "/save", endless(), JSON).status == 413
     assert client.ask("POST", "/save", b"{}", {"Content-Type": "text/plain"}).status == 415
     assert client.ask("PUT", "/save", b"{}", JSON).status == 405
 
@@ -265,12 +263,14 @@ def test_the_key_stands_in_no_argument_of_the_browser(tmp_path: Path, monkeypatc
         said.extend((address, local_page))
         files.append((stat.S_IMODE(path.stat().st_mode), path.read_text()))
 
-    monkeypatch.setattr(uvicorn.Server, "run", lambda self, sockets: None)
+    limits: list[float] = []
+    monkeypatch.setattr(uvicorn.Server, "run", lambda self, sockets: limits.append(self.config.timeout_keep_alive))
     served.serve(lambda: job(tmp_path), ready=ready)  # type: ignore[arg-type,return-value]
+    assert limits == [REQUEST_S]
     address, local_page = said
     ((mode, text),) = files
     assert mode == 0o600
-    key = text.split('name="key" value="')[1].split('"')[0]
+    key = text.split("/enter#")[1].split('"')[0]
     assert key not in local_page
     assert key not in address  # another one, for who types it
     assert address.startswith(f"http://{HOST}:")
@@ -516,40 +516,6 @@ def test_an_open_surface_has_nothing_to_draw(tmp_path: Path, login: OneTimeLogin
 # --- in a browser ---
 
 
-class _QuickServer(uvicorn.Server):
-    """Ends when it is asked to. uvicorn's own looks ten times a second and then waits as long for its connections."""
-
-    async def main_loop(self) -> None:
-        await self.on_tick(0)
-        while not self.should_exit:
-            await asyncio.sleep(0.005)
-
-    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        for connection in list(self.server_state.connections):
-            connection.shutdown()
-        for server in self.servers:
-            server.close()
-        while self.server_state.tasks:  # each closes the file that holds its request
-            await asyncio.sleep(0.005)
-
-
-@contextmanager
-def running(app: Application) -> Iterator[str]:
-    """The address of a page that really listens."""
-    listener = socket.socket()
-    listener.bind((HOST, 0))
-    listener.listen()
-    server = _QuickServer(uvicorn.Config(app, log_config=None, log_level="error", lifespan="off"))
-    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
-    thread.start()
-    try:
-        yield f"http://{HOST}:{listener.getsockname()[1]}"
-    finally:
-        server.should_exit = True
-        thread.join(10)
-        listener.close()
-
-
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     """One for all tests, each of which opens windows that share nothing with those of others."""
@@ -578,7 +544,7 @@ def tab(login: OneTimeLogin, browser: Browser, tmp_path: Path) -> Iterator[Calla
             page = context.new_page()
             page.on("pageerror", lambda error: wrong.append(str(error)))
             if len(context.pages) == 1:
-                with local_page(address, login.new_key()) as file:
+                with local_file(address, login.new_key()) as file:
                     page.goto(file.as_uri())
                     page.wait_for_url(f"{address}/")
             else:

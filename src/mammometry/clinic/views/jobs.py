@@ -11,7 +11,8 @@ from mammometry.clinic.jobs.results import Target
 from mammometry.clinic.models import Calibration, DailyCheck, Job, Person
 from mammometry.clinic.rig_history import may_queue
 from mammometry.clinic.roles import CARE
-from mammometry.clinic.views.responses import Refused, json_body, json_view, require_care, visit_or_404
+from mammometry.clinic.views.responses import json_body, json_view, require_care, visit_or_404
+from mammometry.web.replies import Refused
 
 _MOST = 200  # jobs on one page
 

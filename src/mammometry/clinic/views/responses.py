@@ -29,14 +29,7 @@ from mammometry.clinic.site import the_clinic
 from mammometry.clinic.templatetags.pages import on_pages
 from mammometry.clinic.web.access import is_program
 from mammometry.clinic.web.security import report_policy
-
-
-class Refused(Exception):
-    """A request is refused. Its text is the reason, one sentence."""
-
-    def __init__(self, sentence: str, status: int = 409) -> None:
-        super().__init__(sentence)
-        self.status = status
+from mammometry.web.replies import Refused
 
 
 def json_view(*methods: str) -> Callable[[Callable[..., HttpResponseBase]], Callable[..., HttpResponseBase]]:

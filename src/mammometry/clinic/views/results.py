@@ -30,10 +30,11 @@ from mammometry.clinic.site import the_clinic
 from mammometry.clinic.templatetags.pages import isolated, queued
 from mammometry.clinic.views.responses import download, not_now, person_of, sealed_page, visit_or_404
 from mammometry.editor.messages import Base, Breast, EditorMessage
-from mammometry.editor.page import EditorPage, read, refusal
+from mammometry.editor.page import EditorPage, read
 from mammometry.io.drawn import Group, drawn_entries, entry_digest
 from mammometry.job.inputs import SubjectKind
 from mammometry.report.scene import SCENE, json_in_page
+from mammometry.web.replies import refusal
 
 _LOG = logging.getLogger(__name__)
 _KEPT = 4  # surfaces in memory, about 300 MB each

@@ -24,10 +24,11 @@ from mammometry.clinic.rig_form import RigForm, board_of, board_svg, is_measured
 from mammometry.clinic.rig_history import drift_rows
 from mammometry.clinic.rig_history import today as verdict_of
 from mammometry.clinic.site import the_clinic
-from mammometry.clinic.views.responses import Refused, download, form_page, json_view, person_of
+from mammometry.clinic.views.responses import download, form_page, json_view, person_of
 from mammometry.io.manifest import MANIFEST
 from mammometry.io.photographs.images import read_photograph
 from mammometry.study.acceptance.tables import DECISION_WORDS, worst_errors
+from mammometry.web.replies import Refused
 
 
 def rigs(request: HttpRequest) -> HttpResponse:

@@ -15,7 +15,6 @@ from mammometry.clinic.intake.places import UploadError, target_of
 from mammometry.clinic.models import Calibration, DailyCheck, Upload, Visit
 from mammometry.clinic.records.search import elsewhere, same_photographs
 from mammometry.clinic.views.responses import (
-    Refused,
     json_body,
     json_view,
     require_care,
@@ -24,6 +23,7 @@ from mammometry.clinic.views.responses import (
     visit_or_404,
 )
 from mammometry.io.photographs.images import read_photograph
+from mammometry.web.replies import Refused
 
 BODY_BYTES = uploads.CHUNK_BYTES + 4096
 _TARGETS: dict[str, Any] = {"visit": Visit, "calibration": Calibration, "check": DailyCheck}

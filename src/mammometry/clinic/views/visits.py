@@ -40,10 +40,11 @@ from mammometry.clinic.rig_history import today
 from mammometry.clinic.roles import Role
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.patients import chosen_patient, is_part, search_context
-from mammometry.clinic.views.responses import Refused, json_view, person_of, visit_or_404
+from mammometry.clinic.views.responses import json_view, person_of, visit_or_404
 from mammometry.clinic.walk_forms import BoardForm, print_words
 from mammometry.io.photographs.images import FORMATS
 from mammometry.report.words.anthropometry import length_table
+from mammometry.web.replies import Refused
 
 
 def visit_new(request: HttpRequest) -> HttpResponse:

@@ -1,9 +1,8 @@
-"""Requests: their limits, and the thread in which each is answered."""
+"""Requests: how many and how large by address and login, and the thread in which each is answered."""
 
 import asyncio
-import json
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, MutableMapping
+from collections.abc import AsyncIterator, Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from typing import Any
@@ -21,29 +20,18 @@ from django.urls import Resolver404, resolve, set_script_prefix
 
 from mammometry.clinic.config import RateLimits
 from mammometry.clinic.web.access import BODY_BYTES
+from mammometry.web.limits import Limited
+from mammometry.web.replies import Application, Receive, Refused, Scope, Send
 
-Scope = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[Mapping[str, Any]]]
-Send = Callable[[Mapping[str, Any]], Awaitable[None]]
 _BURST_S = 10.0  # seconds' worth of requests that may come at once
 _ADDRESSES = 10_000  # remembered at most
-_READ_AWAY_BYTES = 1024 * 1024  # of a refused body; more ends the connection
 _ANYBODYS_BYTES = 8 << 20  # more than a piece of a photograph, which only logged-in people may send
-_BYTES_PER_S = 10_000  # slowest allowed line: a tenth of a weak telephone network's
 _PROXY_HEADERS = (b"x-forwarded-for", b"x-forwarded-port", b"x-forwarded-host", b"forwarded")
 """Headers that anybody can send. The server has already put those of a trusted proxy into the scope."""
 
 
-class TooLarge(Exception):
-    """A body is longer than its route allows."""
-
-
-class TooSlow(Exception):
-    """A body arrives too slowly."""
-
-
-class Limited:
-    """An ASGI application behind limits.
+class ClinicLimited(Limited):
+    """An ASGI application behind the clinic's limits.
 
     Args:
         application: the limited one.
@@ -51,45 +39,27 @@ class Limited:
         clock: seconds.
     """
 
-    def __init__(self, application: Any, limits: RateLimits, clock: Callable[[], float] = time.monotonic) -> None:
-        self._application = application
+    def __init__(
+        self, application: Application, limits: RateLimits, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        super().__init__(application, body_bytes=BODY_BYTES, request_s=limits.request_s)
         self._rate = float(limits.requests_per_second)
-        self._request_s = float(limits.request_s)
         self._clock = clock
         self._spent: dict[str, tuple[float, float]] = {}
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer an ASGI request."""
-        if scope["type"] != "http":
-            return  # neither web sockets nor anything else
+    async def granted(self, scope: Scope) -> int:
+        """Largest body of a request, bytes.
+
+        Raises:
+            Refused: its address sends too many.
+        """
         scope["headers"] = [(name, value) for name, value in scope["headers"] if name not in _PROXY_HEADERS]
-        as_json = dict(scope["headers"]).get(b"accept", b"").startswith(b"application/json")
         if not self._may_ask((scope.get("client") or ("",))[0]):
-            return await _refuse(send, 429, "Too many requests. Wait a few seconds.", as_json, retry_after_s=5)
+            raise Refused("Too many requests. Wait a few seconds.", 429, Retry_After="5")
         most = _granted(scope["path"])
         if most > _ANYBODYS_BYTES and not await sync_to_async(_is_logged_in)(scope["headers"]):
-            most = BODY_BYTES
-        stated = dict(scope["headers"]).get(b"content-length", b"0")
-        body = _Body(receive, most, self._request_s)
-        begun = False
-
-        async def noted_send(message: Mapping[str, Any]) -> None:
-            nonlocal begun
-            begun = True
-            await send(message)
-
-        try:
-            if not stated.isdigit() or int(stated) > most:
-                raise TooLarge
-            await self._application(scope, body.receive, noted_send)
-        except TooLarge:
-            if not begun:
-                await body.read_away()
-                await _refuse(send, 413, f"The request is larger than {most} bytes.", as_json)
-        except TooSlow:
-            if not begun:
-                await _refuse(send, 408, "The request came too slowly. Try again on a better line.", as_json)
-        return None
+            return BODY_BYTES
+        return most
 
     def _may_ask(self, address: str) -> bool:
         """Whether an address may send a request now, by a token bucket."""
@@ -121,74 +91,6 @@ def _is_logged_in(headers: Any) -> bool:
         return "_auth_user_id" in store
     finally:
         connections.close_all()
-
-
-class _Body:
-    """A request's body, counted and timed while it is received.
-
-    Args:
-        receive: the server's.
-        most: allowed bytes.
-        seconds: allowed time, in addition to that of its bytes on a slow line.
-    """
-
-    def __init__(self, receive: Receive, most: int, seconds: float) -> None:
-        self._receive = receive
-        self._most = most
-        self._seconds = seconds
-        self._begun_s = time.monotonic()
-        self._read = 0
-        self._whole = False
-
-    async def receive(self) -> Mapping[str, Any]:
-        """Pass on the next message.
-
-        Raises:
-            TooLarge: more than allowed.
-            TooSlow: not received in time.
-        """
-        message = await self._next()
-        if self._read > self._most:
-            raise TooLarge
-        return message
-
-    async def read_away(self) -> None:
-        """Read on for a while and discard.
-
-        Closing a connection with unread bytes resets it, and the other side never sees the answer.
-        """
-        enough = self._read + _READ_AWAY_BYTES
-        try:
-            while not self._whole and self._read < enough:
-                await self._next()
-        except TooSlow:
-            return
-
-    async def _next(self) -> Mapping[str, Any]:
-        if self._whole:
-            return await self._receive()  # waits until the other side has closed
-        left_s = self._begun_s + self._seconds + self._read / _BYTES_PER_S - time.monotonic()
-        try:
-            message = await asyncio.wait_for(self._receive(), max(left_s, 0.0))
-        except TimeoutError:
-            raise TooSlow from None
-        self._read += len(message.get("body", b""))
-        self._whole = not message.get("more_body", False)
-        return message
-
-
-async def _refuse(send: Send, status: int, sentence: str, as_json: bool, retry_after_s: int | None = None) -> None:
-    body = (json.dumps({"error": sentence}) if as_json else sentence).encode()
-    headers = [
-        (b"content-type", b"application/json" if as_json else b"text/plain; charset=utf-8"),
-        (b"content-length", str(len(body)).encode()),
-        (b"connection", b"close"),
-        (b"x-content-type-options", b"nosniff"),
-    ]
-    if retry_after_s is not None:
-        headers.append((b"retry-after", str(retry_after_s).encode()))
-    await send({"type": "http.response.start", "status": status, "headers": headers})
-    await send({"type": "http.response.body", "body": body})
 
 
 _THREADS = 16

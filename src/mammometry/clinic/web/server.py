@@ -1,6 +1,5 @@
 """The server's process, with uvicorn and the application, and the runner's process."""
 
-import asyncio
 import errno
 import logging
 import signal
@@ -11,61 +10,17 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 
-from uvicorn.protocols.http.h11_impl import H11Protocol
-
 import mammometry
 from mammometry.base.child_process import CallError, ChildProcess
 from mammometry.base.machine.cores import available_cores
 from mammometry.clinic.config import ClinicConfig, ClinicError, host_and_port, read_config
 from mammometry.clinic.site import application
 from mammometry.hospital.peers import is_loopback
+from mammometry.web.server import server
 
 _AGAIN_S = 5.0  # until a helper process that has ended is restarted
 _END_S = 15.0  # for a runner to return its jobs
 _LOG = logging.getLogger(__name__)
-
-
-def closing_silent(seconds: float) -> type[asyncio.Protocol]:
-    """Limit the time for a request's head.
-
-    uvicorn closes idle connections after an answer, but waits without limit for the first request and for the rest of a
-    started one. Bodies are timed by `mammometry.clinic.web.requests`.
-
-    Args:
-        seconds: from the connection, or the first byte of a later request, to the end of a request's head.
-    """
-
-    class ClosingSilent(H11Protocol):
-        _silent: asyncio.TimerHandle | None = None
-
-        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-            super().connection_made(transport)
-            self._wait()
-
-        def data_received(self, data: bytes) -> None:
-            super().data_received(data)
-            if self.cycle is None or self.cycle.response_complete:
-                self._wait()
-            else:
-                self._stop()
-
-        def connection_lost(self, exc: Exception | None) -> None:
-            self._stop()
-            super().connection_lost(exc)
-
-        def _wait(self) -> None:
-            if self._silent is None:
-                self._silent = self.loop.call_later(seconds, self._close)
-
-        def _stop(self) -> None:
-            if self._silent is not None:
-                self._silent.cancel()
-                self._silent = None
-
-        def _close(self) -> None:
-            self.transport.close()
-
-    return ClosingSilent
 
 
 def migrate(config: ClinicConfig) -> list[str]:
@@ -143,7 +98,6 @@ def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
     Raises:
         ClinicError: other machines could reach it without encryption, or a certificate's file is missing.
     """
-    import uvicorn
     from django.core.management import call_command
 
     host, port = host_and_port(config.address)
@@ -157,27 +111,17 @@ def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
             raise ClinicError(name, found="no file", expected="a PEM file", remedy="Correct [tls] in clinic.toml")
     require_current(config)
     call_command("clearsessions")  # those that have ended
-    with beside(work, config.folder) if jobs else nullcontext():
-        uvicorn.run(
+    with beside(work, config.folder) if jobs else nullcontext(), suppress(KeyboardInterrupt):
+        server(
             application(config),
+            request_s=config.limits.request_s,
             host=host,
             port=port,
             ssl_certfile=tls.certificate or None,
             ssl_keyfile=tls.key or None,
             proxy_headers=tls.behind_proxy,
             forwarded_allow_ips="127.0.0.1,::1",
-            server_header=False,
-            date_header=True,
-            access_log=False,  # a query may contain a name; the audit records who opened what
-            log_config=None,
-            lifespan="off",
-            timeout_keep_alive=15,
-            timeout_graceful_shutdown=10,
-            http=closing_silent(config.limits.request_s),
-            h11_max_incomplete_event_size=64 * 1024,
-            limit_concurrency=1000,
-            ws="none",
-        )
+        ).run()
 
 
 def work(folder: Path) -> None:
