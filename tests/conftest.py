@@ -97,9 +97,9 @@ jaxtyping.install_import_hook([f"mammometry.{name}" for name in (*_CHECKED, *_WI
 
 
 # After the hook, which sees only what is imported later.
+from mammometry.base import limited_call  # noqa: E402
 from mammometry.base.child_process import CallError, ChildProcess  # noqa: E402
 from mammometry.base.errors import MammometryError  # noqa: E402
-from mammometry.geometry.mesh_files import in_child  # noqa: E402
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -198,7 +198,7 @@ def shared_data() -> Path:
 
 
 class _InThisProcess:
-    """Stands for the child in which mesh files are read, half a second each. USD's library may crash: it has one."""
+    """Stands for the child in which files are read, half a second each. USD's library may crash: it has one."""
 
     def __init__(self) -> None:
         self.process = SimpleNamespace(kill=lambda: None)
@@ -209,12 +209,13 @@ class _InThisProcess:
     def __exit__(self, *error: object) -> None:
         pass
 
-    def call(self, within: Any, read: Any, path: Path, arguments: Any, named: Any) -> Any:
-        if path.suffix.lower() == ".usdz":
+    def call(self, within: Any, read: Any, arguments: Any, *others: Any) -> Any:
+        if arguments[0].suffix.lower() == ".usdz":
             with ChildProcess() as child:
-                return child.call(within, read, path, arguments, named)
+                return child.call(within, read, arguments, *others)
+        named, _ = others
         try:
-            return read(path, *arguments, **named)
+            return read(*arguments, **named)
         except MammometryError as error:
             return error
         except Exception as error:
@@ -222,13 +223,13 @@ class _InThisProcess:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _meshes_in_this_process() -> Iterator[None]:
+def _readers_in_this_process() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(in_child, "ChildProcess", _InThisProcess)
+        patch.setattr(limited_call, "ChildProcess", _InThisProcess)
         yield
 
 
 @pytest.fixture
-def meshes_in_a_child(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Read mesh files in a child process, as in use."""
-    monkeypatch.setattr(in_child, "ChildProcess", ChildProcess)
+def readers_in_a_child(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Read mesh files and videos in a child process, as in use."""
+    monkeypatch.setattr(limited_call, "ChildProcess", ChildProcess)

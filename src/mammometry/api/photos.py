@@ -91,6 +91,7 @@ def prepare_walk(
     *,
     posture: str = "standing",
     subject: str | None = None,
+    scratch: Path | None = None,
     progress: Progress = no_progress,
 ) -> PreparedWalk:
     """Write a session of a walk: camera positions, pairs, and the photographs cropped to the body.
@@ -103,6 +104,7 @@ def prepare_walk(
         out: the session's folder: new, empty, or made from these photographs before.
         posture: of the patient.
         subject: pseudonym.
+        scratch: folder in which the frames of a video are kept meanwhile. None: the system's for temporary files.
         progress: fraction of the photographs in which the board was searched.
 
     Raises:
@@ -126,7 +128,7 @@ def prepare_walk(
             return earlier
         require_new(out, found="a session of other photographs")
     target = read_board(folder)
-    with usable_pictures(folder, target, progress) as pictures:
+    with usable_pictures(folder, target, progress, scratch) as pictures:
         stations, left_out = pictures.placed()
         card = None
         if isinstance(target, CharucoTarget) and has_field(target):

@@ -19,7 +19,8 @@ from mammometry.io.looked_up import LazyMapping
 from mammometry.io.photographs.heic import HEIC_EXTENSIONS
 from mammometry.io.photographs.images import EXTENSIONS
 from mammometry.io.photographs.telephone import read_facts, read_from_sensor
-from mammometry.io.photographs.video import VIDEO_EXTENSIONS, write_frames
+from mammometry.io.photographs.video import write_frames
+from mammometry.io.photographs.video_file import VIDEO_EXTENSIONS
 from mammometry.walk.inputs import LeftOut, judge_files, require_enough, usual_orientation
 from mammometry.walk.one_lens import judge_lenses
 from mammometry.walk.sharpness import board_image, judge_images
@@ -99,7 +100,9 @@ def walk_video(folder: Path) -> Path | None:
 
 
 @contextmanager
-def usable_pictures(folder: Path, target: Target, progress: Progress) -> Iterator[WalkPictures]:
+def usable_pictures(
+    folder: Path, target: Target, progress: Progress, scratch: Path | None = None
+) -> Iterator[WalkPictures]:
     """Judge the pictures of a walk by their files, then by the board in them.
 
     The frames of a video exist only inside the context.
@@ -108,6 +111,7 @@ def usable_pictures(folder: Path, target: Target, progress: Progress) -> Iterato
         folder: with the photographs or the video.
         target: the board.
         progress: fraction of the pictures judged.
+        scratch: folder for the frames of a video. None: the system's.
 
     Raises:
         SessionError: no pictures, or both photographs and a video.
@@ -119,7 +123,7 @@ def usable_pictures(folder: Path, target: Target, progress: Progress) -> Iterato
         files = walk_files(folder)
         yield _usable(files, {number: path.name for number, path in files.items()}, target, progress)
         return
-    with TemporaryDirectory(prefix="mammometry-") as frames:
+    with TemporaryDirectory(prefix="mammometry-", dir=scratch) as frames:
         files = _numbered(write_frames(video, Path(frames), target, progress=part(progress, 0.0, _DECODING)))
         names = {number: path.stem for number, path in files.items()}
         yield _usable(files, names, target, part(progress, _DECODING, 1.0))

@@ -103,6 +103,8 @@ class RateLimits(BaseModel):
     """Largest photograph, MB."""
     photograph_megapixels: Annotated[int, Field(ge=1, le=1000)] = 250
     """Largest photograph, millions of pixels."""
+    video_mb: Annotated[int, Field(ge=1, le=4000)] = 500
+    """Largest video of a telephone, MB. 30 s of 4K at 60 frames a second and 100 Mbit/s are 375."""
     scan_mb: Annotated[int, Field(ge=1, le=500)] = 200
     """Largest scan of another device, MB, unpacked and with its pictures."""
 

@@ -5,12 +5,13 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import pytest
 from PIL import Image
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 from tests.clinic_browser import AXE, CHROMIUM_FLAGS, cookies, opened, require_accessible, require_fitting
 from tests.clinic_server import served
-from tests.telephone_pictures import drop, picture
+from tests.telephone_pictures import drop, picture, video, write_video
 
 from mammometry.simulate.walk import PHOTOGRAPHS, WalkRecipe, write_walk
 
@@ -76,7 +77,7 @@ def test_photographs_that_cannot_be_measured_are_named_on_a_phone(browser: Brows
     with served(tmp_path / "clinic") as (address, _):
         page = opened(browser, f"http://{address}", login, width=390)
         started(page)
-        page.get_by_label("Choose photographs").set_input_files(sorted(folder.iterdir()))
+        page.get_by_label("Choose photographs or a video").set_input_files(sorted(folder.iterdir()))
         expect(page.locator("[data-refused] li")).to_have_count(1)
         expect(page.locator(".place.good")).to_have_count(13)
         expect(page.get_by_role("button", name="Measure")).to_be_enabled()
@@ -141,3 +142,53 @@ def test_a_walk_is_dropped_measured_and_reported(
             answer = other.goto(visit)
             assert answer is not None
             assert answer.status == 403
+
+
+@pytest.mark.requirement("R-PHOTO-4")
+@pytest.mark.slow
+def test_a_video_is_dropped_measured_and_reported(
+    browser: Browser, walk: tuple[list[Path], dict[str, float]], tmp_path: Path
+) -> None:
+    (*files, wall), true_cc = walk
+    frames = [
+        frame for file in files for frame in 4 * [cv2.imread(str(file))]
+    ]  # 0.5 s each, of which 0.25 s are searched
+    film = write_video(tmp_path / "IMG_0042.MOV", frames, 8.0, "png ")
+    small, cut = tmp_path / "IMG_0043.MP4", tmp_path / "IMG_0044.MOV"
+    small.write_bytes(video())
+    cut.write_bytes(video()[: len(video()) // 2])
+    logins = cookies(tmp_path / "clinic")
+    with served(tmp_path / "clinic") as (address, _):
+        page = opened(browser, f"http://{address}", logins["technician"], width=1200)
+        started(page)
+        for wrong, name in (([small, wall], "1 photograph"), ([small, cut], "2 videos"), ([cut], cut.name)):
+            drop(page, wrong)
+            expect(page.locator("[data-refused] li")).to_have_count(1)
+            expect(page.locator("[data-refused]")).to_contain_text(name)
+        page.locator(".place.bad").get_by_role("button").click()
+        expect(page.locator(".place.bad")).to_have_count(0)
+        slow = page.context.new_cdp_session(page)
+        slow.send("Network.enable")
+        line = {"offline": False, "latency": 0, "downloadThroughput": -1, "uploadThroughput": 10_000_000}
+        slow.send("Network.emulateNetworkConditions", line)
+        page.get_by_label("Choose photographs or a video").set_input_files(film)
+        expect(page.get_by_role("progressbar", name="IMG_0042.MOV on its way")).to_be_visible()
+        slow.send("Network.emulateNetworkConditions", {**line, "uploadThroughput": -1})
+        expect(page.locator(".place.good")).to_have_count(1, timeout=60_000)
+        require_accessible(page)
+        require_fitting(page)
+        page.get_by_role("button", name="Measure").click()
+        expect(page.get_by_role("heading", name="Left breast")).to_be_visible(timeout=MEASURED_MS)
+        page.get_by_text("Frames of the video: ").click()
+        require_accessible(page)
+        require_fitting(page)
+        assert page.wrong == []  # type: ignore[attr-defined]
+        (folder,) = (tmp_path / "clinic" / "sessions").iterdir()
+        assert not list((tmp_path / "clinic" / "uploads").iterdir())
+        assert not [path for path in folder.rglob("*") if path.suffix in (".mp4", ".mov")]
+        assert json.loads((folder / "walk.json").read_text())["times"]
+        for side, volume_cc in true_cc.items():
+            card = page.locator(f"[aria-labelledby='h-{side}']")
+            low, high = (float(word) for word in card.locator(".number").inner_text().replace("cc", "").split(" to "))
+            assert low < volume_cc < high
+        assert page.request.get(f"{page.url}report/").ok

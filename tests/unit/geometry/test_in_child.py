@@ -12,7 +12,7 @@ from mammometry.base.errors import SessionError
 from mammometry.geometry.mesh_files import in_child
 from mammometry.geometry.mesh_files.in_child import read_in_child
 
-pytestmark = pytest.mark.usefixtures("meshes_in_a_child")
+pytestmark = pytest.mark.usefixtures("readers_in_a_child")
 
 
 def size_of(path: Path, *, times: int) -> int:

@@ -75,7 +75,7 @@ def test_a_video_and_photographs_or_two_videos_are_a_choice_of_the_user(film, tm
     assert walk_video(tmp_path) is None
 
 
-@pytest.mark.parametrize("content", [b"", b"\0\0\0\x18ftypmp42" + bytes(200)])
+@pytest.mark.parametrize("content", [b"", b"\0\0\0\x18ftypmp42" + bytes(200), b"#EXTM3U\n#EXTINF:1,\nother.ts\n"])
 def test_a_damaged_video_is_refused_by_name(tmp_path, content):
     (tmp_path / "walk.mp4").write_bytes(content)
     with pytest.raises(ImageError) as refused:

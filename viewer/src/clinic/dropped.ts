@@ -1,4 +1,4 @@
-/** Photographs out of what was dropped or chosen: files, folders, ZIPs. */
+/** Photographs, or a telephone's video, out of what was dropped or chosen: files, folders, ZIPs. */
 
 import { unzipped } from "./zip";
 
@@ -16,6 +16,7 @@ export interface Gathered {
 
 const PICTURE = /\.(jpe?g|png|tiff?)$/i;
 const OF_TELEPHONE = /\.(jpe?g|png|hei[cf])$/i;
+const VIDEO = /\.(mp4|mov|m4v)$/i;
 const HIDDEN = /^(\.|__MACOSX)/;
 
 /** All photographs of a drop. It must be called while the drop is being answered. */
@@ -49,7 +50,7 @@ async function walked(entry: FileSystemEntry, folders: string[]): Promise<Droppe
 /** Of a folder and a ZIP only the photographs are taken; a file that was chosen by itself and is none is named. */
 async function opened(dropped: Dropped[], heic: boolean): Promise<Gathered> {
   const picture = heic ? OF_TELEPHONE : PICTURE;
-  const kinds = heic ? "JPEG, HEIC or PNG of the telephone" : "JPEG, PNG or TIFF of the camera";
+  const words = heic ? "a photograph or video. Send the original JPEG, HEIC, PNG, MP4 or MOV of the telephone." : "a photograph. Send the original JPEG, PNG or TIFF of the camera.";
   const files: Dropped[] = [];
   const refused: string[] = [];
   for (const one of dropped) {
@@ -61,10 +62,31 @@ async function opened(dropped: Dropped[], heic: boolean): Promise<Gathered> {
       } catch (error) {
         refused.push(`${file.name}: ${error instanceof Error ? error.message : String(error)}`);
       }
-    } else if (picture.test(file.name)) files.push(one);
-    else if (folders.length === 0) refused.push(`${file.name}: This file is not a photograph. Send the original ${kinds}.`);
+    } else if (picture.test(file.name) || (heic && isVideo(file))) files.push(one);
+    else if (folders.length === 0) refused.push(`${file.name}: This file is not ${words}`);
   }
-  return { files, refused };
+  return heic ? ofOneKind(files, refused) : { files, refused };
+}
+
+/** Whether a file's name is that of a video. The server looks at its content. */
+export function isVideo(file: File): boolean {
+  return VIDEO.test(file.name);
+}
+
+/** Photographs, or one video. A video with the name of a photograph is the moving part of a live photo, and is not sent. */
+function ofOneKind(files: Dropped[], refused: string[]): Gathered {
+  const stem = ({ file }: Dropped) => file.name.replace(/\.[^.]*$/, "").toLowerCase();
+  const photographs = files.filter(({ file }) => !isVideo(file));
+  const stems = new Set(photographs.map(stem));
+  const videos = files.filter((one) => isVideo(one.file) && !stems.has(stem(one)));
+  if (videos.length === 0) return { files: photographs, refused };
+  if (videos.length === 1 && photographs.length === 0) return { files: videos, refused };
+  const found = [counted(videos.length, "video"), ...(photographs.length > 0 ? [counted(photographs.length, "photograph")] : [])].join(" and ");
+  return { files: [], refused: [...refused, `${found}: Send either photographs or one video of the walk.`] };
+}
+
+function counted(number: number, what: string): string {
+  return `${number} ${what}${number === 1 ? "" : "s"}`;
 }
 
 function isHidden({ file, folders }: Dropped): boolean {

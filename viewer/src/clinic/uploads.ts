@@ -1,6 +1,6 @@
 /** Uploads of photographs, in pieces, so that a lost connection continues where it stopped. */
 
-import { type Dropped, type Gathered, ofDrop, ofFiles } from "./dropped";
+import { type Dropped, type Gathered, isVideo, ofDrop, ofFiles } from "./dropped";
 import { post } from "./post";
 import { exchangedPart, suggested, suggestedForAll } from "./put_right";
 import { Refused, type Reply, request } from "./request";
@@ -23,6 +23,8 @@ interface Upload {
   state: "receiving" | "checked" | "placed" | "refused" | "set aside";
   checks: Check[];
   thumbnail: string | null;
+  /** A telephone's video. */
+  is_video: boolean;
   /** Name that a camera gave the file. */
   file: string | null;
   /** Its camera may be changed by hand: no serial number says it. */
@@ -73,7 +75,7 @@ class Photographs {
   private readonly queue: Waiting[] = [];
   private readonly said: HTMLElement;
   private readonly poseInput: HTMLInputElement | null;
-  /** By a telephone: HEIC may be sent, and any number of photographs. */
+  /** By a telephone: HEIC or one video may be sent, and any number of photographs. */
   private readonly heic: boolean;
   private occupied: Waiting[] = [];
   private refused: string[] = [];
@@ -82,6 +84,8 @@ class Photographs {
   /** The pose was chosen by hand, and nothing was added since. */
   private typed = false;
   private sent = 0;
+  /** The file that was sent last is a video. */
+  private video = false;
 
   constructor(private readonly root: HTMLElement) {
     this.said = root.querySelector<HTMLElement>("[data-said]")!;
@@ -163,7 +167,9 @@ class Photographs {
   private async work(): Promise<void> {
     this.working += 1;
     for (let next = this.queue.shift(); next !== undefined; next = this.queue.shift()) {
-      this.say(this.total === 1 ? "Sending one photograph." : `Sending photograph ${this.sent + 1} of ${this.total}.`);
+      const alone = isVideo(next.file) ? `Sending the video, ${megabytes(next.file)} MB.` : "Sending one photograph.";
+      this.say(this.total === 1 ? alone : `Sending photograph ${this.sent + 1} of ${this.total}.`);
+      this.video = isVideo(next.file);
       try {
         const upload = await this.send(next);
         const wrong = upload.checks.find(({ level }) => level === "refuse");
@@ -190,7 +196,8 @@ class Photographs {
   /** Say how it went; what was refused is named. */
   private finish(words?: string): void {
     const arrived = this.total - this.refused.length;
-    const good = arrived === 1 ? "One photograph has arrived." : `${arrived} photographs have arrived.`;
+    const alone = this.video ? "The video has arrived." : "One photograph has arrived.";
+    const good = arrived === 1 ? alone : `${arrived} photographs have arrived.`;
     const ready = this.root.dataset.ready === "true" && this.refused.length === 0;
     this.say(words ?? (ready && this.poseInput === null && !this.heic ? "All photographs are here." : arrived > 0 ? good : ""));
     const state = document.querySelector<HTMLElement>('[data-state="new"] .chip, [data-state="uploading"] .chip');
@@ -237,6 +244,7 @@ class Photographs {
     while (upload.state === "receiving" && upload.offset < upload.size_bytes) {
       const { offset, url, chunk_bytes } = upload;
       this.show(name, (this.sent + offset / file.size) / this.total);
+      if (isVideo(file) && offset + chunk_bytes >= file.size) this.say("Sending the last part, and checking the video.");
       upload = await this.patiently(async (again) => {
         if (again) return request<Upload>(url);
         const headers = { "Upload-Offset": String(offset), "Content-Type": "application/offset+octet-stream" };
@@ -252,7 +260,7 @@ class Photographs {
       try {
         return await act(attempt > 0);
       } catch (error) {
-        if (error instanceof Refused && error.status === 409 && "offset" in error.reply) return error.reply as Reply & Upload;
+        if (error instanceof Refused && [409, 422].includes(error.status) && "offset" in error.reply) return error.reply as Reply & Upload;
         if ((error instanceof Refused && error.status < 500) || attempt > 40) throw error;
         this.say("The connection is lost. The upload continues by itself when it is back.");
         await new Promise((done) => setTimeout(done, PATIENCE_MS[Math.min(attempt, PATIENCE_MS.length - 1)]));
@@ -343,7 +351,7 @@ class Photographs {
     if (camera !== null) item.append(picker(camera, upload === null ? "Choose photograph" : "Another photograph"));
     if (upload !== null) {
       const words = upload.state === "placed" && !this.heic ? "Set aside" : "Take away";
-      const away = button(words, `${words}: the photograph of ${title(name)}`);
+      const away = button(words, `${words}: ${upload.is_video ? "the video" : `the photograph of ${title(name)}`}`);
       away.dataset.away = upload.url;
       item.append(away);
     }
@@ -372,7 +380,7 @@ function poseOf({ folders }: Dropped, several: boolean): string | undefined {
 
 /** Title of a telephone's photograph: its number, if it can be used. */
 function ofWalk(index: number, upload: Upload): string {
-  if (upload.state === "placed") return String(index + 1).padStart(2, "0");
+  if (upload.state === "placed") return upload.is_video ? "Video" : String(index + 1).padStart(2, "0");
   return upload.state === "receiving" ? "Arriving" : "Not taken";
 }
 
@@ -438,7 +446,7 @@ function shotOf(upload: Upload | null, name: string): HTMLElement {
   if (upload?.thumbnail) {
     const image = made("img", "") as HTMLImageElement;
     image.src = upload.thumbnail;
-    image.alt = `Photograph: ${title(name)}`;
+    image.alt = upload.is_video ? "A frame of the video" : `Photograph: ${title(name)}`;
     shot.append(image);
   }
   return shot;
@@ -488,9 +496,16 @@ function made(tag: string, kind: string, text = ""): HTMLElement {
   return element;
 }
 
-/** SHA-256 of a file; empty where the browser keeps it to encrypted pages: the server then takes its own. */
+function megabytes(file: File): number {
+  return Math.max(1, Math.round(file.size / 1e6));
+}
+
+/**
+ * SHA-256 of a file. Empty where the browser keeps it to encrypted pages, and for a video, which the browser would have
+ * to hold in memory: the server then takes its own.
+ */
 async function digest(file: File): Promise<string> {
-  if (!window.isSecureContext) return "";
+  if (!window.isSecureContext || isVideo(file)) return "";
   const sum = await crypto.subtle.digest("SHA-256", await file.arrayBuffer());
   return [...new Uint8Array(sum)].map((byte) => byte.toString(16).padStart(2, "0")).join("");
 }

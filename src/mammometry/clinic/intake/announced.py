@@ -1,10 +1,12 @@
-"""A sender's announcement of a photograph, before its bytes come in."""
+"""A sender's announcement of a photograph or video, before its bytes come in."""
 
 import re
 from dataclasses import dataclass
+from pathlib import PurePath
 
 from mammometry.clinic.intake.places import UploadError
 from mammometry.clinic.site import the_clinic
+from mammometry.io.photographs.video_file import VIDEO_EXTENSIONS
 
 _BY_A_CAMERA = re.compile(
     r"[A-Za-z]{0,4}[_-]?\d{2,8}\.[A-Za-z]{3,4}|(?:IMG_|PXL_)?20\d{6}_\d{6,9}\.[A-Za-z]{3,4}", re.ASCII
@@ -28,21 +30,38 @@ class Announced:
     """Hexadecimal. Empty: not known."""
 
     @property
+    def is_video(self) -> bool:
+        """Whether its name is that of a video. Its content decides when it has arrived."""
+        return PurePath(self.name).suffix.lower() in VIDEO_EXTENSIONS
+
+    @property
     def camera_file(self) -> str | None:
         """The file's name, if a camera gave it. Any other may be a patient's, and is not stored."""
         return self.name if _BY_A_CAMERA.fullmatch(self.name) else None
 
 
-def check_announced(file: Announced) -> None:
+def check_announced(file: Announced, *, video: bool = False) -> None:
     """Refuse an impossible digest or size.
+
+    Args:
+        file: the announcement.
+        video: whether it is a video, which may be larger.
 
     Raises:
         UploadError: the digest is not a SHA-256, or the file is empty or too large.
     """
     if file.sha256 and not _SHA256.fullmatch(file.sha256):
         raise UploadError("The digest is no SHA-256 in small hexadecimal letters.", 400)
-    most = the_clinic().limits.photograph_mb * 10**6
-    if not 0 < file.size_bytes <= most:
-        raise UploadError(
-            f"The file has {file.size_bytes / 1e6:.0f} MB. A photograph has 1 byte to {most / 1e6:.0f} MB.", 413
-        )
+    require_size(file.size_bytes, video=video)
+
+
+def require_size(size_bytes: int, *, video: bool = False) -> None:
+    """Refuse an empty or too large file.
+
+    Raises:
+        UploadError: with status 413.
+    """
+    limits = the_clinic().limits
+    most_mb, what = (limits.video_mb, "video") if video else (limits.photograph_mb, "photograph")
+    if not 0 < size_bytes <= most_mb * 10**6:
+        raise UploadError(f"The file has {size_bytes / 1e6:.0f} MB. A {what} has 1 byte to {most_mb} MB.", 413)

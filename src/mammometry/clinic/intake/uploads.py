@@ -43,6 +43,7 @@ from mammometry.clinic.intake.places import (
     uploads_of,
 )
 from mammometry.clinic.intake.reassign import reassign
+from mammometry.clinic.intake.walk_video import is_of_video
 from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Upload, Visit
 from mammometry.clinic.site import the_clinic
 from mammometry.io.write import disk_errors, file_digest, sync_folder
@@ -269,13 +270,14 @@ def table_of(upload: Upload) -> dict[str, Any]:
         "state": upload.state,
         "checks": [{name: check[name] for name in ("check", "ok", "level", "sentence")} for check in upload.checks],
         "has_thumbnail": thumbnail_path(upload).is_file(),
+        "is_video": is_of_video(upload),
         "file": _facts(upload)[1].get("file"),
         "by_hand": upload.state == Upload.State.PLACED and not _facts(upload)[1].get("serial"),
     }
 
 
 def _shot(upload: Upload, beside_others: Finding | None) -> dict[str, Any]:
-    """A telephone's photograph as JSON, with why it will be left out."""
+    """A telephone's photograph or video as JSON, with why it will be left out."""
     table = {**table_of(upload), "by_hand": False}
     return table if beside_others is None else {**table, "checks": [*table["checks"], beside_others.as_table()]}
 

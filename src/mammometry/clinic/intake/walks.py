@@ -1,8 +1,8 @@
-"""Photographs by one telephone with a printed board.
+"""Photographs by one telephone with a printed board, or one video.
 
 They are kept as they were sent, in ``uploads/``, until a measurement has prepared their session. It has them by number,
 cropped to the body and without EXIF data. Then the sent files and their small pictures, which may show a face, are
-deleted.
+deleted. Frames of a video are decoded into the same folder, and are deleted when the job ends.
 """
 
 from __future__ import annotations
@@ -22,14 +22,16 @@ from mammometry.base.parse import LimitSettings
 from mammometry.calibration.targets.board import SquaresBoard
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture.checks import NO_PHOTOGRAPH, Finding, not_only_a_photograph
-from mammometry.clinic.intake.announced import Announced, check_announced
+from mammometry.clinic.intake.announced import Announced, check_announced, require_size
 from mammometry.clinic.intake.photographs import files_of, write_thumbnail
 from mammometry.clinic.intake.places import Target, UploadError, require_open, uploads_of
+from mammometry.clinic.intake.walk_video import is_of_video, look_at_sent_video, require_one_kind
 from mammometry.clinic.models import Person, Upload, Visit, Walk
 from mammometry.clinic.site import the_clinic
 from mammometry.io.photographs.heic import is_heic
 from mammometry.io.photographs.tags import read_exposure
 from mammometry.io.photographs.telephone import read_facts, read_from_sensor
+from mammometry.io.photographs.video_file import is_video
 from mammometry.walk.inputs import PictureFacts, judge_files
 from mammometry.walk.print_size import PRINT_STD
 from mammometry.walk.region import TELEPHONE_BOARD
@@ -55,26 +57,34 @@ def is_prepared(visit: Visit) -> bool:
 
 
 def begin(visit: Visit, by: Person | None, file: Announced) -> Upload:
-    """Start the upload of one photograph of a walk, or find the interrupted one.
+    """Start the upload of one photograph or of the video of a walk, or find the interrupted one.
 
     Raises:
-        UploadError: it is too large, there are too many, or the visit is being measured or prepared.
+        UploadError: it is too large, there are too many, something else is there, or the visit is being measured or
+            prepared.
     """
     require_open(visit)
     if is_prepared(visit):
         raise UploadError(PREPARED)
-    check_announced(file)
+    check_announced(file, video=file.is_video)
     present = uploads_of(visit).exclude(state=Upload.State.REFUSED)
     if file.sha256 and (earlier := present.filter(sha256=file.sha256).first()) is not None:
         return earlier
+    if file.is_video and not file.sha256:  # a page does not read a whole video for its digest
+        arriving = present.filter(state=Upload.State.RECEIVING, size_bytes=file.size_bytes)
+        if (earlier := next(filter(is_of_video, arriving), None)) is not None:
+            return earlier
+    require_one_kind(visit, None, is_video=file.is_video)
     if present.count() >= MOST:
         raise UploadError(f"There are {MOST} photographs already. Take one away first.")
     name = file.camera_file
-    named = [] if name is None else [Finding("name", "unknown", f"The file is called {name}.").as_table()]
+    words = "A video." if file.is_video else f"The file is called {name}."
+    about = ({} if name is None else {"file": name}) | ({"video": True} if file.is_video else {})
+    named = [Finding("name", "unknown", words).as_table()] if about else []
     with transaction.atomic():
         upload = Upload.objects.create(
             visit=visit, camera=TELEPHONE, size_bytes=file.size_bytes, sha256=file.sha256, created_by=by,
-            checks=[{**check, "file": name} for check in named],
+            checks=[{**check, **about} for check in named],
         )  # fmt: skip
         if visit.state == Visit.State.NEW:
             visit.state = Visit.State.UPLOADING
@@ -83,13 +93,25 @@ def begin(visit: Visit, by: Person | None, file: Announced) -> Upload:
 
 
 def look(upload: Upload) -> tuple[list[Finding], dict[str, Any]]:
-    """All checks of a photograph that has arrived, and the stored data of its file."""
+    """All checks of a photograph or video that has arrived, and the stored data of its file."""
     assert upload.visit is not None
     file = next((check.get("file") for check in upload.checks if check.get("file")), None)
+    video = is_video(upload.path)  # whatever it was announced as
+    try:
+        require_size(upload.size_bytes, video=video)
+        require_one_kind(upload.visit, upload, is_video=video)
+    except UploadError as error:
+        return [_refused(str(error))], {}
+    findings, about = look_at_sent_video(upload) if video else _look_at_photograph(upload)
+    return findings, {**about, "file": file} if about and file is not None else about
+
+
+def _look_at_photograph(upload: Upload) -> tuple[list[Finding], dict[str, Any]]:
+    assert upload.visit is not None
     other = not_only_a_photograph(upload.path, heic=True)
     if other is not None:
-        what = "no photograph" if other is NO_PHOTOGRAPH else f"{other} as well as a photograph"
-        return [_refused(f"This file is {what}. Send the original JPEG, HEIC or PNG of the telephone.")], {}
+        what = "no photograph or video" if other is NO_PHOTOGRAPH else f"{other} as well as a photograph"
+        return [_refused(f"This file is {what}. Send the original JPEG, HEIC, PNG, MP4 or MOV of the telephone.")], {}
     same = uploads_of(upload.visit).filter(state=Upload.State.PLACED, sha256=upload.sha256).exclude(pk=upload.pk)
     if same.exists():
         return [_refused("This photograph is here already.")], {}
@@ -118,7 +140,7 @@ def look(upload: Upload) -> tuple[list[Finding], dict[str, Any]]:
         "taken_s": None if is_heic(upload.path) else read_exposure(upload.path).taken_s,
         "facts": asdict(facts), "board": not seen.missed, "image": None if image is None else asdict(image),
     }  # fmt: skip
-    return findings, about if file is None else {**about, "file": file}
+    return findings, about
 
 
 def photographs_of(visit: Visit) -> list[Upload]:
@@ -134,9 +156,13 @@ def photographs_of(visit: Visit) -> list[Upload]:
     return placed + [row for row in rows if row.state != Upload.State.PLACED]
 
 
+def _placed(visit: Visit) -> list[Upload]:
+    return [row for row in photographs_of(visit) if row.state == Upload.State.PLACED]
+
+
 def findings_together(visit: Visit) -> dict[Any, Finding]:
     """Key of a photograph → why it will be left out, judged beside the others, as the measurement does."""
-    placed = [row for row in photographs_of(visit) if row.state == Upload.State.PLACED]
+    placed = [row for row in _placed(visit) if not is_of_video(row)]
     out = judge_files({str(row.pk): _facts(row) for row in placed})
     images = {str(row.pk): BoardImage(**image) for row in placed if (image := _seen(row).get("image"))}
     out |= judge_images({key: image for key, image in images.items() if key not in out})
@@ -150,17 +176,21 @@ def state_of(visit: Visit, left_out: Collection[Any]) -> dict[str, Any]:
         visit: with a telephone.
         left_out: keys of photographs that will be left out, of `findings_together`.
     """
-    placed = [row for row in photographs_of(visit) if row.state == Upload.State.PLACED]
+    placed = _placed(visit)
+    if placed and is_of_video(placed[0]):
+        return {"together": [], "ready": True, "needed": "The video is here. Sharp frames are chosen from it."}
     usable = sum(bool(_seen(row).get("board")) and row.pk not in left_out for row in placed)
     needed = _needed(len(placed), usable)
+    if not placed and any(is_of_video(row) for row in uploads_of(visit).filter(state=Upload.State.RECEIVING)):
+        needed = "The video is on its way."
     prepared = is_prepared(visit)
     words = needed or f"{len(placed)} photographs are here; {usable} show the board and belong together."
     return {"together": [], "ready": prepared or not needed, "needed": "" if prepared else words}
 
 
 def job_files(visit: Visit) -> dict[str, Any]:
-    """Files, board and pseudonym for the preparation of a walk. Each photograph gets its number."""
-    placed = [row for row in photographs_of(visit) if row.state == Upload.State.PLACED]
+    """Files, board and pseudonym for the preparation of a walk. Each file gets its number."""
+    placed = _placed(visit)
     for number, row in enumerate(placed, start=1):
         Upload.objects.filter(pk=row.pk).update(name=f"{number:02d}")
     walk = Walk.objects.get(visit=visit)
@@ -179,10 +209,15 @@ def board_table(edge_mm: float | None, edge_std_mm: float | None) -> dict[str, A
 
 
 def discard_prepared(visit: Visit) -> None:
-    """Delete the sent files of a walk whose session is prepared. Other visits are not changed."""
-    if not (visit.is_walk and is_prepared(visit)):
+    """Delete the sent files of a walk whose session is prepared.
+
+    Working files of its job, which has ended, are deleted in any case. Other visits are not changed.
+    """
+    if not visit.is_walk:
         return
     shutil.rmtree(_scratch(visit), ignore_errors=True)
+    if not is_prepared(visit):
+        return
     for row in uploads_of(visit).exclude(state=Upload.State.PREPARED):
         _remove_files(row)
         if row.state == Upload.State.PLACED:
@@ -220,7 +255,7 @@ class UnusedPhotograph:
     """A photograph that is not used, for its page."""
 
     name: str
-    """Its number, and its file's name if a camera gave it."""
+    """Its number, and its file's name if a camera gave it, or its time in the video."""
     reason: str
 
 
@@ -228,6 +263,8 @@ class UnusedPhotograph:
 class WalkFacts:
     """Facts about a prepared walk, for its page."""
 
+    is_video: bool
+    """Whether its photographs are frames of a video."""
     pictures: int
     used: int
     left_out: Sequence[UnusedPhotograph]
@@ -246,8 +283,9 @@ def facts_of(visit: Visit) -> WalkFacts | None:
     walk = Walk.objects.filter(visit=visit).first()
     if prepared is None or walk is None:
         return None
-    files = {row.name: _seen(row).get("file") for row in uploads_of(visit)}
+    files = prepared.times or {row.name: _seen(row).get("file", "") for row in uploads_of(visit)}
     return WalkFacts(
+        is_video=bool(prepared.times),
         pictures=prepared.pictures,
         used=len(prepared.used),
         left_out=[
@@ -271,6 +309,8 @@ def volume_share_of_print() -> float:
 
 
 def _needed(placed: int, usable: int) -> str:
+    if not placed:
+        return f"Nothing is here yet. Send at least {LEAST} photographs, better between 20 and 30, or one video."
     if placed < LEAST:
         return f"{placed} of at least {LEAST} photographs are here. Between 20 and 30 are better."
     if usable < FEWEST:

@@ -36,6 +36,7 @@ from mammometry.io.photographs.heic import is_heic
 from mammometry.io.photographs.images import EXTENSIONS, read_header
 from mammometry.io.photographs.same_pixels import pixels_digest
 from mammometry.io.photographs.tags import read_exposure
+from mammometry.io.photographs.video_file import is_video
 from mammometry.io.session import Session
 from mammometry.io.write import disk_errors
 from mammometry.job.stages.calibrate import cameras as cameras_product
@@ -106,21 +107,21 @@ def measure_walk(progress: StageProgress, session: str, about: str, settings: st
         with _numbered(walk["files"], walk["board"], Path(walk["scratch"])) as photographs:
             prepare_walk(
                 photographs, folder, posture="unknown",  # only the database knows it
-                subject=walk["subject"], progress=lambda fraction: progress("board", fraction),
+                subject=walk["subject"], scratch=photographs, progress=lambda fraction: progress("board", fraction),
             )  # fmt: skip
     return _measured(progress, session, settings)
 
 
 @contextmanager
 def _numbered(files: Sequence[str], board: Mapping[str, Any], scratch: Path) -> Iterator[Path]:
-    """A folder with photographs by number, "01.jpg", and board.toml, which exists as long as it is needed."""
+    """A folder with photographs by number, "01.jpg", or video.mp4, and board.toml. It exists as long as needed."""
     shutil.rmtree(scratch, ignore_errors=True)  # of a killed job
     with disk_errors(scratch):
         scratch.mkdir(mode=0o700)
         try:
             for number, file in enumerate(map(Path, files), start=1):
                 ending = ".heic" if is_heic(file) else ".jpg"  # the reader recognises JPEG, PNG and TIFF by content
-                _link(file, scratch / f"{number:02d}{ending}")
+                _link(file, scratch / ("video.mp4" if is_video(file) else f"{number:02d}{ending}"))
             lines = [f"{name} = {json.dumps(value)}" for name, value in board.items()]
             (scratch / BOARD).write_text("\n".join(lines) + "\n", encoding="utf-8")
             yield scratch

@@ -389,7 +389,7 @@ def _files(config: ClinicConfig) -> Iterator[tuple[str, Path]]:
         if path.is_file():
             named[path] = outside.get(rig) or path.resolve().relative_to(folder.resolve()).as_posix()
     for kept in KEPT_FOLDERS:
-        for path in (folder / kept).rglob("*"):
+        for path in (folder / kept).glob("*" if kept == "uploads" else "**/*"):  # below it are working files of jobs
             if path.is_file() and not path.is_symlink():
                 named[path] = path.relative_to(folder).as_posix()
     once = {name: path for path, name in named.items()}

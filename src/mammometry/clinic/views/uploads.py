@@ -74,7 +74,10 @@ def new(request: HttpRequest) -> HttpResponseBase:
 
 @json_view("GET", "PATCH", "DELETE")
 def one(request: HttpRequest, upload: UUID) -> HttpResponseBase:
-    """Get the offset, send the next piece, or set the upload aside."""
+    """Get the offset, send the next piece, or set the upload aside.
+
+    The last piece of a file that cannot be used is answered with 422 and the reason.
+    """
     row = _find(request, upload)
     if request.method == "DELETE":
         uploads.remove(row)
@@ -88,6 +91,9 @@ def one(request: HttpRequest, upload: UUID) -> HttpResponseBase:
         except UploadError as error:
             table = as_json(uploads.table_of(row))
             return JsonResponse({**table, "error": str(error)}, status=error.status)
+        if row.state == Upload.State.REFUSED:
+            reason = next(check["sentence"] for check in row.checks if check["level"] == "refuse")
+            return JsonResponse({**as_json(uploads.table_of(row)), "error": reason}, status=422)
     else:
         row = uploads.resumed(row)
     return JsonResponse(as_json(uploads.table_of(row)))

@@ -121,6 +121,7 @@ def visit_page(
         "driven": shown.rig is not None and cameras.rig_file(shown.rig) is not None,
         "scan": Scan.objects.filter(visit=shown).first(),
         "limit_mb": the_clinic().limits.photograph_mb,
+        "video_mb": the_clinic().limits.video_mb,
     }
     return render(request, "clinic/visit.html", context)
 

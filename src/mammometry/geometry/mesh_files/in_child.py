@@ -1,19 +1,17 @@
-"""Read files of other programs in a child process.
+"""Read mesh files of other programs in a child process with limits.
 
-A damaged or hostile file may end its reader, keep it busy for ever or fill the memory. It then ends a child with limits
-on time and memory, and the caller gets an error that names the file.
+If the reader fails there, the error names the file.
 """
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Concatenate, ParamSpec, TypeVar
 
-from mammometry.base.child_process import CallError, ChildProcess
-from mammometry.base.errors import MammometryError, SessionError
-from mammometry.base.machine.system import limit_memory
+from mammometry.base.child_process import CallError
+from mammometry.base.errors import SessionError
+from mammometry.base.limited_call import limited_call
 from mammometry.base.parse import require_file
 
 _T = TypeVar("_T")
@@ -37,30 +35,11 @@ def read_in_child(read: Callable[Concatenate[Path, _P], _T], path: Path, *argume
         SessionError: no such file; or the reader ended, took too long or needed too much memory.
     """
     require_file(path, str(path), "a mesh file")
+    longest_s = _LONGEST_S + _S_PER_MIB * path.stat().st_size / (1 << 20)
     try:
-        with ChildProcess() as child:
-            limit_s = _LONGEST_S + _S_PER_MIB * path.stat().st_size / (1 << 20)
-            late = threading.Timer(limit_s, child.process.kill)
-            late.start()
-            try:
-                found = child.call(_read, read, path, arguments, named)
-            finally:
-                late.cancel()
+        return limited_call(read, (path, *arguments), named, longest_s=longest_s, most_bytes=_MOST_MEMORY)
     except CallError:
         raise SessionError(
             str(path), found="a file on which its reader fails", expected="a mesh file that can be read within limits",
             remedy="Export it again as plain meshes",
         ) from None  # fmt: skip
-    if isinstance(found, MammometryError):
-        raise found
-    return found
-
-
-def _read(
-    read: Callable[..., _T], path: Path, arguments: tuple[object, ...], named: dict[str, object]
-) -> _T | MammometryError:
-    limit_memory(_MOST_MEMORY)
-    try:
-        return read(path, *arguments, **named)
-    except MammometryError as error:
-        return error

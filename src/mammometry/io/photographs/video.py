@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,10 +20,9 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, UInt8
 from mammometry.io.photographs.images import check_size
+from mammometry.io.photographs.video_file import require_whole
 from mammometry.walk.frames import SeenFrame, choose_frames, direction_in
 
-VIDEO_EXTENSIONS = (".mp4", ".mov", ".m4v")
-"""Extensions of telephones' videos, in any case."""
 _LONGEST_S = 240.0  # a walk takes 20 to 60 s
 _SEARCHED_PER_S = 4.0  # frames per second in which the board is searched: 2.5 degrees of a walk of 120 degrees in 12 s
 _SEARCHED_PX = 1100  # width of the frames in which it is searched, as of photographs
@@ -101,12 +101,83 @@ def _candidates(path: Path, limits: LimitSettings, progress: Progress) -> list[_
         sharpness = float(np.std(cv2.Laplacian(middle, cv2.CV_16S)))
         group = int(time_s * _SEARCHED_PER_S)
         if group not in found or sharpness > found[group].sharpness:
-            scale = min(1.0, _SEARCHED_PX / max(width, height))
-            size = (round(scale * width), round(scale * height))
-            small = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-            photograph = Photograph(name=f"{time_s:.1f} s", pixels=small)
+            photograph = Photograph(name=f"{time_s:.1f} s", pixels=_smaller(grey))
             found[group] = _Candidate(index=index, sharpness=sharpness, small=photograph)
     return [found[group] for group in sorted(found)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OpenedVideo:
+    """A video whose frames can be read."""
+
+    capture: cv2.VideoCapture
+    rate: float
+    """Frames per second."""
+    count: float
+    """Number of frames by the header; some telephones count a few more. 0 or less: it does not state it."""
+    size_wh: tuple[int, int]
+    """Width and height of a frame, pixels."""
+
+    def small_frame(self, place: float) -> UInt8[Array, "h w 3"] | None:
+        """A small RGB frame, in which the board is searched. None if it cannot be read.
+
+        Args:
+            place: 0 for its beginning to 1 for its end.
+        """
+        self.capture.set(cv2.CAP_PROP_POS_FRAMES, int(place * max(self.count, 0)))
+        good, frame = self.capture.read()
+        return np.ascontiguousarray(_smaller(np.asarray(frame, dtype=np.uint8))[..., ::-1]) if good else None
+
+
+@contextmanager
+def opened_video(path: Path, name: str, limits: LimitSettings = LimitSettings()) -> Iterator[OpenedVideo]:
+    """Open a video. Frames are turned as its metadata says.
+
+    Args:
+        path: the video.
+        name: its name in messages.
+        limits: largest size of a frame.
+
+    Raises:
+        ImageError: it is of another format, incomplete, without frames, too long, or its frames are too large.
+    """
+    require_whole(path, name)
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    try:
+        capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
+        rate, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
+        size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
+        if not capture.isOpened() or not rate > 0 or min(size) < 1:
+            raise no_frames(name)
+        check_size(size, name, limits)
+        if count / rate > _LONGEST_S:
+            raise ImageError(
+                name,
+                found=f"a video of {count / rate:.0f} s",
+                expected=f"at most {_LONGEST_S:g} s",
+                remedy="Cut it to the walk in the telephone's gallery",
+            )
+        yield OpenedVideo(capture=capture, rate=rate, count=count, size_wh=size)
+    finally:
+        capture.release()
+
+
+def no_frames(name: str) -> ImageError:
+    """The error for a video from which no frame can be read."""
+    return ImageError(
+        name,
+        found="no frame that can be read",
+        expected="a video in H.264 or H.265, as telephones record it",
+        remedy="Copy it again from the telephone, as it was recorded",
+    )
+
+
+def _smaller(frame: UInt8[Array, ...]) -> UInt8[Array, ...]:
+    """A frame at the size at which the board is searched."""
+    height, width = frame.shape[:2]
+    scale = min(1.0, _SEARCHED_PX / max(width, height))
+    size = (round(scale * width), round(scale * height))
+    return np.asarray(cv2.resize(frame, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def _frames(
@@ -115,41 +186,24 @@ def _frames(
     """Number, time in seconds, and BGR pixels of each frame of a video.
 
     Raises:
-        ImageError: it cannot be read, is too long, or its frames are too large.
+        ImageError: as `opened_video`, or it is damaged.
     """
-    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-    try:
-        video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
-        rate, count = video.get(cv2.CAP_PROP_FPS), video.get(cv2.CAP_PROP_FRAME_COUNT)
-        size = (int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT)))
-        if not video.isOpened() or not rate > 0 or min(size) < 1:
-            raise _unreadable(path)
-        check_size(size, path.name, limits)
-        if count / rate > _LONGEST_S:
-            raise ImageError(
-                path.name,
-                found=f"a video of {count / rate:.0f} s",
-                expected=f"at most {_LONGEST_S:g} s",
-                remedy="Cut it to the walk in the telephone's gallery",
-            )
+    with opened_video(path, path.name, limits) as video:
         index = 0
         while True:
-            good, frame = video.read()
+            good, frame = video.capture.read()
             if not good:
                 break
-            yield index, _MS * video.get(cv2.CAP_PROP_POS_MSEC), np.asarray(frame, dtype=np.uint8)
+            time_s = _MS * video.capture.get(cv2.CAP_PROP_POS_MSEC)
+            yield index, time_s, np.asarray(frame, dtype=np.uint8)
             index += 1
-            progress(min(1.0, index / max(count, 1.0)))
-        if index == 0 or index < _LEAST_READ * count:
-            raise _unreadable(path)
-    finally:
-        video.release()
-
-
-def _unreadable(path: Path) -> ImageError:
-    return ImageError(
-        path.name,
-        found="a damaged video, or one of another format",
-        expected="an MP4 or MOV of a telephone",
-        remedy="Copy it again from the telephone, as it was recorded",
-    )
+            progress(min(1.0, index / max(video.count, 1.0)))
+    if index == 0:
+        raise no_frames(path.name)
+    if index < _LEAST_READ * video.count:
+        raise ImageError(
+            path.name,
+            found=f"{index} frames that can be read",
+            expected=f"{video.count:.0f}, as the file states",
+            remedy="Copy it again from the telephone, as it was recorded",
+        )

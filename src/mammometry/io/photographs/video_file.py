@@ -1,0 +1,82 @@
+"""Container of a telephone's video: MP4 or QuickTime (ISO/IEC 14496-12), read without decoding it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import BinaryIO
+
+from mammometry.base.errors import ImageError
+
+VIDEO_EXTENSIONS = (".mp4", ".mov", ".m4v")
+"""Extensions of telephones' videos, in any case."""
+_BRANDS = (b"qt  ", b"iso", b"mp4", b"M4V", b"avc1", b"3gp", b"3g2", b"MSNV", b"XAVC")
+"""First letters of a video's major brand (mp4ra.org). Pictures (HEIC, AVIF) and sound have others."""
+_HEAD_BYTES = 12  # size and type of the first box, and its brand
+_BOX_BYTES, _LONG_BOX_BYTES = 8, 16  # header of a box; of one whose size has 64 bits
+_TO_THE_END, _IS_LONG = 0, 1  # sizes with a meaning of their own (ISO/IEC 14496-12, 4.2)
+
+
+def is_video(path: Path) -> bool:
+    """Whether a file starts as a telephone's video, whatever its name.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    with path.open("rb") as file:
+        head = file.read(_HEAD_BYTES)
+    return head[4:8] == b"ftyp" and head[8:].startswith(_BRANDS)
+
+
+def require_whole(path: Path, name: str) -> None:
+    """Refuse a file that is no video, or only the first part of one.
+
+    Playlists and other texts, whose decoders would open further files, are refused as well.
+
+    Args:
+        path: the file.
+        name: its name in messages.
+
+    Raises:
+        ImageError: it is of another format, or ends within a box, or before the table of frames or the frames.
+    """
+    try:
+        if not is_video(path):
+            raise ImageError(
+                name,
+                found="no video, or one of another format",
+                expected="an MP4 or MOV of a telephone",
+                remedy="Send the video as the telephone recorded it",
+            )
+        with path.open("rb") as file:
+            types, is_cut = _boxes(file)
+    except OSError:
+        raise ImageError(
+            name, found="a file that cannot be read", expected="a video", remedy="Copy it again from the telephone"
+        ) from None
+    if is_cut or b"moov" not in types:
+        raise ImageError(
+            name,
+            found="only the first part of a video",
+            expected="the whole file",
+            remedy="Copy it again from the telephone, and wait until it is finished",
+        )
+
+
+def _boxes(file: BinaryIO) -> tuple[set[bytes], bool]:
+    """Types of the outermost boxes, and whether the last one is cut off."""
+    end, start = file.seek(0, os.SEEK_END), 0
+    types: set[bytes] = set()
+    while end - start >= _BOX_BYTES:
+        file.seek(start)
+        head = file.read(_LONG_BOX_BYTES)
+        size, least = int.from_bytes(head[:4], "big"), _BOX_BYTES
+        if size == _TO_THE_END:
+            size = end - start
+        elif size == _IS_LONG:
+            size, least = int.from_bytes(head[8:], "big"), _LONG_BOX_BYTES
+        if size < least:
+            break  # bytes after the last box
+        types.add(head[4:8])
+        start += size
+    return types, start > end

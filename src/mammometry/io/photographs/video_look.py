@@ -1,0 +1,52 @@
+"""First look at a video: its length and size, and whether frames spread over it show the board."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mammometry.base.parse import LimitSettings
+from mammometry.base.photograph import Photograph
+from mammometry.base.value import value
+from mammometry.calibration.targets.target import Target
+from mammometry.io.photographs.video import no_frames, opened_video
+from mammometry.walk.frames import direction_in
+
+_PLACES = (0.5, 0.25, 0.75)  # of its length: the patient's front, then both sides
+
+
+@value(eq=False)
+class VideoLook:
+    """What a first look at a video shows."""
+
+    seconds: float
+    """Its length. 0: the file does not state it."""
+    size_wh: tuple[int, int]
+    """Width and height of a frame, pixels."""
+    looked_at: int
+    """Number of frames that were looked at."""
+    with_board: int
+    """How many of them show the board."""
+    frame: Photograph
+    """The first of them, RGB and small: from the middle of the video."""
+
+
+def look_at_video(path: Path, name: str, board: Target, limits: LimitSettings = LimitSettings()) -> VideoLook:
+    """Look at a few frames of a video, while `write_frames` reads all.
+
+    Args:
+        path: the video.
+        name: its name in messages.
+        board: the board on the patient.
+        limits: largest size of a frame.
+
+    Raises:
+        ImageError: it is of another format, incomplete, too long, without frames, or its frames are too large.
+    """
+    with opened_video(path, name, limits) as video:
+        found = [video.small_frame(place) for place in _PLACES]
+        size_wh, seconds = video.size_wh, max(video.count, 0) / video.rate
+    frames = [Photograph(name=name, pixels=pixels) for pixels in found if pixels is not None]
+    if not frames:
+        raise no_frames(name)
+    with_board = sum(direction_in(frame, board) is not None for frame in frames)
+    return VideoLook(seconds=seconds, size_wh=size_wh, looked_at=len(frames), with_board=with_board, frame=frames[0])
