@@ -36,6 +36,7 @@ from mammometry.io.outputs import require_apart
 from mammometry.io.write import disk_errors
 from mammometry.measure.trunk.body import Mounting, camera_up
 from mammometry.walk.bank_card import find_card, has_field
+from mammometry.walk.held_lens import with_held_lens
 from mammometry.walk.inputs import LeftOut
 from mammometry.walk.pairs import choose_pairs
 from mammometry.walk.print_size import PRINT_STD, sized
@@ -44,7 +45,7 @@ from mammometry.walk.stations import TELEPHONE, stations_of
 
 BOARD = "board.toml"
 WALK = "walk.json"
-_VERSION = 5  # raised when the same photographs give a different session
+_VERSION = 6  # raised when the same photographs give a different session
 _NOT_IN_A_PAIR = LeftOut(code="not-in-a-pair", found="not in a pair")
 _MARGIN_PX = 32  # margin around the region in the image, for windows at its edge
 
@@ -135,7 +136,8 @@ def prepare_walk(
             card = find_card(stations.rig.cameras, pictures.photographs, target, stations.plane_mm(FIELD_MIDDLE))
             if card is not None:
                 target = sized(target, card)
-                stations = stations_of(replace(stations.calibration.observations, target=target))
+                resized = stations_of(replace(stations.calibration.observations, target=target))
+                stations = with_held_lens(resized, stations.held, stations.rig.cameras)
         region = region_above(target)
         pairs = choose_pairs(_seeing(stations.rig, region), region.middle_world)
         in_pairs = sorted({name for pair in pairs.values() for name in pair})

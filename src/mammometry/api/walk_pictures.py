@@ -21,10 +21,12 @@ from mammometry.io.photographs.images import EXTENSIONS
 from mammometry.io.photographs.telephone import read_facts, read_from_sensor
 from mammometry.io.photographs.video import write_frames
 from mammometry.io.photographs.video_file import VIDEO_EXTENSIONS
+from mammometry.walk.held_lens import with_held_lens
 from mammometry.walk.inputs import LeftOut, judge_files, require_enough, usual_orientation
 from mammometry.walk.one_lens import judge_lenses
 from mammometry.walk.sharpness import board_image, judge_images
 from mammometry.walk.stations import FEWEST, Stations, find_boards, stations_of
+from mammometry.walk.tilted_boards import tilted_boards
 
 _STILLS = (*EXTENSIONS, *HEIC_EXTENSIONS)
 _DECODING = 0.5  # share of the time that a video's frames take
@@ -52,12 +54,20 @@ class WalkPictures:
         stations = stations_of(self.observations)
         odd = judge_lenses(stations.calibration, stations.rig.cameras)
         if not odd:
-            return stations, self.left_out
+            return self._with_tilted(stations, self.observations, self.left_out)
         out = {**self.left_out, **odd}
         good = tuple(board for board in self.observations.detections if board.pose not in odd)
         require_enough([board.pose for board in good], out, self.names, FEWEST)
         # The odd ones have pulled at the common lens: a zoom of 50 % by 0.3 %.
-        return stations_of(replace(self.observations, detections=good)), out
+        observations = replace(self.observations, detections=good)
+        return self._with_tilted(stations_of(observations), observations, out)
+
+    def _with_tilted(
+        self, stations: Stations, observations: Observations, out: Mapping[str, LeftOut]
+    ) -> tuple[Stations, Mapping[str, LeftOut]]:
+        """The same with photographs that see the board at too flat an angle for its markers."""
+        stations = with_held_lens(stations, *tilted_boards(observations, stations, self.photographs))
+        return stations, {name: why for name, why in out.items() if name not in stations.rig.cameras}
 
 
 def walk_files(folder: Path) -> dict[str, Path]:

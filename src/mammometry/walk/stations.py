@@ -8,7 +8,7 @@ a rig with one camera per photograph, all with the same lens.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.adjust import bundle
 from mammometry.calibration.adjust.calibrated import Calibration, ParameterCovariance
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA, POSE_NAMES_STATION
-from mammometry.calibration.detection.detect import Observations, detect, set_duplicates_aside
+from mammometry.calibration.detection.detect import Detection, Observations, detect, set_duplicates_aside
 from mammometry.calibration.judge.expected_error import expected_std_mm
 from mammometry.calibration.settings import CalibrateSettings
 from mammometry.calibration.targets.target import Target
@@ -44,6 +44,8 @@ class Stations:
     """Of the single camera. Its poses are the photographs."""
     expanded: Calibration
     """The same with one camera per photograph, in the board's frame, without pairs. Its covariance is the joint one."""
+    held: Mapping[str, Detection] = field(default_factory=dict)
+    """Photograph that was placed with the lens held → the board in it."""
 
     @property
     def rig(self) -> Rig:

@@ -207,7 +207,7 @@ def detect_in(
     seen = _look(photograph, target, search_width_px)
     if isinstance(seen, Cause | None) or len(seen.ids) < target.least_points:
         return None
-    return _named(seen, camera, pose)
+    return detection_of(seen, camera=camera, pose=pose)
 
 
 def detect(
@@ -253,7 +253,9 @@ def detect(
             progress((done + 1) / len(keys))
     numbered = numbered_alike(found)
     detections = tuple(
-        _named(numbered[name], camera, pose) for pose, camera in keys if (name := f"{pose}/{camera}") in numbered
+        detection_of(numbered[name], camera=camera, pose=pose)
+        for pose, camera in keys
+        if (name := f"{pose}/{camera}") in numbered
     )
     return Observations(target=target, sizes_wh=sizes_wh, detections=detections, missed=tuple(missed))
 
@@ -303,7 +305,8 @@ def _look_or_explain(photograph: Photograph, target: Target) -> FoundPoints | Ca
     return seen
 
 
-def _named(found: FoundPoints, camera: str, pose: str) -> Detection:
+def detection_of(found: FoundPoints, *, camera: str, pose: str) -> Detection:
+    """Points found in one photograph, with the errors of print and pixel grid."""
     floor_px2 = _FLOOR_PX**2 * np.eye(2)
     return Detection(
         camera=camera,
