@@ -122,6 +122,20 @@ def test_what_another_view_looks_through_is_dropped():
     assert kept.valid[70:80, 50:60].all()
 
 
+def test_one_view_that_is_too_deep_is_outvoted_by_those_that_agree():
+    camera = camera_towards("deep", (0, 0, 1))
+    range_mm = ellipsoid_range(camera, (40.0,) * 3)
+    range_mm[50:70, 50:70] += 10.0  # a false hole, 10 mm deep, that faces its camera as well as the sphere does
+    deep = range_image(camera, range_mm)
+    others = [view(direction, radius=40.0) for direction in ((0.3, 0, 1), (-0.3, 0, 1), (0, 0.3, 1))]
+    kept = remove_dents([deep, *others], None).range_images
+    assert not kept[0].valid[53:67, 53:67].any()
+    assert kept[0].valid[75:85, 50:60].all()
+    whole = remove_dents(others, None).range_images
+    for image, alone in zip(kept[1:], whole, strict=True):
+        assert image.valid.sum() > 0.99 * alone.valid.sum()
+
+
 def test_nothing_left_names_the_pairs():
     steep = plane_view(80.0, "floor")
     with pytest.raises(SurfaceError, match=r"floor .*\d{3,}"):

@@ -119,7 +119,7 @@ def moved_ranges(
     return {name: motion.apply_motion(image, cameras.rig) for name, image in range_images.items()}
 
 
-@product("surface", version=5, name="valid", settings=_dent_settings, inputs=("subject",), large=True)
+@product("surface", version=6, name="valid", settings=_dent_settings, inputs=("subject",), large=True)
 def keep_masks(
     cameras: CameraSet, moved_ranges: Mapping[str, RangeImage], subjects: Subjects | None, *, job: Context
 ) -> KeepMasks:

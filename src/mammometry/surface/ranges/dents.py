@@ -15,7 +15,7 @@ from scipy import ndimage
 from mammometry.base.errors import SurfaceError
 from mammometry.base.machine.cores import map_in_threads
 from mammometry.base.value import value
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, to_step
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64, UInt8, to_step
 from mammometry.geometry.projection import projected
 from mammometry.surface.ranges.range_image import SIGMAS, RangeImage
 from mammometry.surface.ranges.visibility import Label, compare, gap_mm
@@ -62,6 +62,9 @@ def _components(labels: UInt8[Array, "h w"], valid: Bool[Array, "h w"]) -> Int32
     return numbers
 
 
+_VOTES = 2
+"""Views that must agree with a datum for each one that sees through it: with the datum's own, a majority of three to
+one. A single other view may share its smeared discontinuity."""
 SEEN_THROUGH_MM = 1.0
 """Distance in front of another view's surface from which a datum is removed, mm, if above `SIGMAS` of both."""
 _MIN_PATCH = 3  # points that determine a normal
@@ -127,8 +130,11 @@ def remove_dents(
             kept = [image.valid & (angle <= limit) for image, angle in zip(range_images, angles, strict=True)]
         if settings.drop_seen_through:
             facing = [image.keeping(keep) for image, keep in zip(range_images, kept, strict=True)]
-            through = map_in_threads(lambda k: _seen_through(k, facing, angles), range(len(kept)))
-            kept = [keep & ~seen for keep, seen in zip(kept, through, strict=True)]
+            judged = map_in_threads(lambda k: _seen_through(k, facing, angles), range(len(kept)))
+            kept = [keep & ~through for keep, (through, _) in zip(kept, judged, strict=True)]
+            for _, outvoted in judged:
+                for k, (rows, columns) in outvoted.items():
+                    kept[k][rows, columns] = False
         kept = map_in_threads(_without_islands, kept)
     if not any(keep.any() for keep in kept):
         counts = ", ".join(f"{image.name} had {int(image.valid.sum())} data" for image in range_images)
@@ -258,26 +264,39 @@ def _patch_angles_rad(
 
 def _seen_through(
     index: int, images: Sequence[RangeImage], angles: Sequence[Float32[Array, "h w"]]
-) -> Bool[Array, "h w"]:
-    """Elements of view `index` in front of a surface that another view saw at a better angle."""
+) -> tuple[Bool[Array, "h w"], dict[int, tuple[Int64[Array, " n"], Int64[Array, " n"]]]]:
+    """Elements of view `index` in front of a surface that another view saw at a better angle, and outvoted elements.
+
+    A datum is upheld if at least `_VOTES` other views agree with it for each one that sees through it. Then it stays,
+    and the data behind it are outvoted: number of the view → rows and columns.
+    """
     image = images[index]
     points = image.valid_points_world()
     own_sigma = image.sigma_mm[image.valid]
     own_angle = angles[index][image.valid]
     through = np.zeros(len(points), dtype=bool)
-    for other, other_angle in zip(images, angles, strict=True):
+    agree, against = np.zeros(len(points), dtype=np.int32), np.zeros(len(points), dtype=np.int32)
+    behind: dict[int, tuple[Int64[Array, " n"], Int64[Array, "n 2"]]] = {}
+    for k, (other, other_angle) in enumerate(zip(images, angles, strict=True)):
         if other is image:
             continue
         gap = gap_mm(points, other)
-        known = np.isfinite(gap)
-        uv = np.rint(projected(other.camera, points[known])[:, :2]).astype(np.intp)
+        known = np.flatnonzero(np.isfinite(gap))
+        uv = np.rint(projected(other.camera, points[known])[:, :2]).astype(np.int64)
         sigma, angle = other.sigma_mm[uv[:, 1], uv[:, 0]], other_angle[uv[:, 1], uv[:, 0]]
         tolerance = np.maximum(SEEN_THROUGH_MM, SIGMAS * np.hypot(own_sigma[known], sigma))
         # Along a grazing ray a gap exaggerates the distance between the surfaces: measure it across the surface.
-        through[known] |= (gap[known] * np.cos(angle) > tolerance) & (angle <= own_angle[known])
+        across = gap[known] * np.cos(angle)
+        seen = across > tolerance
+        agree[known] += np.abs(across) <= tolerance
+        against[known] += seen
+        through[known] |= seen & (angle <= own_angle[known])
+        behind[k] = known[seen], uv[seen]
+    upheld = agree >= _VOTES * np.maximum(against, 1)
+    outvoted = {k: (uv[upheld[n], 1], uv[upheld[n], 0]) for k, (n, uv) in behind.items() if upheld[n].any()}
     result = np.zeros(image.valid.shape, dtype=bool)
-    result[image.valid] = through
-    return result
+    result[image.valid] = through & ~upheld
+    return result, outvoted
 
 
 def _without_islands(keep: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
