@@ -65,7 +65,7 @@ class WalkPictures:
     def _with_tilted(
         self, stations: Stations, observations: Observations, out: Mapping[str, LeftOut]
     ) -> tuple[Stations, Mapping[str, LeftOut]]:
-        """The same with photographs that see the board at too flat an angle for its markers."""
+        """Add photographs that see the board at a flat angle, and remove them from those left out."""
         stations = with_held_lens(stations, *tilted_boards(observations, stations, self.photographs))
         return stations, {name: why for name, why in out.items() if name not in stations.rig.cameras}
 

@@ -46,7 +46,7 @@ class _LocalPage:
         self.page = EditorPage(opened(), author=author)
 
     def pages(self) -> Mapping[str, Page]:
-        """What is answered: the page, and the requests of its script."""
+        """Method and path of each request → the function that answers it."""
         return {
             "GET /": lambda body: self.document(),
             "GET /drawing": lambda body: self.page.drawing(),

@@ -30,7 +30,7 @@ class DentSettings:
     neighbourhood_mm: float = 2.5
     """Distance within which points give a normal, mm (the paper's patches: 5)."""
     drop_seen_through: bool = True
-    """Also remove data that another view sees through (rule ``element``): no surface can be there."""
+    """Also remove data that another view sees through, unless several views agree with them (rule ``element``)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,1 +1,1 @@
-"""What all servers of pages share: limits, replies, and the login of the one person at this computer."""
+"""Servers of pages: limits, replies, and the login of the person at this computer."""

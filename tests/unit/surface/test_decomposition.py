@@ -136,6 +136,17 @@ def test_one_view_that_is_too_deep_is_outvoted_by_those_that_agree():
         assert image.valid.sum() > 0.99 * alone.valid.sum()
 
 
+def test_two_views_that_share_a_false_surface_do_not_outvote_the_one_that_sees_through_it():
+    camera = camera_towards("a", (0, 0, 1))
+    range_mm = ellipsoid_range(camera, (40.0,) * 3)
+    range_mm[50:60, 50:60] -= 10.0  # a false surface, 10 mm before the sphere
+    wrong, alike = range_image(camera, range_mm), range_image(replace(camera, name="b"), range_mm)
+    right = view((0.3, 0, 1), radius=40.0)
+    kept = remove_dents([wrong, alike, right], None).range_images
+    assert not any(image.valid[52:58, 52:58].any() for image in kept[:2])
+    assert kept[2].valid.sum() > 0.99 * remove_dents([right], None).range_images[0].valid.sum()
+
+
 def test_nothing_left_names_the_pairs():
     steep = plane_view(80.0, "floor")
     with pytest.raises(SurfaceError, match=r"floor .*\d{3,}"):

@@ -16,7 +16,7 @@ _PLACES = (0.5, 0.25, 0.75)  # of its length: the patient's front, then both sid
 
 @value(eq=False)
 class VideoLook:
-    """What a first look at a video shows."""
+    """Length and size of a video, and how many of a few frames show the board."""
 
     seconds: float
     """Its length. 0: the file does not state it."""
