@@ -230,5 +230,6 @@ def _moved_too_much(found: WalkMotion, most_mm: float) -> SurfaceError:
         found=f"a body that moved relative to the board, most in photographs {worst}, counted in their order: after "
         f"the correction of each photograph's motion, pairs disagree by {found.rest_mm:.2f} mm",
         expected=f"at most {most_mm:.2f} mm",
-        remedy="Have the patient hold her breath for each half of the walk, and photograph again",
+        remedy="Have the patient hold her breath for each half of the walk, and photograph again. If she did, send the "
+        "telephone's own files: strong compression, as by messengers, looks the same",
     )
