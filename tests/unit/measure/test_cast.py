@@ -19,7 +19,7 @@ from mammometry.measure.boundary.boundary import (
     leaving_whole,
 )
 from mammometry.measure.boundary.cast_base import Base, moved
-from mammometry.measure.boundary.cast_rim import adjust_base, mean_height, rim_candidates
+from mammometry.measure.boundary.cast_rim import adjust_base, mean_height, require_separate, rim_candidates
 from mammometry.measure.settings import BaseRimSettings, MeasureSettings
 from mammometry.measure.volume import volumes
 from mammometry.measure.wall import chest_wall
@@ -218,6 +218,23 @@ def test_without_silhouettes_there_is_no_rim() -> None:
     everything = {name: replace(seen, everything=True) for name, seen in photographed(None).items()}
     with pytest.raises(MeasureError, match=r"model: .*\b0 "):
         find_boundaries(seen_surface(None), everything, RIG, "model")
+
+
+def reaching_the_edge(count: int) -> dict[str, Foreground]:
+    """Silhouettes, of which `count` contain the surroundings up to the photograph's edge."""
+    found = dict(photographed(None))
+    for name in list(found)[:count]:
+        coverage = found[name].coverage.copy()
+        coverage[-1] = 1.0
+        found[name] = replace(found[name], coverage=coverage)
+    return found
+
+
+def test_a_cast_that_runs_into_its_surroundings_in_most_photographs_is_refused() -> None:
+    most = len(photographed(None)) // 2 + 1
+    with pytest.raises(MeasureError, match=list(photographed(None))[most - 1]):
+        require_separate(reaching_the_edge(most))
+    require_separate(reaching_the_edge(most - 1))
 
 
 def test_a_base_far_from_the_surface_does_not_cut_it() -> None:

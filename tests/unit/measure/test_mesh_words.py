@@ -13,7 +13,7 @@ OF_PHOTOGRAPHS = re.compile(
     r"camera|session|\brigs?\b|photograph|mounting|\bpairs?\b|wall\.ply|silhouette|boundaries\.json|preview",
     re.IGNORECASE,
 )
-RIM_IN_PHOTOGRAPHS = {"_cast_boundary", "no_rim"}
+RIM_IN_PHOTOGRAPHS = {"_cast_boundary", "no_rim", "require_separate"}
 """Functions that look for a cast's rim in photographs. On a mesh it is drawn."""
 
 

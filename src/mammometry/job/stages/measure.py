@@ -63,7 +63,7 @@ def _boundary_inputs(job: Context) -> dict[str, str]:
     return job.inputs.key_part("subject", "boundaries", "mounting", "rim", *picked)
 
 
-@product("measure", version=17, settings="measure", inputs=_boundary_inputs)
+@product("measure", version=18, settings="measure", inputs=_boundary_inputs)
 def boundaries(
     corrected_cameras: CameraSet,
     repaired: RepairedSurface,

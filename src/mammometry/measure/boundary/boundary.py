@@ -32,6 +32,7 @@ from mammometry.measure.boundary.cast_rim import (
     RimCandidates,
     adjust_base,
     mean_height,
+    require_separate,
     rim_candidates,
 )
 from mammometry.measure.boundary.protocol import outline_by_protocol
@@ -142,6 +143,7 @@ def _cast_boundary(
     settings: MeasureSettings,
 ) -> Boundary:
     """Intersection of a cast's base with the mesh."""
+    require_separate(foregrounds)
     candidates = rim_candidates(surface, foregrounds, rig)
     measured = surface.provenance == Provenance.MEASURED
     seen = surface.mesh.vertices[measured] if measured.any() else surface.mesh.vertices

@@ -20,6 +20,7 @@ from dataclasses import fields
 import numpy as np
 from scipy.sparse import csr_array, hstack
 
+from mammometry.base.errors import MeasureError
 from mammometry.base.normal import MAD
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Camera, Float64, Int64, Rig
@@ -65,6 +66,30 @@ class RimCandidates:
     def chosen(self, which: slice | Bool[Array, " n"]) -> RimCandidates:
         """Part of the candidates."""
         return RimCandidates(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+
+
+def require_separate(foregrounds: Mapping[str, Foreground]) -> None:
+    """Refuse a cast that most silhouettes do not separate from its surroundings.
+
+    A silhouette up to the photograph's edge contains a wall or table, or cuts the cast off. Without the others the
+    surface has that wall in it.
+
+    Raises:
+        MeasureError: more than half of the silhouettes are unknown, or reach the photograph's edge.
+    """
+    joined = [name for name, foreground in foregrounds.items() if foreground.everything or _at_edge(foreground.mask)]
+    if 2 * len(joined) > len(foregrounds):
+        raise MeasureError(
+            "silhouettes of the model",
+            found=f"its surroundings or the photograph's edge within {len(joined)} of {len(foregrounds)} of them "
+            f"({', '.join(joined)})",
+            expected="the whole cast, apart from everything else, in at least half",
+            remedy="Photograph it in front of an even background that is darker or paler than it, or add masks",
+        )
+
+
+def _at_edge(mask: Bool[Array, "h w"]) -> bool:
+    return bool(mask[[0, -1]].any() or mask[:, [0, -1]].any())
 
 
 def rim_candidates(surface: RepairedSurface, foregrounds: Mapping[str, Foreground], rig: Rig) -> RimCandidates:
