@@ -216,8 +216,10 @@ def test_rays_go_through_their_candidates() -> None:
 @pytest.mark.slow
 def test_without_silhouettes_there_is_no_rim() -> None:
     everything = {name: replace(seen, everything=True) for name, seen in photographed(None).items()}
-    with pytest.raises(MeasureError, match=r"model: .*\b0 "):
+    with pytest.raises(MeasureError, match=f"model: .*{len(everything)} of {len(everything)}"):
         find_boundaries(seen_surface(None), everything, RIG, "model")
+    with pytest.raises(MeasureError, match=r"model: .*\b0 "):
+        find_boundaries(seen_surface(None), {}, RIG, "model")
 
 
 def reaching_the_edge(count: int) -> dict[str, Foreground]:
