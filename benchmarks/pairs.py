@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks.names import known
 from benchmarks.rendered import make_session, subjects
 from mammometry.api.job import open_session
 from mammometry.base.photograph import Photograph
@@ -80,17 +81,18 @@ def cases(capture: Capture, pairs: list[str], settings: MatchSettings, rig: Rig 
     rig rectifies it, so that nothing has to be aligned: the rig's frame and scale do not enter.
     """
     names = open_session(capture.session).session.pair_names
+    known("pairs", pairs, names)
     truth = read_truth(capture.truth, names)
     scene = RayScene(truth.mesh)
     begun = time.perf_counter()
-    known = truth.rig if rig is None else rig
-    files = {name: next((capture.session / "capture").glob(f"{name}.*")) for name in known.cameras}
+    cameras = truth.rig if rig is None else rig
+    files = {name: next((capture.session / "capture").glob(f"{name}.*")) for name in cameras.cameras}
     photographs = {name: read_photograph(file, name) for name, file in files.items()}
-    found = foregrounds_of(known, photographs, settings.foreground)
+    found = foregrounds_of(cameras, photographs, settings.foreground)
     shared_seconds = (time.perf_counter() - begun) / len(names)
     for name in pairs or names:
         begun = time.perf_counter()
-        true, believed = truth.rig.pair(name), known.pair(name)
+        true, believed = truth.rig.pair(name), cameras.pair(name)
         left, right = photographs[believed.left.name], photographs[believed.right.name]
         foregrounds = found[believed.left.name], found[believed.right.name]
         pair = rectify(believed, left, right, *foregrounds)

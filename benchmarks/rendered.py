@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.names import known
 from mammometry.geometry.transform import Transform
 
 
@@ -34,6 +35,7 @@ def subjects(captures: Path) -> list[str]:
 def make_session(captures: Path, subject: str, out: Path) -> Path:
     """Write a session folder for one subject: the manifest, and links to its photographs."""
     described = json.loads((captures / "session.json").read_text())
+    known("subjects", [subject], described["subjects"])
     target = described["targets"]["charuco"]
     kind = (
         "model"

@@ -490,6 +490,8 @@ def main() -> None:
     numbers = [*all_settings(), *constants(arguments.all_constants)]
     if arguments.only:
         numbers = [one for one in numbers if one.name.startswith(tuple(arguments.only))]
+        if not numbers:
+            parser.error(f"no number's name begins with {' or '.join(arguments.only)}")
     if not arguments.table:
         cv2.setNumThreads(1)  # a fork has none of its parent's threads, and would wait for them
         for name in arguments.captures:

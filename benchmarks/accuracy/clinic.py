@@ -43,7 +43,7 @@ from mammometry.io.truth import read_truth
 from mammometry.job.stages.measure import measurements
 from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.simulate.disturbances.draw import draw, is_held_out
-from mammometry.simulate.disturbances.registry import DISTURBANCES
+from mammometry.simulate.disturbances.registry import DISTURBANCES, check
 from mammometry.simulate.recipe import SessionRecipe, Situation, parse_situation
 from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.rigs.build import FULL_SIZE_WH
@@ -146,7 +146,7 @@ def cases(arguments: argparse.Namespace) -> Iterator[Case]:
         for text in DISTURBANCES if arguments.disturb == ["each"] else arguments.disturb:
             if text.partition("=")[0] == "skin":  # it is what the others are compared on
                 continue
-            situation = parse_situation(f"skin={arguments.skin},{text}")
+            situation = _situation(f"skin={arguments.skin},{text}")
             case = _case(subject, arguments.seed, arguments.scale, situation)
             yield replace(case, mounting_said=arguments.mounting_said)
     for seed in arguments.seeds:
@@ -154,6 +154,15 @@ def cases(arguments: argparse.Namespace) -> Iterator[Case]:
             for difficulty in arguments.difficulty:
                 patient = _patient(seed, arguments.scale, draw(seed, difficulty))
                 yield replace(patient, mounting_said=arguments.mounting_said)
+
+
+def _situation(text: str) -> Situation:
+    try:
+        situation = parse_situation(text)
+        check(situation, without="walk")
+    except ValueError as error:
+        raise SystemExit(str(error)) from None
+    return situation
 
 
 def _case(subject: str, seed: int, scale: float, situation: Situation) -> Case:

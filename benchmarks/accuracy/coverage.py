@@ -26,6 +26,7 @@ from scipy.stats import beta
 
 from benchmarks.accuracy.captures import CHOSEN_ON, in_rounds, made, measured, recipe
 from benchmarks.accuracy.walls import TrueTorso, as_seen, true_torso
+from benchmarks.accuracy.women import FAMILIES
 from benchmarks.road import each_as_it_ends
 from mammometry.base.errors import MammometryError
 from mammometry.base.progress import StageProgress
@@ -288,7 +289,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--captures", type=int, default=0, help="rendered sessions, casts and torsos in turn")
     parser.add_argument("--surfaces", type=int, default=0, help="torsos, and as many casts, with drawn errors")
-    parser.add_argument("--families", nargs="+", default=["torso"], help="of --surfaces: torso, woman, …")
+    parser.add_argument("--families", nargs="+", default=["torso"], choices=("torso", *FAMILIES))
     parser.add_argument("--first", type=int, default=1, help="number of the first one, of either")
     parser.add_argument("--scale", type=float, default=0.25, help="of the captures' pictures")
     parser.add_argument("--out", type=Path, default=Path("build/coverage"))

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.stats import beta
 
+from benchmarks.accuracy.women import FAMILIES
 from mammometry.base.errors import MammometryError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
@@ -34,10 +35,11 @@ from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.volume.uncertainty import EarlierErrors, VolumeEvidence
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
+from mammometry.measure.wall.registry import TORSO_WALLS
 from mammometry.simulate.subjects.woman import woman_named
 
 SIDES = ("left", "right")
-FAMILIES = ("woman", "leaning-woman")
+_FAMILIES = FAMILIES[:2]
 _MARKS = (6, 12)
 _HABIT = 0.5  # share of a mark's variance that all marks of one person have in common; not published, chosen
 _UPRIGHT = np.eye(3)
@@ -217,8 +219,8 @@ def main() -> None:
     parser.add_argument("--women", type=int, default=10, help="of each family")
     parser.add_argument("--first", type=int, default=1000)
     parser.add_argument("--persons", type=int, default=4)
-    parser.add_argument("--families", nargs="*", default=list(FAMILIES))
-    parser.add_argument("--wall", default="default", help="that closes the breasts")
+    parser.add_argument("--families", nargs="*", default=list(_FAMILIES), choices=FAMILIES)
+    parser.add_argument("--wall", default="default", choices=("default", *TORSO_WALLS), help="that closes the breasts")
     parser.add_argument("--edge-mm", type=float, default=3.0)
     parser.add_argument("--out", type=Path, default=None, help="JSON: all rows")
     arguments = parser.parse_args()

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.accuracy.scans import measured
+from benchmarks.names import known
 from mammometry.geometry import Float64, TriangleMesh
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.mesh_files.ply import write_ply
@@ -65,7 +66,8 @@ def main() -> None:
     arguments = parser.parse_args()
     fronts = {"body's own": _own_front, "file's axes": front_by_axes}
     print("| body | pose (pitch, roll) | frame | cc |\n| --- | --- | --- | --- |")
-    for name in arguments.names:
+    bodies = [path.stem for path in sorted(arguments.bodies.glob("*.ply"))]
+    for name in known("bodies", arguments.names, bodies):
         mesh = read_foreign(arguments.bodies / f"{name}.ply", "m" if name.endswith("_scan") else "mm").mesh
         for pose, turn in poses(axes=arguments.axes):
             for which, front in list(fronts.items())[: 2 if arguments.rivals else 1]:

@@ -271,7 +271,7 @@ def main() -> None:
     parser.add_argument("--subject", action="append", default=[], help="one subject; may be repeated; default: all")
     parser.add_argument("--seeds", type=int, default=2, help="of each disturbance")
     parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--only", type=int, nargs="*", help="numbers of disturbances, from 0 (none) on; default: all")
+    parser.add_argument("--only", type=int, nargs="*", choices=range(len(DISTURBANCES)), help="default: all")
     parser.add_argument("--cube-mm", type=float, default=1.0)
     parser.add_argument("--scratch", type=Path, help="where sessions are made and their calibrations kept")
     parser.add_argument("--json", type=Path, help="write the figures there")

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.accuracy.scans import measured
+from benchmarks.names import known
 from mammometry.geometry import Float64, TriangleMesh
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.mesh_files.ply import write_ply
@@ -145,6 +146,9 @@ def main() -> None:
     parser.add_argument("--bodies", type=Path, default=None, help="folder of the shared bodies")
     parser.add_argument("--shared", nargs="*", default=["body_2", "hanging_1"], help="shared bodies to take")
     arguments = parser.parse_args()
+    if arguments.bodies is not None:
+        names = [path.name.removesuffix("_clean.ply") for path in sorted(arguments.bodies.glob("*_clean.ply"))]
+        known("bodies", arguments.shared, names)
     first, _, last = arguments.women.partition("-")
     print("| body | variant | cc | answer |\n| --- | --- | --- | --- |")
     counts = [report(f"woman {number}", made_woman(number)) for number in range(int(first), int(last or first) + 1)]

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.accuracy.women import FAMILIES
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.boundary import Boundary
@@ -150,7 +151,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--bodies", type=int, default=36, help="of each family")
     parser.add_argument("--first", type=int, default=1, help="number of the first one")
-    parser.add_argument("--families", nargs="+", default=["torso"], help="torso, woman, leaning-woman, woman-wide, …")
+    parser.add_argument("--families", nargs="+", default=["torso"], choices=("torso", *FAMILIES))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=None, help="JSON: rows of every breast and wall; taken if there")
     arguments = parser.parse_args()
