@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
@@ -12,9 +12,10 @@ from django.utils import timezone
 
 from mammometry.api.acceptance import device_tests
 from mammometry.capture.sessions import make_session, manifest_text
+from mammometry.clinic.check_result import CheckResult
 from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Job, Rig, Upload, Visit
 from mammometry.clinic.site import the_clinic
-from mammometry.io.drift import CameraDrift, DriftEntry
+from mammometry.io.drift import DriftEntry
 from mammometry.study.acceptance.tables import PastTest
 
 Answer: TypeAlias = Literal["yes", "care", "no"]
@@ -57,27 +58,8 @@ class LatestCheck:
     """The newest daily check against that calibration."""
 
     on: datetime.date
-    verdict: str | None
-    """``unmoved``, ``moved``, ``refuse``; None if not evaluated yet."""
-    effect_mm: float = 0.0
-    """RMS displacement of the worst pair's points."""
-    reasons: tuple[str, ...] = ()
-    unseen: tuple[str, ...] = ()
-    """Cameras that did not see the board."""
-    exchanged: bool = False
-    """Whether the photographs of two cameras are exchanged, so that it shows no movements."""
-
-    @classmethod
-    def of(cls, on: datetime.date, figures: Mapping[str, Any]) -> LatestCheck:
-        """Build the facts from a check's stored figures."""
-        return cls(
-            on=on,
-            verdict=figures.get("verdict"),
-            effect_mm=float(figures.get("effect_mm") or 0.0),
-            reasons=tuple(figures.get("reasons", ())),
-            unseen=tuple(figures.get("unseen", ())),
-            exchanged=bool(figures.get("exchanged")),
-        )
+    result: CheckResult | None
+    """None: not evaluated yet."""
 
 
 def judge(day: datetime.date, calibrated: Calibrated | None, checked: LatestCheck | None) -> Today:
@@ -94,25 +76,26 @@ def judge(day: datetime.date, calibrated: Calibrated | None, checked: LatestChec
             sentence="No: this rig is not calibrated.",
             remedy="Photograph the board in several poses and calibrate.",
         )
-    if checked is not None and checked.exchanged:
+    result = None if checked is None else checked.result
+    if result is not None and result.exchanged:
         return Today(
             verdict="no",
             sentence="No: photographs of the last check are exchanged.",
             remedy="Open the check and press “Put them right”, or check again.",
         )
-    if checked is not None and checked.verdict == "refuse":
+    if result is not None and result.verdict == "refuse":
         return Today(
             verdict="no",
             sentence="No: a camera has moved since the calibration.",
-            reasons=checked.reasons,
+            reasons=result.reasons,
             remedy="Calibrate the rig again. If the board was bent or not still, repeat the check first.",
         )
     reasons: list[str] = []
     remedy = "Calibrate the rig again when there is time."
     fresh = calibrated.on == day  # a calibration is a check of its own day
-    if not fresh and (checked is None or checked.on != day or checked.verdict is None):
+    if not fresh and (checked is None or checked.on != day or result is None):
         last = "was never checked" if checked is None else f"was last checked on {checked.on.isoformat()}"
-        if checked is not None and checked.verdict is None:
+        if checked is not None and result is None:
             last = "has a check that has not been evaluated yet"
         return Today(
             verdict="care",
@@ -120,17 +103,17 @@ def judge(day: datetime.date, calibrated: Calibrated | None, checked: LatestChec
             reasons=(f"The rig {last}. A camera may have been touched since.",),
             remedy="Take one photograph of the board with every camera.",
         )
-    if checked is not None and checked.verdict == "moved":
-        reasons.append(f"A camera moved a little: measured points are off by {checked.effect_mm:.2f} mm.")
-        reasons += checked.reasons
+    if result is not None and result.verdict == "moved":
+        reasons.append(f"A camera moved a little: measured points are off by {result.effect_mm:.2f} mm.")
+        reasons += result.reasons
     if calibrated.verdict == "warn":
         reasons += calibrated.reasons[:1]
     if (age := (day - calibrated.on).days) > _OLD_DAYS:
         reasons.append(f"The calibration is {age} days old.")
-    if checked is not None and checked.unseen and checked.on == day:
+    if checked is not None and result is not None and result.unseen and checked.on == day:
         if not reasons:
             remedy = "Photograph the board again, where these cameras see it."
-        reasons.insert(0, f"Not checked, because they did not see the board: {', '.join(checked.unseen)}.")
+        reasons.insert(0, f"Not checked, because they did not see the board: {', '.join(result.unseen)}.")
         if not fresh:
             return Today(verdict="care", sentence="Not all cameras are checked.", reasons=tuple(reasons), remedy=remedy)
     if reasons:
@@ -206,14 +189,12 @@ def _by_checks(rig: Rig) -> Today:
         on = timezone.localdate(newest.taken_at)
         # A camera that missed the board in one photograph may have seen it in another of the same day.
         others = rig.checks.filter(calibration=calibration).exclude(figures={}).exclude(pk=newest.pk)[:_OF_A_DAY]
-        seen = {
-            name
-            for other in others
-            if timezone.localdate(other.taken_at) == on and other.figures.get("verdict") != "refuse"
-            for name in other.figures.get("cameras", {})
-        }
-        unseen = [name for name in newest.figures.get("unseen", ()) if name not in seen]
-        checked = LatestCheck.of(on, {**newest.figures, "unseen": unseen})
+        same_day = [other.result for other in others if timezone.localdate(other.taken_at) == on]
+        seen = {name for one in same_day if one is not None and one.verdict != "refuse" for name in one.cameras}
+        result = newest.result
+        if result is not None:
+            result = replace(result, unseen=tuple(name for name in result.unseen if name not in seen))
+        checked = LatestCheck(on=on, result=result)
     return judge(day, known, checked)
 
 
@@ -315,17 +296,13 @@ def _about(target: Visit | Calibration | DailyCheck) -> Any:
 
 
 def _entry(check: DailyCheck) -> DriftEntry:
-    figures = check.figures
-    names = ("shift_mm", "turn_deg", "shift_px", "sigma")
+    result = CheckResult.from_table(check.figures)
     return DriftEntry(
         when=timezone.localtime(check.taken_at).isoformat(timespec="minutes"),
         image_set=str(check.pk),
-        calibration=str(figures.get("calibration", check.calibration_id)),
-        verdict=str(figures.get("verdict")),
-        effect_mm=float(figures.get("effect_mm") or 0.0),
-        reasons=tuple(figures.get("reasons", ())),
-        cameras={
-            name: CameraDrift(moved=bool(drift.get("moved")), **{name: float(drift.get(name) or 0.0) for name in names})
-            for name, drift in figures.get("cameras", {}).items()
-        },
+        calibration=result.calibration or str(check.calibration_id),
+        verdict=result.verdict,
+        effect_mm=result.effect_mm,
+        reasons=result.reasons,
+        cameras=result.cameras,
     )

@@ -12,6 +12,7 @@ from scipy import ndimage
 from mammometry.base.photograph import Photograph
 from mammometry.capture import checks
 from mammometry.capture.checks import KnownCamera, not_only_a_photograph
+from mammometry.clinic.check_result import CheckResult
 from mammometry.clinic.rig_history import Calibrated, LatestCheck, judge
 from mammometry.io.photographs.tags import PhotographTags, read_exposure
 
@@ -214,26 +215,31 @@ def calibrated(on=BEFORE, verdict="pass"):
     return Calibrated(on=on, verdict=verdict, reasons=("Two poses were left out.",))
 
 
+def checked(on, **found):
+    return LatestCheck(on=on, result=CheckResult(**found))
+
+
 @pytest.mark.parametrize(
     ("calibration", "check", "verdict", "word"),
     [
         (None, None, "no", "calibrated"),
         (calibrated(), None, "care", "checked"),
         (calibrated(TODAY), None, "yes", "calibrated"),
-        (calibrated(), LatestCheck(on=BEFORE, verdict="unmoved"), "care", "checked"),
-        (calibrated(), LatestCheck(on=TODAY, verdict=None), "care", "checked"),
-        (calibrated(), LatestCheck(on=TODAY, verdict="unmoved"), "yes", "camera"),
-        (calibrated(), LatestCheck(on=TODAY, verdict="moved", effect_mm=0.04), "care", "why"),
+        (calibrated(), checked(BEFORE, verdict="unmoved"), "care", "checked"),
+        (calibrated(), LatestCheck(on=TODAY, result=None), "care", "checked"),
+        (calibrated(), checked(TODAY, verdict="unmoved"), "yes", "camera"),
+        (calibrated(), checked(TODAY, verdict="moved", effect_mm=0.04), "care", "why"),
         (
             calibrated(),
-            LatestCheck(on=TODAY, verdict="unmoved", unseen=("left_left",)),
+            checked(TODAY, verdict="unmoved", unseen=("left_left",)),
             "care",
             "cameras",
         ),
-        (calibrated(), LatestCheck(on=TODAY, verdict="refuse"), "no", "moved"),
-        (calibrated(), LatestCheck(on=BEFORE, verdict="refuse"), "no", "moved"),
-        (calibrated(verdict="warn"), LatestCheck(on=TODAY, verdict="unmoved"), "care", "why"),
-        (calibrated(TODAY - datetime.timedelta(days=91)), LatestCheck(on=TODAY, verdict="unmoved"), "care", "why"),
+        (calibrated(), checked(TODAY, verdict="refuse"), "no", "moved"),
+        (calibrated(), checked(TODAY, verdict="refuse", exchanged=("a", "b")), "no", "exchanged"),
+        (calibrated(), checked(BEFORE, verdict="refuse"), "no", "moved"),
+        (calibrated(verdict="warn"), checked(TODAY, verdict="unmoved"), "care", "why"),
+        (calibrated(TODAY - datetime.timedelta(days=91)), checked(TODAY, verdict="unmoved"), "care", "why"),
     ],
 )
 def test_may_we_measure_today(calibration, check, verdict, word):

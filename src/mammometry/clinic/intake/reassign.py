@@ -98,7 +98,7 @@ def _move_files(goals: Mapping[Path, Path]) -> None:
 
 def exchange_of_check(check: DailyCheck) -> list[tuple[Upload, Upload]]:
     """Present and correct photograph of each exchanged camera of a check."""
-    cameras = check.figures.get("exchanged") or ()
+    cameras = check.result.exchanged if check.result else ()
     placed = {row.camera: row for row in uploads_of(check).filter(state=Upload.State.PLACED)}
     if len(cameras) != 2 or not set(cameras) <= set(placed):
         return []

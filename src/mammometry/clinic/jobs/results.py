@@ -12,6 +12,7 @@ from typing import Any
 from django.db.models import F
 from django.utils import timezone
 
+from mammometry.clinic.check_result import CheckResult
 from mammometry.clinic.intake.walks import discard_prepared
 from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Delivery, Job, Measurement, Visit, Volume
 from mammometry.clinic.records.comparing import measured_digests, refusal_of
@@ -148,17 +149,17 @@ def _calibrated(calibration: Calibration, figures: Mapping[str, Any]) -> None:
 
 def _checked(check: DailyCheck, figures: Mapping[str, Any]) -> None:
     check.figures = dict(figures)
-    verdict = str(figures.get("verdict"))
-    reasons = figures.get("reasons") or [""]
-    unseen = [str(name) for name in figures.get("unseen") or ()]
-    words = f"{_VERDICTS.get(verdict, verdict)} {_sentence(reasons[0])}".strip()
-    if exchanged := [str(name).replace("_", " ") for name in figures.get("exchanged") or ()]:
+    result = CheckResult.from_table(figures)
+    unseen = result.unseen
+    reason = _sentence(result.reasons[0]) if result.reasons else ""
+    words = f"{_VERDICTS.get(result.verdict, result.verdict)} {reason}".strip()
+    if exchanged := [name.replace("_", " ") for name in result.exchanged]:
         words = f"The photographs of {' and '.join(exchanged)} are exchanged: correct them, and check again."
     elif unseen:
         which = f"Camera {unseen[0]}" if len(unseen) == 1 else f"Cameras {', '.join(unseen)}"
         words = f"{which} did not see the board: photograph it again, where every camera sees it. {words}"
     check.verdict = words[:_LONGEST]
-    check.passed = verdict != "refuse" and not unseen
+    check.passed = result.verdict != "refuse" and not unseen
     check.save(update_fields=["figures", "verdict", "passed"])
 
 

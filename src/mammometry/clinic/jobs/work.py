@@ -30,6 +30,7 @@ from mammometry.batch.session import measure_entry, watched
 from mammometry.calibration.judge.quality import assess
 from mammometry.capture.checks import KnownCamera, clocks
 from mammometry.capture.sessions import share_calibration, take_over
+from mammometry.clinic.check_result import check_table
 from mammometry.hospital.gather import quantities
 from mammometry.io import drift
 from mammometry.io.photographs.heic import is_heic
@@ -319,17 +320,21 @@ def check(progress: StageProgress, calibration: str, folder: str, settings: str)
     pixels = _pixels(job.session, Path(folder)) if same else {}  # two of them may have been exchanged since
     entry = next((entry for entry in same if entry.photographs in ({}, pixels)), None)
     unseen: list[str] = []
-    exchanged: tuple[str, ...] = ()
+    exchanged: list[str] = []
     if entry is None:
         result = job.check(folder, progress=lambda fraction: progress("check", fraction))
-        unseen, exchanged = list(result.unseen), result.exchanged
+        unseen, exchanged = list(result.unseen), list(result.exchanged)
         history = drift.read_history(Path(calibration)).entries
         entry = next(entry for entry in reversed(history) if entry.image_set == folder)
     else:
         unseen = sorted(set(job.session.cameras) - set(entry.cameras))
-    figures = {**drift.entry_table(entry), "image_set": Path(folder).name, "unseen": unseen}
-    figures["exchanged"] = list(exchanged)
-    figures["limit_mm"] = job.settings.calibration.check.refuse_mm
+    figures = check_table(
+        entry,
+        image_set=Path(folder).name,
+        unseen=unseen,
+        exchanged=exchanged,
+        limit_mm=job.settings.calibration.check.refuse_mm,
+    )
     return {"digest": _digest(figures), "figures": _finite(figures)}
 
 

@@ -9,6 +9,7 @@ from django.core.exceptions import ValidationError
 from django.db import models
 from django.http import HttpRequest
 
+from mammometry.clinic.check_result import CheckResult
 from mammometry.clinic.roles import Role
 from mammometry.clinic.site import the_clinic
 
@@ -155,6 +156,11 @@ class DailyCheck(Keyed):
 
     def __str__(self) -> str:
         return f"{self.rig}, {self.taken_at:%Y-%m-%d}"
+
+    @property
+    def result(self) -> CheckResult | None:
+        """What was found. None: not evaluated yet."""
+        return CheckResult.from_table(self.figures) if self.figures else None
 
 
 class AuditLink(models.Model):

@@ -1,0 +1,63 @@
+"""Result of a daily check, as a row of the database stores it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from mammometry.io.drift import CameraDrift, DriftEntry, entry_table
+
+_MOTION = ("shift_mm", "turn_deg", "shift_px", "sigma")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CheckResult:
+    """What a daily check found."""
+
+    verdict: str
+    """``unmoved``, ``moved`` or ``refuse``."""
+    effect_mm: float = 0.0
+    """RMS displacement of the worst pair's points."""
+    reasons: tuple[str, ...] = ()
+    unseen: tuple[str, ...] = ()
+    """Cameras that did not see the board."""
+    exchanged: tuple[str, ...] = ()
+    """The two cameras whose photographs are exchanged, so that the check shows no movements. Empty: none are."""
+    calibration: str = ""
+    """Digest of the cameras of the calibration."""
+    cameras: Mapping[str, CameraDrift] = field(default_factory=dict)
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any]) -> CheckResult:
+        """Build the result from its row. Version 1.0 stored neither unseen nor exchanged cameras."""
+        return cls(
+            verdict=str(table.get("verdict")),
+            effect_mm=float(table.get("effect_mm") or 0.0),
+            reasons=tuple(table.get("reasons") or ()),
+            unseen=tuple(table.get("unseen") or ()),
+            exchanged=tuple(table.get("exchanged") or ()),
+            calibration=str(table.get("calibration") or ""),
+            cameras={
+                name: CameraDrift(
+                    moved=bool(drift.get("moved")), **{key: float(drift.get(key) or 0.0) for key in _MOTION}
+                )
+                for name, drift in table.get("cameras", {}).items()
+            },
+        )
+
+
+def check_table(
+    entry: DriftEntry, *, image_set: str, unseen: list[str], exchanged: list[str], limit_mm: float
+) -> dict[str, Any]:
+    """Row of a check.
+
+    Args:
+        entry: of the rig's history.
+        image_set: name of its photographs' folder.
+        unseen: cameras that did not see the board.
+        exchanged: the two cameras whose photographs are exchanged.
+        limit_mm: largest allowed effect.
+    """
+    found = {"image_set": image_set, "unseen": unseen, "exchanged": exchanged, "limit_mm": limit_mm}
+    return {**entry_table(entry), **found}
