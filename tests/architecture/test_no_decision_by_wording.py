@@ -1,6 +1,7 @@
 """No sentence decides what the program does: callers decide by type, code or value."""
 
 import ast
+import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -8,6 +9,9 @@ import pytest
 from tests.architecture.test_imports import PACKAGE, modules, nodes, syntax
 
 PARTS = {"found", "expected", "remedy"}
+"""Parts of an error."""
+SHOWN = {"title", "label", "sentence", "caption", "subtitle", "heading"}
+"""Fields of other values that hold words for a reader."""
 METHODS = {
     "startswith",
     "endswith",
@@ -19,6 +23,9 @@ METHODS = {
     "removesuffix",
     "find",
 }
+BEGINS = {"startswith", "endswith"}
+MATCHES = {"match", "search", "fullmatch"}
+SEARCHES = {f"re.{name}" for name in MATCHES}
 MESSAGES = {"error", "warning", "notice", "note", "sentence", "remark", "message"}
 FORMATS = {
     "base/notices/words.py: sentence.startswith(begin)",  # sentences that version 1.0 stored
@@ -33,6 +40,10 @@ FORMATS = {
     "measure/volume/uncertainty.py: AXIS in terms",  # names of an interval's terms are their titles
     "measure/volume/difference.py: name == AXIS",
     "study/observers.py: region != 'whole curve'",  # names of regions likewise
+    "clinic/maintenance/rows.py: config.label not in _LEFT_OUT",  # Django's name of an application
+    "clinic/maintenance/rows.py: model._meta.label != 'auth.Permission'",  # and of a table
+    "report/documents/rendering.py: fact.label == known.label",  # both written by `posture_fact`
+    "measure/change.py: earlier_one.title != later.title",  # stored lengths have no other mark of their definition
     "io/write.py: 'requested and' in str(error)",  # NumPy's error of a full disk has neither type nor number
 }
 """Text that others or version 1.0 wrote, which has no code."""
@@ -86,14 +97,24 @@ def decisions(tree: ast.Module, words: set[str]) -> Iterator[str]:
 
     for node in nodes(tree):
         if isinstance(node, ast.Compare):
+            if any(isinstance(side, ast.Attribute) and side.attr in SHOWN for side in (node.left, *node.comparators)):
+                yield ast.unparse(node)
+                continue
             sides, within = [node.left, *node.comparators], isinstance(node.ops[0], ast.In | ast.NotIn)
             literal = any(constants(side) or says(side) for side in sides)
             searched = within and says(node.left) and not isinstance(node.comparators[0], ast.Tuple | ast.Set)
             same = isinstance(node.ops[0], ast.Eq | ast.NotEq) and any(map(says, sides))
             if searched or same or (literal and any(map(is_message, sides))):
                 yield ast.unparse(node)
-        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in METHODS:
+        elif (
+            isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in METHODS | MATCHES
+        ):
             text = isinstance(node.func.value, ast.Constant)
+            shown = isinstance(node.func.value, ast.Attribute) and node.func.value.attr in SHOWN
+            searched = ast.unparse(node.func) in SEARCHES and any(map(is_message, node.args[1:2]))
+            if searched or (shown and node.func.attr in BEGINS):
+                yield ast.unparse(node)
+                continue
             looked_for = node.func.attr != "split" and any(map(says, node.args[:1]))
             lines = any(not separator.strip() for separator in constants(node.args[0])) if node.args else True
             if not text and not lines and (looked_for or is_message(node.func.value)):
@@ -121,10 +142,23 @@ def test_no_sentence_decides(repository: Path) -> None:
         "_BUSY in event.failed",
         "note.endswith('to be confirmed')",
         'reason != "its partner\'s silhouette is not known"',
+        "table.title.startswith(TITLES[kind])",
+        "place.title == 'Administration'",
+        "re.search('in progress', error.found)",
+        "re.match('no tar', str(error))",
     ],
 )
 def test_such_a_decision_is_seen(line: str) -> None:
     assert list(decisions(ast.parse(line), {"_BUSY"}))
+
+
+def test_no_template_decides_by_a_sentence(repository: Path) -> None:
+    """Nor do pages: their conditions compare codes and states."""
+    compared = re.compile(rf"{{% *(?:el)?if [^%]*\.(?:{'|'.join(sorted(SHOWN | PARTS | {'message'}))}) *(?:==|!=| in )")
+    assert compared.search("{% if step.title == other.title %}")
+    pages = [path for path in (repository / PACKAGE).rglob("templates/**/*") if path.suffix in (".html", ".j2", ".txt")]
+    assert len(pages) > 50
+    assert [path.name for path in pages if compared.search(path.read_text(encoding="utf-8"))] == []
 
 
 def test_codes_and_types_may_decide() -> None:

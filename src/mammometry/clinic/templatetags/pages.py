@@ -220,8 +220,10 @@ def ways(context: Any) -> list[Place]:
     person: Any = request.user
     names = dict.fromkeys(name for role, pages in _MENU.items() if person.has_role(role) for name in pages)
     places = _places(request, tuple((name, _TITLES[name]) for name in (*names, "help")))
-    within = any(place.here for place in _places(request, _ADMINISTRATION))
-    return [replace(place, here=place.here or (within and place.title == "Administration")) for place in places]
+    if any(place.here for place in administration_ways(context)):
+        overview = reverse("administration")
+        places = [replace(place, here=place.here or place.address == overview) for place in places]
+    return places
 
 
 @register.simple_tag(takes_context=True)

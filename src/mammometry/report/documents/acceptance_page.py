@@ -68,13 +68,13 @@ def acceptance_page_files(outcome: Outcome, history: Sequence[PastTest]) -> dict
         history: all tests of the device, this one among them, the oldest first.
     """
     pictures = acceptance_pictures(outcome, history)
-    worst, *tables = acceptance_tables(outcome)
+    worst, tables = acceptance_tables(outcome)
     parts = [
         PageSection(
             title=TITLES[kind],
             sentences=[_reference(outcome, kind)],
             pictures=[embed(png) for name, png in pictures.items() if name.endswith(f"-{kind}.png")],
-            tables=[table for table in tables if table.title.startswith(TITLES[kind])],
+            tables=[tables[kind]] if kind in tables else [],
         )
         for kind in KINDS
         if kind in outcome.test.artefacts
@@ -190,7 +190,7 @@ def _story(outcome: Outcome, pictures: Mapping[str, bytes], width: float) -> Ite
         yield paper.box([paper.text(sentence) for sentence in warnings], width)
     yield Spacer(0, 6)
     yield from paper.facts(about(outcome))
-    worst, *tables = acceptance_tables(outcome)
+    worst, tables = acceptance_tables(outcome)
     yield paper.table(worst, width, first=0.34)
     yield from paper.signature_line(0.6 * width, 0)
     for kind in kinds_of(outcome):
@@ -201,9 +201,8 @@ def _story(outcome: Outcome, pictures: Mapping[str, bytes], width: float) -> Ite
                 picture = encoded(png)
                 title = paper.text(picture.title, size=8, bold=True, before=4)
                 yield KeepTogether([title, paper.picture(picture.jpeg, width, _PICTURE_HEIGHT)])
-        for table in tables:
-            if table.title.startswith(TITLES[kind]):
-                yield paper.table(table, width, first=0.4)
+        if kind in tables:
+            yield paper.table(tables[kind], width, first=0.4)
     if "control-chart.png" in pictures:
         title = paper.text("History of this device", size=11, bold=True, before=8)
         chart = paper.picture(encoded(pictures["control-chart.png"]).jpeg, width, 1.5 * _PICTURE_HEIGHT)

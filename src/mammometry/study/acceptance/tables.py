@@ -123,13 +123,13 @@ def reference_words(artefact: Artefact) -> str:
             return f"{artefact.volume_cc:g} cc (standard uncertainty {artefact.volume_std_cc:g} cc)"
 
 
-def acceptance_tables(outcome: Outcome) -> list[TextTable]:
-    """Worst errors, then all errors of each artefact."""
+def acceptance_tables(outcome: Outcome) -> tuple[TextTable, dict[Kind, TextTable]]:
+    """Worst errors, and all errors of each artefact that has any."""
     columns = ("error", "value ± 95 %", "limit", "decision", f"on a breast of {BREAST_CC:.0f} cc")
     worst = tuple(
         (f"{TITLES[one.kind]}: {QUANTITY_WORDS[one.quantity]}", *_cells(one)) for one in outcome.worst.values()
     )
-    tables = [TextTable(title="Worst error of each kind", columns=columns, rows=worst)]
+    tables = {}
     for kind in outcome.test.artefacts:
         words = {place.name: place.words for place in POSITIONS[kind]}
         rows = tuple(
@@ -137,8 +137,10 @@ def acceptance_tables(outcome: Outcome) -> list[TextTable]:
             for one in outcome.findings
             if one.kind == kind
         )
-        tables.append(TextTable(title=f"{TITLES[kind]}: all positions", columns=("position", *columns[1:]), rows=rows))
-    return [table for table in tables if table.rows]
+        if rows:
+            title = f"{TITLES[kind]}: all positions"
+            tables[kind] = TextTable(title=title, columns=("position", *columns[1:]), rows=rows)
+    return TextTable(title="Worst error of each kind", columns=columns, rows=worst), tables
 
 
 def _cells(one: AcceptanceFinding) -> tuple[str, ...]:
