@@ -237,6 +237,15 @@ def _heading(jobs: list[Job], dates: list[datetime.date | None], subject: str | 
 
 def _check(jobs: list[Job]) -> None:
     """Raise an error if two dates cannot be compared."""
+    first, second = jobs
+    same = first.folder.resolve() == second.folder.resolve()
+    if same or first.pictures & second.pictures:
+        raise SessionError(
+            str(second.folder),
+            found="the same folder twice" if same else f"photographs that {first.folder} has too",
+            expected="the folders of two dates, each with photographs or a scan of its own",
+            remedy="Name the folder of the other date",
+        )
     for job in jobs:
         job.require_sides()
         kind = job.inputs.subject_kind
@@ -244,15 +253,6 @@ def _check(jobs: list[Job]) -> None:
             remedy = "Compare casts by their volumes: `mammometry run` on each"
             expected = "'torso' in both sessions: dates are registered on the body around the breasts"
             raise SessionError(f"{job.folder}: subject.kind", found=repr(kind), expected=expected, remedy=remedy)
-    first, second = jobs
-    same = first.folder.resolve() == second.folder.resolve()
-    if same or first.pictures & second.pictures:
-        raise SessionError(
-            str(second.folder),
-            found="the same session twice" if same else f"photographs that {first.folder} has too",
-            expected="two sessions with photographs of their own",
-            remedy="Name the session of the other date",
-        )
 
 
 def _one_subject(jobs: list[Job]) -> str | None:

@@ -34,7 +34,6 @@ from mammometry.base.machine.cores import available_cores, one_blas_thread
 from mammometry.base.notices import Notice
 from mammometry.base.notices.words import maybe_words
 from mammometry.base.progress import Progress, no_progress
-from mammometry.base.shell import command_line
 from mammometry.geometry import Array, Float64, Rig, TriangleMesh
 from mammometry.geometry.nearest import barycentric, closest_on_mesh
 from mammometry.io.drawn import (
@@ -45,7 +44,7 @@ from mammometry.io.drawn import (
     landmarks_in,
 )
 from mammometry.io.meshes.foreign import ForeignMesh, read_foreign, unit_notice
-from mammometry.io.meshes.measured import MeshFiles, describe, has_own_folder, with_edits
+from mammometry.io.meshes.measured import MeshFiles, describe, has_own_folder, with_edits, without_photographs
 from mammometry.io.meshes.merged import merge_scans, sigma_mm, stored_sources
 from mammometry.io.meshes.scans import skin_colours
 from mammometry.io.outputs import require_apart, require_own_folder, take_folder
@@ -247,13 +246,7 @@ class MeshJob(Job):
     @property
     def session(self) -> Session:
         """No photographs: always an error."""
-        raise self._without_photographs()
-
-    def _without_photographs(self) -> SessionError:
-        return SessionError(
-            str(self.folder), found="a scan, whose surface is given", expected="a session with photographs",
-            remedy=f"Measure it: {command_line('mammometry', 'run', self.folder)}",
-        )  # fmt: skip
+        raise without_photographs(self.folder)
 
     @property
     def rig(self) -> Rig:
@@ -326,7 +319,7 @@ class MeshJob(Job):
             MammometryError: the first error.
         """
         if stage not in self.stages:
-            raise self._without_photographs()
+            raise without_photographs(self.folder)
         report, begun = stage == "report", time.monotonic()
         take_folder(self.store.folder, command=_COMMAND)
         if self._described:

@@ -140,10 +140,10 @@ def import_cameras(
     from mammometry.io.cameras import formats
     from mammometry.io.cameras.formats import require_rig
     from mammometry.io.cameras.own import cameras_table
+    from mammometry.io.meshes.measured import session_with_photographs
     from mammometry.io.outputs import require_apart, require_free, write_output
-    from mammometry.io.session import Session
 
-    opened = Session.open(session)
+    opened = session_with_photographs(session)
     path = session / "cameras.json"
     require_apart(path, files)
     require_free(session, [path.name], command="import-cameras")

@@ -351,8 +351,8 @@ def target(
     from mammometry.api.photos import board_pdf
     from mammometry.calibration.targets.pdf import speckle_pdf, target_pdf
     from mammometry.calibration.targets.table import target_from_table
+    from mammometry.io.meshes.measured import session_with_photographs
     from mammometry.io.outputs import require_apart, require_free, write_output
-    from mammometry.io.session import Session
     from mammometry.walk.region import TELEPHONE_BOARD
 
     if out.suffix.lower() != ".pdf":
@@ -374,7 +374,7 @@ def target(
     if session is not None:
         # Drawn in its nominal size: the measured size is that of an earlier print.
         measured = ("edge_mm", "edge_std_mm", "flatness_mm")
-        opened_session = Session.open(session)
+        opened_session = session_with_photographs(session)
         require_apart(out, opened_session.brought)
         described = opened_session.manifest.target or {}
         table = {key: value for key, value in described.items() if key not in measured}

@@ -112,6 +112,15 @@ def test_what_needs_photographs_is_refused(
     assert not (place / name / "evaluation").exists()
 
 
+@pytest.mark.parametrize("command", ["import-cameras {} a.yml", "target {}.pdf --session {}"])
+def test_what_reads_only_the_description_is_refused_too(
+    place: Path, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in FOLDERS:
+        code, table = _answer(capsys, *command.format(place / name, place / name).split())
+        assert (code, table["found"]) == (SessionError.exit_code, "a scan, whose surface is given")
+
+
 @pytest.mark.parametrize("name", FOLDERS)
 def test_python_opens_a_scans_folder(place: Path, name: str) -> None:
     job = mm.open_session(place / name)

@@ -16,11 +16,13 @@ from urllib.parse import quote, unquote_to_bytes
 
 from mammometry.base.errors import SessionError, StorageError
 from mammometry.base.parse import read_text, toml_table
+from mammometry.base.shell import command_line
 from mammometry.base.value import value
 from mammometry.io.drawn import BOUNDARIES, LANDMARK_FILE
 from mammometry.io.manifest import MANIFEST
 from mammometry.io.meshes.scans import MESH, RESULTS, ScanFacts, is_scan, read_scan
 from mammometry.io.outputs import write_output
+from mammometry.io.session import Session
 from mammometry.io.write import disk_errors, file_digest, write_text
 
 ABOUT_MESH = "mesh.toml"
@@ -83,6 +85,25 @@ def is_measured(folder: Path) -> bool:
 def can_be_opened(folder: Path) -> bool:
     """Whether a folder is a session, an imported scan, or one into which a mesh was measured."""
     return (folder / MANIFEST).is_file() or is_scan(folder) or is_measured(folder)
+
+
+def session_with_photographs(folder: Path) -> Session:
+    """Open a session that must have photographs.
+
+    Raises:
+        SessionError: it is a scan, or as `Session.open`.
+    """
+    if is_scan(folder) or is_measured(folder):
+        raise without_photographs(folder)
+    return Session.open(folder)
+
+
+def without_photographs(folder: Path) -> SessionError:
+    """The error of what needs photographs, on the folder of a scan."""
+    return SessionError(
+        str(folder), found="a scan, whose surface is given", expected="a session with photographs",
+        remedy=f"Measure it: {command_line('mammometry', 'run', folder)}",
+    )  # fmt: skip
 
 
 def results_of(folder: Path) -> Path:
