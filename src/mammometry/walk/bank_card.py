@@ -1,8 +1,8 @@
-"""Size of the print by a bank card that lies on the telephone's board.
+"""Size of the print, by a bank card on the telephone's board.
 
 The card's upper side is a known rectangle in a plane parallel to the board, and each photograph's camera is known in
-the board's frame. So each photograph gives places of the card's edges on that plane, and all of them one rectangle. An
-edge is measured only where the camera does not see the card's side wall below it.
+the board's frame. Points on the card's edges are measured in each photograph, and one rectangle is fitted to all of
+them. An edge is measured only where the camera does not see the card's side wall below it.
 """
 
 from __future__ import annotations
@@ -31,24 +31,24 @@ from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.geometry import Array, Bool, Camera, Float64
 from mammometry.walk.region import TELEPHONE_BOARD
 
-_STEP_MM = 0.2  # raster of the rectified pictures: half of a telephone's pixel
-_MARGIN_MM = 10.0  # of the rectified pictures around the card's field
-_ASIDE_MM, _TURNED_RAD = 6.0, 0.07  # how far from its field and how turned a card may lie
-_REACH_MM = 2.0  # of the profiles across an edge, to either side
-_PROFILE_MM = 0.1  # step of the profiles
-_ROUND_MM = 6.0  # left out at each corner, which is rounded by 3.18 mm (ISO/IEC 7810)
-_ALONG_MM, _BESIDE = 0.5, 1  # step of the profiles along an edge, and how many are left out beside another print
-_CHUNK_MM = 5.0  # of an edge whose mean profile gives one place
-_PLATEAU_MM = (0.7, 1.6)  # from the edge: where card and paper have their own brightness
+_STEP_MM = 0.2  # pixel of the rectified pictures: half of a telephone's pixel
+_MARGIN_MM = 10.0  # margin of the rectified pictures around the card's field
+_ASIDE_MM, _TURNED_RAD = 6.0, 0.07  # largest shift and rotation of a card from its field
+_REACH_MM = 2.0  # length of a profile across an edge, to either side
+_PROFILE_MM = 0.1  # distance between the samples of a profile
+_ROUND_MM = 6.0  # excluded at each end of an edge: corners are rounded by 3.18 mm (ISO/IEC 7810)
+_ALONG_MM, _BESIDE = 0.5, 1  # distance between profiles, and how many are excluded next to other printed marks
+_CHUNK_MM = 5.0  # length of edge whose mean profile gives one point
+_PLATEAU_MM = (0.7, 1.6)  # distances from the edge at which the brightness of card and paper is taken
 _LEAST_STEP = 0.3
-"""Least step of brightness at an edge, relative to white paper. At weaker ones shadows displace the edge by 0.4 mm."""
-_MOST_OFF_MM = 1.2  # of an edge from its place in the last round: 1.4 % of the card's width on either side
-_PRINT_SEEN = 0.5  # correlation of a picture with the print beyond which nothing lies on it
-_WALL, _OBLIQUE = 0.03, 0.8  # tangent of the direction outwards: beyond it the side wall is seen; most inwards
-_LIFT_STD_MM = 0.1  # of the card above the print: tape, thickness of 0.68 to 0.84 mm (ISO/IEC 7810)
-_EDGE_STD_MM = 0.05  # systematic error of a distance between two edges: rendered cards, whose tone curve is known, 0.02
-_FEWEST = 5  # photographs
-_HUBER = 1.5  # of standard deviations: loss is linear beyond
+"""Smallest step of brightness at an edge, relative to white paper. Shadows displace weaker edges by 0.4 mm."""
+_MOST_OFF_MM = 1.2  # largest distance of an edge from its position in the previous round: 1.4 % of the card's width
+_PRINT_SEEN = 0.5  # correlation of a picture with the print above which there is no card on it
+_WALL, _OBLIQUE = 0.03, 0.8  # largest tangent of the viewing direction: outwards, before the side wall is seen; inwards
+_LIFT_STD_MM = 0.1  # std of the card's height above the print: tape, thickness of 0.68 to 0.84 mm (ISO/IEC 7810)
+_EDGE_STD_MM = 0.05  # systematic std of the distance between two edges: rendered cards, whose tone curve is known, 0.02
+_FEWEST = 5  # fewest photographs
+_HUBER = 1.5  # standard deviations beyond which the loss is linear
 
 
 @value
@@ -75,7 +75,7 @@ class _Rectangle:
     size_mm: Float64[Array, 2]
 
     def edges(self) -> Iterator[tuple[int, Float64[Array, 2], Float64[Array, 2], float, float]]:
-        """Axis, outward normal, tangent, distance from the middle, and half length of each edge."""
+        """Axis, outward normal, tangent, distance from the centre, and half length of each edge."""
         for axis in (0, 1):
             for sign in (-1.0, 1.0):
                 angle = self.turn_rad + (0.5 * np.pi if axis else 0.0)
@@ -90,7 +90,7 @@ class _Patch:
 
     name: str
     low: Float64[Array, 2]
-    """Place of the first sample, mm."""
+    """Position of the first sample, mm."""
     values: Float64[Array, "h w"]
     camera: Float64[Array, 3]
     """The camera's centre relative to that plane, mm; z is its distance."""
@@ -101,7 +101,7 @@ class _Patch:
         return found
 
     def near(self, places: Float64[Array, "*n 2"]) -> Float64[Array, "*n"]:
-        """As `at`, to the raster's step: a fifth of the time."""
+        """As `at`, at the nearest pixel: a fifth of the time."""
         column, row = np.moveaxis(np.rint((places - self.low) / _STEP_MM).astype(int), -1, 0)
         height, width = self.values.shape
         found: Float64[Array, "*n"] = self.values[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
@@ -117,7 +117,7 @@ def find_card(
         cameras: photograph → camera in the board's frame.
         photographs: name → photograph.
         board: the board, as measured or as drawn.
-        plane_mm: z of the print under the card, which differs from 0 where the board is bowed.
+        plane_mm: height z of the print under the card: not 0 where the board is bowed.
     """
     drawn = board.edge_mm / FIELD_EDGE_MM
     middle = drawn * np.array(FIELD_MIDDLE)
@@ -159,7 +159,7 @@ def find_card(
 
 
 def _printed(board: Board, drawn: float, middle: Float64[Array, 2]) -> Callable[..., Array]:
-    """The print around the field: a function of places, whether they are ink, to the raster's step."""
+    """The print around the field: tells for each position whether it is ink, to one pixel."""
     low, counts = _raster(middle)
     dark = np.zeros((counts[1], counts[0]), dtype=bool)
     for left, top, width, height in np.concatenate([board.sheet().rectangles, field_sheet(drawn).rectangles]):
@@ -176,7 +176,7 @@ def _printed(board: Board, drawn: float, middle: Float64[Array, 2]) -> Callable[
 
 
 def _raster(middle: Float64[Array, 2]) -> tuple[Float64[Array, 2], tuple[int, int]]:
-    """First place of the rectified pictures, and numbers of columns and rows."""
+    """First position of the rectified pictures, and their numbers of columns and rows."""
     half = 0.5 * np.array(CARD_MM) + _MARGIN_MM
     columns, rows = np.ceil(2 * half / _STEP_MM).astype(int)
     return middle - half, (int(columns), int(rows))
@@ -189,7 +189,7 @@ def has_field(board: CharucoTarget) -> bool:
 
 
 def _obliqueness(camera: Camera, place: Float64[Array, 3]) -> float:
-    """Tangent of the angle at which a camera sees a place on the board."""
+    """Tangent of the angle at which a camera sees a point on the board."""
     away = camera.centre_world - place
     return float(np.hypot(*away[:2]) / max(-away[2], 1e-9))
 
@@ -220,9 +220,9 @@ def _shows_print(patch: _Patch, middle: Float64[Array, 2], ink: Callable[..., Ar
 
 
 def _coarse(patch: _Patch, middle: Float64[Array, 2], ink: Callable[..., Array]) -> _Rectangle:
-    """The place of a card of nominal size with the largest steps of brightness at all its edges.
+    """Position of a card of nominal size with the largest steps of brightness at all its edges.
 
-    For a turn, the two upright edges give the shift along x and the others that along y.
+    For each rotation, the two upright edges give the shift along x, the others the shift along y.
     """
     best = _Rectangle(middle, 0.0, np.array(CARD_MM))
     for spread in (1.0, 0.5, 0.2):
@@ -241,7 +241,7 @@ def _coarse(patch: _Patch, middle: Float64[Array, 2], ink: Callable[..., Array])
 
 
 def _contrast(patch: _Patch, card: _Rectangle, axis: int, ink: Callable[..., Array]) -> float:
-    """Step of brightness at a card's edges across an axis, where what is printed beside them is plain."""
+    """Step of brightness at a card's edges across an axis, where the print next to them is uniform."""
     total = 0.0
     for of, normal, tangent, far, half in card.edges():
         if of != axis:
@@ -258,16 +258,16 @@ def _contrast(patch: _Patch, card: _Rectangle, axis: int, ink: Callable[..., Arr
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Where an edge was found in a photograph."""
+    """Point of an edge, measured in a photograph."""
 
     photograph: str
     axis: int
     normal: tuple[float, float]
     along_mm: float
     offset_mm: float
-    """Outwards of the edge's place in the last round."""
+    """Distance outwards from the edge in the previous round, mm."""
     outwards: float
-    """Tangent of the camera's direction, outwards of the edge."""
+    """Tangent of the viewing direction, positive outwards."""
 
 
 def _places(patch: _Patch, card: _Rectangle, ink: Callable[..., Array]) -> Iterator[_Place]:
@@ -284,7 +284,7 @@ def _places(patch: _Patch, card: _Rectangle, ink: Callable[..., Array]) -> Itera
         profiles, dark = patch.at(places), ink(places[:, beyond])
         kind = np.where(dark.all(axis=1), 1, np.where(dark.any(axis=1), -1, 0))
         mixed = np.flatnonzero(kind[1:] != kind[:-1])
-        for border in mixed:  # the blur of what is printed beside them
+        for border in mixed:  # blur of the print next to them
             kind[max(0, border + 1 - _BESIDE) : border + 1 + _BESIDE] = -1
         chunk = np.floor((along + half) / _CHUNK_MM).astype(int)
         for (_, inked), group in groupby(range(len(along)), key=lambda k: (chunk[k], kind[k])):
@@ -299,7 +299,7 @@ def _places(patch: _Patch, card: _Rectangle, ink: Callable[..., Array]) -> Itera
 
 
 def _crossing(across: Float64[Array, " t"], profile: Float64[Array, " t"], white: float) -> float | None:
-    """Where a profile crosses the mean of both sides' brightness, mm. None without a clear step."""
+    """Position at which a profile crosses the mean of both sides' brightness, mm. None without a clear step."""
     near, far = _PLATEAU_MM
     inside = float(np.median(profile[(across >= -far) & (across <= -near)]))
     outside = float(np.median(profile[(across >= near) & (across <= far)]))
@@ -314,7 +314,7 @@ def _crossing(across: Float64[Array, " t"], profile: Float64[Array, " t"], white
 
 
 def _fitted(card: _Rectangle, places: list[_Place]) -> tuple[_Rectangle, Float64[Array, "2 2"]] | None:
-    """Rectangle that fits all places, and the covariance of its sides. None if an edge is not seen.
+    """Rectangle that fits all points, and the covariance of its sides. None if an edge is not seen.
 
     Unknowns: shift of the middle, turn, changes of both sides, height of the card above its usual plane.
     """
@@ -342,7 +342,7 @@ def _fitted(card: _Rectangle, places: list[_Place]) -> tuple[_Rectangle, Float64
         sigma = max(MAD * float(np.median(np.abs(rest))), 1e-4)
         weights = np.minimum(1.0, _HUBER * sigma / np.maximum(np.abs(rest), 1e-9))
     inverse = np.linalg.inv(normal)
-    # Errors of one photograph are alike: its places count as one.
+    # Errors of one photograph are correlated: its points count as one.
     names = np.array([place.photograph for place in places])
     sums = np.stack(
         [(rows[names == name].T * weights[names == name]) @ rest[names == name] for name in np.unique(names)]

@@ -18,7 +18,7 @@ from mammometry.base.errors import CalibrationError
 from mammometry.geometry import Array, Camera, Float64, Rig
 
 NARROWEST_DEG, BEST_DEG, WIDEST_DEG = 8.0, 14.0, 25.0
-"""Angle between the directions from which a pair sees the body. From three virtual walks (RECIPES 7)."""
+"""Angle between the directions from which a pair sees the body. From three virtual walks (decision 52)."""
 MOST = 20
 """Most pairs of a walk: more take time and measure the same skin again."""
 _FORWARD = 0.15  # largest relative difference of the two distances: beyond it, the scales differ too much

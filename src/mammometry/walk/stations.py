@@ -31,7 +31,7 @@ FEWEST = 8
 """Fewest photographs that must show the board. With fewer, the lens is not determined and most skin is in one pair."""
 _MOST_RMS_PX, _MOST_BOW_MM = 1.5, 3.0
 """Largest residual and bow of a usable board. Good boards fit to 0.05 px, blurred photographs to 0.3 px, a board bent
-round the belly to 8 px; a bow of 3 mm was still corrected (RECIPES 7)."""
+round the belly to 8 px; a bow of 3 mm was still corrected (decision 52)."""
 _NEAR_MM = 60.0  # of a place: its nearest squares
 _STEPS = 7  # points along each side of the grid over which the stations' errors are averaged
 

@@ -28,7 +28,7 @@ def is_of_video(upload: Upload) -> bool:
 
 
 def require_one_kind(visit: Visit, upload: Upload | None, *, is_video: bool) -> None:
-    """Refuse a video beside anything else, and a photograph beside a video.
+    """Refuse a video next to other files, and a photograph next to a video.
 
     Args:
         visit: with a telephone.
