@@ -299,7 +299,7 @@ def _places(patch: _Patch, card: _Rectangle, ink: Callable[..., Array]) -> Itera
 
 
 def _crossing(across: Float64[Array, " t"], profile: Float64[Array, " t"], white: float) -> float | None:
-    """Position at which a profile crosses the mean of both sides' brightness, mm. None without a clear step."""
+    """Where a profile crosses the mean brightness of both sides, mm. None without a clear step."""
     near, far = _PLATEAU_MM
     inside = float(np.median(profile[(across >= -far) & (across <= -near)]))
     outside = float(np.median(profile[(across >= near) & (across <= far)]))
