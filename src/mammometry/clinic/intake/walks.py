@@ -161,7 +161,7 @@ def _placed(visit: Visit) -> list[Upload]:
 
 
 def findings_together(visit: Visit) -> dict[Any, Finding]:
-    """Key of a photograph → why it will be left out, judged together with the others, as in the measurement."""
+    """Key of a photograph → why the measurement will leave it out, judged with the others."""
     placed = [row for row in _placed(visit) if not is_of_video(row)]
     out = judge_files({str(row.pk): _facts(row) for row in placed})
     images = {str(row.pk): BoardImage(**image) for row in placed if (image := _seen(row).get("image"))}
