@@ -43,7 +43,7 @@ def make_session(folder: Path) -> dict[str, Any]:
     from tests.scenes.conftest import TINY, TINY_SETTINGS
 
     from mammometry.api.job import open_session
-    from mammometry.io.drawn import ItemChange, change_drawn
+    from mammometry.io.drawn_changes import ItemChange, change_drawn
     from mammometry.settings import Settings
     from mammometry.simulate.session import write_session
 

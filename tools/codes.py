@@ -16,7 +16,7 @@ PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "codes.md"
 _ELSEWHERE = (
     "mammometry.calibration.adjust.initialise:TooFewViewsError",
     "mammometry.calibration.judge.suspects:SuspectPhotographsError",
-    "mammometry.io.drawn:LateError",
+    "mammometry.io.drawn_changes:LateError",
     "mammometry.measure.scanned:DirectionError",
 )
 _TOP = """# Codes

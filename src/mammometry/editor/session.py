@@ -17,20 +17,8 @@ from mammometry.base.machine.cores import one_blas_thread
 from mammometry.editor.drawing import DrawingBoard, Handle, LiveVolume, drawing_board, handle_indices
 from mammometry.editor.messages import Finish, Measure, Point, Save, Sketch
 from mammometry.geometry import Array, Float64
-from mammometry.io.drawn import (
-    BREASTS,
-    DrawnBoundaries,
-    Entry,
-    Item,
-    ItemChange,
-    change_drawn,
-    drawn_entries,
-    drawn_entry,
-    entry_digest,
-    origin_words,
-    read_boundaries,
-    read_landmarks,
-)
+from mammometry.io.drawn import BREASTS, DrawnBoundaries, origin_words, read_boundaries, read_landmarks
+from mammometry.io.drawn_changes import Entry, Item, ItemChange, change_drawn, drawn_entries, drawn_entry, entry_digest
 from mammometry.job.stages import measure
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.landmarks.landmarks import LANDMARKS

@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from mammometry.base.errors import FullDiskError, MammometryError, StorageError
-from mammometry.io.drawn import LateError
+from mammometry.io.drawn_changes import LateError
 
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[Mapping[str, Any]]]

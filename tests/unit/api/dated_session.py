@@ -15,7 +15,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.mesh_files.ply import write_ply
 from mammometry.geometry.transform import Transform
 from mammometry.io.cameras.own import cameras_table
-from mammometry.io.drawn import ItemChange, change_drawn, drawn_entry
+from mammometry.io.drawn_changes import ItemChange, change_drawn, drawn_entry
 from mammometry.job.inputs import FinishedSurface
 from mammometry.job.stages import calibrate, measure
 from mammometry.job.stages.surface import corrected_cameras, mesh

@@ -13,7 +13,7 @@ from tests.unit.measure.solids import given_surface
 
 from mammometry.api.job import open_session
 from mammometry.cli.main import run
-from mammometry.io.drawn import ItemChange, change_drawn, drawn_entries, drawn_entry, entry_digest
+from mammometry.io.drawn_changes import ItemChange, change_drawn, drawn_entries, drawn_entry, entry_digest
 from mammometry.job.graph import Plan
 from mammometry.job.method import method
 from mammometry.job.stages import measure

@@ -12,7 +12,7 @@ import pytest
 
 from mammometry.base.child_process import ChildProcess
 from mammometry.base.machine import system
-from mammometry.io.drawn import ItemChange, change_drawn
+from mammometry.io.drawn_changes import ItemChange, change_drawn
 from mammometry.io.results.lock import RunLock
 from mammometry.io.write import sync_tree
 

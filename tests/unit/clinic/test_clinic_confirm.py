@@ -28,7 +28,7 @@ from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views import hospital, results
 from mammometry.clinic.views import study as exports
 from mammometry.editor.messages import Save
-from mammometry.io.drawn import ItemChange, change_drawn, drawn_entries, drawn_entry, entry_digest
+from mammometry.io.drawn_changes import ItemChange, change_drawn, drawn_entries, drawn_entry, entry_digest
 from mammometry.io.write import disk_errors
 
 LEFT, RIGHT = "a" * 64, "b" * 64

@@ -11,17 +11,8 @@ import numpy as np
 import pytest
 
 from mammometry.base.errors import SessionError, StorageError
-from mammometry.io.drawn import (
-    ItemChange,
-    LateError,
-    boundaries_in,
-    change_drawn,
-    drawn_entries,
-    drawn_entry,
-    entry_digest,
-    read_boundaries,
-    read_landmarks,
-)
+from mammometry.io.drawn import boundaries_in, read_boundaries, read_landmarks
+from mammometry.io.drawn_changes import ItemChange, LateError, change_drawn, drawn_entries, drawn_entry, entry_digest
 from mammometry.measure.volume.attribution import CurveConfirmation, curve_digest
 
 LEFT, RIGHT, NOTCH = ("boundaries", "left"), ("boundaries", "right"), ("landmarks", "sternal_notch")

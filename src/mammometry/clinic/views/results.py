@@ -31,7 +31,7 @@ from mammometry.clinic.templatetags.pages import isolated, queued
 from mammometry.clinic.views.responses import download, not_now, person_of, sealed_page, visit_or_404
 from mammometry.editor.messages import Base, Breast, EditorMessage
 from mammometry.editor.page import EditorPage, read
-from mammometry.io.drawn import Group, drawn_entries, entry_digest
+from mammometry.io.drawn_changes import Group, drawn_entries, entry_digest
 from mammometry.job.inputs import SubjectKind
 from mammometry.report.scene import SCENE, json_in_page
 from mammometry.web.replies import refusal
