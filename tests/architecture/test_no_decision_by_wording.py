@@ -39,7 +39,7 @@ FORMATS = {
     "io/meshes/foreign.py: units.endswith(_BY_SIZE)",  # scan.toml holds the unit and its source as one text
     "measure/volume/uncertainty.py: AXIS in terms",  # names of an interval's terms are their titles
     "measure/volume/difference.py: name == AXIS",
-    "study/observers.py: region != 'whole curve'",  # names of regions likewise
+    "study/observers_tables.py: region != WHOLE",  # names of regions likewise
     "clinic/maintenance/rows.py: config.label not in _LEFT_OUT",  # Django's name of an application
     "clinic/maintenance/rows.py: model._meta.label != 'auth.Permission'",  # and of a table
     "report/documents/rendering.py: fact.label == known.label",  # both written by `posture_fact`

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from mammometry.calibration.judge.camera_names import PhotographCheck, check_names, wrong_photographs
-from mammometry.capture import checks
-from mammometry.capture.checks import Finding, KnownCamera, refuses
+from mammometry.capture import camera_checks, checks
+from mammometry.capture.camera_checks import KnownCamera
+from mammometry.capture.checks import Finding, refuses
 from mammometry.capture.shots import Firing
 from mammometry.capture.skew import Skew
 from mammometry.geometry.camera import Rig
@@ -116,7 +117,9 @@ def _delivered(taken: Firing, expected: Expected) -> Iterator[tuple[str, Finding
             yield name, _refuse("delivered", f"No picture: {fault.found}. {fault.remedy.rstrip('.')}.")
         elif name in taken.frames:
             yield name, Finding("delivered", "ok", "Delivered.")
-    yield from (("", finding) for finding in checks.twice({name: frame.sha256 for name, frame in taken.frames.items()}))
+    yield from (
+        ("", finding) for finding in camera_checks.twice({name: frame.sha256 for name, frame in taken.frames.items()})
+    )
 
 
 def _sizes(taken: Firing, expected: Expected) -> Iterator[tuple[str, Finding]]:
@@ -124,7 +127,7 @@ def _sizes(taken: Firing, expected: Expected) -> Iterator[tuple[str, Finding]]:
         name: KnownCamera(stored_wh=camera.size_wh) for name, camera in expected.rig.cameras.items()
     }  # fmt: skip
     for name, frame in taken.frames.items():
-        yield name, checks.right_size(name, frame.size_wh, 1, known)
+        yield name, camera_checks.right_size(name, frame.size_wh, 1, known)
 
 
 def _serials(taken: Firing, expected: Expected) -> Iterator[tuple[str, Finding]]:
@@ -172,7 +175,7 @@ def _together(taken: Firing, expected: Expected) -> Finding:
             "times", "unknown", "The cameras do not report their exposure time. Measure their skew."
         )  # fmt: skip
     if clocks != {"ptp"}:
-        return checks.together(times, {})
+        return camera_checks.together(times, {})
     middle = statistics.median(times.values())
     worst = max(times, key=lambda name: abs(times[name] - middle))
     spread_ms = 1e3 * (max(times.values()) - min(times.values()))

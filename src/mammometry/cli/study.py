@@ -233,7 +233,8 @@ def observers(
     from mammometry.base.identity import shown_name
     from mammometry.io.outputs import require_apart, require_free, write_outputs
     from mammometry.report.documents.study_pages import observers_files, observers_names
-    from mammometry.study.observers import observer_study, observers_json, observers_summary, observers_tables
+    from mammometry.study.observers import observer_study
+    from mammometry.study.observers_tables import observers_json, observers_summary, observers_tables
 
     chosen = options.settings()
     drawn = read_drawn_by(curves, mesh)

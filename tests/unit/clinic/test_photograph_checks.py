@@ -10,8 +10,9 @@ from PIL import Image
 from scipy import ndimage
 
 from mammometry.base.photograph import Photograph
-from mammometry.capture import checks
-from mammometry.capture.checks import KnownCamera, not_only_a_photograph
+from mammometry.capture import camera_checks, checks
+from mammometry.capture.camera_checks import KnownCamera
+from mammometry.capture.checks import not_only_a_photograph
 from mammometry.clinic.check_result import CheckResult
 from mammometry.clinic.rig_history import Calibrated, LatestCheck, judge
 from mammometry.io.photographs.tags import PhotographTags, read_exposure
@@ -96,7 +97,7 @@ KNOWN = {
 
 
 def camera_of(camera, serial="", named=None, known=KNOWN):
-    return checks.right_camera(camera, PhotographTags(serial=serial), named, known)
+    return camera_checks.right_camera(camera, PhotographTags(serial=serial), named, known)
 
 
 def test_the_serial_number_decides_and_the_name_only_without_one():
@@ -124,36 +125,36 @@ def test_the_serial_number_decides_and_the_name_only_without_one():
     ],
 )
 def test_a_name_names_one_camera_as_a_whole_word(name, camera):
-    assert checks.camera_of_name(name, ["front", "front_left", "front_right"]) == camera
+    assert camera_checks.camera_of_name(name, ["front", "front_left", "front_right"]) == camera
 
 
 def test_size_and_turn_are_those_of_the_calibration():
-    assert checks.right_size("front_left", (4504, 3000), 1, KNOWN).level == "ok"
-    assert "4504 × 3000" in checks.right_size("front_left", (2252, 1500), 1, KNOWN).sentence
-    assert "rotated" in checks.right_size("front_left", (4504, 3000), 6, KNOWN).sentence
-    assert checks.right_size("front_left", (1, 1), 1, {}).level == "unknown"
+    assert camera_checks.right_size("front_left", (4504, 3000), 1, KNOWN).level == "ok"
+    assert "4504 × 3000" in camera_checks.right_size("front_left", (2252, 1500), 1, KNOWN).sentence
+    assert "rotated" in camera_checks.right_size("front_left", (4504, 3000), 6, KNOWN).sentence
+    assert camera_checks.right_size("front_left", (1, 1), 1, {}).level == "unknown"
 
 
 def test_clocks_that_differ_are_no_fault_where_the_calibration_tells_by_how_much():
     ahead = {name: about.clock_s for name, about in KNOWN.items()}
-    assert checks.together({"front_left": 99.0, "front_right": 161.0}, ahead).level == "ok"
-    assert checks.together({"front_left": 99.0, "front_right": 161.0}, {}).level == "warn"
-    late = checks.together({"front_left": 99.0, "front_right": 161.0 + 60.0}, ahead)
+    assert camera_checks.together({"front_left": 99.0, "front_right": 161.0}, ahead).level == "ok"
+    assert camera_checks.together({"front_left": 99.0, "front_right": 161.0}, {}).level == "warn"
+    late = camera_checks.together({"front_left": 99.0, "front_right": 161.0 + 60.0}, ahead)
     assert late.level == "warn"
-    assert checks.together({"front_left": 99.0}, ahead).level == "unknown"
+    assert camera_checks.together({"front_left": 99.0}, ahead).level == "unknown"
 
 
 def test_clocks_are_told_by_exposures_made_together():
     taken = {(pose, "a"): 1000.0 * i for i, pose in enumerate(("01", "02", "03"))}
     taken |= {(pose, "b"): moment + 7.0 for (pose, _), moment in taken.items()}
     taken |= {(pose, "c"): moment + 3.0 for (pose, camera), moment in list(taken.items()) if camera == "a"}
-    found = checks.clocks(taken)
+    found = camera_checks.clocks(taken)
     assert found["b"] - found["a"] == pytest.approx(7.0)
     assert found["c"] == pytest.approx(0.0)
 
 
 def test_one_file_in_two_places_is_refused():
-    (found,) = checks.twice({"front_left": "aa", "front_right": "bb", "left_left": "aa"})
+    (found,) = camera_checks.twice({"front_left": "aa", "front_right": "bb", "left_left": "aa"})
     assert found.level == "refuse"
     assert "front_left and left_left" in found.sentence
 

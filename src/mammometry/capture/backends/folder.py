@@ -13,7 +13,7 @@ from mammometry.base.errors import MammometryError, SettingsError
 from mammometry.base.listing import visible
 from mammometry.base.photograph import Photograph
 from mammometry.capture.camera import BACKENDS, CameraSettings, Clock, Devices, Frame, Health, failed
-from mammometry.capture.checks import camera_of_name
+from mammometry.capture.camera_checks import camera_of_name
 from mammometry.io.photographs.images import EXTENSIONS, UNREAD_ENDINGS, read_header, read_photograph
 from mammometry.io.photographs.tags import read_exposure
 

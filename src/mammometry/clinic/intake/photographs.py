@@ -22,8 +22,9 @@ from mammometry.calibration.adjust.initialise import least_views
 from mammometry.calibration.features.keypoints import Keypoints, keypoints
 from mammometry.calibration.judge.camera_names import check_names, wrong_photographs
 from mammometry.calibration.targets.table import target_from_table
-from mammometry.capture import checks
-from mammometry.capture.checks import NO_PHOTOGRAPH, Finding, KnownCamera, not_only_a_photograph
+from mammometry.capture import camera_checks, checks
+from mammometry.capture.camera_checks import KnownCamera
+from mammometry.capture.checks import NO_PHOTOGRAPH, Finding, not_only_a_photograph
 from mammometry.clinic.intake.check_photographs import known_photograph
 from mammometry.clinic.intake.places import Target
 from mammometry.clinic.models import Calibration, DailyCheck, Upload, Visit
@@ -210,12 +211,12 @@ def look(upload: Upload, target: Target) -> tuple[list[Finding], dict[str, Any]]
     named = next((check.get("named") for check in upload.checks if check.get("named")), None)
     file = next((check.get("file") for check in upload.checks if check.get("file")), None)
     if not upload.camera:
-        upload.camera = checks.camera_of_serial(exposure.serial, known) or ""
+        upload.camera = camera_checks.camera_of_serial(exposure.serial, known) or ""
     megapixels = header.stored_wh[0] * header.stored_wh[1] / 1e6
     findings = [Finding("format", "ok", f"A photograph of {megapixels:.1f} megapixels.")]
     if upload.camera:
-        findings.append(checks.right_camera(upload.camera, exposure, named, known))
-        findings.append(checks.right_size(upload.camera, header.stored_wh, header.orientation, known))
+        findings.append(camera_checks.right_camera(upload.camera, exposure, named, known))
+        findings.append(camera_checks.right_size(upload.camera, header.stored_wh, header.orientation, known))
     else:
         sentence = "The file's name and EXIF do not show which camera took it. Choose the camera."
         findings.append(Finding("camera", "unknown", sentence))

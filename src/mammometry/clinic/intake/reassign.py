@@ -8,7 +8,7 @@ from typing import Any
 
 from django.db import transaction
 
-from mammometry.capture import checks
+from mammometry.capture import camera_checks
 from mammometry.capture.checks import Finding
 from mammometry.clinic.intake.photographs import known_cameras
 from mammometry.clinic.intake.places import Target, UploadError, folder_of, place_of, pose_of, uploads_of
@@ -57,8 +57,8 @@ def _require_fitting(target: Target, camera: str, row: Upload, folder: Path) -> 
     header = read_header(folder / row.name, "The photograph")
     serial = row.checks[0].get("serial", "") if row.checks else ""
     for finding in (
-        checks.right_camera(camera, PhotographTags(serial=serial), None, known),
-        checks.right_size(camera, header.stored_wh, header.orientation, known),
+        camera_checks.right_camera(camera, PhotographTags(serial=serial), None, known),
+        camera_checks.right_size(camera, header.stored_wh, header.orientation, known),
     ):
         if finding.level == "refuse":
             raise UploadError(finding.sentence)

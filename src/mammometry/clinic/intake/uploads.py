@@ -14,7 +14,7 @@ from django.db import transaction
 from django.utils import timezone
 from filelock import FileLock, Timeout
 
-from mammometry.capture import checks
+from mammometry.capture import camera_checks
 from mammometry.capture.checks import Finding, refuses
 from mammometry.capture.sessions import cameras_of, make_session, manifest_text
 from mammometry.clinic.intake import photographs, walks
@@ -82,7 +82,7 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
     if camera is not None and camera not in known:
         raise UploadError(f"This rig has no camera {camera[:40]!r}, only {', '.join(known)}.", 400)
     check_announced(file)
-    named = checks.camera_of_name(file.name, known)
+    named = camera_checks.camera_of_name(file.name, known)
     place = place_of(target, pose, camera or named or "")
     of_pose = pose if isinstance(target, Calibration) else ""
     if sha256:
@@ -415,7 +415,7 @@ def _together(target: Target, placed: Sequence[Upload]) -> list[Finding]:
     known = known_cameras(target)
     clock_s = {camera: about.clock_s for camera, about in known.items() if about.clock_s is not None}
     same = {camera: table.get("pixels") or upload.sha256 for upload in placed for camera, table in [_facts(upload)]}
-    findings = [checks.together(taken, clock_s), *checks.twice(same)]
+    findings = [camera_checks.together(taken, clock_s), *camera_checks.twice(same)]
     if isinstance(target, Visit) and not refuses(findings):
         findings += photographs.check(target, _shots(target, placed)).findings
     if isinstance(target, DailyCheck) and not target.figures:  # another check may have been evaluated since

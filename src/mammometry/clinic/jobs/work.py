@@ -28,7 +28,7 @@ from mammometry.base.progress import StageProgress
 from mammometry.batch.record import BatchEntry
 from mammometry.batch.session import measure_entry, watched
 from mammometry.calibration.judge.quality import assess
-from mammometry.capture.checks import KnownCamera, clocks
+from mammometry.capture.camera_checks import KnownCamera, clocks
 from mammometry.capture.sessions import share_calibration, take_over
 from mammometry.clinic.check_result import check_table
 from mammometry.hospital.gather import quantities

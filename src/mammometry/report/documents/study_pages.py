@@ -9,14 +9,8 @@ from mammometry.report.documents.pages import embed, render
 from mammometry.report.figures.observers import bland_altman, curves_on, regions, scatter, volumes
 from mammometry.study.agreement import Agreement, CheckedFigure, PairedMeasurements
 from mammometry.study.agreement_tables import agreement_json, agreement_tables, summary
-from mammometry.study.observers import (
-    DrawnSurface,
-    ObservedCurve,
-    ObserverStudy,
-    observers_json,
-    observers_summary,
-    observers_tables,
-)
+from mammometry.study.observers import DrawnSurface, ObservedCurve, ObserverStudy
+from mammometry.study.observers_tables import observers_json, observers_summary, observers_tables
 from mammometry.study.tables import TextTable
 
 FILES = ("report.html", "agreement.json", "bland-altman.png", "scatter.png")
