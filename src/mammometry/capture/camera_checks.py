@@ -1,4 +1,4 @@
-"""Checks of whose photographs they are: the camera that took each, and that all are of one exposure."""
+"""Checks of which camera took each photograph, and that all are of one exposure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Read a subject's boundaries (boundaries.json) and landmarks (landmarks.json). `drawn_changes` changes them."""
+"""Read boundaries (boundaries.json) and landmarks (landmarks.json). `drawn_changes` changes them."""
 
 from __future__ import annotations
 
