@@ -21,6 +21,8 @@ _WIDEST = 2.5
 """Width over height: screens and their pictures have up to 2.33 (21:9), panoramas 3 and more."""
 _SAME_ZOOM = 0.04
 """Relative difference of focal lengths in EXIF that is not a zoom: they are rounded to whole mm, of about 26."""
+_LEAST_QUALITY = 50.0
+"""Of a JPEG: at 50 the points of a pair are twice as far off as in the original, at 40 three times (decision 52)."""
 
 
 @value
@@ -43,6 +45,8 @@ class PictureFacts:
     """Digital zoom."""
     exposure_s: float | None = None
     """Exposure time."""
+    jpeg_quality: float | None = None
+    """Quality at which it was last compressed, 1…100, as libjpeg counts it. Telephones write 85 to 98."""
     mode: Mode = ""
     """Mode of the telephone's camera in which pictures are composed or blurred by software."""
 
@@ -72,7 +76,7 @@ def judge_files(facts: Mapping[str, PictureFacts]) -> dict[str, LeftOut]:
         facts: number of a picture → how it was taken.
     """
     out: dict[str, LeftOut] = {}
-    for judge in (_modes, _telephones, _sizes, _zooms):
+    for judge in (_modes, _telephones, _sizes, _zooms, _compressed):
         out |= judge({name: of for name, of in facts.items() if name not in out})
     return out
 
@@ -198,6 +202,19 @@ def _zooms(facts: Mapping[str, PictureFacts]) -> dict[str, LeftOut]:
             if usual is not None and abs(tag / usual - 1) > _SAME_ZOOM
         }
     return out
+
+
+def _compressed(facts: Mapping[str, PictureFacts]) -> dict[str, LeftOut]:
+    return {
+        name: LeftOut(
+            code="compressed",
+            found=f"a JPEG of quality {of.jpeg_quality:.0f}, which lacks the skin's fine texture",
+            expected=f"at least {_LEAST_QUALITY:.0f}",
+            remedy="Copy the pictures as the telephone wrote them: messengers and other programs compress them",
+        )
+        for name, of in facts.items()
+        if of.jpeg_quality is not None and of.jpeg_quality < _LEAST_QUALITY
+    }
 
 
 def _usual(values: Sequence[_Key]) -> _Key | None:

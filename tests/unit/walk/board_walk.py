@@ -87,13 +87,13 @@ def printed_sheet():
     return sheet
 
 
-def save(path, pixels, *, model="One", orientation=1, focal_35=26, zoom=None, rendered=None, exposure_s=0.01):
+def save(path, pixels, *, model="One", orientation=1, focal_35=26, zoom=None, rendered=None, exposure_s=0.01, quality=95):
     """Write a photograph with a telephone's tags. Without a model it has none."""
     exif = Image.Exif()
     if model:
         exif[_MAKE], exif[_MODEL], exif[_ORIENTATION] = "Maker", model, orientation
         own = {_FOCAL: 5.7, _FOCAL_35: focal_35, _EXPOSURE: exposure_s, _ZOOM: zoom, _RENDERED: rendered}
         exif.get_ifd(_EXIF).update({tag: value for tag, value in own.items() if value is not None})
-    kept = {"quality": 95} if path.suffix == ".jpg" else {}
+    kept = {"quality": quality} if path.suffix == ".jpg" else {}
     Image.fromarray(np.ascontiguousarray(pixels)).save(path, exif=exif, **kept)
     return path

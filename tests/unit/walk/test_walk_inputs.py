@@ -1,6 +1,7 @@
 """Which photographs of a folder belong to a walk, and how they are turned."""
 
 import shutil
+from dataclasses import replace
 
 import board_walk
 import numpy as np
@@ -42,6 +43,8 @@ def bad_pictures(folder):
     save(folder / "l.jpg", pixels)
     (folder / "l.jpg").write_bytes((folder / "l.jpg").read_bytes()[:20_000])
     save(folder / "m.jpg", np.full_like(pixels, 120))
+    save(folder / "p.jpg", pixels, quality=30)
+    save(folder / "q.jpg", (pixels // 2 + np.roll(pixels, 8, axis=1) // 2))  # two exposures, as of an HDR ghost
     return {
         "a.jpg": "another-telephone",
         "b.jpg": "panorama",
@@ -56,6 +59,8 @@ def bad_pictures(folder):
         "k.jpg": "turned",
         "l.jpg": "photograph",
         "m.jpg": "no-target",
+        "p.jpg": "compressed",
+        "q.jpg": "no-target",
     }
 
 
@@ -117,6 +122,20 @@ def test_pictures_are_read_from_the_sensor_and_turned_alike(tmp_path, orientatio
     np.testing.assert_array_equal(read_from_sensor(path, "1", 1).pixels, pixels)
     np.testing.assert_array_equal(read_from_sensor(path, "1", 8).pixels, np.rot90(pixels, 1))
     np.testing.assert_array_equal(read_from_sensor(path, "1", 6).pixels, np.rot90(pixels, -1))
+
+
+@pytest.mark.parametrize("quality", [25, 49, 50, 75, 98])
+def test_the_quality_of_a_jpeg_is_that_of_libjpeg(tmp_path, quality):
+    """Steps are rounded to whole numbers of at most 255."""
+    path = save(tmp_path / "1.jpg", np.zeros((20, 30, 3), np.uint8), quality=quality)
+    assert read_facts(path, "1").jpeg_quality == pytest.approx(quality, abs=1.0)
+
+
+def test_compression_that_takes_the_skins_texture_is_named(tmp_path):
+    """At quality 50 the points of a pair are twice as far off as in the original (decision 52)."""
+    of = PictureFacts(stored_wh=(400, 300))
+    facts = {"png": of, "sent": replace(of, jpeg_quality=40.0), "own": replace(of, jpeg_quality=85.0)}
+    assert {name: why.code for name, why in judge_files(facts).items()} == {"sent": "compressed"}
 
 
 def test_tags_that_all_pictures_share_are_no_reason():

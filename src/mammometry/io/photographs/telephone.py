@@ -6,6 +6,7 @@ turned by the same angle.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,7 @@ _MODES: dict[int, Mode] = {6: "panorama", 7: "portrait", 8: "portrait"}
 _PANORAMA_MARK = b"GPano:"  # namespace of panoramas in XMP (developers.google.com/streetview/spherical-metadata)
 _MOST_ORIENTATION = 8  # EXIF 2.32, 4.6.4
 _HEAD_BYTES = 1 << 18  # XMP of a JPEG is in its first segments, of 64 KiB each
+_LUMA_STEPS = 3688.0  # sum of the 64 steps of quality 50 (ITU-T T.81, table K.1)
 _BACK = {6: 8, 8: 6}
 """Orientation that undoes another. All others undo themselves."""
 _UNMIRRORED = {2: 1, 4: 3, 5: 8, 7: 6}
@@ -60,10 +62,20 @@ def read_facts(path: Path, name: str, limits: LimitSettings = LimitSettings()) -
     header = read_header(path, name, limits)
     try:
         with Image.open(path, formats=FORMATS) as image:
-            is_png, exif = image.format == "PNG", exif_of(image, path)
+            is_png, exif, quality = image.format == "PNG", exif_of(image, path), _jpeg_quality(image)
     except Exception:  # a TIFF that Pillow does not read: tifffile does
-        is_png, exif = False, Image.Exif()
-    return _facts(header.stored_wh, header.orientation, exif, path, is_png=is_png)
+        is_png, exif, quality = False, Image.Exif(), None
+    facts = _facts(header.stored_wh, header.orientation, exif, path, is_png=is_png)
+    return replace(facts, jpeg_quality=quality)
+
+
+def _jpeg_quality(image: Image.Image) -> float | None:
+    """Quality of a JPEG as libjpeg counts it, by how coarse its steps of brightness are. None of another format."""
+    steps = getattr(image, "quantization", {}).get(0)
+    if not steps:
+        return None
+    coarse = sum(steps) / _LUMA_STEPS
+    return 100.0 - 50.0 * coarse if coarse < 1.0 else 50.0 / coarse
 
 
 def read_from_sensor(path: Path, name: str, orientation: int, limits: LimitSettings = LimitSettings()) -> Photograph:
