@@ -87,7 +87,9 @@ def printed_sheet():
     return sheet
 
 
-def save(path, pixels, *, model="One", orientation=1, focal_35=26, zoom=None, rendered=None, exposure_s=0.01, quality=95):
+def save(
+    path, pixels, *, model="One", orientation=1, focal_35=26, zoom=None, rendered=None, exposure_s=0.01, quality=95
+):
     """Write a photograph with a telephone's tags. Without a model it has none."""
     exif = Image.Exif()
     if model:
