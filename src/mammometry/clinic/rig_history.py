@@ -12,8 +12,8 @@ from django.utils import timezone
 
 from mammometry.api.acceptance import device_tests
 from mammometry.capture.sessions import make_session, manifest_text
-from mammometry.clinic.check_result import CheckResult
 from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Job, Rig, Upload, Visit
+from mammometry.clinic.rig_results import CheckResult
 from mammometry.clinic.site import the_clinic
 from mammometry.io.drift import DriftEntry
 from mammometry.study.acceptance.tables import PastTest
@@ -177,12 +177,9 @@ def _by_checks(rig: Rig) -> Today:
     calibration = current(rig)
     if calibration is None:
         return judge(day, None, None)
-    figures = calibration.figures
-    known = Calibrated(
-        on=timezone.localdate(photographed_at(calibration)),
-        verdict=figures.get("verdict"),
-        reasons=tuple(figures.get("reasons", ())),
-    )
+    found = calibration.result
+    on = timezone.localdate(photographed_at(calibration))
+    known = Calibrated(on=on, verdict=found.verdict, reasons=found.reasons)
     newest = rig.checks.filter(calibration=calibration).order_by("-taken_at").first()
     checked = None
     if newest is not None:

@@ -13,8 +13,8 @@ from mammometry.base.photograph import Photograph
 from mammometry.capture import camera_checks, checks
 from mammometry.capture.camera_checks import KnownCamera
 from mammometry.capture.checks import not_only_a_photograph
-from mammometry.clinic.check_result import CheckResult
 from mammometry.clinic.rig_history import Calibrated, LatestCheck, judge
+from mammometry.clinic.rig_results import CheckResult
 from mammometry.io.photographs.tags import PhotographTags, read_exposure
 
 SIZE_WH = (900, 600)

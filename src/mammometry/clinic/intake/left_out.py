@@ -59,17 +59,14 @@ def board_photographs(calibration: Calibration) -> dict[str, BoardPhotograph]:
 def doubts_of(calibration: Calibration) -> list[PhotographWarning]:
     """Warnings of a calibration that name photographs of the board, the worst first."""
     photographs = board_photographs(calibration)
-    figures = calibration.figures
-    reasons = figures.get("reasons", [])[:1] if figures.get("verdict") == "warn" else []  # of version 1.0
     doubts = []
-    for doubt in figures.get("doubts", reasons):
-        words, named = (
-            (doubt, _named_in_1_0(doubt, photographs.values()))
-            if isinstance(doubt, str)
-            else (doubt["sentence"], [photographs[key] for key in doubt["photographs"] if key in photographs])
-        )
+    for doubt in calibration.result.doubts:
+        if doubt.photographs is None:
+            named = _named_in_1_0(doubt.sentence, photographs.values())
+        else:
+            named = [photographs[key] for key in doubt.photographs if key in photographs]
         if named:
-            doubts.append(PhotographWarning(sentence=sentence(words), photographs=named))
+            doubts.append(PhotographWarning(sentence=sentence(doubt.sentence), photographs=named))
     return doubts
 
 

@@ -231,12 +231,11 @@ def look(upload: Upload, target: Target) -> tuple[list[Finding], dict[str, Any]]
     return findings, seen if file is None else {**seen, "file": file}
 
 
-def known_cameras(target: Target) -> dict[str, KnownCamera]:
+def known_cameras(target: Target) -> Mapping[str, KnownCamera]:
     """Cameras known from the calibration of a target. None for a new calibration."""
     if isinstance(target, Calibration):
         return {}
-    figures = target.calibration.figures if target.calibration is not None else {}
-    return {name: KnownCamera.from_table(table) for name, table in figures.get("cameras", {}).items()}
+    return target.calibration.result.cameras if target.calibration is not None else {}
 
 
 def poses_needed(definition: Mapping[str, Any], cameras: Sequence[str], photographs: Iterable[tuple[str, str]]) -> str:

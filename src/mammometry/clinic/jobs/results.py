@@ -6,18 +6,18 @@ Called within the transaction that changes the job's row.
 """
 
 import datetime
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from django.db.models import F
 from django.utils import timezone
 
-from mammometry.clinic.check_result import CheckResult
 from mammometry.clinic.intake.walks import discard_prepared
 from mammometry.clinic.models import Calibration, Comparison, DailyCheck, Delivery, Job, Measurement, Visit, Volume
 from mammometry.clinic.records.comparing import measured_digests, refusal_of
 from mammometry.clinic.records.confirmations import settled_state
 from mammometry.clinic.records.results import add_volumes
+from mammometry.clinic.rig_results import CheckResult
 
 Target = Visit | Calibration | DailyCheck | Comparison
 """Records of which something is computed."""
@@ -137,9 +137,9 @@ def _calibrated(calibration: Calibration, figures: Mapping[str, Any]) -> None:
     """Make it the rig's current calibration, unless a later one is."""
     calibration.figures = dict(figures)
     calibration.state = Calibration.State.DONE
-    reasons = figures.get("reasons") or [""]
-    words = "May be used, but check it. " if figures.get("verdict") == "warn" else "May be used. "
-    calibration.verdict = f"{words}{_sentence(reasons[0])}".strip()[:_LONGEST]
+    result = calibration.result
+    words = "May be used, but check it. " if result.verdict == "warn" else "May be used. "
+    calibration.verdict = f"{words}{_first_sentence(result.reasons)}".strip()[:_LONGEST]
     earlier = Calibration.objects.filter(rig=calibration.rig, current=True).exclude(pk=calibration.pk)
     if not earlier.filter(taken_at__gt=calibration.taken_at).exists():
         earlier.update(current=False)
@@ -151,8 +151,7 @@ def _checked(check: DailyCheck, figures: Mapping[str, Any]) -> None:
     check.figures = dict(figures)
     result = CheckResult.from_table(figures)
     unseen = result.unseen
-    reason = _sentence(result.reasons[0]) if result.reasons else ""
-    words = f"{_VERDICTS.get(result.verdict, result.verdict)} {reason}".strip()
+    words = f"{_VERDICTS.get(result.verdict, result.verdict)} {_first_sentence(result.reasons)}".strip()
     if exchanged := [name.replace("_", " ") for name in result.exchanged]:
         words = f"The photographs of {' and '.join(exchanged)} are exchanged: correct them, and check again."
     elif unseen:
@@ -163,6 +162,7 @@ def _checked(check: DailyCheck, figures: Mapping[str, Any]) -> None:
     check.save(update_fields=["figures", "verdict", "passed"])
 
 
-def _sentence(reason: str) -> str:
-    """A reason as a complete sentence."""
+def _first_sentence(reasons: Sequence[str]) -> str:
+    """The first reason as a complete sentence."""
+    reason = next(iter(reasons), "")
     return f"{reason[0].upper()}{reason[1:].rstrip('.')}." if reason else ""

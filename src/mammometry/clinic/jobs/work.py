@@ -30,7 +30,7 @@ from mammometry.batch.session import measure_entry, watched
 from mammometry.calibration.judge.quality import assess
 from mammometry.capture.camera_checks import KnownCamera, clocks
 from mammometry.capture.sessions import share_calibration, take_over
-from mammometry.clinic.check_result import check_table
+from mammometry.clinic.rig_results import check_table
 from mammometry.hospital.gather import quantities
 from mammometry.io import drift
 from mammometry.io.photographs.heic import is_heic

@@ -9,7 +9,7 @@ from django.core.exceptions import ValidationError
 from django.db import models
 from django.http import HttpRequest
 
-from mammometry.clinic.check_result import CheckResult
+from mammometry.clinic.rig_results import CalibrationResult, CheckResult
 from mammometry.clinic.roles import Role
 from mammometry.clinic.site import the_clinic
 
@@ -133,6 +133,11 @@ class Calibration(Keyed):
 
     def __str__(self) -> str:
         return f"{self.rig}, {self.taken_at:%Y-%m-%d}"
+
+    @property
+    def result(self) -> CalibrationResult:
+        """What was found. Empty before the calibration is done."""
+        return CalibrationResult.from_table(self.figures)
 
 
 class DailyCheck(Keyed):

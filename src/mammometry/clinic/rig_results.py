@@ -1,14 +1,57 @@
-"""Result of a daily check, as a row of the database stores it."""
+"""Results of calibrations and daily checks, as rows of the database store them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mammometry.io.drift import CameraDrift, DriftEntry, entry_table
 
+if TYPE_CHECKING:
+    from mammometry.capture.camera_checks import KnownCamera
+
 _MOTION = ("shift_mm", "turn_deg", "shift_px", "sigma")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationDoubt:
+    """A warning of a calibration that may name photographs."""
+
+    sentence: str
+    photographs: tuple[str, ...] | None
+    """Pose and camera of each. None: version 1.0 named them only in the sentence."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationResult:
+    """What a calibration found."""
+
+    verdict: str | None
+    """``pass`` or ``warn``. None: the cameras were calibrated elsewhere."""
+    reasons: tuple[str, ...] = ()
+    doubts: tuple[CalibrationDoubt, ...] = ()
+    """The worst first."""
+    cameras: Mapping[str, KnownCamera] = field(default_factory=dict)
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any]) -> CalibrationResult:
+        """Build the result from its row. Version 1.0 stored doubts as reasons."""
+        from mammometry.capture.camera_checks import KnownCamera
+
+        verdict, reasons = table.get("verdict"), tuple(table.get("reasons") or ())
+        return cls(
+            verdict=verdict,
+            reasons=reasons,
+            doubts=tuple(map(_doubt, table.get("doubts", reasons[:1] if verdict == "warn" else ()))),
+            cameras={name: KnownCamera.from_table(about) for name, about in table.get("cameras", {}).items()},
+        )
+
+
+def _doubt(stored: str | Mapping[str, Any]) -> CalibrationDoubt:
+    if isinstance(stored, str):
+        return CalibrationDoubt(sentence=stored, photographs=None)
+    return CalibrationDoubt(sentence=stored["sentence"], photographs=tuple(stored["photographs"]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
