@@ -38,7 +38,7 @@ def walk(shared_data, tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.xdist_group("a walk")
-def test_a_walk_gives_the_skin_and_both_volumes(walk, tmp_path):
+def test_a_walk_gives_the_skin_and_both_volumes(walk, tmp_path, capsys):
     source, folder = walk
     found = prepare_walk(folder, tmp_path / "session")
     assert len(found.used) >= 20
@@ -48,6 +48,15 @@ def test_a_walk_gives_the_skin_and_both_volumes(walk, tmp_path):
     assert run(["photos", str(folder), "--out", str(tmp_path / "session"), "--quiet"]) == 0
     job = mm.open_session(tmp_path / "session")
     results = job.run()
+    # Nothing says that a camera moved after the calibration: `walk.motion` compares a walk's pairs.
+    tables = {}
+    for command in ("calibrate", "match", "surface"):
+        capsys.readouterr()
+        assert run([command, str(tmp_path / "session"), "--json"]) == 0
+        tables[command] = json.loads(capsys.readouterr().out)
+        assert not {notice["code"] for notice in tables[command]["notices"]} & {"pair-moved", "pair-disagrees"}
+    assert len(tables["surface"]["apart_mm"]) == 2
+    assert "board" in tables["calibrate"]["world"]
     for side, clean_cc in CLEAN_MESH_CC.items():
         low, high = results.intervals_cc[side]
         assert low < clean_cc < high

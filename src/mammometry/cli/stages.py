@@ -92,7 +92,8 @@ def calibrate(options: Options, session: SessionFolder) -> Answer:
     table |= {"rms_px": cameras.rms_px, "world": cameras.world, "cameras": len(cameras.rig.cameras)}
     table |= {"verdict": cameras.verdict, "reasons": list(cameras.reasons)}
     table |= {"notices": [notice.as_table() for notice in cameras.notices]}
-    rms = "ready-made" if cameras.rms_px is None else f"verdict: {cameras.verdict}"
+    given = "ready-made" if job.inputs.walk is None else "placed by the printed board"
+    rms = given if cameras.rms_px is None else f"verdict: {cameras.verdict}"
     reasons = [f"- {reason}" for reason in cameras.reasons]
     return Answer(table, [f"{len(cameras.rig.cameras)} cameras, {rms}. World: {cameras.world}", *reasons, _made(table)])
 
@@ -118,7 +119,8 @@ def match(options: Options, session: SessionFolder) -> Answer:
         table["matched_pixels"][pair] = quality.matched_pixels
         table["weak_percent"][pair] = round(quality.weak_percent, 2)
         table["d_v_px"][pair] = [round(quality.d_v_median_px, 4), round(quality.d_v_spread_px, 4)]
-        notices += concerns(pair, quality, missing[pair])
+        if job.inputs.walk is None:  # a walk's pairs are tested by `walk.motion`
+            notices += concerns(pair, quality, missing[pair])
         lines.append(
             f"{pair}: {quality.matched_pixels} pixels matched, expected error {quality.sigma_median_px:.3f} px, "
             f"texture too weak on {quality.weak_percent:.1f} %, vertical disparity {quality.d_v_median_px:+.3f} ± "
@@ -144,26 +146,33 @@ def surface(options: Options, session: SessionFolder) -> Answer:
     Writes results/surface/mesh.ply (mm, world frame), model.glb and the range images.
     """
     from mammometry.job.stages.surface import stillness as product
+    from mammometry.job.stages.surface import walk_motion
 
     job, table = _stage("surface", session, options)
     from mammometry.base.notices.words import in_json, lines_of
-    from mammometry.surface.motion.motion_detection import concerns, summary
+    from mammometry.report.warnings import walk_concerns
+    from mammometry.report.words.stage_facts import motion_words
+    from mammometry.surface.motion.motion_detection import concerns
 
-    mesh, stillness = job.surface().repaired.mesh, job.plan[product]()
+    mesh, stillness, walk = job.surface().repaired.mesh, job.plan[product](), job.plan.value(walk_motion)
     path = job.store.folder / "surface" / "mesh.ply"
     notices = list(concerns(stillness, _without_outline(job)))
+    distance_mm, moved = stillness.distance_mm, stillness.moved and not stillness.refuted
+    if walk is not None and job.inputs.walk is not None:
+        notices = list(walk_concerns(job.inputs.walk, walk))
+        distance_mm, moved = (walk.before_mm, walk.rest_mm), walk.moved
     table |= {
         "mesh": str(path),
         "vertices": len(mesh.vertices),
         "faces": len(mesh.faces),
         "watertight": mesh.is_watertight(),
         "euler_number": mesh.euler_number(),
-        "apart_mm": [round(value, 4) for value in stillness.distance_mm],
-        "moved": stillness.moved and not stillness.refuted,
+        "apart_mm": [round(value, 4) for value in distance_mm],
+        "moved": moved,
         **in_json(notices),
     }
     closed = "closed" if table["watertight"] else "open"
-    remarks = [f"Cameras and body: {summary(stillness)}", *lines_of(notices)]
+    remarks = [f"Cameras and body: {motion_words(job.plan)}", *lines_of(notices)]
     return Answer(table, [f"{path}: {len(mesh.vertices)} vertices, {closed}", *remarks, _made(table)])
 
 

@@ -52,6 +52,7 @@ def info(options: Options, session: SessionOrScan) -> Answer:
         "poses": poses,
         "missing": [f"capture/{name}" for name in inputs.photographs if inputs.digests[f"capture/{name}"] == MISSING],
         "ready_made_cameras": inputs.cameras is not None,
+        "walk": inputs.walk is not None,
         "masks": sorted(inputs.masks),
         "boundaries": sorted(inputs.boundaries),
         "drawn": _drawn_words(job.plan, inputs),
@@ -230,6 +231,8 @@ def _after_table(table: dict[str, Any]) -> list[str]:
 
 def _info_lines(table: dict[str, Any], *, every_product: bool) -> list[Any]:
     calibration = "ready-made cameras" if table["ready_made_cameras"] else f"{len(table['poses'])} calibration poses"
+    if table["walk"]:
+        calibration = "a walk with a telephone and a printed board"
     pairs = ", ".join(f"{name} ({left} + {right})" for name, (left, right) in table["pairs"].items())
     subject = table["subject"] if table["subject_id"] is None else f"{table['subject']} {table['subject_id']}"
     missing = [f"missing: {', '.join(table['missing'])}"] if table["missing"] else []

@@ -37,7 +37,6 @@ _OF_PARTNER = "its partner's silhouette is not known"
 _MATCHED = 0.6  # least matched share of a silhouette without a note; oblique flanks cost up to a third
 _BLOCKED = 0.005  # hidden share of the subject in a photograph from which it is reported: less is a strap or a shadow
 _SIZE_KNOWN = 0.004  # relative uncertainty of the board's size above which it dominates most intervals
-_MOVED_MM = 0.1  # size of the body's motions between photographs from which they are reported
 _HUNG_UPWARDS = -0.04
 """Mean `inferior_shift` of both breasts below which they are fuller above. 25 virtual bodies had 0.05 to 0.6; mounds,
 which are as full above as below, have 0."""
@@ -229,7 +228,7 @@ def walk_concerns(walk: Walk, motion: WalkMotion) -> Iterator[Notice]:
                 "uncertain_percent": float(100 * COVERAGE_95 * walk.scale_std),
             },
         )
-    if motion.size_mm >= _MOVED_MM:
+    if motion.moved:
         yield Notice(
             code="body-moved-against-board",
             values={"moved_mm": motion.size_mm, "after_mm": motion.rest_mm, "before_mm": motion.before_mm},

@@ -42,6 +42,7 @@ _LEVER_MM = 150.0  # from the body's centre to its sides: ratio of the shift to 
 _CELL_MM = 0.05  # own error of a cell's distance
 _HUBER = 2.0  # threshold of Huber's loss, standard deviations
 _ROUNDS = 5  # rounds of reweighting
+_REPORTED_MM = 0.1  # size of the motions from which they are reported
 _STILL = 0.8
 """Disagreement, relative to that expected from the data's own errors, up to which a body counts as still. Still virtual
 walks have 0.60 to 0.75. Motions that explain this away doubled the errors of the positions (decision 52)."""
@@ -74,6 +75,11 @@ class WalkMotion:
     """The same after the correction, mm."""
     point_std_mm: float
     """Standard uncertainty of a reconstructed point after the correction, mm."""
+
+    @property
+    def moved(self) -> bool:
+        """Whether the body moved enough to be reported."""
+        return self.size_mm >= _REPORTED_MM
 
     def rig(self, calibrated: Rig) -> Rig:
         """The cameras' poses relative to a body at rest."""
@@ -136,6 +142,16 @@ def find_motion(
     if found.rest_mm > most_mm:
         raise _moved_too_much(found, most_mm)
     return found
+
+
+def summary(found: WalkMotion) -> str:
+    """One line about motion for the technician."""
+    agree = f"pairs agree to {found.rest_mm:.3f} mm"
+    moved = f"the body moved by about {found.size_mm:.1f} mm against the board" if found.moved else ""
+    lens = f"the lens changed by about {found.lens_px:.0f} px" if found.lens_px > 0.0 else ""
+    if changed := " and ".join(filter(None, (moved, lens))):
+        return f"corrected: {changed} between the photographs; {agree}, {found.before_mm:.3f} mm before"
+    return f"the body kept still against the board; {agree}"
 
 
 def _effects(

@@ -12,7 +12,7 @@ from mammometry.geometry import Rig, Transform
 from mammometry.surface.motion.moved_images import retriangulated
 from mammometry.surface.ranges.range_image import RangeImage
 from mammometry.walk.lens_freedom import pose_errors
-from mammometry.walk.motion import before_still_body, find_motion
+from mammometry.walk.motion import before_still_body, find_motion, summary
 
 RADIUS_MM = 120.0
 ANGLES_DEG = (-30, -18, -6, 6, 18, 30)
@@ -89,6 +89,8 @@ def test_a_still_body_is_left_as_it_is(walk):
     true, images = walk
     found = find_motion(true, images, {}, BOARD_MM)
     assert found.size_mm <= 0.03
+    assert not found.moved
+    assert "still" in summary(found)
     assert np.abs(found.shift_mm).max() < 0.05
     assert found.rest_mm < 0.05
 
@@ -117,6 +119,8 @@ def test_a_body_that_swayed_is_put_right(walk):
     board, seen = as_by_the_board(true, images, np.zeros((len(ANGLES_DEG), 3)), shift_mm)
     found = find_motion(board, seen, {}, BOARD_MM)
     assert found.before_mm > 4 * found.rest_mm
+    assert found.moved
+    assert "corrected" in summary(found)
     corrected = [found.apply_motion(image, board) for image in seen]
     assert shape_errors(corrected) < 0.4 * shape_errors(seen)
 

@@ -198,6 +198,8 @@ def _imported(inputs: Inputs) -> CameraSet:
     require_sides(rig, inputs.upside_down)
     doubts = require_camera_scale("cameras.json: t", rig, inputs.subject_kind)
     world = "The world frame of the cameras that were imported."
+    if inputs.walk is not None:
+        world = "The printed board: x along its rows, y down, z away from the reader."
     return CameraSet(rig=rig, std={}, world=world, rms_px=None, notices=doubts)
 
 

@@ -19,7 +19,8 @@ from mammometry.report.figures.stage_results import MatchingResult, SurfaceResul
 from mammometry.report.figures.thinning import matched_shares, thinned_foreground, thinned_maps, thinned_ranges
 from mammometry.report.scene import ViewerScene
 from mammometry.report.words.describe import surface_report
-from mammometry.surface.motion.motion_detection import summary
+from mammometry.surface.motion import motion_detection
+from mammometry.walk import motion as walk_motion
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -57,8 +58,14 @@ def drawn(stage: Stage, plan: Plan, inputs: Inputs) -> tuple[dict[str, bytes], F
     if isinstance(result, MatchingResult):
         return pictures, MatchingFacts(foregrounds=result.foregrounds, quality=result.quality, shares=result.shares)
     if isinstance(result, SurfaceResult):
-        return pictures, surface_report(result.ranges, result.repaired, summary(plan[surface.stillness]()))
+        return pictures, surface_report(result.ranges, result.repaired, motion_words(plan))
     return pictures, None
+
+
+def motion_words(plan: Plan) -> str:
+    """One line about the motion of cameras and body, or of the body between a walk's photographs."""
+    walk = plan.value(surface.walk_motion)
+    return motion_detection.summary(plan[surface.stillness]()) if walk is None else walk_motion.summary(walk)
 
 
 def matching_facts(plan: Plan, rig: Rig) -> MatchingFacts:
@@ -71,4 +78,4 @@ def matching_facts(plan: Plan, rig: Rig) -> MatchingFacts:
 def surface_facts(plan: Plan) -> StageReport:
     """The report's facts about the surface, without pictures."""
     ranges = thinned_ranges(Uncached(plan[surface.range_image]), plan[surface.valid_patches].uncached())
-    return surface_report(ranges, plan[surface.mesh]().repaired, summary(plan[surface.stillness]()))
+    return surface_report(ranges, plan[surface.mesh]().repaired, motion_words(plan))
