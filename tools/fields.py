@@ -58,7 +58,7 @@ _TOP_OF_RESULTS = """# Fields of the result files
 
 `python -m tools.fields` makes this page. The files are in `results/measure`; [the session folder](../session-folder.md)
 has all others. Each has `format` (1), and all but `measurement.json` also `units` and `frame`. The `.npz` or `.ply`
-beside the file has the meshes and the arrays of more than 36 numbers.
+next to the file has the meshes and the arrays of more than 36 numbers.
 """
 
 

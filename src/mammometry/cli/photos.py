@@ -39,7 +39,7 @@ def photos(
     ],
     out: Annotated[
         Path | None,
-        typer.Option(metavar="SESSION", help="Session to make.", show_default="FOLDER-session, beside it"),
+        typer.Option(metavar="SESSION", help="Session to make.", show_default="FOLDER-session, next to it"),
     ] = None,
     posture: Annotated[
         str, typer.Option(help="How the patient held herself: standing, leaning or lying.")

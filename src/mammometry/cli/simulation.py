@@ -381,7 +381,7 @@ def target(
     content = board_pdf() if telephone else target_pdf(target_from_table(table), page=page)
     write_output(out, content, command="target")
     lines = [f"{name} = {json_module.dumps(value)}" for name, value in table.items()]
-    described_in = "board.toml beside the photographs" if telephone else "session.toml"
+    described_in = "board.toml next to the photographs" if telephone else "session.toml"
     return Answer(
         {"file": str(out), "target": table},
         [f"{out}: print it at 100 %, measure its ruler, and describe it in {described_in}:", "", "[target]", *lines],

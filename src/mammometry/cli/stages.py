@@ -201,7 +201,7 @@ def measure(
     """Measure the breasts of a session, or of another scanner's mesh.
 
     Finds the boundary, closes the breast with a chest wall and computes the volume. A session gets no report: use `run`
-    or `report`. A mesh needs a boundary, landmarks or --automatic. Its results and its report are written beside it.
+    or `report`. A mesh needs a boundary, landmarks or --automatic. Its results and its report are written next to it.
     """
     from mammometry.io.meshes.scans import MESH, is_scan
 
