@@ -21,7 +21,6 @@ from mammometry.hospital.exported import Order
 ENTRY = WorklistEntry(
     patient=PatientModule(id="KIS-4712", name="Muster^Anna^Maria", born=datetime.date(1971, 5, 4), sex="F"),
     order=Order(accession="A123", study_uid="1.2.3", referring="House^Gregory", procedure="Breast volumes"),
-    planned=None,
 )
 
 

@@ -100,20 +100,19 @@ class Pooled:
     """All rows as columns, by pseudonym and time."""
 
     visit_keys: tuple[str, ...]
-    """Of the visits that have a row."""
-    pseudonyms: tuple[str, ...]
+    """Keys of the visits that have a row."""
     breasts: tuple[tuple[str, str], ...]
     """Side and definition."""
     patient: Int64[Array, " n"]
-    """Index in `pseudonyms`."""
+    """Number of the patient, from 0, in the order of the pseudonyms."""
     breast: Int64[Array, " n"]
     """Index in `breasts`."""
     day: Int64[Array, " n"]
     """Ordinal."""
     volume_cc: Float64[Array, " n"]
-    """Not a number: there is none."""
+    """Volume, cc. NaN where there is none."""
     bases: tuple[Basis, ...]
-    """What volumes rest on, each once."""
+    """How volumes were measured, each way once."""
     basis: Int64[Array, " n"]
     """Index in `bases`."""
 
@@ -289,7 +288,6 @@ def pooled(visits: QuerySet[Visit]) -> Pooled:
     volume_cc = table[:, 3]
     return Pooled(
         visit_keys=tuple(keys[place] for place in np.unique(number)),
-        pseudonyms=tuple(patient_of),
         breasts=tuple(breast_of),
         patient=patient[number],
         breast=breast,

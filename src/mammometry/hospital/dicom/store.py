@@ -30,8 +30,6 @@ class Sent:
     """Objects that were sent now."""
     stored: int
     """Objects that the archive already had."""
-    committed: bool | None = None
-    """Whether the archive committed to store all of them. None: not asked, or not supported."""
 
 
 def send(

@@ -26,8 +26,6 @@ class WorklistEntry:
 
     patient: ExportedPatient
     order: Order
-    planned: datetime.date | None
-    """Planned day."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,7 +134,7 @@ def entry(answer: Dataset) -> WorklistEntry:
             _text(answer, "RequestedProcedureDescription") or _text(steps[0], "ScheduledProcedureStepDescription")
         )[:_DESCRIPTION],
     )
-    return WorklistEntry(patient=patient, order=order, planned=_day(_text(steps[0], "ScheduledProcedureStepStartDate")))
+    return WorklistEntry(patient=patient, order=order)
 
 
 def _text(dataset: Dataset, name: str) -> str:
