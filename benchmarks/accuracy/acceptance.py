@@ -26,7 +26,8 @@ from mammometry.simulate.subjects.artefacts import artefact_mesh
 from mammometry.study.acceptance.artefacts import POSITIONS, Bar, Limits, Sphere
 from mammometry.study.acceptance.evaluate import AcceptanceFinding, bar_result, sphere_result
 from mammometry.study.acceptance.fits import fit_sphere, within_rule
-from mammometry.study.acceptance.patches import SpherePatch, find_sphere, find_two_spheres
+from mammometry.study.acceptance.patches import SpherePatch
+from mammometry.study.acceptance.spheres import find_sphere, find_two_spheres
 
 BALL = Sphere(diameter_mm=145.0, diameter_std_mm=0.02, form_std_mm=0.02, source="drawn")
 BAR = Bar(distance_mm=300.0, distance_std_mm=0.03, diameter_mm=60.0, diameter_std_mm=0.02, source="drawn")

@@ -35,7 +35,8 @@ from mammometry.study.acceptance.evaluate import (
     evaluate_mesh,
     worst_of,
 )
-from mammometry.study.acceptance.patches import PatchError, find_sphere
+from mammometry.study.acceptance.patches import PatchError
+from mammometry.study.acceptance.spheres import find_sphere
 
 BALL = Sphere(diameter_mm=145.0, diameter_std_mm=0.01, form_std_mm=0.01, source="drawn")
 BAR = Bar(distance_mm=300.0, distance_std_mm=0.01, diameter_mm=60.0, diameter_std_mm=0.01, source="drawn")

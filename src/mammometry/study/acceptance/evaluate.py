@@ -34,14 +34,9 @@ from mammometry.study.acceptance.fits import (
     width_shifts,
     within_rule,
 )
-from mammometry.study.acceptance.patches import (
-    PatchError,
-    PlanePatch,
-    SpherePatch,
-    find_plane,
-    find_sphere,
-    find_two_spheres,
-)
+from mammometry.study.acceptance.patches import PatchError, PlanePatch, SpherePatch
+from mammometry.study.acceptance.planes import find_plane
+from mammometry.study.acceptance.spheres import find_sphere, find_two_spheres
 
 Decision: TypeAlias = Literal["accept", "reject", "undecided"]
 _WORST: tuple[Decision, ...] = ("reject", "undecided", "accept")
