@@ -12,10 +12,12 @@ from mammometry.base.errors import ImageError, SessionError
 from mammometry.base.listing import visible
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress, part
+from mammometry.base.shell import command_line
 from mammometry.calibration.detection.detect import Observations
 from mammometry.calibration.targets.board import SquaresBoard
 from mammometry.calibration.targets.target import Target
 from mammometry.io.looked_up import LazyMapping
+from mammometry.io.meshes.measured import can_be_opened
 from mammometry.io.photographs.heic import HEIC_EXTENSIONS
 from mammometry.io.photographs.images import EXTENSIONS
 from mammometry.io.photographs.telephone import read_facts, read_from_sensor
@@ -77,6 +79,13 @@ def walk_files(folder: Path) -> dict[str, Path]:
         SessionError: there are none.
     """
     files = _files(folder, _STILLS)
+    if not files and can_be_opened(folder):
+        raise SessionError(
+            str(folder),
+            found="a session or a scan",
+            expected="the folder of a walk's photographs",
+            remedy=f"Measure it: {command_line('mammometry', 'run', folder)}",
+        )
     if not files:
         raise SessionError(
             str(folder),

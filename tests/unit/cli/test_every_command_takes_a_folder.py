@@ -121,6 +121,13 @@ def test_what_reads_only_the_description_is_refused_too(
         assert (code, table["found"]) == (SessionError.exit_code, "a scan, whose surface is given")
 
 
+def test_photos_names_the_command_that_measures_a_folder(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in FOLDERS:
+        code, table = _answer(capsys, "photos", place / name)
+        assert (code, table["found"]) == (SessionError.exit_code, "a session or a scan")
+        assert str(place / name) in table["remedy"]
+
+
 @pytest.mark.parametrize("name", FOLDERS)
 def test_python_opens_a_scans_folder(place: Path, name: str) -> None:
     job = mm.open_session(place / name)
