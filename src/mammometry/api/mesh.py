@@ -209,7 +209,7 @@ class MeshJob(Job):
             check_curve(name, curve, mesh)
         near = [mesh.vertices] if files.automatic else [*curves.values(), *places.values()]
         scan = scanned.finer_scan(scan, near)
-        repaired, fine = scanned.as_scanned(scan.mesh, scan.invented), scan.mesh
+        repaired, fine = scanned.as_scanned(scan.mesh, scan.invented, scan.at_fold), scan.mesh
         for name, curve in curves.items():
             if self.kind == "torso":  # a cast is cut at its base, not along the curve
                 scanned.check_cut(name, curve, fine)

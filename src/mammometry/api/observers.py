@@ -244,7 +244,7 @@ def _on_one(
         files.append({name: scanned.in_mesh_unit(one, scan.mesh, foreign.mm_per_unit) for name, one in curves.items()})
     _require_no_copies(drawn, files)
     scan = scanned.finer_scan(scan, [one for curves in files for one in curves.values()])
-    surface, fine = scanned.as_scanned(scan.mesh, scan.invented), scan.mesh
+    surface, fine = scanned.as_scanned(scan.mesh, scan.invented, scan.at_fold), scan.mesh
     frame = _frame(surface, files, axes)
     drawings = []
     for number, (drawing, curves) in enumerate(zip(drawn, files, strict=True)):

@@ -17,7 +17,7 @@ from mammometry.base.errors import MeasureError
 from mammometry.base.normal import COVERAGE_95
 from mammometry.base.progress import Progress, no_progress
 from mammometry.base.value import value
-from mammometry.geometry import Array, Float64, Transform
+from mammometry.geometry import Array, Bool, Float64, Transform
 from mammometry.geometry.nearest import point_tree
 from mammometry.measure.settings import CompareSettings
 from mammometry.measure.shape.lengths import LinearMeasure
@@ -252,8 +252,8 @@ def compare(
     pairing, doubtful = judged(fit, settings)
     progress(0.3)
     laid = after.surface.mesh.transformed(fit.before_from_after)
-    seen_before = before.surface.mesh.faces_within(before.surface.provenance != Provenance.INVENTED)
-    seen_after = after.surface.provenance != Provenance.INVENTED
+    seen_before = before.surface.mesh.faces_within(_seen(before.surface))
+    seen_after = _seen(after.surface)
     after_mm = signed_mm(laid, before.surface.mesh.submesh(seen_before), selected=seen_after)
     progress(0.9)
     return Change(
@@ -378,6 +378,12 @@ def _fit(before: DatedMeasurements, after: DatedMeasurements) -> TrunkFit:
         trunk_of(before.surface, [*curves[0].values(), *new.values()], before.frame),
         trunk_of(after.surface, [*curves[1].values(), *gone.values()], after.frame),
     )
+
+
+def _seen(surface: RepairedSurface) -> Bool[Array, " n"]:
+    """Vertices that are not invented, nor, on a scan, completed at a hidden fold."""
+    seen = surface.provenance != Provenance.INVENTED
+    return seen if surface.pair_names else seen & (surface.provenance != Provenance.BRIDGED)
 
 
 def _rms_mm(measured: VolumeMeasurement, surface: RepairedSurface, out_mm: Float64[Array, " m"]) -> float:

@@ -126,4 +126,5 @@ def _above(scan: RepairedScan, direction: Float64[Array, 3], height: float) -> R
         return scan
     away, nearest = point_tree(scan.mesh.vertices).query(part.vertices)
     kept = np.asarray(away) == 0
-    return replace(scan, mesh=part, invented=kept & scan.invented[np.asarray(nearest)])
+    nearest = np.asarray(nearest)
+    return replace(scan, mesh=part, invented=kept & scan.invented[nearest], at_fold=kept & scan.at_fold[nearest])

@@ -7,6 +7,7 @@ invented, so that it widens a volume's interval. All other faults are refused by
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import RBFInterpolator
@@ -19,6 +20,7 @@ from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Float64, Int32, Int64, mesh_kernels
 from mammometry.geometry.mesh import TriangleMesh, edge_table, split_edges
 from mammometry.geometry.nearest import point_tree
+from mammometry.measure.fold_patch import Filling, fold_patch
 from mammometry.measure.scan_planes import planar_faces
 from mammometry.measure.solid.cut import opening_loops
 from mammometry.measure.solid.patch import fill, harmonic
@@ -26,8 +28,10 @@ from mammometry.measure.solid.patch import fill, harmonic
 TOUCHING_MM = 0.05
 """Largest distance between open edges of one seam, mm: half of the coarsest step of coordinates."""
 WIDEST_HOLE_MM = 90.0
-"""Largest width of a hole that is closed (diameter of a circle of its area), mm. Holes under a hanging breast in a
-telephone's scan have 40 to 80; cut necks and arms have 90 or more."""
+"""Largest width of a hole that is closed (diameter of a circle of its area), mm. Cut necks and arms have 90 or more."""
+_FOLD_MM = (48.0, 130.0)
+"""Least and largest width of a hole at a hidden fold, mm. The least has 18 cm² (`boundary.hidden_fold`); virtual women
+of up to 1,500 cc have up to 107 mm."""
 _OWN_EDGE_MM = 70.0  # the longest opening, if wider than this, is the surface's own edge (a small cast's)
 _LONGEST_HOLE_MM = 150.0  # longest slit that is closed; not critical
 _CRUMB = 0.01  # share of the area below which a piece is a crumb
@@ -52,6 +56,8 @@ class RepairedScan:
     """mm. Vertices of closed holes come last."""
     invented: Bool[Array, " n"]
     """Vertices of closed holes."""
+    at_fold: Bool[Array, " n"]
+    """Those of holes at hidden folds, which are continued from the skin around (`fold_patch`)."""
     notices: tuple[Notice, ...]
     """What was changed."""
     inside_out: bool = False
@@ -60,7 +66,8 @@ class RepairedScan:
     @classmethod
     def unchanged(cls, mesh: TriangleMesh) -> RepairedScan:
         """A mesh as it is."""
-        return cls(mesh=mesh, invented=np.zeros(len(mesh.vertices), dtype=bool), notices=())
+        none = np.zeros(len(mesh.vertices), dtype=bool)
+        return cls(mesh=mesh, invented=none, at_fold=none, notices=())
 
 
 def repair_scan(
@@ -90,13 +97,13 @@ def repair_scan(
     mesh = _body(mesh, notices, largest=largest)
     turned = _facing_out(mesh, notices)
     if turned is None:  # `scanned.check_mesh` reports the fault
-        return RepairedScan(mesh=mesh, invented=np.zeros(len(mesh.vertices), dtype=bool), notices=tuple(notices))
+        return replace(RepairedScan.unchanged(mesh), notices=tuple(notices))
     out, inside_out = turned
     if skin_alone:
         out = _without_lids(out, notices)
     mesh = _without_loose_triangles(out)
-    mesh, invented = _filled(mesh, notices) if holes else (mesh, np.zeros(len(mesh.vertices), dtype=bool))
-    return RepairedScan(mesh=mesh, invented=invented, notices=tuple(notices), inside_out=inside_out)
+    scan = _filled(mesh, notices) if holes else RepairedScan.unchanged(mesh)
+    return replace(scan, notices=tuple(notices), inside_out=inside_out)
 
 
 def largest_part(mesh: TriangleMesh) -> TriangleMesh:
@@ -309,26 +316,32 @@ def _stands_out_mm3(mesh: TriangleMesh) -> float:
     return volume
 
 
-def _filled(mesh: TriangleMesh, notices: list[Notice]) -> tuple[TriangleMesh, Bool[Array, " n"]]:
-    """Close holes up to `WIDEST_HOLE_MM` wide."""
+def _filled(mesh: TriangleMesh, notices: list[Notice]) -> RepairedScan:
+    """Close holes up to `WIDEST_HOLE_MM` wide, at hidden folds up to `_FOLD_MM`."""
     loops = opening_loops(mesh.faces.astype(np.int64), len(mesh.vertices))
-    holes = [
-        loop
-        for number, loop in enumerate(loops)  # the longest first
-        if _width_mm(mesh.vertices[loop]) <= (WIDEST_HOLE_MM if number else _OWN_EDGE_MM)
-    ]
+    closed: dict[int, Filling | None] = {}
+    for number, loop in enumerate(loops):  # the longest first
+        width_mm = _width_mm(mesh.vertices[loop])
+        may_be_fold = number > 0 and _FOLD_MM[0] <= width_mm <= _FOLD_MM[1]
+        patch = fold_patch(mesh, loop) if may_be_fold else None
+        if patch is not None or width_mm <= (WIDEST_HOLE_MM if number else _OWN_EDGE_MM):
+            closed[number] = patch
+    holes = [loops[k] for k in closed]
     if not holes:
-        return mesh, np.zeros(len(mesh.vertices), dtype=bool)
+        return RepairedScan.unchanged(mesh)
     edges = mesh.edges()
     taken = set((edges[:, 0] * len(mesh.vertices) + edges[:, 1]).tolist())
-    patches = []
-    for loop in holes:
-        patches.append((loop, *_without_chords(mesh, loop, *_patch(mesh, loop, holes), taken)))
+    patches, at_fold = [], [np.zeros(len(mesh.vertices), dtype=bool)]
+    for k, patch in closed.items():
+        loop = loops[k]
+        points, triangles = _without_chords(mesh, loop, *(patch or _patch(mesh, loop, holes)), taken)
+        patches.append((loop, points, triangles))
+        at_fold.append(np.full(len(points), patch is not None))
     vertices, faces = [mesh.vertices], [mesh.faces]
     count, widest_mm = len(mesh.vertices), 0.0
     for loop, points, triangles in patches:
-        number = np.concatenate([loop, count + np.arange(len(points))])
-        faces.append(number[triangles].astype(np.int32))
+        indices = np.concatenate([loop, count + np.arange(len(points))])
+        faces.append(indices[triangles].astype(np.int32))
         vertices.append(points)
         count += len(points)
         widest_mm = max(widest_mm, _width_mm(mesh.vertices[loop]))
@@ -338,7 +351,7 @@ def _filled(mesh: TriangleMesh, notices: list[Notice]) -> tuple[TriangleMesh, Bo
     if invented_mm2 > _NOTED_MM2:
         values = {"holes": len(patches), "mm": widest_mm, "cm2": invented_mm2 / 100}
         notices.append(Notice(code="mesh-holes-closed", level="note", values=values))
-    return filled, invented
+    return RepairedScan(mesh=filled, invented=invented, at_fold=np.concatenate(at_fold), notices=())
 
 
 def _fan(count: int) -> Int64[Array, "m 3"]:

@@ -56,12 +56,15 @@ class DirectionError(MeasureError):
     """Option that names a side ("--ahead z") → frame as it would be: patient's left, head, straight ahead (rows)."""
 
 
-def as_scanned(mesh: TriangleMesh, invented: Bool[Array, " n"] | None = None) -> RepairedSurface:
+def as_scanned(
+    mesh: TriangleMesh, invented: Bool[Array, " n"] | None = None, at_fold: Bool[Array, " n"] | None = None
+) -> RepairedSurface:
     """A mesh as a surface whose skin is measured everywhere except in closed holes.
 
     Args:
         mesh: mm.
         invented: vertices of closed holes. None: there are none.
+        at_fold: those of hidden folds, which borders are found on.
 
     Raises:
         MeasureError: it is empty, or not an oriented surface.
@@ -71,6 +74,8 @@ def as_scanned(mesh: TriangleMesh, invented: Bool[Array, " n"] | None = None) ->
     provenance = np.full(n, Provenance.MEASURED, dtype=np.uint8)
     if invented is not None:
         provenance[invented] = Provenance.INVENTED
+    if at_fold is not None:
+        provenance[at_fold] = Provenance.BRIDGED
     return RepairedSurface(
         mesh=mesh,
         provenance=provenance,
@@ -106,11 +111,12 @@ def check_mesh(mesh: TriangleMesh) -> None:
 def finer_scan(scan: RepairedScan, curves: Sequence[Float64[Array, "_ 3"]]) -> RepairedScan:
     """A scan with edges short enough for cutting near the curves.
 
-    New vertices come last. One is invented if an end of its edge is.
+    New vertices come last. One is invented, or at a hidden fold, if an end of its edge is.
     """
     if not curves:
         return scan
-    vertices, faces, marked = scan.mesh.vertices, scan.mesh.faces, scan.invented
+    vertices, faces = scan.mesh.vertices, scan.mesh.faces
+    marked = np.stack([scan.invented, scan.at_fold], axis=1)
     low = np.min([curve.min(axis=0) for curve in curves], axis=0) - _MARGIN_MM
     high = np.max([curve.max(axis=0) for curve in curves], axis=0) + _MARGIN_MM
     while len(faces) < _FACES_AT_MOST:
@@ -123,7 +129,7 @@ def finer_scan(scan: RepairedScan, curves: Sequence[Float64[Array, "_ 3"]]) -> R
         faces = split_edges(faces, of_face, split, len(vertices))
         vertices = np.concatenate([vertices, (a[split] + b[split]) / 2])
         marked = np.concatenate([marked, marked[edges[split]].any(axis=1)])
-    return replace(scan, mesh=TriangleMesh(vertices=vertices, faces=faces), invented=marked)
+    return replace(scan, mesh=TriangleMesh(vertices=vertices, faces=faces), invented=marked[:, 0], at_fold=marked[:, 1])
 
 
 def check_cut(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> None:
@@ -245,16 +251,16 @@ def own_front(scan: RepairedScan, frame: Float64[Array, "3 3"]) -> tuple[Repaire
     front, own = by_axes, frame
     try:
         for _ in range(_FRONT_ROUNDS):
-            before, own = own, find_trunk(seen_skin(as_scanned(front.mesh, front.invented)), own).frame
+            before, own = own, find_trunk(seen_skin(as_scanned(front.mesh, front.invented, front.at_fold)), own).frame
             front = without_back(upper, own)
             if np.trace(own @ before.T) > _SAME_FRAME:
                 break
-        own, found = facing_frame(as_scanned(front.mesh, front.invented), own)
+        own, found = facing_frame(as_scanned(front.mesh, front.invented, front.at_fold), own)
     except MeasureError:
         return with_notice(by_axes, scan), frame
     if not found:
         with suppress(MeasureError):
-            if facing_frame(as_scanned(by_axes.mesh, by_axes.invented), frame)[1]:
+            if facing_frame(as_scanned(by_axes.mesh, by_axes.invented, by_axes.at_fold), frame)[1]:
                 return with_notice(by_axes, scan), frame
     return with_notice(without_back(upper, own), scan), own
 

@@ -47,7 +47,7 @@ def _frame(cameras: CameraSet, job: Context, body: BodyDirections | None = None)
     return rig_frame(cameras.rig, job.inputs.mounting) if body is None else body.frame
 
 
-@product("measure", version=24, settings="measure", inputs=("subject", "mounting"))
+@product("measure", version=25, settings="measure", inputs=("subject", "mounting"))
 def sides(corrected_cameras: CameraSet, repaired: RepairedSurface, *, job: Context) -> TorsoSides:
     """Breasts found on a torso, and sides without one."""
     from mammometry.measure.boundary.boundary import outline_torso
@@ -63,7 +63,7 @@ def _boundary_inputs(job: Context) -> dict[str, str]:
     return job.inputs.key_part("subject", "boundaries", "mounting", "rim", *picked)
 
 
-@product("measure", version=18, settings="measure", inputs=_boundary_inputs)
+@product("measure", version=19, settings="measure", inputs=_boundary_inputs)
 def boundaries(
     corrected_cameras: CameraSet,
     repaired: RepairedSurface,
@@ -203,7 +203,7 @@ def evidence(
 
 @product(
     "measure",
-    version=26,
+    version=27,
     name="measurement",
     settings="measure",
     inputs=("wall", "scale", "walk-errors"),

@@ -26,7 +26,7 @@ def hidden_fold_cm2(lower_world: Float64[Array, "n 3"], surface: RepairedSurface
         lower_world: the lower quarter of a breast's border, mm, world frame.
         surface: a scan. The result is 0 for photographed surfaces, whose hidden skin is bounded by silhouettes.
     """
-    invented = surface.provenance == Provenance.INVENTED
+    invented = np.isin(surface.provenance, (Provenance.INVENTED, Provenance.BRIDGED))
     if surface.pair_names or not invented.any():
         return 0.0
     mesh = surface.mesh

@@ -128,9 +128,9 @@ REPAIRED_SIGMA_MM = 0.1
 repaired casts: mean 0.08 mm, 99 % below 0.8 mm, of both signs."""
 INVENTED_SIGMA_MM = 0.4
 """Standard uncertainty of skin without measurements and measured neighbours, mm; common to all of it."""
-_HIDDEN_FOLD_U95_MM = 40.0
-"""Half-width of the depth error over bridged skin at a hidden fold, mm. Five breasts scanned by a telephone lack 6 to
-37 mm of their clean meshes' volume over that skin (docs/decisions/0051)."""
+_HIDDEN_FOLD_U95_MM = 15.0
+"""Half-width of the depth error over completed skin at a hidden fold, mm: twice the root mean square of the difference
+between scan and clean mesh, over that skin, of eighteen breasts (docs/decisions/0051)."""
 AXIS_U95_SHARE = 0.025
 """Half-width for an assumed depth of the trunk's axis, as a share of the volume: depths of 80 to 170 mm change volumes
 by ± 2.5 %."""
