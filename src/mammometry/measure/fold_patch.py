@@ -1,7 +1,7 @@
-"""Closing of a hole at which a breast hangs over its fold, so that a scanner sees neither the fold nor the skin above.
+"""Closing of a scan's hole below a breast that hangs over its fold.
 
-The skin of the chest runs into such a hole and the skin of the breast around it. A thin plate that minimises bending
-continues both with their own slope until they meet (docs/decisions/0051).
+The chest's skin runs into such a hole, and the breast's skin runs out around it. Both are continued with their own
+slope, with least bending (docs/decisions/0051).
 """
 
 from __future__ import annotations
@@ -74,7 +74,9 @@ def fold_patch(mesh: TriangleMesh, loop: Int64[Array, " n"]) -> Filling | None:
 
 
 def continued(edge: HoleEdge) -> Filling:
-    """Points and triangles that close a hole with the surface u that has its edge and slope and least ∫ |Δu|².
+    """Points and triangles that close a hole with the slope at its edge and least bending.
+
+    Of all surfaces u with this edge and slope, it has the least ∫ |Δu|².
 
     Raises:
         CrossingError: the edge crosses itself when flattened.
