@@ -10,6 +10,7 @@ conditions `CONDITIONS` in turn. Each folder of `--walks` has ``photos/`` and ``
 board's pose and the nipples, and ``body.ply``). The surface is judged on the true skin within 85 mm of a nipple,
 whether the photographs show it or not, and by the skin that was measured there. Each volume is compared with that of
 the true mesh by the same program, and with the true volume of an own woman. A walk in OUT is not measured again.
+`--peers` adds rows of other programs (`photo_peers`).
 """
 
 from __future__ import annotations
@@ -18,13 +19,14 @@ import argparse
 import json
 import resource
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 import mammometry as mm
+from benchmarks.accuracy.photo_peers import by_pycolmap, by_sgbm
 from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.api.photos import prepare_walk
 from mammometry.base.errors import MammometryError
@@ -92,7 +94,8 @@ def measured(walk: Path, out: Path) -> str:
     clean = out / f"{walk.name}-true.ply"
     if not clean.exists():
         write_ply(clean, body)
-    true_cc = MeshJob(MeshFiles(mesh=clean, units="mm", automatic=True), out / f"{walk.name}-true").run().volumes_cc
+    files = MeshFiles(mesh=clean, units="mm", automatic=True, head="y", ahead="z")
+    true_cc = MeshJob(files, out / f"{walk.name}-true").run().volumes_cc
     begun_s = processor_s()
     try:
         found = prepare_walk(walk / "photos", out / walk.name)
@@ -121,6 +124,26 @@ def measured(walk: Path, out: Path) -> str:
     errors = f"{surface_errors(moved, body, nipples)} | {measured_errors(seen, body, nipples)}"
     used = f"{len(found.used)} of {found.pictures}"
     return f"| {walk.name} | {used} | {errors} | {'; '.join(volumes)} | {processor_s() - begun_s:.0f} |"
+
+
+def peers(walk: Path, out: Path) -> Iterator[str]:
+    """A row for each other program, on a walk that `measured` has measured."""
+    truth = json.loads((walk / "truth" / "truth.json").read_text(encoding="utf-8"))
+    body, pose = true_body(walk / "truth" / "body.ply"), np.array(truth["board_pose"])
+    makers: dict[str, Callable[[], tuple[str, TriangleMesh | None]]] = {
+        "SGBM and TSDF, our positions": lambda: ("", by_sgbm(out / walk.name)),
+        "pycolmap's positions, our stages": lambda: by_pycolmap(
+            walk / "photos", out / walk.name, out / f"{walk.name}-pycolmap"
+        ),
+    }
+    for name, maker in makers.items():
+        begun_s = processor_s()
+        said, mesh = maker()
+        errors = ""
+        if mesh is not None:
+            moved = TriangleMesh(vertices=mesh.vertices @ pose[:3, :3].T + pose[:3, 3], faces=mesh.faces)
+            errors = surface_errors(moved, body, np.array(truth["nipples"]))
+        yield f"| {walk.name}: {name} | {said} | {errors} | | | {processor_s() - begun_s:.0f} |"
 
 
 def render(women: list[int], folder: Path) -> Iterator[Path]:
@@ -172,6 +195,7 @@ def main() -> None:
     walks.add_argument("--walks", type=Path)
     walks.add_argument("--women", type=int, nargs="+")
     parser.add_argument("--shifted", type=float, default=0.0, help="px")
+    parser.add_argument("--peers", action="store_true", help="other programs on the same walks")
     parser.add_argument("--out", type=Path, required=True)
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -188,6 +212,8 @@ def main() -> None:
             px = arguments.shifted
             walk = shifted(walk, arguments.out / "shifted" / f"{walk.name}-{px:g}px", px)
         print(measured(walk, arguments.out), flush=True)
+        for row in peers(walk, arguments.out) if arguments.peers else ():
+            print(row, flush=True)
 
 
 if __name__ == "__main__":
