@@ -60,9 +60,10 @@ def sgbm_tsdf(session: Path, reach_mm: float) -> TriangleMesh:
     middle = _where_axes_meet(rig)
     views = []
     for pair in rig.pairs:
-        turn, ideal = _rectified(pair.left, pair.right, middle)
+        size_wh = tuple(np.maximum(pair.left.size_wh, pair.right.size_wh).tolist())
+        turn, ideal = _rectified(pair.left, pair.right, size_wh, middle)
         pictures = [
-            cv2.remap(photographs[camera.name].pixels, *_maps(camera, turn, matrix), cv2.INTER_LINEAR)
+            cv2.remap(photographs[camera.name].pixels, *_maps(camera, turn, matrix, size_wh), cv2.INTER_LINEAR)
             for camera, matrix in zip((pair.left, pair.right), ideal, strict=True)
         ]
         depth = _depth(pictures, pair.left, pair.right, ideal, turn @ (middle - pair.left.centre_world), reach_mm)
@@ -88,7 +89,9 @@ def _where_axes_meet(rig: Rig) -> np.ndarray:
     return np.linalg.solve(sum(across), sum(seen))
 
 
-def _rectified(left: Camera, right: Camera, middle: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+def _rectified(
+    left: Camera, right: Camera, size_wh: tuple[int, int], middle: np.ndarray
+) -> tuple[np.ndarray, list[np.ndarray]]:
     """Common rotation of two cameras, and pinholes that have the middle in their pictures' middle."""
     x = right.centre_world - left.centre_world
     x = x / np.linalg.norm(x)
@@ -99,15 +102,17 @@ def _rectified(left: Camera, right: Camera, middle: np.ndarray) -> tuple[np.ndar
     for camera in (left, right):
         at = turn @ (middle - camera.centre_world)
         focal = float(left.matrix[0, 0])
-        centre = (np.array(camera.size_wh) - 1) / 2 - focal * at[:2] / at[2]
+        centre = (np.array(size_wh) - 1) / 2 - focal * at[:2] / at[2]
         matrices.append(np.array([[focal, 0.0, centre[0]], [0.0, focal, centre[1]], [0.0, 0.0, 1.0]]))
     matrices[1][1, 2] = matrices[0][1, 2]
     return turn, matrices
 
 
-def _maps(camera: Camera, turn: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _maps(
+    camera: Camera, turn: np.ndarray, matrix: np.ndarray, size_wh: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
     """Places in the photograph of each pixel of the rectified picture."""
-    width, height = camera.size_wh
+    width, height = size_wh
     column, row = np.meshgrid(np.arange(width), np.arange(height))
     rays = np.stack([column, row, np.ones_like(row)], axis=-1).reshape(-1, 3) @ np.linalg.inv(matrix).T @ turn
     uv = camera.project(camera.centre_world + 1000.0 * rays).reshape(height, width, 2).astype(np.float32)

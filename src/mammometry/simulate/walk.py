@@ -16,7 +16,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
-from scipy.ndimage import map_coordinates
+from scipy import ndimage
 
 from mammometry.base.errors import SessionError, StorageError
 from mammometry.base.machine.cores import available_cores
@@ -184,11 +184,12 @@ def _printed(scale: float) -> FlatBody:
 
 def _print(board: FlatBody, placed: Transform, walk: WalkConditions) -> tuple[Prop, ...]:
     """The board, and the bank card on it."""
+    printed = partial(printed_board, board, placed, stretch=walk.stretch, bow_mm=walk.bow_mm)
     if not walk.card:
-        return (printed_board(board, placed),)
+        return (printed(),)
     middle = walk.print_scale * np.array(FIELD_MIDDLE) + _CARD_ASIDE_MM
     return (
-        printed_board(board, placed, field_sheet(walk.print_scale)),
+        printed(field_sheet(walk.print_scale)),
         bank_card(middle, _CARD_TURN_RAD, placed, _CARD_GREYS[walk.card]),
     )
 
@@ -285,7 +286,8 @@ def _photograph(
                 aperture=recipe.film.aperture(camera),
                 background=recipe.film.stray_light,
             )
-            return skewed(image, recipe.scale * walk.skew_px[number])
+            image = skewed(image, recipe.scale * walk.skew_px[number])
+            return smeared(image, recipe.scale * walk.blur_px[number], recipe.scale * walk.ghost_px[number])
 
         noise = int(np.random.default_rng([recipe.seed, 32, number]).integers(1 << 62))
         take_picture(folder / f"{camera.name}.jpg", render, recipe.film, noise)
@@ -310,8 +312,24 @@ def skewed(image: Float32[Array, "h w 3"], last_row_px: Float64[Array, 2]) -> Fl
     late = (np.arange(height) / (height - 1) - 0.5)[:, None]
     rows = np.arange(height)[:, None] - late * last_row_px[1] + np.zeros(width)
     columns = np.arange(width) - late * last_row_px[0]
-    moved = [map_coordinates(image[..., band], [rows, columns], order=3, mode="nearest") for band in range(3)]
+    moved = [ndimage.map_coordinates(image[..., band], [rows, columns], order=3, mode="nearest") for band in range(3)]
     return np.maximum(np.stack(moved, axis=-1), np.float32(0))
+
+
+def smeared(image: Float32[Array, "h w 3"], blur_px: float, ghost_px: Float64[Array, 2]) -> Float32[Array, "h w 3"]:
+    """The image of a camera that is out of focus, or that moves between two exposures.
+
+    Args:
+        image: a sharp image.
+        blur_px: standard deviation of the blur, pixels.
+        ghost_px: shift (column, row) between the two exposures of which the image is the mean, pixels.
+    """
+    if ghost_px.any():
+        second = ndimage.shift(image, (ghost_px[1], ghost_px[0], 0.0), order=1, mode="nearest")
+        image = (image + second) / 2
+    if blur_px > 0.0:
+        image = ndimage.gaussian_filter(image, (blur_px, blur_px, 0.0))
+    return image.astype(np.float32, copy=False)
 
 
 def _breathing(scene: StudioScene, walk: WalkConditions, chest: Float64[Array, 3], number: int) -> StudioScene:
@@ -335,8 +353,12 @@ def _truth(
         "nipples": [woman.landmarks[f"nipple_{side}"][0].tolist() for side in woman.breasts],
         "board_pose": body_from_board.matrix.tolist(),
         "print_scale": walk.print_scale,
+        "stretch": walk.stretch,
+        "bow_mm": walk.bow_mm,
         "breath_mm": [round(float(depth), 4) for depth in walk.breath_mm],
         "skew_px": walk.skew_px.tolist(),
+        "blur_px": walk.blur_px.tolist(),
+        "ghost_px": walk.ghost_px.tolist(),
         "cameras": {
             name: {
                 "matrix": camera.matrix.tolist(),

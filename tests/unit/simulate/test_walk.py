@@ -16,7 +16,7 @@ from mammometry.simulate.disturbances.walks import still_walk
 from mammometry.simulate.recipe import parse_situation
 from mammometry.simulate.rendering.printed_board import bank_card, printed_board
 from mammometry.simulate.rigs.poses import looking
-from mammometry.simulate.walk import WalkRecipe, write_walk
+from mammometry.simulate.walk import WalkRecipe, smeared, write_walk
 from mammometry.walk.region import TELEPHONE_BOARD, region_above
 
 SMALL = WalkRecipe(pictures=2, scale=0.12)
@@ -103,6 +103,36 @@ def test_a_walks_disturbances_change_what_they_say():
     assert walk.print_scale == pytest.approx(0.99)
     assert not walk.card
     assert disturbed(walk, "walk", parse_situation("card=white"), seed=3).card == "white"
+
+
+def test_blur_ghosts_breaths_and_the_prints_form_are_what_they_say():
+    said = "unsharp=4,ghost=10,two-breaths=0.6,stretched=0.5,bowed=2"
+    walk = disturbed(still_walk(40), "walk", parse_situation(said), seed=3)
+    assert 2.0 < walk.blur_px.max() <= 4.0
+    shifts = np.linalg.norm(walk.ghost_px, axis=1)
+    assert sorted(set(shifts.round(9))) == [0.0, 10.0]
+    assert np.count_nonzero(shifts) == 10
+    assert walk.breath_mm.tolist() == [0.0] * 20 + [0.6] * 20
+    flat, formed = (
+        printed_board(target_from_table(TELEPHONE_BOARD).body, Transform.identity(), **form).props.vertices
+        for form in ({}, {"stretch": walk.stretch, "bow_mm": walk.bow_mm})
+    )
+    assert np.ptp(formed[:, 0]) == pytest.approx(1.005 * np.ptp(flat[:, 0]))
+    assert np.ptp(formed[:, 1]) == pytest.approx(np.ptp(flat[:, 1]))
+    edges = np.isin(flat[:, 0], (flat[:, 0].min(), flat[:, 0].max()))
+    assert np.allclose(formed[edges, 2], 0.0)
+    assert formed[:, 2].min() == pytest.approx(-2.0, abs=0.05)  # towards the reader
+
+
+def test_smearing_has_the_stated_width():
+    image = np.zeros((61, 61, 3), np.float32)
+    image[30, 30] = 1.0
+    blurred = smeared(image, 3.0, np.zeros(2))[:, :, 0]
+    across = np.arange(61) - 30.0
+    assert (blurred.sum(axis=0) * across**2).sum() == pytest.approx(9.0, rel=0.02)
+    doubled = smeared(image, 0.0, np.array([5.0, -2.0]))[:, :, 0]
+    assert doubled[30, 30] == doubled[28, 35] == 0.5
+    assert smeared(image, 0.0, np.zeros(2)) is image
 
 
 def test_a_bank_card_is_a_box_before_the_board():

@@ -16,13 +16,22 @@ from mammometry.simulate.rendering.scene import Prop
 from mammometry.simulate.rendering.solid_target import INKS
 
 
-def printed_board(body: FlatBody, rig_from_board: Transform, field: PrintedSheet | None = None) -> Prop:
+def printed_board(
+    body: FlatBody,
+    rig_from_board: Transform,
+    field: PrintedSheet | None = None,
+    *,
+    stretch: float = 1.0,
+    bow_mm: float = 0.0,
+) -> Prop:
     """Sheet of a board of squares, cut along all edges of the print into rectangles of one colour.
 
     Args:
         body: a board without circles.
         rig_from_board: its pose.
         field: what is printed below the squares, and makes the paper longer.
+        stretch: factor of all lengths along the rows, about the print's middle.
+        bow_mm: how far the middle is in front of the left and right edges, mm: a parabola.
 
     Raises:
         ValueError: the board has circles.
@@ -38,7 +47,9 @@ def printed_board(body: FlatBody, rig_from_board: Transform, field: PrintedSheet
     middles = np.stack(np.meshgrid((x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2), axis=-1)
     dark = sheet.is_dark(middles.reshape(-1, 2))
     across, down = np.meshgrid(x, y)
-    vertices = np.stack([across.ravel(), down.ravel(), np.zeros(across.size)], axis=1)
+    half, middle = (x[-1] - x[0]) / 2, (x[-1] + x[0]) / 2
+    aside = (across.ravel() - middle) / half
+    vertices = np.stack([middle + stretch * half * aside, down.ravel(), bow_mm * (aside**2 - 1.0)], axis=1)
     row, column = (grid.ravel() for grid in np.mgrid[0 : len(y) - 1, 0 : len(x) - 1])
     a = row * len(x) + column
     b, c, d = a + 1, a + len(x), a + len(x) + 1
