@@ -27,6 +27,7 @@ from mammometry.io.cameras.own import cameras_table
 from mammometry.job.stages import surface
 
 _REACH_MM = 250.0  # of the search for depths, before and behind the middle
+_FEATURES = 3000  # of each photograph; with all 11,000 the matching takes most of an hour
 _BLOCK_PX = 160  # of a stored photograph, by which its place in the whole one is found
 
 
@@ -81,10 +82,13 @@ def _reconstruct(pycolmap: ModuleType, photographs: Path, out: Path) -> Any:
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
     database = out / "database.db"
+    options = pycolmap.FeatureExtractionOptions()
+    options.sift.max_num_features, options.sift.first_octave = _FEATURES, 0
     pycolmap.extract_features(
         database,
         photographs,
         camera_mode=pycolmap.CameraMode.SINGLE,
+        extraction_options=options,
         reader_options=pycolmap.ImageReaderOptions(camera_model="OPENCV"),
     )
     pycolmap.match_exhaustive(database)

@@ -1,4 +1,4 @@
-"""Disturbances of a walk with a telephone: breathing, lens, shutter, blur, size and shape of the print.
+"""Disturbances of a walk with a telephone: breathing, lens, shutter, blur, the print.
 
 All sizes here are made up; no measurement uses them.
 """
