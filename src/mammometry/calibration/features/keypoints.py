@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 from scipy.special import bdtrc
@@ -100,6 +102,7 @@ def _squares(one: Keypoints, other: Keypoints) -> Float32[Array, "n m"]:
     return found
 
 
+@lru_cache(maxsize=64)  # an image is matched with many others
 def _nearest_of_own(points: Keypoints) -> Float32[Array, " n"]:
     """Squared distance of each feature to the most similar one in its own image."""
     squares = _squares(points, points)
