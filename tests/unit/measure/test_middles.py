@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mammometry.measure.boundary.prominence import breast_middles, roundness_per_mm
+from mammometry.measure.boundary.prominence import breast_middles, level_pair, roundness_per_mm
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 from mammometry.measure.trunk.thorax import Trunk
 
@@ -80,3 +80,21 @@ def test_a_high_breast_whose_top_gravity_gathers_has_the_base_of_its_half_height
     assert over_a_muscle is not None
     assert high.base_mm == pytest.approx(np.sqrt(np.pi) * 90, rel=0.12)
     assert over_a_muscle.base_mm == pytest.approx(low.base_mm, rel=0.1)
+
+
+def test_the_breasts_are_the_domes_at_one_height() -> None:
+    """Beside two breasts, an arm that the photographs cut off is as round as the rounder one, and 60 mm higher."""
+    breasts = cap(-20, 0, 50, 26) + cap(-160, -5, 50, 32)
+    pair = level_pair(relief_of(breasts + cap(140, 62, 50, 32)))
+    assert pair is not None
+    assert pair[0] == pytest.approx((-20, 0), abs=6)
+    assert pair[1] == pytest.approx((-160, -5), abs=12)
+    alone = level_pair(relief_of(breasts))
+    assert alone is not None
+    np.testing.assert_allclose(pair, alone, atol=2.0)
+
+
+def test_of_domes_one_above_the_other_a_third_makes_no_pair() -> None:
+    """Lying across the frame: only the two roundest count there."""
+    across = relief_of(cap(0, 75, 50, 34) + cap(0, -75, 50, 32) + cap(120, -75, 50, 20))
+    assert level_pair(across, most=2) is None

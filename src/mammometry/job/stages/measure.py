@@ -47,7 +47,7 @@ def _frame(cameras: CameraSet, job: Context, body: BodyDirections | None = None)
     return rig_frame(cameras.rig, job.inputs.mounting) if body is None else body.frame
 
 
-@product("measure", version=25, settings="measure", inputs=("subject", "mounting"))
+@product("measure", version=26, settings="measure", inputs=("subject", "mounting"))
 def sides(corrected_cameras: CameraSet, repaired: RepairedSurface, *, job: Context) -> TorsoSides:
     """Breasts found on a torso, and sides without one."""
     from mammometry.measure.boundary.boundary import outline_torso

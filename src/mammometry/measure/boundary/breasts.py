@@ -197,7 +197,8 @@ def _lie_level(surface: RepairedSurface, skin: SkinSamples, frame: Float64[Array
     If a gown covers the trunk's sides, only the breasts show the trunk's direction.
     """
     thorax = fit_thorax(find_trunk(skin, frame), skin)
-    return level_pair(lay_flat(thorax, dense_samples(surface.mesh.submesh(seen_faces(surface))))) is not None
+    relief = lay_flat(thorax, dense_samples(surface.mesh.submesh(seen_faces(surface))))
+    return level_pair(relief, most=2) is not None  # a third dome at the height of either would say so, too
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -85,19 +85,30 @@ def breast_middles(relief: Relief, trunk: Trunk) -> dict[SideName, Middle | None
     }
 
 
-def level_pair(relief: Relief) -> tuple[Float64[Array, 2], Float64[Array, 2]] | None:
-    """Left and right middle of the two roundest domes, flattened, mm, whatever the midline.
+def level_pair(relief: Relief, most: int = 4) -> tuple[Float64[Array, 2], Float64[Array, 2]] | None:
+    """Left and right middle of the two domes that are the breasts, flattened, mm, whatever the midline.
 
-    None unless both are clearly breasts and side by side.
+    They are the roundest pair that is most nearly at one height: an arm or its end at the edge of the photographs may
+    be rounder than a breast, but is not at the height of the other one. None unless both are clearly breasts and side
+    by side.
+
+    Args:
+        relief: the flattened skin.
+        most: only so many domes are considered, the roundest.
     """
     peaks, worth = _peaks(relief, roundness_per_mm(relief))
-    first, second = (int(place) for place in np.argsort(worth)[:-3:-1]) if len(worth) > 1 else (0, 0)
-    if first == second or worth[second] < max(_CLEAR_PER_MM, _CLEAR_SHARE * worth[first]):
+    order = np.argsort(-worth)[:most]
+    order = order[worth[order] >= max(_CLEAR_PER_MM, _CLEAR_SHARE * worth.max(initial=0.0))]
+    if len(order) < 2:
         return None
-    across, up = np.abs(peaks[first] - peaks[second])
-    if across < max(up, _BESIDE_MM):
+    peaks, worth = peaks[order], worth[order]
+    first, second = np.triu_indices(len(peaks), 1)
+    across, up = np.abs(peaks[first] - peaks[second]).T
+    alike = worth[first] * worth[second] * np.exp(-((up / _LIKE_MM) ** 2))
+    best = int(np.argmax(alike))
+    if across[best] < max(up[best], _BESIDE_MM):
         return None
-    left, right = sorted((peaks[first], peaks[second]), key=lambda peak: -float(peak[0]))
+    left, right = sorted((peaks[first[best]], peaks[second[best]]), key=lambda peak: -float(peak[0]))
     return left, right
 
 
