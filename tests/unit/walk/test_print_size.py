@@ -1,7 +1,6 @@
 """The size of a print by two witnesses."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +10,7 @@ from mammometry.base.errors import BoardSizeError
 from mammometry.job.inputs import Walk
 from mammometry.report.warnings import walk_concerns
 from mammometry.walk.bank_card import CardScale
+from mammometry.walk.motion import WalkMotion
 from mammometry.walk.print_size import sized
 from mammometry.walk.region import Region
 
@@ -44,6 +44,17 @@ def test_a_contradiction_is_refused():
 def test_the_report_notes_a_card():
     region = Region(low_world=np.zeros(3), high_world=np.ones(3))
     walk = Walk(region=region, scale_std=7e-4, point_std_mm=0.1, board_mm=np.zeros((2, 2)), card_scale=0.99)
-    (noted,) = walk_concerns(walk, SimpleNamespace(size_mm=0.0, lens_px=0.0))
+    still = WalkMotion(
+        cameras=(),
+        turn_rad=np.zeros((0, 3)),
+        shift_mm=np.zeros((0, 3)),
+        centre_world=np.zeros(3),
+        size_mm=0.0,
+        lens_px=0.0,
+        before_mm=0.1,
+        rest_mm=0.1,
+        point_std_mm=0.0,
+    )
+    (noted,) = walk_concerns(walk, still)
     assert (noted.code, noted.level) == ("board-measured-by-card", "note")
     assert noted.values["percent"] == pytest.approx(-1.0)
