@@ -25,7 +25,7 @@ class CalibrationDoubt:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationResult:
-    """What a calibration found."""
+    """Verdict of a calibration, with its reasons."""
 
     verdict: str | None
     """``pass`` or ``warn``. None: the cameras were calibrated elsewhere."""
@@ -56,7 +56,7 @@ def _doubt(stored: str | Mapping[str, Any]) -> CalibrationDoubt:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckResult:
-    """What a daily check found."""
+    """Verdict of a daily check, with its reasons."""
 
     verdict: str
     """``unmoved``, ``moved`` or ``refuse``."""

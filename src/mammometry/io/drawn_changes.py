@@ -41,7 +41,7 @@ _FILES: Mapping[Group, str] = {"boundaries": BOUNDARIES, "landmarks": LANDMARK_F
 
 
 class LateError(SessionError):
-    """Somebody else has changed the same item in the meantime."""
+    """Another person changed the same item after it was loaded."""
 
     code = "changed-meanwhile"
 

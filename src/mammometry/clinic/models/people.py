@@ -136,7 +136,7 @@ class Calibration(Keyed):
 
     @property
     def result(self) -> CalibrationResult:
-        """What was found. Empty before the calibration is done."""
+        """The calibration's result. Without a verdict before the calibration is done."""
         return CalibrationResult.from_table(self.figures)
 
 
@@ -164,7 +164,7 @@ class DailyCheck(Keyed):
 
     @property
     def result(self) -> CheckResult | None:
-        """What was found. None: not evaluated yet."""
+        """The check's result. None: not evaluated yet."""
         return CheckResult.from_table(self.figures) if self.figures else None
 
 

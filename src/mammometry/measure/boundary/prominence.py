@@ -94,7 +94,7 @@ def level_pair(relief: Relief, most: int = 4) -> tuple[Float64[Array, 2], Float6
 
     Args:
         relief: the flattened skin.
-        most: only so many domes are considered, the roundest.
+        most: number of domes that are considered, the roundest first.
     """
     peaks, worth = _peaks(relief, roundness_per_mm(relief))
     order = np.argsort(-worth)[:most]

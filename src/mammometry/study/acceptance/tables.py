@@ -69,7 +69,7 @@ def headline(outcome: Outcome) -> str:
 
 
 def missing_sentences(outcome: Outcome) -> list[str]:
-    """What is missing: positions, whole artefacts, and points that were left out."""
+    """Sentences on missing positions, missing artefacts, and points that were left out."""
     lines = []
     for kind, names in outcome.missing.items():
         words = {place.name: place.words for place in POSITIONS[kind]}
