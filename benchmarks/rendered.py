@@ -35,7 +35,7 @@ def subjects(captures: Path) -> list[str]:
 def make_session(captures: Path, subject: str, out: Path) -> Path:
     """Write a session folder for one subject: the manifest, and links to its photographs."""
     described = json.loads((captures / "session.json").read_text())
-    known("subjects", [subject], described["subjects"])
+    known("subjects", [subject], sorted(path.parent.parent.name for path in captures.glob("*/truth/truth.json")))
     target = described["targets"]["charuco"]
     kind = (
         "model"

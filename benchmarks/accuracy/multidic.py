@@ -3,6 +3,8 @@
     python -m benchmarks.accuracy.multidic ../shared/data/multidic/sample_data --out build/multidic
 
 Makes the five sessions of `examples/multidic`, runs them, and prints what the cylinder's known geometry says of them.
+`--one-lens` prints instead what the telephone's calibration (`walk.stations`) finds of each camera from its photographs
+of a checkerboard, from all of them and from every other one.
 The photographs are in the repository MultiDIC/MultiDIC on GitHub, folder sample_data, at commit c14a135; their checksum
 tells whether they are the same.
 """
@@ -23,9 +25,12 @@ from scipy.optimize import least_squares
 
 import mammometry as mm
 from mammometry.calibration.detection.detect import Observations
+from mammometry.calibration.targets.table import target_from_table
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
+from mammometry.io.photographs.images import read_photograph
 from mammometry.surface.ranges.range_image import RangeImage, triangulate
+from mammometry.walk.stations import TELEPHONE, find_boards, stations_of
 
 ROOT = Path(__file__).resolve().parents[2]
 PUBLISHED_SHA256 = "f2d59951511bc227219b70075843e8ffaa5d41b50e8a5201251bfa2fa65e1eea"
@@ -119,12 +124,33 @@ def photographs_sha256(sample_data: Path) -> str:
     return whole.hexdigest()
 
 
+def one_lens(sample_data: Path) -> None:
+    """Print focal length, residuals and bow of each camera, calibrated as the one camera of a walk."""
+    board = target_from_table({"kind": "chessboard", "squares": [20, 15], "square_mm": 10.0})
+    print("| camera | photographs | boards | focal length px | RMS px | bow mm |\n" + "| --- " * 6 + "|")
+    for camera in ("201", "202"):
+        files = sorted((sample_data / "BAcheckerboardImages" / camera).glob("*.jpg"))
+        for name, chosen in (("all", files), ("even", files[::2]), ("odd", files[1::2])):
+            photographs = {path.stem: read_photograph(path, path.name) for path in chosen}
+            found = stations_of(find_boards(photographs, board))
+            calibration = found.calibration
+            focal_px = calibration.rig.cameras[TELEPHONE].matrix[0, 0]
+            std_px = calibration.parameter_std[TELEPHONE]["fx_px"]
+            boards = len(calibration.observations.detections)
+            row = f"{boards} of {len(chosen)} | {focal_px:.1f} ± {std_px:.1f} | {calibration.rms_px:.2f}"
+            print(f"| {camera} | {name} | {row} | {found.bow_mm:.2f} |", flush=True)
+
+
 def main() -> None:
     """Run all five sessions and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("sample_data", type=Path)
     parser.add_argument("--out", type=Path, default=Path("build/multidic"))
+    parser.add_argument("--one-lens", action="store_true", help="each camera as that of a walk")
     arguments = parser.parse_args()
+    if arguments.one_lens:
+        one_lens(arguments.sample_data)
+        return
     same = photographs_sha256(arguments.sample_data) == PUBLISHED_SHA256
     print("photographs: " + ("as published" if same else "NOT those that the documented figures are of") + "\n")
     sys.argv = ["make_sessions.py", str(arguments.sample_data), str(arguments.out)]

@@ -2,10 +2,12 @@
 
     python -m benchmarks.accuracy.photos --walks ../shared/data/photos --out OUT
     python -m benchmarks.accuracy.photos --walks ../shared/data/photos --shifted 10 --out OUT
+    python -m benchmarks.accuracy.photos --walks ../shared/data/photos --compressed 50 --out OUT
     python -m benchmarks.accuracy.photos --women 9701 9702 9703 --out OUT
 
 The first measures walks of another renderer. The second crops each of their photographs at random first, as a
-stabilised lens shifts them: standard deviation in pixels. The third renders its own, one for each woman, under the
+stabilised lens shifts them: standard deviation in pixels. The third compresses them to this JPEG quality, and saves
+them as PNG, since the program leaves out JPEGs below 50. The fourth renders its own, one for each woman, under the
 conditions `CONDITIONS` in turn. Each folder of `--walks` has ``photos/`` and ``truth/`` (``truth.json`` with the
 board's pose and the nipples, and ``body.ply``). The surface is judged on the true skin within 85 mm of a nipple,
 whether the photographs show it or not, and by the skin that was measured there. Each volume is compared with that of
@@ -20,6 +22,7 @@ import json
 import resource
 import shutil
 from collections.abc import Callable, Iterable, Iterator
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -182,6 +185,23 @@ def shifted(walk: Path, out: Path, std_px: float) -> Path:
     return out
 
 
+def compressed(walk: Path, out: Path, quality: int) -> Path:
+    """The walk with each photograph compressed again, as by a messenger."""
+    if not out.exists():
+        shutil.copytree(walk / "truth", out / "truth")
+        (out / "photos").mkdir()
+        for path in sorted((walk / "photos").iterdir()):
+            if path.suffix != ".jpg":
+                shutil.copy(path, out / "photos")
+                continue
+            small = BytesIO()
+            with Image.open(path) as image:
+                image.save(small, "JPEG", quality=quality)
+            with Image.open(small) as image:
+                image.save(out / "photos" / f"{path.stem}.png", compress_level=1)
+    return out
+
+
 def processor_s() -> float:
     """Processor seconds of this process and its children so far."""
     own, children = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -195,6 +215,7 @@ def main() -> None:
     walks.add_argument("--walks", type=Path)
     walks.add_argument("--women", type=int, nargs="+")
     parser.add_argument("--shifted", type=float, default=0.0, help="px")
+    parser.add_argument("--compressed", type=int, default=0, help="JPEG quality")
     parser.add_argument("--peers", action="store_true", help="other programs on the same walks")
     parser.add_argument("--out", type=Path, required=True)
     arguments = parser.parse_args()
@@ -211,6 +232,8 @@ def main() -> None:
         if arguments.shifted:
             px = arguments.shifted
             walk = shifted(walk, arguments.out / "shifted" / f"{walk.name}-{px:g}px", px)
+        if quality := arguments.compressed:
+            walk = compressed(walk, arguments.out / "compressed" / f"{walk.name}-q{quality}", quality)
         print(measured(walk, arguments.out), flush=True)
         for row in peers(walk, arguments.out) if arguments.peers else ():
             print(row, flush=True)
