@@ -172,10 +172,11 @@ def _usable(files: Mapping[str, Path], names: Mapping[str, str], target: Target,
         photographs = LazyMapping(left, lambda number, path: read_from_sensor(path, number, orientation))
         try:
             observations = find_boards(photographs, target, progress)
-        except ImageError as error:  # damage shows only in the pixels
-            if error.subject not in left:
+        except ImageError:  # damage shows only in the pixels
+            damaged = _unreadable(photographs)
+            if not damaged:
                 raise
-            out[error.subject] = _damaged(error)
+            out |= damaged
         else:
             break
     out |= {miss.pose: LeftOut(code=miss.code, found=miss.found, remedy=miss.remedy) for miss in observations.missed}
@@ -190,6 +191,17 @@ def _usable(files: Mapping[str, Path], names: Mapping[str, str], target: Target,
         observations=replace(observations, detections=good),
         left_out=out,
     )
+
+
+def _unreadable(photographs: Mapping[str, Photograph]) -> dict[str, LeftOut]:
+    """All pictures that cannot be decoded, so that boards are searched for only once more."""
+    found = {}
+    for number in photographs:
+        try:
+            photographs[number]
+        except ImageError as error:
+            found[number] = _damaged(error)
+    return found
 
 
 def _damaged(error: ImageError) -> LeftOut:

@@ -96,6 +96,18 @@ def test_too_few_that_are_left_are_a_refusal_that_lists_all(good, tmp_path):
     assert not (tmp_path / "session").exists()
 
 
+def test_all_damaged_pictures_are_counted(tmp_path):
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    whole = save(tmp_path / "whole.jpg", np.random.default_rng(1).integers(0, 255, (300, 400, 3), dtype=np.uint8))
+    for number in range(COUNT):
+        (folder / f"{number}.jpg").write_bytes(whole.read_bytes()[:20_000] + bytes([number]))
+    with pytest.raises(CalibrationError) as refused:
+        prepare_walk(folder, tmp_path / "session")
+    assert len(refused.value.details) == COUNT
+    assert not (tmp_path / "session").exists()
+
+
 @pytest.mark.slow
 def test_a_telephone_that_is_turned_is_the_same_camera(tmp_path):
     """Upright, on either side, and upside down: one lens, whose principal point is not the picture's middle."""
