@@ -18,6 +18,7 @@ from uuid import NAMESPACE_OID, UUID, uuid4, uuid5
 
 from django.db import IntegrityError, transaction
 from django.db.models import F, Q, QuerySet
+from django.db.models.functions import Greatest
 from django.utils import timezone
 
 from mammometry.capture.sessions import make_session, manifest_text
@@ -321,8 +322,7 @@ def release(owner: str, key: UUID | None = None, kinds: Collection[str] = tuple(
 def progressed(key: UUID, owner: str, stage: str, fraction: float) -> None:
     """Store a job's progress, which never decreases."""
     held = Job.objects.filter(pk=key, lease_owner=owner, state=Job.State.RUNNING)
-    held.update(stage=stage[:60])
-    held.filter(fraction__lt=fraction).update(fraction=fraction)
+    held.update(stage=stage[:60], fraction=Greatest(F("fraction"), fraction))  # one statement: never a stage without it
 
 
 def done(key: UUID, owner: str, answer: Mapping[str, Any]) -> bool:
