@@ -21,6 +21,7 @@ from PIL import Image
 
 from mammometry.api.walk_pictures import usable_pictures, walk_files, walk_video
 from mammometry.base.errors import SessionError
+from mammometry.base.machine.cores import map_in_threads
 from mammometry.base.new_folder import require_new, whole_folder
 from mammometry.base.parse import read_text, toml_table
 from mammometry.base.photograph import Photograph
@@ -241,16 +242,18 @@ def _write(
     region = region_above(target)
     capture.mkdir()
     masks.mkdir()
-    cameras = {}
-    for name, camera in rig.cameras.items():
+
+    def written(camera: Camera) -> Camera:
         mask = region.mask(camera)
         rows, columns = _box(mask)
-        cameras[name] = _cropped(camera, rows, columns)
-        pixels = np.ascontiguousarray(photographs[name].pixels[rows, columns])
+        pixels = np.ascontiguousarray(photographs[camera.name].pixels[rows, columns])
         if pixels.dtype == np.uint16:  # 8 bits per colour, as from telephones
             pixels = (pixels >> 8).astype(np.uint8)
-        Image.fromarray(pixels).save(capture / f"{name}.png", compress_level=1)
-        Image.fromarray(mask[rows, columns]).save(masks / f"{name}.png")
+        Image.fromarray(pixels).save(capture / f"{camera.name}.png", compress_level=1)
+        Image.fromarray(mask[rows, columns]).save(masks / f"{camera.name}.png")
+        return _cropped(camera, rows, columns)
+
+    cameras = dict(zip(rig.cameras, map_in_threads(written, list(rig.cameras.values())), strict=True))
     texts = {
         "cameras.json": json.dumps(cameras_table(cameras), indent=1),
         "session.toml": _manifest(walk, rig, target, posture, subject),

@@ -21,6 +21,7 @@ from types import MappingProxyType
 from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar
 
 from mammometry.base.machine.cores import available_cores
+from mammometry.base.machine.system import return_freed_memory
 from mammometry.base.progress import Progress, no_progress
 from mammometry.job.inputs import Inputs
 from mammometry.settings import Settings, key_table, keyed
@@ -289,6 +290,8 @@ class Product(Generic[T]):
             values.clear()
             for parent in self.made_from:
                 parent._release_if_unneeded(self.key.stage, made=self)
+            if self.definition.threads is None:  # nothing else is computed meanwhile
+                return_freed_memory()
             return made
 
         return make

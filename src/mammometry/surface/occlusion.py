@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy import ndimage
@@ -36,6 +37,7 @@ from mammometry.surface.ranges.visibility import LEAST_COSINE
 _GUARD_PX = 3.0  # px of `block_of`: within it a datum's own error may put it outside a silhouette; not critical
 SAMPLES = 300_000
 """Data of a view that are looked up in others: about a dozen per block of the subject."""
+_MOST_SAMPLES = 8 * SAMPLES  # of all pairs: many pairs, as of a walk, see the same skin; limits memory and time
 _LEAST_SHARE = 2e-4  # smallest place, relative to the subject's blocks: fewer are outliers; not critical
 _GAP_BLOCKS = 4  # gaps between data narrower than twice this belong to the place; not critical
 _ROUNDS = 4  # most rounds of votes; two are usual
@@ -83,18 +85,21 @@ def find_occlusions(
     }
     polls = []
     further = map_in_threads(continued_world, range_images)
+    most = min(SAMPLES, _MOST_SAMPLES // max(1, len(range_images)))
     for image, past in zip(range_images, further, strict=True):
         points = image.valid_points_world()
         own = [views[name] for name in rig.pair_names[image.name] if name in views]
         others = [name for name in views if name not in rig.pair_names[image.name]]
         for seen in (points, _shown(past, own)):
-            some = seen[:: max(1, len(seen) // SAMPLES)]
-            places = {}
-            for name, view in views.items():
-                places[name], depth_mm = view.places(some)
-                if seen is points:
-                    at = places[name]
+            some = seen[:: max(1, len(seen) // most)]
+
+            def placed(view: _View, some: Array = some, measured: bool = seen is points) -> _Places:
+                at, depth_mm = view.places(some)
+                if measured:
                     np.minimum.at(view.depth_mm, (at.row[::2], at.column[::2]), depth_mm[::2])
+                return at
+
+            places = dict(zip(views, map_in_threads(placed, list(views.values())), strict=True))
             polls.append(_Poll(count=len(some), places=places, voters=others))
     spans = {name: spanned_mm(view.camera, view.subject, view.step, view.depth_mm) for name, view in views.items()}
     shown = {name: view.near | np.isfinite(spans[name]) for name, view in views.items()}
@@ -105,8 +110,7 @@ def find_occlusions(
     blocks = {name: np.zeros_like(view.subject) for name, view in views.items()}
     for _ in range(_ROUNDS):
         hits = {name: np.zeros_like(view.subject) for name, view in views.items()}
-        for poll in polls:
-            _vote(poll, views, blocks, hits)
+        map_in_threads(partial(_vote, views=views, blocked=blocks, hits=hits), polls)
         before, blocks = blocks, {name: _joined(hits[name], view.subject) for name, view in views.items()}
         if all(np.array_equal(blocks[name], before[name]) for name in views):
             break

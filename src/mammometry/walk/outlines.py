@@ -14,7 +14,8 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
-from mammometry.geometry import Array, Camera, Float32, Float64, Rig
+from mammometry.base.machine.cores import map_in_threads
+from mammometry.geometry import Array, Bool, Camera, Float32, Float64, Rig
 from mammometry.matching.foreground.foreground import Foreground
 from mammometry.surface.ranges.range_image import RangeImage
 
@@ -33,7 +34,8 @@ def outlines(range_images: Sequence[RangeImage], given: Mapping[str, Foreground]
         rig: the cameras.
     """
     skin_world = np.concatenate([_sampled(image) for image in range_images])
-    return {name: _outlined(mask, rig.cameras[name], skin_world) for name, mask in given.items()}
+    found = map_in_threads(lambda name: _outlined(given[name], rig.cameras[name], skin_world), list(given))
+    return dict(zip(given, found, strict=True))
 
 
 def _sampled(image: RangeImage) -> Float64[Array, "n 3"]:
@@ -60,11 +62,13 @@ def _outlined(given: Foreground, camera: Camera, skin_world: Float64[Array, "n 3
     return replace(given, coverage=coverage)
 
 
-def _smooth(cells: Array, shape_hw: tuple[int, int]) -> Float32[Array, "h w"]:
+def _smooth(cells: Bool[Array, "H W"], shape_hw: tuple[int, int]) -> Float32[Array, "h w"]:
     """Share of each pixel in a mask of cells, interpolated between their centres: ½ at the mask's border."""
-    at = [(np.arange(side) + 0.5) / _CELL_PX - 0.5 for side in shape_hw]
-    grid = np.meshgrid(*at, indexing="ij")
-    share: Float32[Array, "h w"] = ndimage.map_coordinates(
-        cells.astype(np.float32), grid, order=1, mode="nearest", output=np.float32
-    )
-    return share
+    share: Float32[Array, "h w"] = cells.astype(np.float32)
+    for side in shape_hw:  # rows, then columns
+        at = np.clip((np.arange(side) + 0.5) / _CELL_PX - 0.5, 0.0, len(share) - 1.0)
+        before = np.minimum(at.astype(np.intp), max(len(share) - 2, 0))
+        after = np.minimum(before + 1, len(share) - 1)
+        part = (at - before).astype(np.float32)[:, None]
+        share = ((1 - part) * share[before] + part * share[after]).T
+    return np.ascontiguousarray(share)

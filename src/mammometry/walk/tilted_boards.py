@@ -14,6 +14,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from mammometry.base.machine.cores import map_in_threads
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.detection.detect import Detection, Observations, detection_of
 from mammometry.calibration.detection.finders.printed_board import fit_print
@@ -57,9 +58,11 @@ def tilted_boards(
     cameras = dict(stations.rig.cameras)
     missed = {miss.pose for miss in observations.missed if miss.code == _NO_TARGET}
     names = sorted({*cameras, *missed})
-    features = _Features(photographs)
-    board = stations.calibration.target_points
     waiting = [name for name in names if name in missed]
+    near = [name for place, name in enumerate(names) if missed & {*names[max(0, place - _REACH) : place + _REACH + 1]}]
+    found_in = map_in_threads(lambda name: keypoints(photographs[name], _WIDTH_PX, _MOST), near)
+    features = dict(zip(near, found_in, strict=True))
+    board = stations.calibration.target_points
     while waiting:
         reached = [name for name in waiting if len(_beside(name, names, cameras)) >= 2]
         if not reached:
@@ -73,18 +76,6 @@ def tilted_boards(
         if camera is not None and detection is not None:
             cameras[name], found[name] = camera, detection
     return found, cameras
-
-
-class _Features(dict[str, Keypoints]):
-    """Features of photographs, found when looked up first."""
-
-    def __init__(self, photographs: Mapping[str, Photograph]) -> None:
-        super().__init__()
-        self._photographs = photographs
-
-    def __missing__(self, name: str) -> Keypoints:
-        self[name] = keypoints(self._photographs[name], _WIDTH_PX, _MOST)
-        return self[name]
 
 
 def _beside(name: str, names: list[str], cameras: Mapping[str, Camera]) -> list[str]:
@@ -105,9 +96,11 @@ def _placed(name: str, around: Mapping[str, Camera], features: Mapping[str, Keyp
         around: its neighbours' cameras, by name.
         features: of all photographs.
     """
-    of_photograph = {other: matched(features[other], features[name]) for other in around}
+    both = [*((other, name) for other in around), *combinations(around, 2)]
+    found = map_in_threads(lambda both: matched(features[both[0]], features[both[1]]), both)
+    matches = dict(zip(both, found, strict=True))
     shared = [
-        _shared(around[one], around[other], of_photograph[one], matched(features[one], features[other]))
+        _shared(around[one], around[other], matches[one, name], matches[one, other])
         for one, other in combinations(around, 2)
     ]
     places, uv = (np.concatenate(parts) for parts in zip(*shared, strict=True))

@@ -13,6 +13,7 @@ from mammometry.base.photograph import Photograph
 from mammometry.calibration.judge.pose_motion import shifts
 from mammometry.geometry.twist import rigid_motions
 from mammometry.job.stages import surface as stages
+from mammometry.surface.motion import agreement
 from mammometry.surface.motion import motion_detection as stillness
 from mammometry.surface.motion import rigid_motion as motions
 from mammometry.surface.motion.agreement import differences
@@ -114,6 +115,31 @@ def test_differences_have_the_sign_and_size_of_a_shift():
         sign = {"front": 1.0}
         apart = (sign.get(each.first, 0.0) - sign.get(each.second, 0.0)) * -0.5 * each.normals[:, 2]
         np.testing.assert_allclose(each.distance_mm, apart, atol=0.03)  # ranges between pixels of 1 mm, on curved skin
+
+
+def test_differences_are_those_of_each_cell_alone():
+    """Plain twin: one cell after the other."""
+    rng = np.random.default_rng(0)
+    count = 3000
+    points = rng.uniform(-40.0, 40.0, (count, 3))
+    normals = rng.normal(size=(count, 3)) + np.array([0.0, 0.0, 5.0])
+    apart, sigma = rng.normal(size=count), rng.uniform(0.1, 0.2, count)
+    found = agreement._in_cells("a", "b", points, normals, apart, sigma)
+    cells = {}
+    for index, place in enumerate(np.floor(points / agreement._CELL_MM).astype(int).tolist()):
+        cells.setdefault(tuple(place), []).append(index)
+    kept = [cells[place] for place in sorted(cells) if len(cells[place]) >= agreement._FEWEST_DATA]
+    assert len(kept) < len(cells)
+    for row, cell in enumerate(kept):
+        np.testing.assert_allclose(found.points[row], points[cell].mean(axis=0), atol=1e-12)
+        mean = normals[cell].mean(axis=0)
+        np.testing.assert_allclose(found.normals[row], mean / np.linalg.norm(mean), atol=1e-12)
+        assert found.distance_mm[row] == np.median(apart[cell])
+        assert found.expected_mm[row] == np.median(sigma[cell])
+        scatter = agreement._MEDIAN_FACTOR * apart[cell].std() / np.sqrt(len(cell))
+        assert found.scatter_mm[row] == pytest.approx(scatter, rel=1e-12)
+    assert len(found.points) == len(kept)
+    assert agreement._in_cells("a", "b", points[:5], normals[:5], apart[:5], sigma[:5]) is None
 
 
 def test_a_still_capture_is_left_alone(still):

@@ -91,3 +91,13 @@ def reuse_freed_memory() -> None:
         library = ctypes.CDLL(None)
         for what, value in ((_MMAP_MAX, 0), (_TRIM_THRESHOLD, _KEPT_BYTES), (_ARENA_MAX, 1)):
             library.mallopt(what, value)
+
+
+def return_freed_memory() -> None:
+    """Give freed memory back to the system. Does nothing without glibc.
+
+    Small values between freed arrays keep the heap from shrinking by itself, so that the memory of each product would
+    be added to that of the earlier ones.
+    """
+    with suppress(OSError, AttributeError, TypeError):  # another C library
+        ctypes.CDLL(None).malloc_trim(0)

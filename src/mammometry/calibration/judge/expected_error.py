@@ -172,7 +172,8 @@ def expected_std_mm(
     std_mm = {}
     for pair, free in by_parameter.items():
         std_mm[pair] = np.full(len(points), np.nan)
-        std_mm[pair][inside[pair]] = np.sqrt(np.sum((free @ matrix) * free, axis=(1, 2)))
+        flat = free.reshape(-1, len(columns))  # one product of matrices instead of one for each point
+        std_mm[pair][inside[pair]] = np.sqrt(np.sum(((flat @ matrix) * flat).reshape(len(free), -1), axis=1))
     return std_mm
 
 

@@ -13,7 +13,7 @@ from mammometry.base.value import value
 from mammometry.geometry import Array, Camera, Float64, Int64
 from mammometry.matching.dense.match import DisparityMap
 from mammometry.surface.ranges.range_image import RangeImage, thinned_camera
-from mammometry.surface.ranges.visibility import LEAST_COSINE, CommonSkin, common_skin
+from mammometry.surface.ranges.visibility import LEAST_COSINE, CommonSkin, ComparedView, common_skin
 from mammometry.surface.settings import TAPER_MM
 
 _CELL_MM = 16.0
@@ -67,23 +67,19 @@ def differences(range_images: Sequence[RangeImage], other_skin_mm: float = OTHER
         range_images: one for each pair.
         other_skin_mm: distance from which two views are assumed to see different skin.
     """
-    images = map_in_threads(lambda image: _thinned(image.keeping(image.trust(TAPER_MM) > _INSIDE)), range_images)
-    normals = map_in_threads(RangeImage.normals_camera, images)
-    found = []
-    for a, image in enumerate(images):
-        for b, other in enumerate(images[a + 1 :], start=a + 1):
-            forth = common_skin(image, normals[a], other, normals[b])
-            back = common_skin(other, normals[b], image, normals[a])
-            points, directions, apart, sigma = (
-                np.concatenate(parts)
-                for parts in zip(
-                    _well_seen(forth, 1.0, other_skin_mm), _well_seen(back, -1.0, other_skin_mm), strict=True
-                )
-            )
-            cells = _cells(points)
-            if len(cells):
-                found.append(_in_cells(image.name, other.name, (points, directions, apart, sigma), cells))
-    return tuple(found)
+
+    def prepared(image: RangeImage) -> ComparedView:
+        return ComparedView.of(_thinned(image.keeping(image.trust(TAPER_MM) > _INSIDE)))
+
+    def compared(both: tuple[ComparedView, ComparedView]) -> Differences | None:
+        view, other = both
+        forth = _well_seen(common_skin(view, other), 1.0, other_skin_mm)
+        back = _well_seen(common_skin(other, view), -1.0, other_skin_mm)
+        return _in_cells(view.image.name, other.image.name, *map(np.concatenate, zip(forth, back, strict=True)))
+
+    views = map_in_threads(prepared, range_images)
+    found = map_in_threads(compared, list(itertools.combinations(views, 2)))
+    return tuple(both for both in found if both is not None)
 
 
 def _thinned(image: RangeImage) -> RangeImage:
@@ -107,32 +103,43 @@ def _well_seen(
     return common.points[well], common.normals[well], sign * common.distance_mm[well], common.sigma_mm[well]
 
 
-def _cells(points: Float64[Array, "n 3"]) -> list[Int64[Array, " k"]]:
-    """Indices of the points of each cell with enough points."""
-    if not len(points):
-        return []
-    number = np.unique(np.floor(points / _CELL_MM).astype(np.int64), axis=0, return_inverse=True)[1].ravel()
-    order = np.argsort(number, kind="stable")
-    parts = np.split(order, np.flatnonzero(np.diff(number[order])) + 1)
-    return [part for part in parts if len(part) >= _FEWEST_DATA]
-
-
 def _in_cells(
     first: str,
     second: str,
-    data: tuple[Float64[Array, "n 3"], Float64[Array, "n 3"], Float64[Array, " n"], Float64[Array, " n"]],
-    cells: Sequence[Int64[Array, " k"]],
-) -> Differences:
-    points, normals, apart, sigma = data
-    mean = np.array([normals[cell].mean(axis=0) for cell in cells])
+    points: Float64[Array, "n 3"],
+    normals: Float64[Array, "n 3"],
+    apart: Float64[Array, " n"],
+    sigma: Float64[Array, " n"],
+) -> Differences | None:
+    """Means and medians of the cells with enough points. None without such a cell."""
+    if not len(points):
+        return None
+    cells = np.floor(points / _CELL_MM).astype(np.int64)
+    cells -= cells.min(axis=0)
+    number = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
+    _, number, counts = np.unique(number, return_inverse=True, return_counts=True)
+    enough = counts >= _FEWEST_DATA
+    if not enough.any():
+        return None
+
+    def mean(values: Float64[Array, " n"]) -> Float64[Array, " k"]:
+        return np.bincount(number, values) / counts
+
+    def median(values: Float64[Array, " n"]) -> Float64[Array, " k"]:
+        ordered = values[np.lexsort((values, number))]
+        begin = np.cumsum(counts) - counts
+        return 0.5 * (ordered[begin + (counts - 1) // 2] + ordered[begin + counts // 2])
+
+    normal = np.stack([mean(axis) for axis in normals.T], axis=1)[enough]
+    std = np.sqrt(mean((apart - mean(apart)[number]) ** 2))
     return Differences(
         first=first,
         second=second,
-        points=np.array([points[cell].mean(axis=0) for cell in cells]),
-        normals=mean / np.linalg.norm(mean, axis=1, keepdims=True),
-        distance_mm=np.array([np.median(apart[cell]) for cell in cells]),
-        scatter_mm=np.array([_MEDIAN_FACTOR * apart[cell].std() / np.sqrt(len(cell)) for cell in cells]),
-        expected_mm=np.array([np.median(sigma[cell]) for cell in cells]),
+        points=np.stack([mean(axis) for axis in points.T], axis=1)[enough],
+        normals=normal / np.linalg.norm(normal, axis=1, keepdims=True),
+        distance_mm=median(apart)[enough],
+        scatter_mm=(_MEDIAN_FACTOR * std / np.sqrt(counts))[enough],
+        expected_mm=median(sigma)[enough],
     )
 
 

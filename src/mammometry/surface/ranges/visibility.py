@@ -3,15 +3,18 @@
 `field_kernels.sample_field` is the compiled form for the millions of cubes of the first surface.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from itertools import combinations
 
 import numpy as np
 
 from mammometry.base.errors import SurfaceError
 from mammometry.base.machine.cores import in_bands, map_in_threads
-from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
+from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
 from mammometry.surface.ranges import image_kernels
 from mammometry.surface.ranges.range_image import SIGMAS, RangeImage
 
@@ -115,32 +118,56 @@ def disagreement_mm(range_images: Sequence[RangeImage]) -> dict[tuple[str, str],
     Compared are data whose normals agree (20°) and that both views see within 60° of the normal. View pairs with fewer
     than 500 such data are left out.
     """
-    normals = map_in_threads(RangeImage.normals_camera, range_images)
+    views = map_in_threads(ComparedView.of, range_images)
     result: dict[tuple[str, str], tuple[float, float]] = {}
-    for a, image in enumerate(range_images):
-        for b, other in enumerate(range_images[a + 1 :], start=a + 1):
-            samples = [
-                _distances_across(image, normals[a], other, normals[b]),
-                _distances_across(other, normals[b], image, normals[a]),
-            ]
-            common = np.concatenate(samples)
-            if len(common) >= _FEWEST_COMMON:
-                distance_mm, sigma_mm = np.median(common, axis=0).tolist()
-                result[image.name, other.name] = distance_mm, sigma_mm
+    for view, other in combinations(views, 2):
+        common = np.concatenate([_distances_across(view, other), _distances_across(other, view)])
+        if len(common) >= _FEWEST_COMMON:
+            distance_mm, sigma_mm = np.median(common, axis=0).tolist()
+            result[view.image.name, other.image.name] = distance_mm, sigma_mm
     return result
 
 
-def _distances_across(
-    image: RangeImage, normals: Float32[Array, "h w 3"], other: RangeImage, other_normals: Float32[Array, "h w 3"]
-) -> Float64[Array, "n 2"]:
+def _distances_across(view: ComparedView, other: ComparedView) -> Float64[Array, "n 2"]:
     """Distances of a view's data from the other's surface along the normal, and their expected σ, mm.
 
     Data far behind are left out, since the other's surface may hide them: of two views that contradict each other, one
     has its data in front of the other's surface.
     """
-    common = common_skin(image, normals, other, other_normals)
+    common = common_skin(view, other)
     shown = common.distance_mm > -JUMP_MM
     return np.stack([np.abs(common.distance_mm[shown]), common.sigma_mm[shown]], axis=1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ComparedView:
+    """A view with up to 20,000 of its data, to be compared with other views."""
+
+    image: RangeImage
+    normals_camera: Float32[Array, "h w 3"]
+    """Of all its data: `RangeImage.normals_camera`."""
+    rows: Int64[Array, " n"]
+    columns: Int64[Array, " n"]
+    points: Float64[Array, "n 3"]
+    """The data, world frame, mm."""
+    normals: Float64[Array, "n 3"]
+    """Their normals, world frame."""
+
+    @classmethod
+    def of(cls, image: RangeImage) -> ComparedView:
+        """The view with every few of its data, evenly."""
+        stride = max(1, int(image.valid.sum()) // _AGREEMENT_SAMPLES)
+        rows, columns = (index[::stride] for index in np.nonzero(image.valid))
+        rays = image.camera.rays_world(np.stack([columns, rows], axis=-1).astype(np.float64))
+        normals_camera = image.normals_camera()
+        return cls(
+            image=image,
+            normals_camera=normals_camera,
+            rows=rows,
+            columns=columns,
+            points=image.camera.centre_world + rays * image.range_mm[rows, columns].astype(np.float64)[:, None],
+            normals=normals_camera[rows, columns] @ image.camera.camera_from_world.rotation,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -159,37 +186,23 @@ class CommonSkin:
     """Standard deviation of that distance, from the expected errors of both data."""
 
 
-def common_skin(
-    image: RangeImage, normals: Float32[Array, "h w 3"], other: RangeImage, other_normals: Float32[Array, "h w 3"]
-) -> CommonSkin:
-    """Compare up to 20,000 data of a view with another view, where both see the same skin.
+def common_skin(view: ComparedView, other: ComparedView) -> CommonSkin:
+    """Compare the data of a view with another view, where both see the same skin.
 
     The normals must agree (20°), and the other view must see the data within 60° of their normal.
-
-    Args:
-        image: the view.
-        normals: its `RangeImage.normals_camera`.
-        other: the view to compare with.
-        other_normals: its `RangeImage.normals_camera`.
     """
-    stride = max(1, int(image.valid.sum()) // _AGREEMENT_SAMPLES)
-    rows, columns = (index[::stride] for index in np.nonzero(image.valid))
-    points = (
-        image.camera.centre_world
-        + image.camera.rays_world(np.stack([columns, rows], axis=-1).astype(np.float64))
-        * image.range_mm[rows, columns].astype(np.float64)[:, None]
-    )
-    gap = gap_mm(points, other)
-    known = np.isfinite(gap)
-    rows, columns, points, gap = rows[known], columns[known], points[known], gap[known]
-    own = normals[rows, columns] @ image.camera.camera_from_world.rotation
-    uv = np.rint(other.camera.project(points)).astype(np.intp)
-    theirs = other_normals[uv[:, 1], uv[:, 0]] @ other.camera.camera_from_world.rotation
-    cosine = _cosine(theirs, other.camera.centre_world - points)
+    camera, image = other.image.camera, view.image
+    gap = gap_mm(view.points, other.image)
+    known = np.flatnonzero(np.isfinite(gap))
+    points, own, gap = view.points[known], view.normals[known], gap[known]
+    uv = np.rint(camera.project(points)).astype(np.intp)
+    theirs = other.normals_camera[uv[:, 1], uv[:, 0]] @ camera.camera_from_world.rotation
+    cosine = _cosine(theirs, camera.centre_world - points)
     with np.errstate(invalid="ignore"):
         alike = (np.einsum("ij,ij->i", own, theirs) > np.cos(np.radians(_ALIKE_DEG))) & (cosine > LEAST_COSINE)
-    rows, columns, uv, points, gap, cosine = (array[alike] for array in (rows, columns, uv, points, gap, cosine))
-    sigma = np.hypot(image.sigma_mm[rows, columns], other.sigma_mm[uv[:, 1], uv[:, 0]])
+    known, uv, points, gap, cosine = known[alike], uv[alike], points[alike], gap[alike], cosine[alike]
+    own_sigma = image.sigma_mm[view.rows[known], view.columns[known]]
+    sigma = np.hypot(own_sigma, other.image.sigma_mm[uv[:, 1], uv[:, 0]])
     return CommonSkin(
         points=points,
         normals=theirs[alike],
