@@ -3,13 +3,15 @@
     python -m benchmarks.accuracy.photos --walks ../shared/data/photos --out OUT
     python -m benchmarks.accuracy.photos --walks ../shared/data/photos --shifted 10 --out OUT
     python -m benchmarks.accuracy.photos --walks ../shared/data/photos --compressed 50 --out OUT
+    python -m benchmarks.accuracy.photos --walks ../shared/data/photos --filtered 25 --out OUT
     python -m benchmarks.accuracy.photos --women 9701 9702 9703 --out OUT
 
 The first measures walks of another renderer. The second crops each of their photographs at random first, as a
 stabilised lens shifts them: standard deviation in pixels. The third compresses them to this JPEG quality, and saves
-them as PNG, since the program leaves out JPEGs below 50. The fourth renders its own, one for each woman, under the
-conditions `CONDITIONS` in turn. Each folder of `--walks` has ``photos/`` and ``truth/`` (``truth.json`` with the
-board's pose and the nipples, and ``body.ply``). The surface is judged on the true skin within 85 mm of a nipple,
+them as PNG, since the program leaves out JPEGs below 50. The fourth smooths differences of about so many grey levels,
+as a beauty filter does. The last renders its own, one for each woman, under the conditions `CONDITIONS` in turn. Each
+folder of `--walks` has ``photos/`` and ``truth/`` (``truth.json`` with the board's pose and the nipples, and
+``body.ply``). The surface is judged on the true skin within 85 mm of a nipple,
 whether the photographs show it or not, and by the skin that was measured there. Each volume is compared with that of
 the true mesh by the same program, and with the true volume of an own woman. A walk in OUT is not measured again.
 `--peers` adds rows of other programs (`photo_peers`).
@@ -22,9 +24,11 @@ import json
 import resource
 import shutil
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 
+import cv2
 import numpy as np
 from PIL import Image
 
@@ -185,8 +189,8 @@ def shifted(walk: Path, out: Path, std_px: float) -> Path:
     return out
 
 
-def compressed(walk: Path, out: Path, quality: int) -> Path:
-    """The walk with each photograph compressed again, as by a messenger."""
+def changed(walk: Path, out: Path, change: Callable[[Image.Image], Image.Image]) -> Path:
+    """The walk with the pixels of each photograph changed, as PNG."""
     if not out.exists():
         shutil.copytree(walk / "truth", out / "truth")
         (out / "photos").mkdir()
@@ -194,12 +198,21 @@ def compressed(walk: Path, out: Path, quality: int) -> Path:
             if path.suffix != ".jpg":
                 shutil.copy(path, out / "photos")
                 continue
-            small = BytesIO()
             with Image.open(path) as image:
-                image.save(small, "JPEG", quality=quality)
-            with Image.open(small) as image:
-                image.save(out / "photos" / f"{path.stem}.png", compress_level=1)
+                change(image).save(out / "photos" / f"{path.stem}.png", compress_level=1)
     return out
+
+
+def compressed(image: Image.Image, quality: int) -> Image.Image:
+    """A photograph after a messenger."""
+    small = BytesIO()
+    image.save(small, "JPEG", quality=quality)
+    return Image.open(small)
+
+
+def filtered(image: Image.Image, levels: float) -> Image.Image:
+    """A photograph with smoothed skin, as by a beauty filter: bilateral, 4 px."""
+    return Image.fromarray(cv2.bilateralFilter(np.asarray(image), 0, levels, 4.0))
 
 
 def processor_s() -> float:
@@ -216,6 +229,7 @@ def main() -> None:
     walks.add_argument("--women", type=int, nargs="+")
     parser.add_argument("--shifted", type=float, default=0.0, help="px")
     parser.add_argument("--compressed", type=int, default=0, help="JPEG quality")
+    parser.add_argument("--filtered", type=float, default=0.0, help="grey levels that a beauty filter smooths")
     parser.add_argument("--peers", action="store_true", help="other programs on the same walks")
     parser.add_argument("--out", type=Path, required=True)
     arguments = parser.parse_args()
@@ -233,7 +247,11 @@ def main() -> None:
             px = arguments.shifted
             walk = shifted(walk, arguments.out / "shifted" / f"{walk.name}-{px:g}px", px)
         if quality := arguments.compressed:
-            walk = compressed(walk, arguments.out / "compressed" / f"{walk.name}-q{quality}", quality)
+            to = arguments.out / "compressed" / f"{walk.name}-q{quality}"
+            walk = changed(walk, to, partial(compressed, quality=quality))
+        if levels := arguments.filtered:
+            to = arguments.out / "filtered" / f"{walk.name}-{levels:g}"
+            walk = changed(walk, to, partial(filtered, levels=levels))
         print(measured(walk, arguments.out), flush=True)
         for row in peers(walk, arguments.out) if arguments.peers else ():
             print(row, flush=True)

@@ -247,5 +247,5 @@ def _moved_too_much(found: WalkMotion, most_mm: float) -> SurfaceError:
         f"the correction of each photograph's motion, pairs disagree by {found.rest_mm:.2f} mm",
         expected=f"at most {most_mm:.2f} mm",
         remedy="Have the patient hold her breath for each half of the walk, and photograph again. If she did, send the "
-        "telephone's own files: strong compression, as by messengers, looks the same",
+        "telephone's own files, without filters: strong compression and smoothed skin look the same",
     )

@@ -100,6 +100,21 @@ def test_a_board_almost_edge_on_is_placed_without_a_pull_at_the_others(walk):
     assert np.all((np.sqrt(np.diag(matrix)[added]) > 0.01) & (np.sqrt(np.diag(matrix)[added]) < 3.0))
 
 
+@pytest.mark.requirement("R-PHOTO-3")
+def test_photographs_placed_with_the_lens_held_follow_the_size_of_the_print(walk):
+    """As after a bank card: the board is 1 % larger, and so are all distances from it."""
+    _, photographs, observations = walk
+    before = stations_of(observations)
+    placed = with_held_lens(before, *tilted_boards(observations, before, photographs))
+    larger = stations_of(replace(observations, target=BOARD.scaled(1.01)))
+    again = with_held_lens(larger, placed.held, placed.rig.cameras)
+    assert again.held.keys() == placed.held.keys()
+    for name, camera in placed.rig.cameras.items():
+        assert np.linalg.norm(again.rig.cameras[name].centre_world - 1.01 * camera.centre_world) < 1e-3
+        turn = again.rig.cameras[name].camera_from_world.rotation @ camera.camera_from_world.rotation.T
+        assert np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)) < 1e-5
+
+
 @pytest.mark.requirement("R-PHOTO-5")
 def test_a_photograph_of_something_else_stays_without_a_board(walk):
     cameras, photographs, observations = walk
