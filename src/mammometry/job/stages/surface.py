@@ -116,10 +116,15 @@ def moved_ranges(
 ) -> Mapping[str, RangeImage]:
     """Pair → its range image with the cameras' poses at the exposures."""
     motion = walk_motion or stillness
-    return {name: motion.apply_motion(image, cameras.rig) for name, image in range_images.items()}
+    moved = {name: motion.apply_motion(image, cameras.rig) for name, image in range_images.items()}
+    if job.inputs.walk is None:
+        return moved
+    from mammometry.walk.data_edges import with_edge_errors
+
+    return {name: with_edge_errors(image, cameras.rig.pair(name)) for name, image in moved.items()}
 
 
-@product("surface", version=6, name="valid", settings=_dent_settings, inputs=("subject",), large=True)
+@product("surface", version=7, name="valid", settings=_dent_settings, inputs=("subject",), large=True)
 def keep_masks(
     cameras: CameraSet, moved_ranges: Mapping[str, RangeImage], subjects: Subjects | None, *, job: Context
 ) -> KeepMasks:
