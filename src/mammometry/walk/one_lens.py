@@ -39,16 +39,17 @@ def judge_lenses(calibration: Calibration, stations: Mapping[str, Camera]) -> di
     for seen, residuals in zip(calibration.observations.detections, calibration.residuals_px, strict=True):
         if seen.pose in out:
             continue
-        change, std = focal_change(stations[seen.pose], calibration.target_points[seen.ids], seen.uv)
         excluded = np.isnan(residuals).any(axis=1)
-        if abs(change) > max(_MOST_ZOOM, _ZOOM_SIGMAS * std):
+        camera = stations.get(seen.pose)  # none if the adjustment excluded too many of its corners
+        zoom = 0.0 if camera is None else _zoom(camera, calibration.target_points[seen.ids], seen.uv)
+        if zoom:
             out[seen.pose] = LeftOut(
                 code="zoom",
-                found=f"a focal length of {100 * (1 + change):.0f} % of that of most pictures",
+                found=f"a focal length of {100 * (1 + zoom):.0f} % of that of most pictures",
                 expected="one focal length",
                 remedy="Do not zoom during a walk, and lock the focus",
             )
-        elif excluded.mean() > _MOST_EXCLUDED:
+        elif camera is None or excluded.mean() > _MOST_EXCLUDED:
             out[seen.pose] = LeftOut(
                 code="another-lens",
                 found=f"{excluded.sum()} of {len(excluded)} corners of the board away from their places",
@@ -56,6 +57,12 @@ def judge_lenses(calibration: Calibration, stations: Mapping[str, Camera]) -> di
                 remedy="Do not zoom during a walk, lock the focus, and keep the card flat",
             )
     return out
+
+
+def _zoom(camera: Camera, points_world: Float64[Array, "n 3"], uv: Float64[Array, "n 2"]) -> float:
+    """Relative change of the focal length. 0 if it is small or not significant."""
+    change, std = focal_change(camera, points_world, uv)
+    return change if abs(change) > max(_MOST_ZOOM, _ZOOM_SIGMAS * std) else 0.0
 
 
 def focal_change(camera: Camera, points_world: Float64[Array, "n 3"], uv: Float64[Array, "n 2"]) -> tuple[float, float]:
