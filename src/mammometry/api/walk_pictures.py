@@ -53,16 +53,16 @@ class WalkPictures:
         Raises:
             CalibrationError: too few fit, or they do not determine the positions.
         """
-        stations = stations_of(self.observations)
-        odd = judge_lenses(stations.calibration, stations.rig.cameras)
-        if not odd:
-            return self._with_tilted(stations, self.observations, self.left_out)
-        out = {**self.left_out, **odd}
-        good = tuple(board for board in self.observations.detections if board.pose not in odd)
-        require_enough([board.pose for board in good], out, self.names, FEWEST)
-        # The odd ones have pulled at the common lens: a zoom of 50 % by 0.3 %.
-        observations = replace(self.observations, detections=good)
-        return self._with_tilted(stations_of(observations), observations, out)
+        observations, out = self.observations, dict(self.left_out)
+        stations = stations_of(observations)
+        # The odd ones have pulled at the common lens (a zoom of 50 % by 0.3 %), so the others are judged again.
+        while odd := judge_lenses(stations.calibration, stations.rig.cameras):
+            out |= odd
+            good = tuple(board for board in observations.detections if board.pose not in odd)
+            require_enough([board.pose for board in good], out, self.names, FEWEST)
+            observations = replace(observations, detections=good)
+            stations = stations_of(observations)
+        return self._with_tilted(stations, observations, out)
 
     def _with_tilted(
         self, stations: Stations, observations: Observations, out: Mapping[str, LeftOut]

@@ -92,14 +92,9 @@ def find_occlusions(
         others = [name for name in views if name not in rig.pair_names[image.name]]
         for seen in (points, _shown(past, own)):
             some = seen[:: max(1, len(seen) // most)]
-
-            def placed(view: _View, some: Array = some, measured: bool = seen is points) -> _Places:
-                at, depth_mm = view.places(some)
-                if measured:
-                    np.minimum.at(view.depth_mm, (at.row[::2], at.column[::2]), depth_mm[::2])
-                return at
-
-            places = dict(zip(views, map_in_threads(placed, list(views.values())), strict=True))
+            look_up = partial(_View.measured if seen is points else _View.places, points_world=some)
+            found = map_in_threads(look_up, list(views.values()))
+            places = {name: at for name, (at, _) in zip(views, found, strict=True)}
             polls.append(_Poll(count=len(some), places=places, voters=others))
     spans = {name: spanned_mm(view.camera, view.subject, view.step, view.depth_mm) for name, view in views.items()}
     shown = {name: view.near | np.isfinite(spans[name]) for name, view in views.items()}
@@ -173,6 +168,12 @@ class _View:
             index=index.astype(np.int32), row=row[index].astype(np.int32), column=column[index].astype(np.int32)
         )
         return places, depth_mm[index]
+
+    def measured(self, points_world: Float64[Array, "n 3"]) -> tuple[_Places, Float64[Array, " k"]]:
+        """The same. The depths of every other point are entered in `depth_mm`."""
+        at, depth_mm = self.places(points_world)
+        np.minimum.at(self.depth_mm, (at.row[::2], at.column[::2]), depth_mm[::2])
+        return at, depth_mm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
