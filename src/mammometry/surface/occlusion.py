@@ -93,8 +93,8 @@ def find_occlusions(
         for seen in (points, _shown(past, own)):
             some = seen[:: max(1, len(seen) // most)]
             look_up = partial(_View.measured if seen is points else _View.places, points_world=some)
-            found = map_in_threads(look_up, list(views.values()))
-            places = {name: at for name, (at, _) in zip(views, found, strict=True)}
+            looked_up = map_in_threads(look_up, list(views.values()))
+            places = {name: at for name, (at, _) in zip(views, looked_up, strict=True)}
             polls.append(_Poll(count=len(some), places=places, voters=others))
     spans = {name: spanned_mm(view.camera, view.subject, view.step, view.depth_mm) for name, view in views.items()}
     shown = {name: view.near | np.isfinite(spans[name]) for name, view in views.items()}
