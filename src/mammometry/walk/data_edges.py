@@ -14,9 +14,9 @@ from mammometry.geometry import StereoPair
 from mammometry.surface.ranges import image_kernels
 from mammometry.surface.ranges.range_image import MAX_SIGMA_MM, RangeImage
 
-_AT_EDGE_PX = 2.0
-"""Standard deviation of disparities at the edge, pixels of the range image. On virtual walks they are 1.1 off (RMS) if
-larger errors count as 2 pixels; with 1, too many vertices are more than 3 standard deviations off (decision 52)."""
+_AT_EDGE_PX = 1.0
+"""Standard deviation of disparities at the edge, pixels of the range image: 0.9 to 1.1 on virtual walks. With 2, so
+much skin is left out that the trunk's axis and the border change (decision 52)."""
 _DECAY_PX = 8.0
 """Distance from the edge at which it is smaller by a factor of e, pixels: about three σ of the matching window."""
 

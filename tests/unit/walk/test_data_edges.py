@@ -7,9 +7,9 @@ from mammometry.geometry import Camera, StereoPair, Transform
 from mammometry.surface.ranges.range_image import MAX_SIGMA_MM, RangeImage
 from mammometry.walk.data_edges import with_edge_errors
 
-SIGMA_MM, SIDE_PX, HOLE, FOCAL_PX, BASELINE_MM, DEPTH_MM = 0.3, 120, (60, 60), 800.0, 400.0, 600.0
+SIGMA_MM, SIDE_PX, HOLE, FOCAL_PX, BASELINE_MM, DEPTH_MM = 0.3, 120, (60, 60), 800.0, 200.0, 600.0
 PX_MM = DEPTH_MM**2 / (FOCAL_PX * BASELINE_MM)
-"""Depth of a pixel of disparity: 1.125 mm."""
+"""Depth of a pixel of disparity: 2.25 mm."""
 
 
 def camera(name: str, x_mm: float) -> Camera:
@@ -40,14 +40,14 @@ def plane(baseline_mm: float = BASELINE_MM) -> tuple[RangeImage, StereoPair]:
     return image, pair
 
 
-def test_the_error_is_two_pixels_at_an_edge_and_falls_off_within_a_window() -> None:
+def test_the_error_is_a_pixel_at_an_edge_and_falls_off_within_a_window() -> None:
     image, pair = plane()
     found = with_edge_errors(image, pair)
     for place in ((60, 61), (60, 68), (30, 30), (0, 60)):
         to_hole = np.hypot(place[0] - HOLE[0], place[1] - HOLE[1])
         to_border = min(*place, SIDE_PX - 1 - place[0], SIDE_PX - 1 - place[1]) + 1
         away = image.range_mm[place] / DEPTH_MM
-        expected = np.hypot(SIGMA_MM, 2.0 * PX_MM * away * np.exp(-min(to_hole, to_border) / 8.0))
+        expected = np.hypot(SIGMA_MM, PX_MM * away * np.exp(-min(to_hole, to_border) / 8.0))
         assert found.sigma_mm[place] == pytest.approx(expected, rel=1e-5)
     assert found.sigma_mm[HOLE] == 0.0
     assert found.sigma_mm[30, 30] < 1.02 * SIGMA_MM
@@ -56,7 +56,7 @@ def test_the_error_is_two_pixels_at_an_edge_and_falls_off_within_a_window() -> N
 
 
 def test_data_at_the_edge_are_left_out_where_a_pixel_is_too_much_in_depth() -> None:
-    """Half of the baseline: two pixels are 4.5 mm."""
+    """Half of the baseline: a pixel is 4.5 mm."""
     image, pair = plane(BASELINE_MM / 2)
     found = with_edge_errors(image, pair)
     assert not found.valid[60, 61]
