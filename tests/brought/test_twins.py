@@ -292,11 +292,13 @@ def test_a_scan_of_a_wrong_size_is_never_silent(
 @pytest.mark.slow
 @pytest.mark.requirement("R-SIDE-4")
 def test_nothing_of_a_doubtful_scan_is_exported_or_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    mesh, folder = written(mirrored(front()), tmp_path / "a.ply"), tmp_path / "scan"
-    write_outputs(folder, import_scan(mesh, ScanFacts(scanner="A", units=""), units="mm"), command="import mesh")
+    folder, later = tmp_path / "scan", tmp_path / "later"
+    for scan, factor in ((folder, 1.0), (later, 1.01)):
+        mesh = written(scaled(mirrored(front()), factor), tmp_path / f"{scan.name}.ply")
+        write_outputs(scan, import_scan(mesh, ScanFacts(scanner="A", units=""), units="mm"), command="import mesh")
     for call in (
         ["export", "table", str(folder), "--out", str(tmp_path / "table")],
-        ["compare", str(folder), str(folder), "--out", str(tmp_path / "compared")],
+        ["compare", str(folder), str(later), "--out", str(tmp_path / "compared")],
     ):
         assert main.run([*call, "--quiet"]) == 3
         assert "mirror" in capsys.readouterr().err

@@ -242,7 +242,7 @@ def _check(jobs: list[Job]) -> None:
     if same or first.pictures & second.pictures:
         raise SessionError(
             str(second.folder),
-            found="the same folder twice" if same else f"photographs that {first.folder} has too",
+            found="the same folder twice" if same else f"photographs or a scan that {first.folder} has too",
             expected="the folders of two dates, each with photographs or a scan of its own",
             remedy="Name the folder of the other date",
         )
