@@ -288,7 +288,15 @@ def test_the_order_is_that_of_the_exposures_if_all_have_a_time(walk_visit: Visit
         row.checks[0]["taken_s"] = taken_s
         row.save()
     assert [row.pk for row in walks.photographs_of(walk_visit)] == [rows[k].pk for k in (1, 2, 0)]
-    rows[2].checks[0]["taken_s"] = None
+
+
+def test_without_a_time_the_order_is_that_of_the_cameras_names_then_as_they_were_sent(walk_visit: Visit) -> None:
+    rows = filled(walk_visit, 3)
+    for row, name in zip(rows, ("IMG_1000.HEIC", "IMG_0998.HEIC", "IMG_0999.HEIC"), strict=True):
+        row.checks[0]["file"] = name
+        row.save()
+    assert [row.pk for row in walks.photographs_of(walk_visit)] == [rows[k].pk for k in (1, 2, 0)]
+    rows[2].checks[0]["file"] = None  # not a camera's name
     rows[2].save()
     assert [row.pk for row in walks.photographs_of(walk_visit)] == [row.pk for row in rows]
 

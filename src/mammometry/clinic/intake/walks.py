@@ -144,15 +144,18 @@ def _look_at_photograph(upload: Upload) -> tuple[list[Finding], dict[str, Any]]:
 
 
 def photographs_of(visit: Visit) -> list[Upload]:
-    """Photographs of a walk in the order in which they were taken, or sent if any file has no time.
+    """Photographs of a walk by their times, else by the numbers that a camera gave them, else as they were sent.
 
     Those that have not arrived or are refused are at the end.
     """
     rows = list(uploads_of(visit).exclude(state=Upload.State.PREPARED))
     placed = [row for row in rows if row.state == Upload.State.PLACED]
     taken = {row.pk: _seen(row).get("taken_s") for row in placed}
+    files = {row.pk: _seen(row).get("file") or "" for row in placed}
     if None not in taken.values():
         placed.sort(key=lambda row: (taken[row.pk], row.created))
+    elif all(files.values()):
+        placed.sort(key=lambda row: (len(files[row.pk]), files[row.pk]))  # IMG_999 before IMG_1000
     return placed + [row for row in rows if row.state != Upload.State.PLACED]
 
 
