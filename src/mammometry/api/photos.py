@@ -1,4 +1,4 @@
-"""Conversion of photographs by one telephone and a printed board to a session.
+"""Convert photographs taken with one telephone and a printed board to a session.
 
 ::
 
@@ -48,7 +48,7 @@ BOARD = "board.toml"
 WALK = "walk.json"
 _VERSION = 6  # raised when the same photographs give a different session
 _NOT_IN_A_PAIR = LeftOut(code="not-in-a-pair", found="not in a pair")
-_MARGIN_PX = 32  # margin around the region in the image, for windows at its edge
+_MARGIN_PX = 32  # margin around the region in the image, for matching windows at its edge
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,9 +58,9 @@ class PreparedWalk:
     source: str
     """Digest of the photographs and the board's description."""
     pictures: int
-    """Photographs in the folder."""
+    """Photographs in the folder, or frames chosen from the video."""
     used: Sequence[str]
-    """Numbers (`walk_files`) of the photographs in pairs."""
+    """Numbers (`walk_files`) of the photographs that are in pairs."""
     left_out: Mapping[str, LeftOut]
     """Number of a photograph → why it is not used."""
     board_rms_px: float
@@ -72,14 +72,14 @@ class PreparedWalk:
     scale_std: float
     """Relative standard uncertainty of all lengths."""
     point_std_mm: float
-    """Standard uncertainty of a reconstructed point, from the telephone's positions and lens, mm."""
+    """Standard uncertainty of a reconstructed point due to the telephone's poses and lens, mm."""
     card_scale: float | None = None
-    """Length on the print by a bank card, relative to the length as drawn or typed. None: without a card."""
+    """True length on the print by a bank card, relative to its stated length. None: no card."""
     times: Mapping[str, str] = field(default_factory=dict)
     """Number of a frame → its time in the video ("12.4 s"). Empty for photographs."""
 
     def names(self, folder: Path) -> Mapping[str, str]:
-        """Number of a picture → name of its file in the folder that was given, or its time in the video.
+        """Number of a picture → name of its file in the given folder, or its time in the video.
 
         Raises:
             SessionError: the folder has no photographs.
@@ -98,15 +98,15 @@ def prepare_walk(
 ) -> PreparedWalk:
     """Write a session of a walk: camera positions, pairs, and the photographs cropped to the body.
 
-    The photographs are stored by number, without their names, which may be a patient's, and without EXIF data. A
-    session of the same photographs is not changed.
+    Photographs are stored by number and without EXIF data: a file's name may be a patient's. An existing session of the
+    same photographs is kept unchanged.
 
     Args:
-        folder: the photographs or one video, and ``board.toml`` if the board is not ours.
-        out: the session's folder: new, empty, or made from these photographs before.
+        folder: the photographs or one video, and ``board.toml`` if the board was measured or is another one.
+        out: the session's folder: new, empty, or a session of these photographs.
         posture: of the patient.
         subject: pseudonym.
-        scratch: folder in which the frames of a video are kept meanwhile. None: the system's for temporary files.
+        scratch: folder for temporary frames of a video. None: the system's folder for temporary files.
         progress: fraction of the photographs in which the board was searched.
 
     Raises:
@@ -168,7 +168,7 @@ def prepare_walk(
 
 
 def read_walk(session: Path) -> PreparedWalk | None:
-    """Facts about the photographs of a session made by `prepare_walk`. None for any other."""
+    """Facts about the photographs of a session made by `prepare_walk`. None for other folders."""
     try:
         table = json.loads((session / WALK).read_text(encoding="utf-8"))
         left_out = {name: LeftOut(**why) for name, why in table["left_out"].items()}
@@ -190,17 +190,17 @@ def read_board(folder: Path) -> Target:
     try:
         return target_from_table(table.get("target", table))
     except SessionError as error:
-        remedy = f"Correct {BOARD} beside the photographs; `mammometry target board.pdf --telephone` prints a whole one"
+        remedy = f"Correct {BOARD} next to the photographs; `mammometry target board.pdf --telephone` prints an example"
         raise SessionError(
             f"{path}: {error.subject}", found=error.found, expected=error.expected, remedy=remedy
         ) from None
 
 
 def board_pdf(page: str = "A4") -> bytes:
-    """PDF at true scale of the telephone's board, with its field for a bank card.
+    """PDF of the telephone's board at true scale, with its field for a bank card.
 
     Args:
-        page: as of `target_pdf`.
+        page: as for `target_pdf`.
 
     Raises:
         SessionError: the board does not fit the page.
@@ -211,7 +211,7 @@ def board_pdf(page: str = "A4") -> bytes:
 
 
 def mounting_by_board(rig: Rig) -> Mounting:
-    """How the telephone was held in all photographs: the board's text is upright.
+    """How the telephone was held, from the board, whose text is upright.
 
     Args:
         rig: the photographs' cameras, in the board's frame (y down).
@@ -272,7 +272,7 @@ def _box(mask: Bool[Array, "h w"]) -> tuple[slice, slice]:
 
 
 def _cropped(camera: Camera, rows: slice, columns: slice) -> Camera:
-    """Camera of a part of the image."""
+    """The camera of a cropped image."""
     width, height = camera.size_wh
     matrix = camera.matrix.copy()
     matrix[0, 2] -= columns.start
@@ -295,7 +295,7 @@ def _manifest(walk: PreparedWalk, rig: Rig, target: Target, posture: str, subjec
         for box in ((region.low_world, region.high_world), (points.min(axis=0), points.max(axis=0)))
     )
     return (
-        "# Made by `mammometry photos`: photographs by one telephone and a printed board.\n"
+        "# Made by `mammometry photos` from photographs with one telephone and a printed board.\n"
         'format = 1\nunits = "mm"\n\n'
         f'[rig]\nname = "telephone"\n{held}pairs = [\n{pairs}\n]\n\n'
         f'[subject]\nkind = "torso"\n{named}posture = "{posture}"\n\n'

@@ -31,7 +31,7 @@ from mammometry.walk.stations import FEWEST, Stations, find_boards, stations_of
 from mammometry.walk.tilted_boards import tilted_boards
 
 _STILLS = (*EXTENSIONS, *HEIC_EXTENSIONS)
-_DECODING = 0.5  # share of the time that a video's frames take
+_DECODING = 0.5  # share of the progress for decoding a video
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -39,23 +39,23 @@ class WalkPictures:
     """The pictures of a walk, by number ("01")."""
 
     names: Mapping[str, str]
-    """Name of every picture: of its file, or the time in the video."""
+    """Name of every picture: its file's, or its time in the video."""
     photographs: Mapping[str, Photograph]
     """Read when looked up."""
     observations: Observations
-    """The board in the usable ones."""
+    """The board in the usable pictures."""
     left_out: Mapping[str, LeftOut]
     """Why the others are not used."""
 
     def placed(self) -> tuple[Stations, Mapping[str, LeftOut]]:
-        """The telephone at each picture that fits one lens, and all pictures that are left out.
+        """The telephone at each picture that fits the common lens, and all pictures that are left out.
 
         Raises:
             CalibrationError: too few fit, or they do not determine the positions.
         """
         observations, out = self.observations, dict(self.left_out)
         stations = stations_of(observations)
-        # The odd ones have pulled at the common lens (a zoom of 50 % by 0.3 %), so the others are judged again.
+        # Pictures with another lens bias the common one (a zoom of 50 % by 0.3 %), so the rest is judged again.
         while odd := judge_lenses(stations.calibration, stations.rig.cameras):
             out |= odd
             good = tuple(board for board in observations.detections if board.pose not in odd)
@@ -67,7 +67,7 @@ class WalkPictures:
     def _with_tilted(
         self, stations: Stations, observations: Observations, out: Mapping[str, LeftOut]
     ) -> tuple[Stations, Mapping[str, LeftOut]]:
-        """Add photographs that see the board at a flat angle, and remove them from those left out."""
+        """Add photographs that show the board at a flat angle, and remove them from those left out."""
         stations = with_held_lens(stations, *tilted_boards(observations, stations, self.photographs))
         return stations, {name: why for name, why in out.items() if name not in stations.rig.cameras}
 
@@ -99,7 +99,7 @@ def walk_files(folder: Path) -> dict[str, Path]:
 def walk_video(folder: Path) -> Path | None:
     """The video of a walk. None if the folder has none.
 
-    A video with the name of a photograph is the moving part of an iPhone's live photo, and is ignored.
+    A video with the same name as a photograph is the moving part of an iPhone's Live Photo, and is ignored.
 
     Raises:
         SessionError: several videos, or photographs as well.
@@ -122,14 +122,14 @@ def walk_video(folder: Path) -> Path | None:
 def usable_pictures(
     folder: Path, target: Target, progress: Progress, scratch: Path | None = None
 ) -> Iterator[WalkPictures]:
-    """Judge the pictures of a walk by their files, then by the board in them.
+    """Check the pictures of a walk, first by their files, then by the board in them.
 
-    The frames of a video exist only inside the context.
+    The frames of a video are deleted when the context ends.
 
     Args:
         folder: with the photographs or the video.
         target: the board.
-        progress: fraction of the pictures judged.
+        progress: fraction of the pictures checked.
         scratch: folder for the frames of a video. None: the system's.
 
     Raises:
@@ -172,7 +172,7 @@ def _usable(files: Mapping[str, Path], names: Mapping[str, str], target: Target,
         photographs = LazyMapping(left, lambda number, path: read_from_sensor(path, number, orientation))
         try:
             observations = find_boards(photographs, target, progress)
-        except ImageError:  # damage shows only in the pixels
+        except ImageError:  # some damage shows only when pixels are decoded
             damaged = _unreadable(photographs)
             if not damaged:
                 raise
@@ -194,7 +194,7 @@ def _usable(files: Mapping[str, Path], names: Mapping[str, str], target: Target,
 
 
 def _unreadable(photographs: Mapping[str, Photograph]) -> dict[str, LeftOut]:
-    """All pictures that cannot be decoded, so that boards are searched for only once more."""
+    """All pictures that cannot be decoded, so that the search for boards is repeated only once."""
     found = {}
     for number in photographs:
         try:

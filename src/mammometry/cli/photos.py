@@ -1,4 +1,4 @@
-"""`photos`: photographs by one telephone and a printed board."""
+"""`photos`: photographs taken with one telephone and a printed board."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def photos(
     folder: Annotated[
         Path,
         typer.Argument(
-            metavar="FOLDER", help="Photographs or one video by one telephone, and board.toml with the measured board.",
+            metavar="FOLDER", help="Photographs or one video from a telephone; board.toml if the board was measured.",
             show_default=False,
         ),
     ],
@@ -48,11 +48,11 @@ def photos(
         str | None, typer.Option(*SUBJECT_ID, help="Pseudonym of the patient, never a name.", show_default=False)
     ] = None,
 ) -> Answer:  # fmt: skip
-    """Measure a patient who wears a printed board, from photographs by one telephone.
+    """Measure a patient who wears a printed board, from photographs taken with one telephone.
 
-    The photographs are taken while walking around the patient. The board shows where each was taken. They are stored in
-    a session, cropped to the body and without EXIF data, and measured as with `run`. Photographs and results that are
-    current are kept.
+    Take the photographs while walking around the patient; the board shows where each was taken. They are stored in a
+    session, cropped to the body and without EXIF data, and measured as with `run`. Current photographs and results are
+    kept.
     """
     from mammometry.measure.settings import POSTURES
 
@@ -63,14 +63,14 @@ def photos(
 
 
 def photos_demo(folder: Path, options: Options) -> Answer:
-    """Photograph and measure a virtual standing woman, and compare with her volumes.
+    """Photograph and measure a virtual standing woman, and compare with her true volumes.
 
     Raises:
-        MammometryError: the folder holds something else, or she cannot be measured.
+        MammometryError: the folder has other content, or she cannot be measured.
     """
     from mammometry.simulate.walk import BOARD, PHOTOGRAPHS, WalkRecipe, woman_of, write_walk
 
-    options.settings()  # refuses a wrong name at once, not after a minute
+    options.settings()  # refuses wrong names before rendering, which takes a minute
     recipe = WalkRecipe(seed=_DEMO_SEED, pictures=_DEMO_PICTURES, scale=_DEMO_SCALE)
     begun = time.monotonic()
     try:
@@ -78,7 +78,7 @@ def photos_demo(folder: Path, options: Options) -> Answer:
     except (OSError, UnicodeDecodeError):
         present = False
     with Bars(options.silent) as bars, compiled_ahead():
-        if present:  # truth/ is for "mammometry evaluate" and benchmarks alone
+        if present:  # truth/ is only for "mammometry evaluate" and benchmarks
             truth = woman_of(recipe).volumes_cc
         else:
             with bars.task("simulate", "photographs") as progress:
@@ -89,7 +89,7 @@ def photos_demo(folder: Path, options: Options) -> Answer:
 
 
 def simulated_walk(out: Path, recipe: WalkRecipe, options: OutputOptions) -> Answer:
-    """Render a walk with a virtual telephone, and state the true volumes.
+    """Render a walk with a virtual telephone. The answer has the true volumes.
 
     Raises:
         MammometryError: the recipe cannot be rendered, or the folder is not new.

@@ -1,4 +1,4 @@
-"""Forms of visits with photographs by one telephone and a printed board."""
+"""Forms of visits with photographs taken with one telephone and a printed board."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ _MOST_STD_MM = PRINT_STD * PRINTED_MM  # a larger uncertainty is no better than 
 
 
 def print_words() -> dict[str, str]:
-    """Length of the print if it is not measured, and what it does to a volume's interval, as text."""
+    """Assumed length of a print that is not measured, and its share of a volume's interval, as text."""
     return {
         "print_mm": f"{PRINTED_MM:.0f} ± {PRINT_STD * PRINTED_MM:.1f} mm",
         "print_share": f"± {100 * volume_share_of_print():.0f} %",
@@ -43,17 +43,17 @@ def _edge_std() -> forms.FloatField:
 
 
 class _Board(RecordForm):
-    """Length of the print and its uncertainty: both, or none."""
+    """Length of the print and its uncertainty: both or neither."""
 
     edge_mm = _edge()
     edge_std_mm = _edge_std()
 
     def clean(self) -> dict[str, Any]:
-        """Refuse one without the other, and a length that no printer makes."""
+        """Refuse one without the other, and an implausible length."""
         values: dict[str, Any] = super().clean() or self.cleaned_data
         edge_mm, edge_std_mm = values.get("edge_mm"), values.get("edge_std_mm")
         if edge_mm is not None and edge_std_mm is None and "edge_std_mm" not in self.errors:
-            self.add_error("edge_std_mm", "Enter how well the length is known, such as 0.2.")
+            self.add_error("edge_std_mm", "Enter the uncertainty of the length, such as 0.2.")
         elif edge_mm is None and edge_std_mm is not None and "edge_mm" not in self.errors:
             self.add_error("edge_mm", "Enter the measured length, or remove its uncertainty.")
         elif edge_mm is not None and edge_std_mm is not None:

@@ -1,1 +1,1 @@
-"""Photographs with one telephone from all around a patient who wears a printed board."""
+"""Walks: photographs taken with one telephone around a patient who wears a printed board."""

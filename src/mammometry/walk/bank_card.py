@@ -1,4 +1,4 @@
-"""Size of the print, by a bank card on the telephone's board.
+"""Measure the size of the printed board with a bank card that lies on it.
 
 The card's upper side is a known rectangle in a plane parallel to the board, and each photograph's camera is known in
 the board's frame. Points on the card's edges are measured in each photograph, and one rectangle is fitted to all of
@@ -31,37 +31,37 @@ from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.geometry import Array, Bool, Camera, Float64
 from mammometry.walk.region import TELEPHONE_BOARD
 
-_STEP_MM = 0.2  # pixel of the rectified pictures: half of a telephone's pixel
+_STEP_MM = 0.2  # pixel size of the rectified pictures: half a telephone's pixel on the board
 _MARGIN_MM = 10.0  # margin of the rectified pictures around the card's field
-_ASIDE_MM, _TURNED_RAD = 6.0, 0.07  # largest shift and rotation of a card from its field
-_REACH_MM = 2.0  # length of a profile across an edge, to either side
+_ASIDE_MM, _TURNED_RAD = 6.0, 0.07  # largest shift and rotation of a card relative to its field
+_REACH_MM = 2.0  # half-length of a profile across an edge
 _PROFILE_MM = 0.1  # distance between the samples of a profile
 _ROUND_MM = 6.0  # excluded at each end of an edge: corners are rounded by 3.18 mm (ISO/IEC 7810)
-_ALONG_MM, _BESIDE = 0.5, 1  # distance between profiles, and how many are excluded next to other printed marks
+_ALONG_MM, _BLURRED = 0.5, 1  # distance between profiles; number excluded on either side of a change in the print
 _CHUNK_MM = 5.0  # length of edge whose mean profile gives one point
-_PLATEAU_MM = (0.7, 1.6)  # distances from the edge at which the brightness of card and paper is taken
+_PLATEAU_MM = (0.7, 1.6)  # distances from the edge between which the brightness of card and paper is measured
 _LEAST_STEP = 0.3
 """Smallest step of brightness at an edge, relative to white paper. Shadows displace weaker edges by 0.4 mm."""
 _MOST_OFF_MM = 1.2  # largest distance of an edge from its position in the previous round: 1.4 % of the card's width
 _PRINT_SEEN = 0.5  # correlation of a picture with the print above which there is no card on it
-_WALL, _OBLIQUE = 0.03, 0.8  # largest tangent of the viewing direction: outwards, before the side wall is seen; inwards
+_WALL, _OBLIQUE = 0.03, 0.8  # largest tangent of the viewing angle: from outside, where the side wall shows; inside
 _LIFT_STD_MM = 0.1  # std of the card's height above the print: tape, thickness of 0.68 to 0.84 mm (ISO/IEC 7810)
-_EDGE_STD_MM = 0.05  # systematic std of the distance between two edges: rendered cards, whose tone curve is known, 0.02
-_FEWEST = 5  # fewest photographs
-_HUBER = 1.5  # standard deviations beyond which the loss is linear
+_EDGE_STD_MM = 0.05  # systematic std of the distance between two edges; 0.02 on rendered cards, with a known tone curve
+_FEWEST = 5  # fewest photographs, and fewest points on an edge
+_HUBER = 1.5  # residual beyond which the loss is linear, standard deviations
 
 
 @value
 class CardScale:
-    """Size of the print by a bank card."""
+    """Size of the printed board, measured with a bank card."""
 
     width_mm: float
     height_mm: float
-    """Sides of the card in the board's lengths."""
+    """Sides of the card, if the board has its stated size."""
     scale: float
-    """True length relative to the board's stated one."""
+    """True length on the board relative to its stated length."""
     std: float
-    """Its standard uncertainty: of the measurement and of cards."""
+    """Its standard uncertainty, from the measurement and the tolerances of cards."""
     photographs: int
     """Photographs that show the card's edges."""
 
@@ -101,7 +101,7 @@ class _Patch:
         return found
 
     def near(self, places: Float64[Array, "*n 2"]) -> Float64[Array, "*n"]:
-        """As `at`, at the nearest pixel: a fifth of the time."""
+        """As `at`, but at the nearest pixel: five times as fast."""
         column, row = np.moveaxis(np.rint((places - self.low) / _STEP_MM).astype(int), -1, 0)
         height, width = self.values.shape
         found: Float64[Array, "*n"] = self.values[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
@@ -111,13 +111,13 @@ class _Patch:
 def find_card(
     cameras: Mapping[str, Camera], photographs: Mapping[str, Photograph], board: Board, plane_mm: float
 ) -> CardScale | None:
-    """Measure the bank card on the telephone's board. None if there is none, or its edges are not seen.
+    """Measure the bank card on the telephone's board. None without a card or with too few visible edges.
 
     Args:
         cameras: photograph → camera in the board's frame.
         photographs: name → photograph.
         board: the board, as measured or as drawn.
-        plane_mm: height z of the print under the card: not 0 where the board is bowed.
+        plane_mm: height z of the print under the card; not 0 if the board is bowed.
     """
     drawn = board.edge_mm / FIELD_EDGE_MM
     middle = drawn * np.array(FIELD_MIDDLE)
@@ -133,7 +133,7 @@ def find_card(
         return None
     frontal = _Patch("", patches[0].low, np.mean([patch.values for patch in patches], axis=0), np.zeros(3))
     if _shows_print(frontal, middle, ink):
-        return None  # without reading the other photographs
+        return None  # before the other photographs are read
     patches += rectified
     card = _coarse(frontal, middle, ink)
     fitted = None
@@ -159,7 +159,7 @@ def find_card(
 
 
 def _printed(board: Board, drawn: float, middle: Float64[Array, 2]) -> Callable[..., Array]:
-    """The print around the field: tells for each position whether it is ink, to one pixel."""
+    """Return a function: whether positions on the board are printed black, to one pixel."""
     low, counts = _raster(middle)
     dark = np.zeros((counts[1], counts[0]), dtype=bool)
     for left, top, width, height in np.concatenate([board.sheet().rectangles, field_sheet(drawn).rectangles]):
@@ -211,7 +211,7 @@ def _rectified(name: str, camera: Camera, photograph: Photograph, below: Float64
 
 
 def _shows_print(patch: _Patch, middle: Float64[Array, 2], ink: Callable[..., Array]) -> bool:
-    """Whether the squares under the card's field are seen."""
+    """Whether the squares that a card would cover are visible."""
     half = 0.5 * np.array(CARD_MM) - _ASIDE_MM - 1.0
     grid = np.stack(np.meshgrid(*(np.arange(-side, side) for side in half)), axis=-1).reshape(-1, 2) + middle
     values, dark = patch.at(grid), ink(grid)
@@ -267,7 +267,7 @@ class _Place:
     offset_mm: float
     """Distance outwards from the edge in the previous round, mm."""
     outwards: float
-    """Tangent of the viewing direction, positive outwards."""
+    """Tangent of the viewing angle, positive if the camera is outside the edge."""
 
 
 def _places(patch: _Patch, card: _Rectangle, ink: Callable[..., Array]) -> Iterator[_Place]:
@@ -284,8 +284,8 @@ def _places(patch: _Patch, card: _Rectangle, ink: Callable[..., Array]) -> Itera
         profiles, dark = patch.at(places), ink(places[:, beyond])
         kind = np.where(dark.all(axis=1), 1, np.where(dark.any(axis=1), -1, 0))
         mixed = np.flatnonzero(kind[1:] != kind[:-1])
-        for border in mixed:  # blur of the print next to them
-            kind[max(0, border + 1 - _BESIDE) : border + 1 + _BESIDE] = -1
+        for border in mixed:  # profiles blurred by the print next to them
+            kind[max(0, border + 1 - _BLURRED) : border + 1 + _BLURRED] = -1
         chunk = np.floor((along + half) / _CHUNK_MM).astype(int)
         for (_, inked), group in groupby(range(len(along)), key=lambda k: (chunk[k], kind[k])):
             rows = list(group)
@@ -314,9 +314,9 @@ def _crossing(across: Float64[Array, " t"], profile: Float64[Array, " t"], white
 
 
 def _fitted(card: _Rectangle, places: list[_Place]) -> tuple[_Rectangle, Float64[Array, "2 2"]] | None:
-    """Rectangle that fits all points, and the covariance of its sides. None if an edge is not seen.
+    """Rectangle that fits all points, and the covariance of its sides. None with too few points on an edge.
 
-    Unknowns: shift of the middle, turn, changes of both sides, height of the card above its usual plane.
+    Unknowns: shift of the middle, rotation, changes of both sides, height of the card above its nominal plane.
     """
     normals = np.array([place.normal for place in places]).reshape(-1, 2)
     axes = np.array([place.axis for place in places], dtype=int)
@@ -342,7 +342,7 @@ def _fitted(card: _Rectangle, places: list[_Place]) -> tuple[_Rectangle, Float64
         sigma = max(MAD * float(np.median(np.abs(rest))), 1e-4)
         weights = np.minimum(1.0, _HUBER * sigma / np.maximum(np.abs(rest), 1e-9))
     inverse = np.linalg.inv(normal)
-    # Errors of one photograph are correlated: its points count as one.
+    # Errors within a photograph are correlated: all its points count as one observation.
     names = np.array([place.photograph for place in places])
     sums = np.stack(
         [(rows[names == name].T * weights[names == name]) @ rest[names == name] for name in np.unique(names)]

@@ -1,7 +1,7 @@
-"""Errors of a walk's range data near the edge of what a pair has measured.
+"""Increase the standard deviations of a walk's range data near the edges of the data.
 
-A rig knows the subject's outline, and its matching windows end there. The masks of a walk contain the room. So windows
-at the edge of the skin also contain the room, the board or other skin behind it, and the match is too deep there.
+The matching windows of a rig end at the subject's outline. The outline is not known in a walk, so matching windows at
+the edge of the skin also contain the room, the board or other skin behind it, and the matched points are too deep.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ _AT_EDGE_PX = 1.0
 """Standard deviation of disparities at the edge, pixels of the range image: 0.9 to 1.1 on virtual walks. With 2, so
 much skin is left out that the trunk's axis and the border change (decision 52)."""
 _DECAY_PX = 8.0
-"""Distance from the edge at which it is smaller by a factor of e, pixels: about three σ of the matching window."""
+"""Distance over which it decreases by a factor of e, pixels: about three σ of the matching window."""
 
 
 def with_edge_errors(image: RangeImage, pair: StereoPair) -> RangeImage:
-    """The data with larger standard deviations near the edge, without those that become too uncertain.
+    """Increase the standard deviations near the edges, and remove data that become too uncertain.
 
     A pixel of disparity moves a datum of range r and depth z by r z / (f b), with the rectified focal length f and the
     baseline b. The edge of the image counts as an edge.

@@ -15,10 +15,10 @@ from mammometry.geometry import Array, Float64
 from mammometry.walk.stations import TELEPHONE
 
 MOST = 30
-"""Most frames of a walk: more show the same skin again."""
+"""Largest number of frames of a walk: more show the same skin again."""
 _APART_DEG = 3.0  # least angle between two frames' directions: pairs are 8 to 25 degrees apart
-_FOCAL_WIDTHS = 0.8  # focal length of telephones' videos, widths of the picture: only for the rough directions here
-_SOFT = 0.7  # sharpness relative to that of frames from the same direction, below which a frame is not used
+_FOCAL_WIDTHS = 0.8  # assumed focal length of a video, picture widths: good enough for approximate directions
+_SOFT = 0.7  # least sharpness of a usable frame, relative to the median of frames from the same direction
 
 
 @value(eq=False)
@@ -30,11 +30,11 @@ class SeenFrame:
     sharpness: float
     """Larger for sharper frames; comparable between frames of the same direction."""
     direction: Float64[Array, 3]
-    """Unit vector from the board to the telephone, board's frame, roughly."""
+    """Approximate unit vector from the board to the telephone, in the board's frame."""
 
 
 def direction_in(frame: Photograph, board: Target) -> Float64[Array, 3] | None:
-    """Direction from the middle of the board to the telephone. None without a board."""
+    """Direction from the middle of the board to the telephone. None if no board is found."""
     found = detect_in(frame, board, camera=TELEPHONE, pose=frame.name)
     if found is None:
         return None
@@ -46,7 +46,7 @@ def direction_in(frame: Photograph, board: Target) -> Float64[Array, 3] | None:
     first, second, place = axes[:, 0], axes[:, 1], axes @ np.append(board.points_target[:, :2].mean(axis=0), 1.0)
     first, second = first / np.linalg.norm(first), second / np.linalg.norm(second)
     u, _, v = np.linalg.svd(np.column_stack([first, second, np.cross(first, second)]))
-    sign = 1.0 if place[2] > 0 else -1.0  # a homography has no sign
+    sign = 1.0 if place[2] > 0 else -1.0  # the sign of a homography is arbitrary
     turn = u @ np.diag([sign, sign, 1.0]) @ v
     away = -turn.T @ (sign * place)
     return away / np.linalg.norm(away)

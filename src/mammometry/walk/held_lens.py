@@ -1,7 +1,7 @@
-"""Place further photographs of a walk from the board, with the lens held.
+"""Find the positions of further photographs of a walk, with the lens fixed.
 
-Boards at a flat angle have poor corners. They must not pull at the lens or at the other photographs, so each of their
-photographs gets only its own position (decision 52).
+Corners of boards seen at a flat angle are inaccurate, and must not affect the lens or the positions of other
+photographs. So only the positions of these photographs are fitted (decision 52).
 """
 
 from __future__ import annotations
@@ -19,16 +19,15 @@ from mammometry.calibration.judge.expected_error import derivatives
 from mammometry.geometry import Array, Camera, Float64, Transform
 from mammometry.walk.stations import Stations
 
-_MOST_RMS_PX = 1.5  # of a usable board, as in `stations`. Boards at 60 to 80 degrees fit to 0.06 px
-_SIGMAS = 2.0  # residual from which a corner counts less, in standard deviations
-_STEP = np.array([1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0])  # rad and mm: of similar effect in the image
+_MOST_RMS_PX = 1.5  # largest residual of a usable board, as in `stations`. Boards at 60 to 80 degrees fit to 0.06 px
+_SIGMAS = 2.0  # residual beyond which a corner has less weight, standard deviations
+_STEP = np.array([1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0])  # rad and mm: similar effects in the image
 
 
 def with_held_lens(stations: Stations, boards: Mapping[str, Detection], starts: Mapping[str, Camera]) -> Stations:
-    """Stations with those of further photographs.
+    """Add further photographs to the stations.
 
-    The covariance of the lens is carried into that of each added position. Photographs whose corners do not fit are
-    left out.
+    The covariance of each added position includes that of the lens. Photographs whose corners do not fit are left out.
 
     Args:
         stations: of the other photographs.
@@ -52,7 +51,7 @@ def with_held_lens(stations: Stations, boards: Mapping[str, Detection], starts: 
 
 
 def _fitted(camera: Camera, points: Float64[Array, "n 3"], board: Detection) -> Camera:
-    """The camera at the pose that fits best."""
+    """The camera in the pose that fits best."""
     weights = np.linalg.inv(np.linalg.cholesky(board.covariance_px2))
 
     def moved(step: Float64[Array, 6]) -> Camera:
@@ -75,7 +74,7 @@ def _extended(
     board: Detection,
     noise_factor: float,
 ) -> ParameterCovariance:
-    """The covariance with another camera, which has the lens of the first."""
+    """Extend the covariance by a camera that has the lens of the first one."""
     column = {name: index for index, name in enumerate(covariance.names)}
     own = [name.removeprefix(f"{first}.") for name in column if name.startswith(f"{first}.")]
     of_lens = [name for name in own if name not in POSE_NAMES_CAMERA]
@@ -88,7 +87,7 @@ def _extended(
     select = np.zeros((len(of_lens), len(column)))
     select[np.arange(len(of_lens)), [column[f"{first}.{name}"] for name in of_lens]] = 1.0
     whole = np.concatenate([np.eye(len(column)), select, -alone @ pose.T @ lens @ select])
-    # Errors that the points of one photograph share: as large as in the other photographs.
+    # Errors common to the points of a photograph are assumed to be as large as in the other photographs.
     poses = [index for name, index in column.items() if name.rpartition(".")[2] in POSE_NAMES_CAMERA]
     shared = float(np.median(np.diag(covariance.matrix)[poses] / np.diag(covariance.independent)[poses]))
     matrix, independent = whole @ covariance.matrix @ whole.T, whole @ covariance.independent @ whole.T

@@ -1,7 +1,7 @@
-"""Which pictures of a folder belong to one walk, judged by their files.
+"""Select the pictures of a folder that belong to one walk, by their files' metadata.
 
-The adjustment assumes one lens, so the walk consists of the pictures by the most frequent telephone, size and zoom.
-Others are left out by name, and so are those that the telephone composed or blurred.
+The adjustment assumes one lens, so the walk consists of the pictures with the most frequent telephone, size and zoom.
+The others are left out and listed, as are pictures that software composed or blurred.
 """
 
 from __future__ import annotations
@@ -16,39 +16,39 @@ from mammometry.base.value import value
 Mode: TypeAlias = Literal["", "portrait", "panorama"]
 _Key = TypeVar("_Key", bound=Hashable)
 _LONGEST_EXPOSURE_S = 0.25
-"""A standing body sways by 0.5 mm in it (2 mm/s). Night modes take 1 s and more."""
+"""In this time a standing body sways by 0.5 mm (2 mm/s). Night modes take 1 s or more."""
 _WIDEST = 2.5
-"""Width over height: screens and their pictures have up to 2.33 (21:9), panoramas 3 and more."""
+"""Largest ratio of width to height: screens have up to 2.33 (21:9), panoramas 3 or more."""
 _SAME_ZOOM = 0.04
-"""Relative difference of focal lengths in EXIF that is not a zoom: they are rounded to whole mm, of about 26."""
+"""Largest relative difference of focal lengths in EXIF without a zoom: they are rounded to whole mm, of about 26 mm."""
 _LEAST_QUALITY = 50.0
-"""Of a JPEG: at 50 the points of a pair are twice as far off as in the original, at 40 three times (decision 52)."""
+"""Of a JPEG: at 50, the points of a pair have twice the error of the original, at 40 three times (decision 52)."""
 
 
 @value
 class PictureFacts:
-    """How a picture was taken, by its file's header. What the file does not state is empty or None."""
+    """How a picture was taken, from its file's metadata. Unknown values are empty or None."""
 
     stored_wh: tuple[int, int]
-    """Width and height as the sensor saw it, pixels."""
+    """Width and height of the sensor's picture, before it is rotated, pixels."""
     orientation: int = 1
     """EXIF orientation, 1…8."""
     is_png: bool = False
-    """No telephone's camera writes PNG, but screenshots are."""
+    """Screenshots are PNG files. Photographs by telephones are not."""
     model: str = ""
     """Make and model of the telephone."""
     focal_mm: float | None = None
     """Focal length of the lens."""
     focal_35_mm: float | None = None
-    """Focal length of a lens with the same view on 35 mm film: changes with digital zoom, too."""
+    """35 mm equivalent focal length. Digital zoom changes it, too."""
     zoom: float | None = None
     """Digital zoom."""
     exposure_s: float | None = None
     """Exposure time."""
     jpeg_quality: float | None = None
-    """Quality at which it was last compressed, 1…100, as libjpeg counts it. Telephones write 85 to 98."""
+    """Quality of the last compression, 1…100, on libjpeg's scale. Telephones write 85 to 98."""
     mode: Mode = ""
-    """Mode of the telephone's camera in which pictures are composed or blurred by software."""
+    """Camera mode in which software composes or blurs the picture."""
 
 
 @value
@@ -59,7 +59,7 @@ class LeftOut:
     """Kind of the reason, for programs. It never changes."""
     found: str
     expected: str = ""
-    """What was expected instead. Empty if the reason says it."""
+    """What was expected instead. Empty if `found` says it."""
     remedy: str = ""
     """What the user can do. Empty if nothing is wrong."""
 
@@ -82,16 +82,16 @@ def judge_files(facts: Mapping[str, PictureFacts]) -> dict[str, LeftOut]:
 
 
 def require_enough(left: Collection[str], out: Mapping[str, LeftOut], names: Mapping[str, str], fewest: int) -> None:
-    """Refuse a walk of which too few pictures are left.
+    """Refuse a walk with too few usable pictures.
 
     Args:
         left: numbers of the usable pictures.
         out: number → why it is not usable.
         names: number → file, for messages.
-        fewest: least number of pictures.
+        fewest: least number of usable pictures.
 
     Raises:
-        CalibrationError: too few. `details` has one line per picture that is not usable.
+        CalibrationError: too few are usable. `details` has one line for each of the others.
     """
     if len(left) >= fewest:
         return
@@ -113,7 +113,10 @@ def require_enough(left: Collection[str], out: Mapping[str, LeftOut], names: Map
 
 
 def usual_orientation(facts: Mapping[str, PictureFacts]) -> int:
-    """The EXIF orientation of most pictures: all are turned by it, as one lens is fixed to one sensor."""
+    """The most frequent EXIF orientation.
+
+    All pictures are rotated by it, because the lens is fixed to the sensor.
+    """
     return _usual([of.orientation for of in facts.values()]) or 1
 
 
@@ -131,7 +134,7 @@ def _modes(facts: Mapping[str, PictureFacts]) -> dict[str, LeftOut]:
         elif of.mode == "portrait":
             out[name] = LeftOut(
                 code="portrait-mode",
-                found="portrait mode, which blurs by software",
+                found="portrait mode, in which software blurs the picture",
                 expected="ordinary pictures",
                 remedy="Use the camera's ordinary photo mode",
             )
@@ -140,7 +143,7 @@ def _modes(facts: Mapping[str, PictureFacts]) -> dict[str, LeftOut]:
                 code="long-exposure",
                 found=f"an exposure of {of.exposure_s:.2g} s",
                 expected=f"less than {_LONGEST_EXPOSURE_S:g} s",
-                remedy="Switch night mode off, and light the room",
+                remedy="Switch off night mode, and use more light",
             )
     return out
 
@@ -151,7 +154,7 @@ def _telephones(facts: Mapping[str, PictureFacts]) -> dict[str, LeftOut]:
         name: LeftOut(
             code="another-telephone",
             found=f"taken with {of.model}",
-            expected=f"{usual}, as most pictures",
+            expected=f"{usual}, like most pictures",
             remedy="Take all pictures of a walk with one telephone",
         )
         for name, of in facts.items()
@@ -166,27 +169,27 @@ def _sizes(facts: Mapping[str, PictureFacts]) -> dict[str, LeftOut]:
     for name, of in facts.items():
         if usual is None or of.stored_wh == usual:
             continue
-        code, remedy = "other-size", "Copy the pictures as the telephone wrote them: no messenger, no cropping"
+        code, remedy = "other-size", "Copy the original files from the telephone: no messenger, no cropping"
         if of.is_png and not of.model and by_camera:
             code, remedy = "screenshot", "Copy the picture itself, not a picture of the screen"
         elif of.stored_wh == usual[::-1]:
-            code, remedy = "turned", "Copy the pictures as the telephone wrote them: other programs turn their pixels"
+            code, remedy = "turned", "Copy the original files from the telephone: other programs rotate the pixels"
         out[name] = LeftOut(
             code=code,
             found=f"{of.stored_wh[0]} × {of.stored_wh[1]} pixels",
-            expected=f"{usual[0]} × {usual[1]}, as most pictures",
+            expected=f"{usual[0]} × {usual[1]}, like most pictures",
             remedy=remedy,
         )
     return out
 
 
 def _zooms(facts: Mapping[str, PictureFacts]) -> dict[str, LeftOut]:
-    """By each of three tags: the lens, digital zoom, and both."""
+    """Compare three tags: focal length, digital zoom, and the 35 mm equivalent."""
     out: dict[str, LeftOut] = {}
     kinds: Sequence[tuple[str, Callable[[PictureFacts], float | None]]] = (
         ("a lens of {:.3g} mm", lambda of: of.focal_mm),
         ("digital zoom {:.3g}", lambda of: of.zoom),
-        ("a view as of {:.3g} mm on 35 mm film", lambda of: of.focal_35_mm),
+        ("a 35 mm equivalent focal length of {:.3g} mm", lambda of: of.focal_35_mm),
     )
     for words, of_picture in kinds:
         known = {name: tag for name, of in facts.items() if name not in out and (tag := of_picture(of)) is not None}
@@ -195,8 +198,8 @@ def _zooms(facts: Mapping[str, PictureFacts]) -> dict[str, LeftOut]:
             name: LeftOut(
                 code="zoom",
                 found=words.format(tag),
-                expected=f"{usual:.3g}, as most pictures",
-                remedy="Do not zoom during a walk, and keep the telephone from changing its lens",
+                expected=f"{usual:.3g}, like most pictures",
+                remedy="Do not zoom during a walk, and keep the telephone from switching lenses",
             )
             for name, tag in known.items()
             if usual is not None and abs(tag / usual - 1) > _SAME_ZOOM
@@ -210,7 +213,7 @@ def _compressed(facts: Mapping[str, PictureFacts]) -> dict[str, LeftOut]:
             code="compressed",
             found=f"a JPEG of quality {of.jpeg_quality:.0f}, which lacks the skin's fine texture",
             expected=f"at least {_LEAST_QUALITY:.0f}",
-            remedy="Copy the pictures as the telephone wrote them: messengers and other programs compress them",
+            remedy="Copy the original files from the telephone: messengers and other programs compress them",
         )
         for name, of in facts.items()
         if of.jpeg_quality is not None and of.jpeg_quality < _LEAST_QUALITY
@@ -218,5 +221,5 @@ def _compressed(facts: Mapping[str, PictureFacts]) -> dict[str, LeftOut]:
 
 
 def _usual(values: Sequence[_Key]) -> _Key | None:
-    """The most frequent value, the first of several. None if there are none."""
+    """The most frequent value; the first one if several are. None without values."""
     return Counter(values).most_common(1)[0][0] if values else None

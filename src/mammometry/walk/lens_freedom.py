@@ -1,8 +1,8 @@
-"""Errors of a photograph's pose if its lens was not as in the other photographs.
+"""Pose errors of a photograph whose lens differed from that of the other photographs.
 
-A telephone focuses again for each photograph, and its stabiliser shifts the lens. Both change the image of the board as
-a small rotation and shift of the telephone do, so that the pose found from the board takes them up. On the skin above
-the board that pose is then wrong. The error has only as many degrees of freedom as the lens.
+A telephone focuses again for each photograph, and its stabiliser shifts the lens. In the image of the board, both look
+like a small rotation and shift of the telephone, and the pose that is found from the board absorbs them. For the skin
+above the board, that pose is wrong. Its error has only as many degrees of freedom as the lens: three.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ def pose_errors(
 ) -> Float64[Array, "6 3"]:
     """Corrections of a pose found from the board, for a unit change of the lens.
 
-    The rows are those of `POSE_NAMES_CAMERA`. The columns are a focal length that moves points at half the width of
-    the camera's picture by 1 px, and a principal point moved by 1 px along the rows and columns. A change c of
-    the lens moves image points by L c, and one d of the pose by P d. On the board the pose has taken up d = P⁺
-    L c. On the skin the correct pose and lens act as one pose that is changed by P⁺ L c there, less d.
+    The rows are those of `POSE_NAMES_CAMERA`. The columns are a focal length that moves points at half the picture's
+    width by 1 px, and a principal point moved by 1 px along the rows and along the columns. A change c of the lens
+    moves image points by L c, and a change d of the pose moves them by P d. So c looks like the change P⁺ L c of the
+    pose. The correction is that change for points of the skin, minus that for points of the board.
 
     Args:
-        camera: the telephone at the photograph, in the board's frame.
+        camera: camera of the photograph, in the board's frame.
         board_mm: lowest and highest corner of the board's points (x, y), mm.
         skin_world: points of the skin, mm.
     """
@@ -38,7 +38,7 @@ def pose_errors(
 
 
 def _as_pose(camera: Camera, points: Float64[Array, "n 3"]) -> Float64[Array, "6 3"]:
-    """Changes of the pose that act on the points' images like a unit change of the lens, in least squares."""
+    """Changes of the pose that move image points like a unit change of the lens (least squares)."""
     names = tuple(f"{camera.name}.{name}" for name in (*POSE_NAMES_CAMERA, *_LENS_NAMES))
     _, by_parameter = derivatives(camera, points, names)
     rows = by_parameter.reshape(-1, len(names))

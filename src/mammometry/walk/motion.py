@@ -1,10 +1,10 @@
 """Motion of the body between the photographs of a walk, from the disagreement of its pairs.
 
-The board is on the belly, and the breasts move relative to it by breathing and swaying. Each photograph gets a small
-rigid motion of the body relative to the board, the same in all its pairs, so that pairs that see the same skin agree,
-as do the rows of each pair. The motions are the most probable ones, no larger than the disagreement requires. A lens
-that changed between the photographs looks like a motion, but one of three kinds only (`walk.lens_freedom`). How much
-moved and how much the lens changed is what makes the disagreement most probable.
+The board is on the belly, and breathing and swaying move the breasts relative to it. For each photograph, a small rigid
+motion of the body relative to the board is estimated, the same in all its pairs, with which pairs that see the same
+skin agree, and matched points of a pair lie on the same row. A lens that changed between the photographs looks like
+such a motion, but has three degrees of freedom only (`walk.lens_freedom`). Motions and lens changes have normal priors,
+with the sizes that make the disagreement most probable.
 """
 
 from __future__ import annotations
@@ -31,27 +31,27 @@ from mammometry.surface.motion.rigid_motion import Effects, Observed, observed
 from mammometry.surface.ranges.range_image import RangeImage
 from mammometry.walk.lens_freedom import pose_errors
 
-_OTHER_SKIN_MM = 12.0  # pairs that differ by more see different skin; a badly held breath makes some mm
+_OTHER_SKIN_MM = 12.0  # pairs that differ by more see different skin; a badly held breath causes some mm
 _SIZES_MM = (0.01, 0.03, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 2.0)
-"""Standard deviations of a photograph's motion that are tried, mm."""
+"""Standard deviations of a photograph's motion that are compared, mm."""
 _LENS_PX = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0)
-"""Standard deviations of a photograph's principal point, and of its focal length's effect at half the picture's width,
-that are tried, px."""
-_SKIN_POINTS = 300  # points of the skin on which a lens's change is compared with a pose's; chosen for speed
-_LEVER_MM = 150.0  # from the body's centre to its sides: ratio of the shift to the turn that moves skin as much
-_CELL_MM = 0.05  # own error of a cell's distance
-_HUBER = 2.0  # threshold of Huber's loss, standard deviations
+"""Standard deviations that are compared, px: of a photograph's principal point, and of its focal length's effect at
+half the picture's width."""
+_SKIN_POINTS = 300  # points of the skin for `pose_errors`; limits time
+_LEVER_MM = 150.0  # from the body's centre to its sides: a shift by 1 mm and a turn by 1 mm there are equally probable
+_CELL_MM = 0.05  # standard deviation of a cell's distance in addition to its data's own
+_HUBER = 2.0  # residual beyond which the loss is linear, standard deviations
 _ROUNDS = 5  # rounds of reweighting
-_REPORTED_MM = 0.1  # size of the motions from which they are reported
+_REPORTED_MM = 0.1  # least size of motions that are reported
 _STILL = 0.8
-"""Disagreement, relative to that expected from the data's own errors, up to which a body counts as still. Still virtual
-walks have 0.60 to 0.75. Motions that explain this away doubled the errors of the positions (decision 52)."""
+"""Largest disagreement of a still body, relative to that expected from the data's errors. Still virtual walks have 0.60
+to 0.75; correcting that doubled the errors of the positions (decision 52)."""
 _MATCHED = 0.7
-"""The same of a still body, on average: the part of the disagreement that is by matching."""
+"""Mean of that ratio for still bodies: the part of the disagreement that matching causes."""
 _REST_MM = 0.38
-"""Largest other disagreement after the correction, mm. Half of it in each pair, over the 300 cm² of a breast's skin, is
-6 cc. A held breath, one of ± 1 mm and a stabilised lens leave 0.2 to 0.32, a breath of ± 2 mm 0.45, with a wrong border
-(decision 52)."""
+"""Largest disagreement after the correction that matching does not cause, mm. Half of it over the 300 cm² of a breast's
+skin is 6 cc. A held breath, a breath of ± 1 mm and a stabilised lens leave 0.2 to 0.32 mm; a breath of ± 2 mm leaves
+0.45 mm and a wrong border (decision 52)."""
 
 
 @value(eq=False)
@@ -68,9 +68,9 @@ class WalkMotion:
     size_mm: float
     """Most probable standard deviation of a photograph's motion, mm."""
     lens_px: float
-    """Most probable standard deviation of the lens between the photographs, px (`walk.lens_freedom`)."""
+    """Most probable standard deviation of the lens's changes between photographs, px (`walk.lens_freedom`)."""
     before_mm: float
-    """Disagreement of pairs that see the same skin before the correction, standard deviation, mm."""
+    """Disagreement of pairs about the same skin before the correction, standard deviation, mm."""
     rest_mm: float
     """The same after the correction, mm."""
     point_std_mm: float
@@ -90,7 +90,7 @@ class WalkMotion:
         return replace(calibrated, cameras={**calibrated.cameras, **cameras})
 
     def apply_motion(self, image: RangeImage, calibrated: Rig) -> RangeImage:
-        """A range image, triangulated again with the cameras relative to a body at rest."""
+        """Triangulate a range image again, with the cameras relative to a body at rest."""
         return retriangulated(image, calibrated.pair(image.name), self.rig(calibrated).pair(image.name))
 
 
@@ -100,13 +100,13 @@ def find_motion(
     """Most probable motion of the body at each photograph.
 
     Args:
-        rig: poses of the photographs relative to the board, and their pairs.
-        range_images: range images of the pairs with these poses.
+        rig: the photographs' cameras in the board's frame, and their pairs.
+        range_images: range images of the pairs with these cameras.
         rows: pair → its vertical disparity.
         board_mm: lowest and highest corner of the board's points (x, y), mm.
 
     Raises:
-        SurfaceError: the pairs disagree by more than such motions explain.
+        SurfaceError: the pairs still disagree too much with these motions.
     """
     apart = differences(range_images, _OTHER_SKIN_MM)
     cameras = tuple(sorted({name for pair in rig.pair_names.values() for name in pair}))
@@ -147,17 +147,17 @@ def find_motion(
 def summary(found: WalkMotion) -> str:
     """One line about motion for the technician."""
     agree = f"pairs agree to {found.rest_mm:.3f} mm"
-    moved = f"the body moved by about {found.size_mm:.1f} mm against the board" if found.moved else ""
+    moved = f"the body moved by about {found.size_mm:.1f} mm relative to the board" if found.moved else ""
     lens = f"the lens changed by about {found.lens_px:.0f} px" if found.lens_px > 0.0 else ""
     if changed := " and ".join(filter(None, (moved, lens))):
         return f"corrected: {changed} between the photographs; {agree}, {found.before_mm:.3f} mm before"
-    return f"the body kept still against the board; {agree}"
+    return f"the body was still relative to the board; {agree}"
 
 
 def _effects(
     cameras: tuple[str, ...], centre: Float64[Array, 3], rig: Rig, pair: str, points: Float64[Array, "n 3"]
 ) -> Effects:
-    """Effects of the body's motion at each photograph (a twist about the centre) on one pair's points."""
+    """Effects of the body's motion at each photograph (twist about the centre) on one pair's points."""
     names = tuple(f"{camera}.{name}" for camera in rig.pair_names[pair] for name in POSE_NAMES_CAMERA)
     moved = shifts(rig.pair(pair), points, names)
     by_point, by_angle = np.zeros((len(points), 3, 6 * len(cameras))), np.zeros((len(points), 6 * len(cameras)))
@@ -170,9 +170,9 @@ def _effects(
 
 
 def _pose_by_twist(camera: Camera, centre: Float64[Array, 3]) -> Float64[Array, "6 6"]:
-    """Derivatives of the camera's pose relative to a body at rest by the body's twist r, s about the centre.
+    """Derivatives of the camera's pose, relative to a body at rest, by the body's twist (r, s) about the centre.
 
-    The camera is turned by R r, and its centre C is moved by −s − r × (C − centre).
+    The camera is rotated by R r, and its centre C moves by −s − r × (C − centre).
     """
     of_pose = np.zeros((6, 6))
     of_pose[:3, :3] = camera.camera_from_world.rotation
@@ -181,19 +181,19 @@ def _pose_by_twist(camera: Camera, centre: Float64[Array, 3]) -> Float64[Array, 
 
 
 def _noise_mm2(comparison: Differences) -> Float64[Array, "n n"]:
-    """Variances of two pairs' distances, mm². Cells are assumed to be independent."""
+    """Covariance of two pairs' distances, mm². Cells are assumed to be independent."""
     return np.diag(comparison.scatter_mm**2 + comparison.expected_mm**2 + _CELL_MM**2)
 
 
 def _most_probable(
     seen: Observed, by_lens: Sequence[Float64[Array, "6 3"]], sizes: Sequence[tuple[float, float]]
 ) -> tuple[tuple[float, float], Fit]:
-    """Most probable sizes of motions and lens, and the fit with them. Huber's loss by reweighting.
+    """Most probable sizes of motions and lens changes, and the fit with them (Huber's loss).
 
     Args:
         seen: the disagreement.
-        by_lens: twist of each photograph by the lens, a px each.
-        sizes: standard deviations of the motions, mm, and of the lens, px, that are compared.
+        by_lens: twist of each photograph for lens changes of 1 px.
+        sizes: standard deviations that are compared: of motions, mm, and of lens changes, px.
     """
     count = seen.by_unknown.shape[1]
     rows = np.column_stack([seen.by_unknown, seen.values]) / np.sqrt(seen.variance)[:, None]
@@ -214,7 +214,7 @@ def _most_probable(
 
 
 def _prior_root(by_lens: Sequence[Float64[Array, "6 3"]], size_mm: float, lens_px: float) -> Float64[Array, "p p"]:
-    """Square root of the covariance of all photographs' twists before the observations."""
+    """Square root of the prior covariance of all photographs' twists."""
     of_motion = np.diag(np.repeat([size_mm / _LEVER_MM, size_mm], 3) ** 2)
     root: Float64[Array, "p p"] = block_diag(
         *(np.linalg.cholesky(of_motion + lens_px**2 * lens @ lens.T) for lens in by_lens)
@@ -226,7 +226,7 @@ def before_still_body(camera: Camera, twist: Float64[Array, 6], centre_world: Fl
     """The camera relative to a body at rest.
 
     Args:
-        camera: camera with the pose of the photograph.
+        camera: camera in the pose found from the board.
         twist: motion of the body about the centre.
         centre_world: the centre, mm.
     """
@@ -243,9 +243,9 @@ def _moved_too_much(found: WalkMotion, most_mm: float) -> SurfaceError:
     worst = ", ".join(f"{found.cameras[i]} ({np.linalg.norm(found.shift_mm[i]):.1f} mm)" for i in order)
     return SurfaceError(
         "the photographs",
-        found=f"a body that moved relative to the board, most in photographs {worst}, counted in their order: after "
-        f"the correction of each photograph's motion, pairs disagree by {found.rest_mm:.2f} mm",
+        found=f"a body that moved relative to the board, most in photographs {worst}, numbered in order: pairs still "
+        f"disagree by {found.rest_mm:.2f} mm after the correction",
         expected=f"at most {most_mm:.2f} mm",
         remedy="Have the patient hold her breath for each half of the walk, and photograph again. If she did, send the "
-        "telephone's own files, without filters: strong compression and smoothed skin look the same",
+        "telephone's original files, without filters: strong compression and smoothed skin have the same effect",
     )

@@ -1,4 +1,4 @@
-"""Photographs of a walk whose board does not fit the lens of all: another zoom, or a card that bent."""
+"""Find the photographs of a walk that do not fit the common lens: another zoom, or a bent board."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from mammometry.geometry import Array, Camera, Float64, Transform
 from mammometry.walk.inputs import LeftOut
 
 _MOST_EXCLUDED = 0.25
-"""Largest share of a photograph's corners that the robust adjustment excludes. In clean ones it is 3 %."""
+"""Largest share of a photograph's corners that the robust adjustment may exclude: 3 % in clean photographs."""
 _MOST_ZOOM, _ZOOM_SIGMAS = 0.03, 5.0
-"""Largest relative difference of a photograph's focal length, and in its standard deviations. Autofocus changes it by
-up to 2 % between 0.4 and 1 m; a wrong one displaces the telephone by as much of its distance."""
+"""Largest difference of a photograph's focal length, relative and in standard deviations. Autofocus changes it by up to
+2 % between 0.4 and 1 m. A relative error displaces the telephone by the same share of its distance."""
 _CORNER_PX = 0.1  # residual beyond which the loss is linear: a corner is measured to 0.05 px
 
 
@@ -30,7 +30,7 @@ def judge_lenses(calibration: Calibration, stations: Mapping[str, Camera]) -> di
     out = {
         aside.pose: LeftOut(
             code="another-lens",
-            found=f"corners of the board {aside.residual_px:.1f} pixels from their places",
+            found=f"corners of the board that are {aside.residual_px:.1f} pixels off",
             expected="a flat board and the lens of the other pictures",
             remedy="Do not zoom during a walk, lock the focus, and keep the card flat",
         )
@@ -52,7 +52,7 @@ def judge_lenses(calibration: Calibration, stations: Mapping[str, Camera]) -> di
         elif camera is None or excluded.mean() > _MOST_EXCLUDED:
             out[seen.pose] = LeftOut(
                 code="another-lens",
-                found=f"{excluded.sum()} of {len(excluded)} corners of the board away from their places",
+                found=f"{excluded.sum()} of {len(excluded)} corners of the board that do not fit",
                 expected="a flat board and the lens of the other pictures",
                 remedy="Do not zoom during a walk, lock the focus, and keep the card flat",
             )
@@ -60,13 +60,13 @@ def judge_lenses(calibration: Calibration, stations: Mapping[str, Camera]) -> di
 
 
 def _zoom(camera: Camera, points_world: Float64[Array, "n 3"], uv: Float64[Array, "n 2"]) -> float:
-    """Relative change of the focal length. 0 if it is small or not significant."""
+    """Relative change of the focal length; 0 if it is small or not significant."""
     change, std = focal_change(camera, points_world, uv)
     return change if abs(change) > max(_MOST_ZOOM, _ZOOM_SIGMAS * std) else 0.0
 
 
 def focal_change(camera: Camera, points_world: Float64[Array, "n 3"], uv: Float64[Array, "n 2"]) -> tuple[float, float]:
-    """Relative change of the focal length by which a photograph fits best, and its std.
+    """Relative change of the focal length that fits a photograph best, and its standard deviation.
 
     The camera's pose is adjusted with it.
 

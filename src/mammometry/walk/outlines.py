@@ -2,7 +2,7 @@
 
 In an ordinary room colour cannot separate the body from its background, so the masks of a walk contain the whole region
 around the body (`region.Region`). The pixels of a photograph that are far from all measured skin show the room. Without
-this step the surface would be closed along the walls of the region instead of behind the skin.
+this step, the surface would be closed along the walls of the region instead of behind the skin.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def _outlined(given: Foreground, camera: Camera, skin_world: Float64[Array, "n 3
 
 
 def _smooth(cells: Bool[Array, "H W"], shape_hw: tuple[int, int]) -> Float32[Array, "h w"]:
-    """Share of each pixel in a mask of cells, interpolated between their centres: ½ at the mask's border."""
+    """Mask of cells, interpolated between their centres at each pixel: ½ at the mask's border."""
     share: Float32[Array, "h w"] = cells.astype(np.float32)
     for side in shape_hw:  # rows, then columns
         at = np.clip((np.arange(side) + 0.5) / _CELL_PX - 0.5, 0.0, len(share) - 1.0)

@@ -20,12 +20,12 @@ from mammometry.geometry import Array, Camera, Float64, Rig
 NARROWEST_DEG, BEST_DEG, WIDEST_DEG = 8.0, 14.0, 25.0
 """Angle between the directions from which a pair sees the body. From three virtual walks (decision 52)."""
 MOST = 20
-"""Most pairs of a walk: more take time and measure the same skin again."""
+"""Largest number of pairs of a walk: more take time and measure the same skin again."""
 _FORWARD = 0.15  # largest relative difference of the two distances: beyond it, the scales differ too much
 _ALONG = 0.5
 """Largest cosine between the baseline and the viewing direction: beyond it, the rectified images become very large."""
-_FORWARD_DEG = 40.0  # cost of a relative difference of 1 between the distances, degrees off the best angle
-_AGAIN_DEG = 6.0  # cost of each other pair with the same photograph
+_FORWARD_DEG = 40.0  # cost of a relative difference of 1 between the distances, degrees
+_AGAIN_DEG = 6.0  # cost of each other pair with the same photograph, degrees
 _NEAR_DEG = 12.0  # a pair closer than this to the direction of an earlier one adds little
 _GAP_DEG = 35.0  # largest gap between neighbouring photographs: beyond it, no pair sees the skin in between
 _ASIDE_DEG = 30.0  # least extent of the arc to either side of the board's normal: shows the breasts' sides
@@ -74,8 +74,8 @@ def candidates(cameras: Sequence[Camera], middle_world: Float64[Array, 3]) -> li
 def choose_pairs(rig: Rig, middle_world: Float64[Array, 3], most: int = MOST) -> dict[str, tuple[str, str]]:
     """Pairs that see the body from all directions of the walk: name → left and right photograph.
 
-    They are selected one by one by cost: far from the directions of pairs selected before, near the best angle, with
-    photographs that are in few pairs.
+    Pairs are selected one by one, by cost: it is low for a new direction, for an angle near the best one, and for
+    photographs that are in few other pairs.
 
     Args:
         rig: the photographs' cameras, in the board's frame.
@@ -90,9 +90,9 @@ def choose_pairs(rig: Rig, middle_world: Float64[Array, 3], most: int = MOST) ->
     if not waiting:
         raise CalibrationError(
             "the photographs",
-            found="no two with directions to the body that differ by 8 to 25 degrees at about the same distance",
+            found="no two from about the same distance and from directions 8 to 25 degrees apart",
             expected="a walk around the body with a photograph every 10 to 15 degrees",
-            remedy="Take more photographs, closer together, and keep your distance",
+            remedy="Take more photographs, closer together, all from about the same distance",
         )
     chosen: list[Candidate] = []
     used: dict[str, int] = {}
@@ -134,7 +134,7 @@ def require_arc(cameras: Sequence[Camera], middle_world: Float64[Array, 3]) -> N
         low, high = max(gaps, key=lambda gap: gap[1] - gap[0])
         raise CalibrationError(
             "the photographs",
-            found=f"none between {low:+.0f}° and {high:+.0f}° (0° is in front of the board, + the patient's left)",
+            found=f"none between {low:+.0f}° and {high:+.0f}° (0°: in front of the board, +: the patient's left)",
             expected=f"some from {_ASIDE_DEG:.0f}° or more on either side, and gaps of at most {_GAP_DEG:.0f}°",
             remedy="Photograph again from there, with the whole board in each picture",
         )

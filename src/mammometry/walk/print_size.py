@@ -11,21 +11,21 @@ from mammometry.walk.bank_card import CardScale
 
 PRINT_STD = 0.01
 """Relative standard uncertainty of a board that was not measured: printers may scale a page by a few per cent."""
-_MOST_SIGMAS = 3.0  # of the difference of two measurements of one size
+_MOST_SIGMAS = 3.0  # largest difference of both measurements, standard deviations
 
 
 def sized(board: Board, card: CardScale) -> Board:
-    """The board with the weighted mean of its size and the card's, and the uncertainty of that.
+    """The board with the weighted mean of its stated size and that by the card, and its uncertainty.
 
     Raises:
-        BoardSizeError: the size was measured and typed, and the card contradicts it.
+        BoardSizeError: the card contradicts a size that the user measured.
     """
     typed = board.scale_std
     stated = PRINT_STD if typed is None else typed
     if typed is not None and abs(card.scale - 1.0) > _MOST_SIGMAS * math.hypot(card.std, typed):
         raise BoardSizeError(
             "the printed board",
-            found=f"{card.scale * board.edge_mm:.1f} mm for its columns by the bank card",
+            found=f"columns of {card.scale * board.edge_mm:.1f} mm by the bank card",
             expected=f"{board.edge_mm:.1f} ± {2 * typed * board.edge_mm:.1f} mm, as in board.toml",
             remedy="Measure the columns on the print again, and use a bank card of 85.6 × 54 mm that lies flat",
         )

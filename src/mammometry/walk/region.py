@@ -1,7 +1,7 @@
-"""Position of the body relative to the board on it: a box in the board's frame.
+"""Region of the body: a box in the frame of the board that the patient wears.
 
-The board hangs on the belly, its upper edge below the breasts. Its x axis is along its rows, y down, z away from the
-reader. Outside the box are the room, walls, legs, hands and the board itself.
+The board hangs on the belly, its upper edge below the breasts. Its x axis is along its rows, y down, z into the
+board. Outside the box are the room, walls, legs, hands and the board itself.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Camera, Float64
 
-if TYPE_CHECKING:  # a manifest is read without the algorithms
+if TYPE_CHECKING:  # manifests are read without importing the algorithms
     from mammometry.calibration.targets.target import Target
 
 TELEPHONE_BOARD: Mapping[str, Any] = MappingProxyType(
@@ -25,11 +25,11 @@ TELEPHONE_BOARD: Mapping[str, Any] = MappingProxyType(
 HALF_WIDTH_MM = 260.0
 """From the board's middle to each side: half the shoulder breadth of 99 in 100 adults is below 255 mm (ANSUR II)."""
 HEIGHT_MM = 400.0
-"""Above the board: from below the breasts to the neck of tall adults, almost without the face."""
+"""Extent above the board: from below the breasts to the neck of tall adults, almost without the face."""
 BEFORE_MM, BEHIND_MM = 220.0, 130.0
-"""In front of the board's plane and behind it: includes breasts and the trunk's sides, but no wall of the room."""
-_EDGE_SHARE = 1.6  # squares between the highest inner corner and the card's edge: the outer squares, the white border
-_GAP_MM = 8.0  # between the card and the first skin above it
+"""Extent in front of the board's plane and behind it: includes the breasts and the trunk's sides, but no wall."""
+_EDGE_SHARE = 1.6  # squares between the highest inner corner and the upper edge: the outer squares, the white border
+_GAP_MM = 8.0  # between the board and the first skin above it
 _GRID = 9  # points along each edge of the box that are projected for its outline
 
 

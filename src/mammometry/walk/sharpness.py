@@ -22,10 +22,10 @@ from mammometry.walk.inputs import LeftOut
 
 _WINDOW_SQUARES = 0.48  # half-width of the fitted window, as for the detection of corners
 _BLUR_PX, _BLUR_FACTOR = 1.5, 2.0
-"""Blur that is always good enough, and how many times that of most photographs is."""
+"""Largest blur, px and relative to the median of all photographs: a photograph that meets either limit is used."""
 FEWEST_SQUARE_PX = 20.0
-"""Fewest pixels of a square. The clean walk's mean error is 0.14 mm with 65, 0.37 with 34, 0.57 with 27; with 24 three
-of 32 boards are found (decision 52)."""
+"""Fewest pixels along a square's side. The clean walk's mean error is 0.14 mm with 65, 0.37 with 34, 0.57 with 27; with
+24, only three of 32 boards are found (decision 52)."""
 _RIM_PX = 2.5  # width of a marker's blurred edge, as for the detection of corners
 
 
@@ -74,7 +74,7 @@ def judge_images(images: Mapping[str, BoardImage]) -> dict[str, LeftOut]:
     """Photographs that are too blurred or show the board too small, with reasons.
 
     Args:
-        images: number of a photograph → its board's appearance.
+        images: number of a photograph → appearance of its board.
     """
     if not images:
         return {}
@@ -87,13 +87,13 @@ def judge_images(images: Mapping[str, BoardImage]) -> dict[str, LeftOut]:
                 code="too-small",
                 found=f"{image.square_px:.0f} pixels for each square of the board",
                 expected=f"at least {FEWEST_SQUARE_PX:.0f}",
-                remedy="Copy the pictures at full size, not by a messenger, and take them from 50 to 65 cm",
+                remedy="Copy the original files, not through a messenger, and take the pictures from 50 to 65 cm",
             )
         elif image.blur_px > limit_px:
             out[name] = LeftOut(
                 code="blurred",
                 found=f"edges blurred by {image.blur_px:.1f} pixels",
                 expected=f"at most {limit_px:.1f}; in most pictures {usual_px:.1f}",
-                remedy="Lock the focus on the board, hold the telephone still, and light the room",
+                remedy="Lock the focus on the board, hold the telephone still, and use more light",
             )
     return out

@@ -1,8 +1,8 @@
 """Pose of the telephone at each photograph of a walk, from the board in the photograph.
 
-The telephone is one camera, and each photograph shows the board in another pose. So the calibration of a rig gives the
-lens, all poses, the board's bow and their joint covariance at once. Here the result is converted to the board's frame:
-a rig with one camera per photograph, all with the same lens.
+The telephone is one camera, and each photograph shows the board in another pose. So the bundle adjustment of rigs gives
+the lens, all poses, the board's bow and their joint covariance at once. Here its result is converted to the board's
+frame: a rig with one camera per photograph, all with the same lens.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from mammometry.walk.region import Region
 TELEPHONE = "telephone"
 """Name of the single camera of a walk's calibration."""
 FEWEST = 8
-"""Fewest photographs that must show the board. With fewer, the lens is not determined and most skin is in one pair."""
+"""Fewest photographs that must show the board. With fewer, the lens is undetermined, and most skin is in one pair."""
 _MOST_RMS_PX, _MOST_BOW_MM = 1.5, 3.0
 """Largest residual and bow of a usable board. Good boards fit to 0.05 px, blurred photographs to 0.3 px, a board bent
 round the belly to 8 px; a bow of 3 mm was still corrected (decision 52)."""
-_NEAR_MM = 60.0  # of a place: its nearest squares
+_NEAR_MM = 60.0  # distance within which the board's heights are averaged: the nearest squares
 _STEPS = 7  # points along each side of the grid over which the stations' errors are averaged
 
 
@@ -41,11 +41,11 @@ class Stations:
     """The telephone at each photograph that shows the board."""
 
     calibration: Calibration
-    """Of the single camera. Its poses are the photographs."""
+    """Calibration of the single camera. Its poses are the photographs."""
     expanded: Calibration
     """The same with one camera per photograph, in the board's frame, without pairs. Its covariance is the joint one."""
     held: Mapping[str, Detection] = field(default_factory=dict)
-    """Photograph that was placed with the lens held → the board in it."""
+    """Photograph whose position was fitted with the lens fixed → the board in it."""
 
     @property
     def rig(self) -> Rig:
@@ -56,7 +56,7 @@ class Stations:
         """Standard uncertainty of reconstructed points due to the telephone's poses and lens, mm.
 
         Root mean square over the middle of the body's region, propagated from the covariance through the pairs'
-        triangulation. A common motion and a common scale are not errors.
+        triangulation. A motion or scale common to all pairs does not count.
 
         Args:
             rig: the cameras with their pairs.
@@ -70,7 +70,7 @@ class Stations:
         return float(np.sqrt(np.nanmean(np.concatenate(list(std_mm.values())) ** 2)))
 
     def plane_mm(self, place: tuple[float, float]) -> float:
-        """Height z of the board near a place of it, mm: not 0 where it is bowed."""
+        """Height z of the board near a position (x, y) on it, mm. Not 0 if the board is bowed."""
         away = np.linalg.norm(self.calibration.target_points[:, :2] - np.array(place), axis=1)
         return float(self.calibration.target_points[away < _NEAR_MM, 2].mean())
 
@@ -86,7 +86,7 @@ def find_boards(
 ) -> Observations:
     """Find the board in each photograph.
 
-    Each photograph is a pose; the telephone is the only camera.
+    Each photograph is a pose of the board; the telephone is the only camera.
 
     Args:
         photographs: name → photograph, all of one size.

@@ -1,8 +1,8 @@
 """Find the board in photographs that see it at too flat an angle for its markers to be recognised.
 
-Photographs from far aside show the breasts' outer sides, and the board almost edge on. Their neighbours' positions are
-known. Features that they share with two neighbours give the position approximately, and so the board's place in the
-photograph. There its corners are measured by comparison with the print.
+Photographs from the patient's sides show the outer sides of the breasts, and the board almost edge on. The positions of
+neighbouring photographs are known. Image features shared with two of them give an approximate position, which shows
+where the board is in the photograph. Its corners are then measured by comparison with the print.
 """
 
 from __future__ import annotations
@@ -27,29 +27,29 @@ from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.geometry import Array, Camera, Float64, StereoPair
 from mammometry.walk.stations import TELEPHONE, Stations
 
-_NO_TARGET = "no-target"  # code of the photographs that are looked at; others are copies or mirrored
+_NO_TARGET = "no-target"  # code of the photographs that are searched here; others are copies or mirrored
 _REACH, _NEIGHBOURS = 3, 3
-"""Photographs before and after in the order of the walk that may be compared, and the most that are."""
+"""Largest distance of a neighbour in the order of the walk, and largest number of neighbours used."""
 _WIDTH_PX, _MOST = 1000, 3000
-"""Width of the images in which features are found, and their number: positions to 1 px of the photograph."""
-_LEAST_ANGLE_DEG = 4.0  # between the directions of two neighbours that give a feature's place in space
+"""Width of the reduced images, and largest number of features in each: they place the board to 1 px."""
+_LEAST_ANGLE_DEG = 4.0  # least angle between the rays of two neighbours that triangulate a feature
 _FIT_PX = 3.0  # largest reprojection error of a feature
 _FEWEST_FEATURES = 15  # a pose has six unknowns
-_LEAST_SHARE = 0.5  # of the corners: fewer are a chance agreement, or hidden
-_NEARLY_ALL = 0.9  # share of the corners from which on no other place is tried
+_LEAST_SHARE = 0.5  # least share of the corners: fewer may fit by chance, or the board is hidden
+_NEARLY_ALL = 0.9  # share of the corners at which the search ends
 _SHIFTS = (0.0, 1.0, -1.0, 2.0, -2.0)
-"""Shifts of the expected place that are tried, px along the direction in which the board is narrow."""
+"""Shifts from the expected position that are tried, px, along the board's narrow direction in the image."""
 
 
 def tilted_boards(
     observations: Observations, stations: Stations, photographs: Mapping[str, Photograph]
 ) -> tuple[dict[str, Detection], dict[str, Camera]]:
-    """Boards that were missed before, by photograph, and the approximate cameras of all photographs.
+    """Boards that were missed before, by photograph, and approximate cameras of all photographs.
 
     Args:
         observations: the board in the other photographs.
         stations: the telephone's positions from them.
-        photographs: name → photograph. All that are named in the observations.
+        photographs: name → photograph, for all names in the observations.
     """
     target = observations.target
     if not isinstance(target, CharucoTarget):
@@ -64,13 +64,13 @@ def tilted_boards(
     features = dict(zip(near, found_in, strict=True))
     board = stations.calibration.target_points
     while waiting:
-        reached = [name for name in waiting if len(_beside(name, names, cameras)) >= 2]
+        reached = [name for name in waiting if len(_neighbours(name, names, cameras)) >= 2]
         if not reached:
             break
-        # The one with most neighbours first: it may be a neighbour of the next.
-        name = max(reached, key=lambda name: len(_beside(name, names, cameras)))
+        # Photographs with most neighbours come first: they may become neighbours of others.
+        name = max(reached, key=lambda name: len(_neighbours(name, names, cameras)))
         waiting.remove(name)
-        around = _beside(name, names, cameras)
+        around = _neighbours(name, names, cameras)
         camera = _placed(name, {other: cameras[other] for other in around}, features)
         detection = None if camera is None else _measured(photographs[name], camera, target, board)
         if camera is not None and detection is not None:
@@ -78,8 +78,8 @@ def tilted_boards(
     return found, cameras
 
 
-def _beside(name: str, names: list[str], cameras: Mapping[str, Camera]) -> list[str]:
-    """Neighbours in the walk whose positions are known, the nearest first."""
+def _neighbours(name: str, names: list[str], cameras: Mapping[str, Camera]) -> list[str]:
+    """Neighbouring photographs of the walk with known positions, nearest first."""
     place = names.index(name)
     near = sorted(
         (other for other in names[max(0, place - _REACH) : place + _REACH + 1] if other in cameras),
@@ -93,7 +93,7 @@ def _placed(name: str, around: Mapping[str, Camera], features: Mapping[str, Keyp
 
     Args:
         name: the photograph.
-        around: its neighbours' cameras, by name.
+        around: cameras of its neighbours, by name.
         features: of all photographs.
     """
     both = [*((other, name) for other in around), *combinations(around, 2)]
@@ -115,12 +115,12 @@ _Matches: TypeAlias = tuple[Float64[Array, "m 2"], Float64[Array, "m 2"]]
 def _shared(
     one: Camera, other: Camera, of_photograph: _Matches, of_other: _Matches
 ) -> tuple[Float64[Array, "n 3"], Float64[Array, "n 2"]]:
-    """Places in space of the features in three photographs, mm, and their positions in the first, px.
+    """World points of features seen in three photographs, mm, and their pixels in the one to be placed.
 
     Args:
         one: a neighbour's camera.
         other: another neighbour's camera.
-        of_photograph: matches of `one` with the photograph, px.
+        of_photograph: matches of `one` with the photograph to be placed, px.
         of_other: matches of `one` with `other`, px.
     """
     nothing = np.empty((0, 3)), np.empty((0, 2))
@@ -144,7 +144,7 @@ def _shared(
 def _measured(
     photograph: Photograph, camera: Camera, target: CharucoTarget, board: Float64[Array, "n 3"]
 ) -> Detection | None:
-    """The board's corners, expected where an approximate camera sees them. None if too few are there."""
+    """The board's corners, searched where an approximate camera sees them. None if too few are found."""
     expected_uv = camera.project(board)
     inside = ((expected_uv > 2.0) & (expected_uv < np.array(camera.size_wh) - 3.0)).all(axis=1)
     ids = np.flatnonzero(inside)

@@ -71,8 +71,8 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
             "Draw {masks}, and run again before you calibrate again."
         ),
         "pairs-matched-less-well": Text(
-            "Pairs measured the same skin {mm:.2f} mm apart (RMS), as if something had moved. But nothing did: "
-            "the pairs were matched less well, for example where they see the skin at a flat angle. Nothing was "
+            "Pairs measured the same skin {mm:.2f} mm apart (RMS), as if something had moved. But nothing moved: "
+            "matching was less accurate, for example where pairs see the skin at a flat angle. Nothing was "
             "corrected; the interval includes this. More overlap of neighbouring pairs, or more texture, helps."
         ),
         "camera-turned": Text(
@@ -97,18 +97,17 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
             "Expose all cameras together."
         ),
         "motion-corrected": Text(
-            f"{_AWAY} That was corrected: the pairs now agree to {{after_mm:.2f}} mm ({{before_mm:.2f}} mm before); "
+            f"{_AWAY} This was corrected: the pairs now agree to {{after_mm:.2f}} mm ({{before_mm:.2f}} mm before); "
             "the interval includes the rest.",
             caution=_MOVED,
         ),
         "motion-not-corrected": Text(
-            f"{_AWAY} That was not corrected, and the pairs disagree by {{before_mm:.2f}} mm; the interval "
+            f"{_AWAY} This was not corrected, and the pairs disagree by {{before_mm:.2f}} mm; the interval "
             "includes this.",
             caution=_MOVED,
         ),
         "motion-not-confirmed": Text(
-            f"{_AWAY} That was not corrected, because no other comparison of the pairs confirms it, and the pairs "
-            "disagree "
+            f"{_AWAY} This was not corrected, because no other comparison of the pairs confirms it. The pairs disagree "
             "by {before_mm:.2f} mm; the interval includes this.",
             caution=_MOVED,
         ),
@@ -228,20 +227,21 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
             "cameras' unit (units that would fit: {units})."
         ),
         "board-not-measured": Text(
-            "The printed board was not measured: this alone makes each volume uncertain by {percent:.0f} %. "
-            "Measure its eleven columns, and enter their length in board.toml (edge_mm)."
+            "The printed board was not measured. This alone makes each volume uncertain by ± {percent:.0f} %. "
+            "Measure the length of its eleven columns, and enter it in board.toml (edge_mm)."
         ),
         "board-measured-by-card": Text(
-            "The bank card on the board shows a print that is {percent:+.2f} % off its stated size. All lengths are "
-            "corrected, and known to ± {uncertain_percent:.2f} % (95 %)."
+            "The bank card shows that the size of the printed board is {percent:+.2f} % off. All lengths were "
+            "corrected, and are known to ± {uncertain_percent:.2f} % (95 %)."
         ),
         "body-moved-against-board": Text(
-            "The body moved against the board between photographs, by about {moved_mm:.1f} mm. This was corrected: "
-            "pairs disagree by {after_mm:.2f} mm instead of {before_mm:.2f} mm. Hold the breath next time."
+            "The body moved relative to the board between photographs, by about {moved_mm:.1f} mm. This was corrected: "
+            "pairs disagree by {after_mm:.2f} mm instead of {before_mm:.2f} mm. Next time, have the patient hold her "
+            "breath."
         ),
         "lens-changed-in-walk": Text(
-            "Focus or stabilisation changed the lens between photographs, by about {px:.0f} px. This was corrected. "
-            "Lock the focus next time, and switch the stabilisation off if the telephone allows it."
+            "Autofocus or stabilisation shifted the image between photographs, by about {px:.0f} px. This was "
+            "corrected. Next time, lock the focus, and switch off stabilisation if the telephone allows it."
         ),
         "size-unusual": Text(
             "The surface has an unusual size: its longest side is {mm:,.0f} mm. Check that the sizes of target or "

@@ -1,4 +1,4 @@
-"""One video of a walk, instead of photographs. It is kept and deleted as they are: see `walks`."""
+"""One video of a walk, instead of photographs. It is kept and deleted like photographs (`walks`)."""
 
 from __future__ import annotations
 
@@ -31,27 +31,27 @@ def require_one_kind(visit: Visit, upload: Upload | None, *, is_video: bool) -> 
     """Refuse a video next to other files, and a photograph next to a video.
 
     Args:
-        visit: with a telephone.
+        visit: a visit with a telephone.
         upload: the new one, if it has a row.
         is_video: whether it is a video.
 
     Raises:
-        UploadError: the visit has something else.
+        UploadError: the visit has other files already.
     """
     others = uploads_of(visit).filter(state__in=(Upload.State.RECEIVING, Upload.State.PLACED))
     rows = [row for row in others if upload is None or row.pk != upload.pk]
     if any(is_of_video(row) for row in rows):
         words = "another video" if is_video else "photographs"
-        raise UploadError(f"A video is here already. Take it away before you send {words}.")
+        raise UploadError(f"There is a video already. Take it away before you send {words}.")
     if is_video and rows:
-        many = "A photograph is" if len(rows) == 1 else f"{len(rows)} photographs are"
-        raise UploadError(f"{many} here already. Take all of them away before you send a video.")
+        many = "is a photograph" if len(rows) == 1 else f"are {len(rows)} photographs"
+        raise UploadError(f"There {many} already. Take all of them away before you send a video.")
 
 
 def look_at_sent_video(upload: Upload) -> tuple[list[Finding], dict[str, Any]]:
     """Checks of a video that has arrived, and the stored data of its file.
 
-    It is decoded in a child process, which a damaged file may end.
+    It is decoded in a child process, because a damaged file may crash the decoder.
     """
     limits = LimitSettings(megapixels=float(the_clinic().limits.photograph_megapixels))
     arguments = (upload.path, _NAME, target_from_table(TELEPHONE_BOARD), limits)
@@ -60,17 +60,17 @@ def look_at_sent_video(upload: Upload) -> tuple[list[Finding], dict[str, Any]]:
     except ImageError as error:
         return [Finding("format", "refuse", str(error))], {}
     except CallError:
-        sentence = "The video cannot be decoded. Send it again as the telephone recorded it."
+        sentence = "The video cannot be decoded. Send the telephone's original file again."
         return [Finding("format", "refuse", sentence)], {}
     width, height = seen.size_wh
     length = f" of {seen.seconds:.0f} s" if seen.seconds else ""
     findings = [Finding("format", "ok", f"A video{length}, {width} × {height} pixels.")]
     if seen.with_board:
         findings.append(
-            Finding("board", "ok", f"The board is in {seen.with_board} of {seen.looked_at} frames that were looked at.")
+            Finding("board", "ok", f"The board is in {seen.with_board} of {seen.looked_at} frames that were checked.")
         )
     else:
-        sentence = f"The board is in none of {seen.looked_at} frames that were looked at. Was it in view, and in focus?"
+        sentence = f"The board is in none of {seen.looked_at} frames that were checked. Was it in view, and in focus?"
         findings.append(Finding("board", "warn", sentence))
     write_thumbnail(upload, seen.frame)
     return findings, {"video": True, "seconds": round(seen.seconds, 1)}

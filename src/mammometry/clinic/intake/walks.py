@@ -1,8 +1,8 @@
-"""Photographs by one telephone with a printed board, or one video.
+"""Photographs or one video of a walk, taken with one telephone and a printed board.
 
-They are kept as they were sent, in ``uploads/``, until a measurement has prepared their session. It has them by number,
-cropped to the body and without EXIF data. Then the sent files and their small pictures, which may show a face, are
-deleted. Frames of a video are decoded into the same folder, and are deleted when the job ends.
+Sent files are kept unchanged in ``uploads/`` until a measurement has prepared the session, which contains the
+photographs by number, cropped to the body and without EXIF data. Then the sent files and their thumbnails are deleted:
+they may show a face. Frames of a video are decoded into the same folder, and are deleted when the job ends.
 """
 
 from __future__ import annotations
@@ -39,10 +39,8 @@ from mammometry.walk.sharpness import BoardImage, board_image, judge_images
 from mammometry.walk.stations import FEWEST, TELEPHONE, find_boards
 
 LEAST, MOST = 12, 60
-"""Photographs of a walk. Fewer leave skin that no pair shows; more add time, and no accuracy."""
-PREPARED = (
-    "These photographs are already prepared, and the sent files are deleted. Send all photographs of another walk."
-)
+"""Fewest and most photographs of a walk. Fewer leave skin that no pair shows; more take time, without more accuracy."""
+PREPARED = "These photographs are already prepared, and the sent files are deleted. Send all photographs of a new walk."
 """Why a prepared walk cannot be changed."""
 
 
@@ -52,16 +50,16 @@ def is_walk(target: Target) -> TypeGuard[Visit]:
 
 
 def is_prepared(visit: Visit) -> bool:
-    """Whether a visit's session has been made from its photographs, by this version or another one."""
+    """Whether a visit's session has been made from its photographs, by this or another version."""
     return (visit.folder / WALK).is_file()
 
 
 def begin(visit: Visit, by: Person | None, file: Announced) -> Upload:
-    """Start the upload of one photograph or of the video of a walk, or find the interrupted one.
+    """Start the upload of a photograph or video of a walk, or find an interrupted one.
 
     Raises:
-        UploadError: it is too large, there are too many, something else is there, or the visit is being measured or
-            prepared.
+        UploadError: it is too large, there are too many, a video would be mixed with other files, or the visit is being
+            measured or is prepared.
     """
     require_open(visit)
     if is_prepared(visit):
@@ -70,7 +68,7 @@ def begin(visit: Visit, by: Person | None, file: Announced) -> Upload:
     present = uploads_of(visit).exclude(state=Upload.State.REFUSED)
     if file.sha256 and (earlier := present.filter(sha256=file.sha256).first()) is not None:
         return earlier
-    if file.is_video and not file.sha256:  # a page does not read a whole video for its digest
+    if file.is_video and not file.sha256:  # the browser sends no digest of a video
         arriving = present.filter(state=Upload.State.RECEIVING, size_bytes=file.size_bytes)
         if (earlier := next(filter(is_of_video, arriving), None)) is not None:
             return earlier
@@ -96,7 +94,7 @@ def look(upload: Upload) -> tuple[list[Finding], dict[str, Any]]:
     """All checks of a photograph or video that has arrived, and the stored data of its file."""
     assert upload.visit is not None
     file = next((check.get("file") for check in upload.checks if check.get("file")), None)
-    video = is_video(upload.path)  # whatever it was announced as
+    video = is_video(upload.path)  # by its content, not by what was announced
     try:
         require_size(upload.size_bytes, video=video)
         require_one_kind(upload.visit, upload, is_video=video)
@@ -110,11 +108,11 @@ def _look_at_photograph(upload: Upload) -> tuple[list[Finding], dict[str, Any]]:
     assert upload.visit is not None
     other = not_only_a_photograph(upload.path, heic=True)
     if other is not None:
-        what = "no photograph or video" if other is NO_PHOTOGRAPH else f"{other} as well as a photograph"
-        return [_refused(f"This file is {what}. Send the original JPEG, HEIC, PNG, MP4 or MOV of the telephone.")], {}
+        what = "not a photograph or video" if other is NO_PHOTOGRAPH else f"{other} as well as a photograph"
+        return [_refused(f"This file is {what}. Send the telephone's original JPEG, HEIC, PNG, MP4 or MOV.")], {}
     same = uploads_of(upload.visit).filter(state=Upload.State.PLACED, sha256=upload.sha256).exclude(pk=upload.pk)
     if same.exists():
-        return [_refused("This photograph is here already.")], {}
+        return [_refused("This photograph was sent before.")], {}
     limits = LimitSettings(megapixels=float(the_clinic().limits.photograph_megapixels))
     try:
         facts = read_facts(upload.path, "The photograph", limits)
@@ -144,9 +142,10 @@ def _look_at_photograph(upload: Upload) -> tuple[list[Finding], dict[str, Any]]:
 
 
 def photographs_of(visit: Visit) -> list[Upload]:
-    """Photographs of a walk by their times, else by the numbers that a camera gave them, else as they were sent.
+    """Photographs of a walk, in order.
 
-    Those that have not arrived or are refused are at the end.
+    They are sorted by time if all have one, else by the number in their file names if all have one, else by arrival.
+    Photographs that have not arrived or are refused come last.
     """
     rows = list(uploads_of(visit).exclude(state=Upload.State.PREPARED))
     placed = [row for row in rows if row.state == Upload.State.PLACED]
@@ -164,7 +163,7 @@ def _placed(visit: Visit) -> list[Upload]:
 
 
 def findings_together(visit: Visit) -> dict[Any, Finding]:
-    """Key of a photograph → why the measurement will leave it out, judged with the others."""
+    """Key of a photograph → why the measurement will leave it out, compared with the others."""
     placed = [row for row in _placed(visit) if not is_of_video(row)]
     out = judge_files({str(row.pk): _facts(row) for row in placed})
     images = {str(row.pk): BoardImage(**image) for row in placed if (image := _seen(row).get("image"))}
@@ -176,18 +175,18 @@ def state_of(visit: Visit, left_out: Collection[Any]) -> dict[str, Any]:
     """Whether a walk can be measured, and what is still needed.
 
     Args:
-        visit: with a telephone.
-        left_out: keys of photographs that will be left out, of `findings_together`.
+        visit: a visit with a telephone.
+        left_out: keys of photographs that will be left out, from `findings_together`.
     """
     placed = _placed(visit)
     if placed and is_of_video(placed[0]):
-        return {"together": [], "ready": True, "needed": "The video is here. Sharp frames are chosen from it."}
+        return {"together": [], "ready": True, "needed": "The video has arrived. Sharp frames will be chosen from it."}
     usable = sum(bool(_seen(row).get("board")) and row.pk not in left_out for row in placed)
     needed = _needed(len(placed), usable)
     if not placed and any(is_of_video(row) for row in uploads_of(visit).filter(state=Upload.State.RECEIVING)):
-        needed = "The video is on its way."
+        needed = "The video is being sent."
     prepared = is_prepared(visit)
-    words = needed or f"{len(placed)} photographs are here; {usable} show the board and belong together."
+    words = needed or f"{len(placed)} photographs have arrived; {usable} show the board and belong to one walk."
     return {"together": [], "ready": prepared or not needed, "needed": "" if prepared else words}
 
 
@@ -214,7 +213,7 @@ def board_table(edge_mm: float | None, edge_std_mm: float | None) -> dict[str, A
 def discard_prepared(visit: Visit) -> None:
     """Delete the sent files of a walk whose session is prepared.
 
-    Working files of its job, which has ended, are deleted in any case. Other visits are not changed.
+    Temporary files of its job, which has ended, are deleted in any case. Visits without a telephone are not changed.
     """
     if not visit.is_walk:
         return
@@ -249,7 +248,7 @@ def begin_again(visit: Visit) -> None:
 
 
 def erase(visit: Visit) -> None:
-    """Remove what a killed preparation of a walk may have left in ``uploads/``."""
+    """Remove the files that a killed preparation of a walk may have left in ``uploads/``."""
     shutil.rmtree(_scratch(visit), ignore_errors=True)
 
 
@@ -258,7 +257,7 @@ class UnusedPhotograph:
     """A photograph that is not used, for its page."""
 
     name: str
-    """Its number, and its file's name if a camera gave it, or its time in the video."""
+    """Its number, with the file name if a camera gave it, or with its time in the video."""
     reason: str
 
 
@@ -304,18 +303,18 @@ def facts_of(visit: Visit) -> WalkFacts | None:
 
 
 def volume_share_of_print() -> float:
-    """Half the 95 % interval of a volume, relative, due to a print that was not measured.
+    """Relative half-width of a volume's 95 % interval due to a print that was not measured.
 
-    A volume has three times the relative uncertainty of a length, and the interval two standard uncertainties.
+    A volume has three times the relative uncertainty of a length. Half the interval is two standard uncertainties.
     """
     return 2 * 3 * PRINT_STD
 
 
 def _needed(placed: int, usable: int) -> str:
     if not placed:
-        return f"Nothing is here yet. Send at least {LEAST} photographs, better between 20 and 30, or one video."
+        return f"Nothing has arrived yet. Send at least {LEAST} photographs, better 20 to 30, or one video."
     if placed < LEAST:
-        return f"{placed} of at least {LEAST} photographs are here. Between 20 and 30 are better."
+        return f"{placed} of at least {LEAST} photographs have arrived. 20 to 30 are better."
     if usable < FEWEST:
         return f"{usable} of {placed} photographs can be used. At least {FEWEST} must show the whole board, in focus."
     return ""
@@ -335,7 +334,7 @@ def _refused(sentence: str) -> Finding:
 
 
 def _of_board(reason: str) -> str:
-    """A reason of the detector, in the words of the clinic's pages."""
+    """A reason given by the detector, with the clinic's word for the target."""
     return f"{reason.replace('target', 'board').rstrip('.')}."
 
 
@@ -349,5 +348,5 @@ def _remove_files(row: Upload) -> None:
 
 
 def _scratch(visit: Visit) -> Path:
-    """Folder in which a job gives the photographs their numbers."""
+    """Folder in which a job numbers the photographs."""
     return the_clinic().folder / "uploads" / f"walk-{visit.pk}"

@@ -15,7 +15,7 @@ EXIF_IFD = 0x8769
 _MAKE, _MODEL = 271, 272  # tags of the camera; TIFF 6.0, section 8
 _TAKEN, _FRACTION, _OFFSET, _SERIAL = 0x9003, 0x9291, 0x9011, 0xA431  # EXIF 2.32, table 8
 _OFFSET_TEXT = re.compile(r"([+-])(\d\d):(\d\d)")
-_LONGEST = 64  # most characters of a text
+_LONGEST = 64  # largest number of characters in a text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,9 +98,9 @@ class Jpeg:
 
 
 def without_tags(data: bytes) -> Jpeg | None:
-    """Remove tags and comments from a JPEG without coding its image again.
+    """Remove tags and comments from a JPEG without compressing it again.
 
-    None for any other file or number of components.
+    None for other files, and for other numbers of components than 1 and 3.
     """
     place, kept, frame = 2, bytearray(data[:2]), b""
     if data[:2] != bytes([0xFF, _START]):

@@ -1,7 +1,7 @@
-"""How a telephone took a picture, by its file: camera, lens, mode, and how it was held.
+"""Read pictures taken with a telephone, and how they were taken: camera, lens, mode and orientation.
 
-Photographs of one walk share a lens, which is fixed to the sensor. So they are read as the sensor saw them, and all are
-turned by the same angle.
+Photographs of one walk share a lens, which is fixed to the sensor. So they are read as the sensor recorded them, and
+all are rotated by the same angle.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ _ORIENTATION = 274  # TIFF 6.0, section 8; also of the EXIF data of a HEIC
 _EXPOSURE_S, _CUSTOM_RENDERED, _ZOOM = 0x829A, 0xA401, 0xA404  # EXIF 2.32, table 8
 _FOCAL_MM, _FOCAL_35 = 0x920A, 0xA405
 _MODES: dict[int, Mode] = {6: "panorama", 7: "portrait", 8: "portrait"}
-"""Apple's values of CustomRendered (exiftool.org/TagNames/EXIF.html). Its values 2 to 4 (HDR) are ordinary."""
+"""Apple's values of CustomRendered (exiftool.org/TagNames/EXIF.html). Values 2 to 4 (HDR) are ordinary pictures."""
 _PANORAMA_MARK = b"GPano:"  # namespace of panoramas in XMP (developers.google.com/streetview/spherical-metadata)
 _MOST_ORIENTATION = 8  # EXIF 2.32, 4.6.4
 _HEAD_BYTES = 1 << 18  # XMP of a JPEG is in its first segments, of 64 KiB each
-_LUMA_STEPS = 3688.0  # sum of the 64 steps of quality 50 (ITU-T T.81, table K.1)
+_LUMA_STEPS = 3688.0  # sum of the 64 quantisation steps at quality 50 (ITU-T T.81, table K.1)
 _BACK = {6: 8, 8: 6}
-"""Orientation that undoes another. All others undo themselves."""
+"""Orientation → the one that undoes it. All others undo themselves."""
 _UNMIRRORED = {2: 1, 4: 3, 5: 8, 7: 6}
 """Orientation of a mirrored picture → the same without mirroring."""
 
 
 def read_facts(path: Path, name: str, limits: LimitSettings = LimitSettings()) -> PictureFacts:
-    """Read how a picture was taken. Damaged tags are as missing ones.
+    """Read how a picture was taken. Damaged tags count as missing.
 
     Args:
         path: a JPEG, PNG, TIFF or HEIC.
@@ -63,14 +63,14 @@ def read_facts(path: Path, name: str, limits: LimitSettings = LimitSettings()) -
     try:
         with Image.open(path, formats=FORMATS) as image:
             is_png, exif, quality = image.format == "PNG", exif_of(image, path), _jpeg_quality(image)
-    except Exception:  # a TIFF that Pillow does not read: tifffile does
+    except Exception:  # a TIFF that Pillow cannot read, but tifffile can
         is_png, exif, quality = False, Image.Exif(), None
     facts = _facts(header.stored_wh, header.orientation, exif, path, is_png=is_png)
     return replace(facts, jpeg_quality=quality)
 
 
 def _jpeg_quality(image: Image.Image) -> float | None:
-    """Quality of a JPEG as libjpeg counts it, by how coarse its steps of brightness are. None of another format."""
+    """Quality of a JPEG on libjpeg's scale, from its quantisation of brightness. None for other formats."""
     steps = getattr(image, "quantization", {}).get(0)
     if not steps:
         return None
@@ -79,12 +79,12 @@ def _jpeg_quality(image: Image.Image) -> float | None:
 
 
 def read_from_sensor(path: Path, name: str, orientation: int, limits: LimitSettings = LimitSettings()) -> Photograph:
-    """Read a picture as the sensor saw it, and turn it as pictures of one orientation are turned.
+    """Read a picture as the sensor recorded it, and rotate it by a given orientation.
 
     Args:
         path: a JPEG, PNG, TIFF or HEIC.
         name: its name in messages.
-        orientation: EXIF orientation that turns it; its own is ignored, and so is mirroring.
+        orientation: EXIF orientation to use instead of the picture's own. Mirroring is ignored.
         limits: largest size.
 
     Raises:
@@ -105,7 +105,7 @@ def _heic_facts(path: Path, name: str, limits: LimitSettings) -> PictureFacts:
     import pi_heif
 
     with reading(path, name, "HEIC"):
-        picture = pi_heif.open_heif(path, convert_hdr_to_8bit=True)  # decoded when its pixels are asked for
+        picture = pi_heif.open_heif(path, convert_hdr_to_8bit=True)  # decoded when its pixels are read
         check_size(picture.size, name, limits)
         width, height = picture.size
         exif = Image.Exif()
@@ -148,6 +148,6 @@ def _number(tag: object) -> float | None:
 
 
 def _positive(tag: object) -> float | None:
-    """A positive number. 0 is EXIF's sign for unknown."""
+    """A tag as a positive number. In EXIF, 0 means unknown."""
     number = _number(tag)
     return number if number is not None and number > 0 else None

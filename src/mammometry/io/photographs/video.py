@@ -1,4 +1,4 @@
-"""Frames of a telephone's video, decoded by the FFmpeg in OpenCV, which is under the LGPL."""
+"""Frames of a telephone's video, decoded by OpenCV's FFmpeg (LGPL)."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from mammometry.io.photographs.video_file import require_whole
 from mammometry.walk.frames import SeenFrame, choose_frames, direction_in
 
 _LONGEST_S = 240.0  # a walk takes 20 to 60 s
-_SEARCHED_PER_S = 4.0  # frames per second in which the board is searched: 2.5 degrees of a walk of 120 degrees in 12 s
-_SEARCHED_PX = 1100  # width of the frames in which it is searched, as of photographs
-_MIDDLE = 0.2  # margin of the frame in which sharpness is not judged: the room
+_SEARCHED_PER_S = 4.0  # frames searched for the board per second: every 2.5 degrees of a walk of 120 degrees in 12 s
+_SEARCHED_PX = 1100  # longest side of the frames that are searched, as for photographs
+_MARGIN = 0.2  # margin of the frame in which sharpness is not measured: it shows the room
 _MS = 1e-3  # seconds
-_LEAST_READ = 0.9  # share of the frames in the header that must be readable: some telephones count a few more
+_LEAST_READ = 0.9  # least readable share of the frames that the header states: it may state a few too many
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Candidate:
-    """The sharpest of successive frames."""
+    """The sharpest of some successive frames."""
 
     index: int
     sharpness: float
@@ -49,7 +49,7 @@ def write_frames(
 ) -> list[Path]:
     """Write the frames of a video that are used for a walk as PNG files, named by their time ("12.4 s").
 
-    Frames are turned as the video's metadata says.
+    Frames are rotated as the video's metadata states.
 
     Args:
         path: the video.
@@ -77,7 +77,7 @@ def write_frames(
             path.name,
             found="the board in no frame",
             expected="a walk around the patient with the whole board in view",
-            remedy="Film at full resolution, upright or across, and describe the board in board.toml",
+            remedy="Film at full resolution, in portrait or landscape, and describe the board in board.toml",
         )
     chosen = set(choose_frames(seen))
     files = []
@@ -97,7 +97,7 @@ def _candidates(path: Path, limits: LimitSettings, progress: Progress) -> list[_
     for index, time_s, frame in _frames(path, limits, progress):
         grey = np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
         height, width = grey.shape
-        middle = grey[int(_MIDDLE * height) : -int(_MIDDLE * height), int(_MIDDLE * width) : -int(_MIDDLE * width)]
+        middle = grey[int(_MARGIN * height) : -int(_MARGIN * height), int(_MARGIN * width) : -int(_MARGIN * width)]
         sharpness = float(np.std(cv2.Laplacian(middle, cv2.CV_16S)))
         group = int(time_s * _SEARCHED_PER_S)
         if group not in found or sharpness > found[group].sharpness:
@@ -114,15 +114,15 @@ class OpenedVideo:
     rate: float
     """Frames per second."""
     count: float
-    """Number of frames by the header; some telephones count a few more. 0 or less: it does not state it."""
+    """Number of frames by the header, which may state a few too many. 0 or less: not stated."""
     size_wh: tuple[int, int]
     """Width and height of a frame, pixels."""
 
     def small_frame(self, place: float) -> UInt8[Array, "h w 3"] | None:
-        """A small RGB frame, in which the board is searched. None if it cannot be read.
+        """A small RGB frame to search for the board. None if it cannot be read.
 
         Args:
-            place: 0 for its beginning to 1 for its end.
+            place: position in the video, from 0 (beginning) to 1 (end).
         """
         self.capture.set(cv2.CAP_PROP_POS_FRAMES, int(place * max(self.count, 0)))
         good, frame = self.capture.read()
@@ -131,7 +131,7 @@ class OpenedVideo:
 
 @contextmanager
 def opened_video(path: Path, name: str, limits: LimitSettings = LimitSettings()) -> Iterator[OpenedVideo]:
-    """Open a video. Frames are turned as its metadata says.
+    """Open a video. Frames are rotated as its metadata states.
 
     Args:
         path: the video.
@@ -168,12 +168,12 @@ def no_frames(name: str) -> ImageError:
         name,
         found="no frame that can be read",
         expected="a video in H.264 or H.265, as telephones record it",
-        remedy="Copy it again from the telephone, as it was recorded",
+        remedy="Copy the original file from the telephone again",
     )
 
 
 def _smaller(frame: UInt8[Array, ...]) -> UInt8[Array, ...]:
-    """A frame at the size at which the board is searched."""
+    """Reduce a frame to the size at which it is searched for the board."""
     height, width = frame.shape[:2]
     scale = min(1.0, _SEARCHED_PX / max(width, height))
     size = (round(scale * width), round(scale * height))
@@ -205,5 +205,5 @@ def _frames(
             path.name,
             found=f"{index} frames that can be read",
             expected=f"{video.count:.0f}, as the file states",
-            remedy="Copy it again from the telephone, as it was recorded",
+            remedy="Copy the original file from the telephone again",
         )

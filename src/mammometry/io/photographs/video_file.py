@@ -11,14 +11,14 @@ from mammometry.base.errors import ImageError
 VIDEO_EXTENSIONS = (".mp4", ".mov", ".m4v")
 """Extensions of telephones' videos, in any case."""
 _BRANDS = (b"qt  ", b"iso", b"mp4", b"M4V", b"avc1", b"3gp", b"3g2", b"MSNV", b"XAVC")
-"""First letters of a video's major brand (mp4ra.org). Pictures (HEIC, AVIF) and sound have others."""
-_HEAD_BYTES = 12  # size and type of the first box, and its brand
-_BOX_BYTES, _LONG_BOX_BYTES = 8, 16  # header of a box; of one whose size has 64 bits
-_TO_THE_END, _IS_LONG = 0, 1  # sizes with a meaning of their own (ISO/IEC 14496-12, 4.2)
+"""Beginnings of a video's major brand (mp4ra.org). Pictures (HEIC, AVIF) and sound have others."""
+_HEAD_BYTES = 12  # size and type of the first box, and its major brand
+_BOX_BYTES, _LONG_BOX_BYTES = 8, 16  # header of a box; of one with a 64-bit size
+_TO_THE_END, _IS_LONG = 0, 1  # sizes with a special meaning (ISO/IEC 14496-12, 4.2)
 
 
 def is_video(path: Path) -> bool:
-    """Whether a file starts as a telephone's video, whatever its name.
+    """Whether a file starts like a telephone's video. Its name does not matter.
 
     Raises:
         OSError: it cannot be read.
@@ -29,24 +29,24 @@ def is_video(path: Path) -> bool:
 
 
 def require_whole(path: Path, name: str) -> None:
-    """Refuse a file that is no video, or only the first part of one.
+    """Refuse a file that is not a video, or only the first part of one.
 
-    Playlists and other texts, whose decoders would open further files, are refused as well.
+    Playlists and other text files are refused as well: their decoders would open further files.
 
     Args:
         path: the file.
         name: its name in messages.
 
     Raises:
-        ImageError: it is of another format, or ends within a box, or before the table of frames or the frames.
+        ImageError: it is of another format, ends within a box, or has no table of frames.
     """
     try:
         if not is_video(path):
             raise ImageError(
                 name,
-                found="no video, or one of another format",
-                expected="an MP4 or MOV of a telephone",
-                remedy="Send the video as the telephone recorded it",
+                found="not a video, or one of another format",
+                expected="an MP4 or MOV from a telephone",
+                remedy="Send the telephone's original file",
             )
         with path.open("rb") as file:
             types, is_cut = _boxes(file)
@@ -64,7 +64,7 @@ def require_whole(path: Path, name: str) -> None:
 
 
 def _boxes(file: BinaryIO) -> tuple[set[bytes], bool]:
-    """Types of the outermost boxes, and whether the last one is cut off."""
+    """Types of the top-level boxes, and whether the last one is truncated."""
     end, start = file.seek(0, os.SEEK_END), 0
     types: set[bytes] = set()
     while end - start >= _BOX_BYTES:

@@ -1,4 +1,4 @@
-"""First look at a video: its length and size, and whether frames spread over it show the board."""
+"""Quick check of a video: its length and size, and whether a few of its frames show the board."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mammometry.calibration.targets.target import Target
 from mammometry.io.photographs.video import no_frames, opened_video
 from mammometry.walk.frames import direction_in
 
-_PLACES = (0.5, 0.25, 0.75)  # of its length: the patient's front, then both sides
+_PLACES = (0.5, 0.25, 0.75)  # shares of the video's length: the patient's front, then both sides
 
 
 @value(eq=False)
@@ -19,19 +19,19 @@ class VideoLook:
     """Length and size of a video, and how many of a few frames show the board."""
 
     seconds: float
-    """Its length. 0: the file does not state it."""
+    """Its length. 0: not stated in the file."""
     size_wh: tuple[int, int]
     """Width and height of a frame, pixels."""
     looked_at: int
-    """Number of frames that were looked at."""
+    """Number of frames that were checked."""
     with_board: int
-    """How many of them show the board."""
+    """Number of those frames that show the board."""
     frame: Photograph
-    """The first of them, RGB and small: from the middle of the video."""
+    """The first of those frames, from the middle of the video: RGB and small."""
 
 
 def look_at_video(path: Path, name: str, board: Target, limits: LimitSettings = LimitSettings()) -> VideoLook:
-    """Look at a few frames of a video, while `write_frames` reads all.
+    """Check a few frames of a video. `write_frames` reads all of them.
 
     Args:
         path: the video.

@@ -1,4 +1,4 @@
-"""Disagreement of pairs, in cells: distances between common skin, and row errors."""
+"""Disagreement of pairs, in cells: distances on common skin, and vertical disparities."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from mammometry.surface.settings import TAPER_MM
 
 _CELL_MM = 16.0
 """Edge of the cells, mm: several matching windows, so that errors of two cells are nearly independent. Not critical."""
-_SPACING_MM = 0.8  # between the data that are compared; limits time
-_FEWEST_DATA = 6  # data of a cell for a median; not critical
+_SPACING_MM = 0.8  # distance between the data that are compared; limits time
+_FEWEST_DATA = 6  # fewest data in a cell for a median; not critical
 OTHER_SKIN_MM = 4.0
 """Distance from which two pairs see different skin, such as an arm in front of the trunk, mm: more than any motion that
 is corrected (`StillnessSettings.most_mm`)."""
 _INSIDE = 0.99  # weight (`RangeImage.trust`) of data away from the edge
 _MEDIAN_FACTOR = 1.2533  # standard deviation of a median over the mean's, √(π/2)
 _ROW_CELLS = 6  # cells along each side of a pair's image: the vertical disparity has only six terms
-_FEWEST_ROWS = 50  # pixels of such a cell for a median; not critical
+_FEWEST_ROWS = 50  # fewest pixels in such a cell for a median; not critical
 
 
 @value(eq=False)
@@ -83,7 +83,7 @@ def differences(range_images: Sequence[RangeImage], other_skin_mm: float = OTHER
 
 
 def _thinned(image: RangeImage) -> RangeImage:
-    """Every few rows and columns. The windows that give normals are wider."""
+    """Every few rows and columns. The windows for normals are wider."""
     step = max(1, int(_SPACING_MM / image.pixel_mm())) if image.valid.any() else 1
     thin = (slice(None, None, step), slice(None, None, step))
     return replace(

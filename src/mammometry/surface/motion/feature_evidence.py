@@ -1,8 +1,8 @@
 """Test a motion correction with image features that cameras of different pairs share.
 
 A correction is estimated from distances between the pairs' surfaces. If pairs have little skin in common, both see it
-at a flat angle, and matching errors are alike over all of it, which looks like motion. Natural features do not depend
-on the surfaces: a correct correction reduces their distances from the epipolar lines by the predicted amount. If
+at a flat angle, and their matching errors are similar all over it, which looks like motion. Features of the skin do not
+depend on the surfaces: a correct correction reduces their distances from the epipolar lines by the predicted amount. If
 nothing moved, it increases them by as much.
 """
 
@@ -27,15 +27,15 @@ Displacement: TypeAlias = Callable[[str, Float64[Array, "n 3"]], Float64[Array, 
 _WIDEST_DEG = 60.0
 """Largest angle between the axes of two cameras that are compared: SIFT matches hardly any features beyond 45°."""
 _WIDTHS = ((450, 1000), (1200, 3000))
-"""Widths of the reduced photographs, px, and number of the strongest features in each. Weak skin is matched in small
-ones, sharp marks are located better in large ones."""
+"""Widths of the reduced photographs, px, and number of the strongest features in each. Weak texture is matched in
+small ones, sharp marks are located better in large ones."""
 _FEATURE_PX = 0.5
 """Standard deviation of a feature's distance from its line, px of the reduced photograph: 0.3 to 0.6 on clean ones."""
 _ON_LINE = 3.0  # standard deviations within which a match is on its line
 _OFFSET_PX = 16.0
 """Largest distance from the line that is used, same px. Wrong matches are uniformly distributed up to it."""
 _BY_CHANCE = 0.3
-"""Share of wrong matches among those. Up to a half occur."""
+"""Assumed share of wrong matches among those. Up to a half occur."""
 _COMMON_PX = np.linspace(-2.0, 2.0, 41)
 """Errors that all features of two cameras may share, same px: remaining calibration errors, and marks on curved skin
 that look different from two sides."""
@@ -45,7 +45,7 @@ _SHARES = np.linspace(-1.0, 2.0, 61)  # shares of a correction that are compared
 _SURE = 2.0  # standard deviations by which the share must differ from 0 or 1
 _PARALLEL = 1e-6  # rays are parallel if 1 minus their cosine is smaller
 _FEWEST = 12
-"""Fewest matches on their lines for a verdict, as in the check of photographs' names: fewer may be by chance."""
+"""Fewest matches on their lines for a verdict, as in the check of photographs' names: fewer may be due to chance."""
 _HALF = 0.5  # share above which a correction improves more than it harms
 
 
@@ -156,7 +156,7 @@ def _log_likelihood(before: Float64[Array, " m"], change: Float64[Array, " m"]) 
 def _shift_mm(rig: Rig, features: SharedFeatures, breathed_mm: Displacement) -> Float64[Array, "m 3"]:
     """Displacement of each feature by breathing between the two exposures, world axes, mm.
 
-    It is that of the point of the first ray nearest to the second one.
+    A feature is at the point of its first ray nearest to its second ray.
     """
     first, second = rig.cameras[features.first], rig.cameras[features.second]
     rays, others = first.rays_world(features.uv_first), second.rays_world(features.uv_second)

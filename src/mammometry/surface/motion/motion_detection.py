@@ -2,7 +2,7 @@
 
 If a camera turned after the calibration, or the body moved between the pairs' exposures, pairs disagree about common
 skin, and matched rows are off. `rigid_motion` estimates the most probable motions. If nothing moved, nothing is
-changed. Otherwise the cameras get their most probable poses, and if rigid motions do not suffice, as with a breathing
+changed. Otherwise, the cameras get their most probable poses, and if rigid motions do not suffice, as with a breathing
 chest, the points are moved smoothly as well (docs/decisions/0027).
 """
 
@@ -45,13 +45,13 @@ LEAST_MM = 0.06
 error."""
 _FIRST_OTHER_SKIN_MM = 12.0
 """`OTHER_SKIN_MM` of the first round, mm: a turn of 0.1° of a camera of the reference rig moves skin this far."""
-_LEAST_SIGMAS = 2.0  # significance of a displacement, in standard deviations: rows of small, noisy images look moved
-_SURE = 5.0  # multiple of `LEAST_EVIDENCE` at which something moved, even if its effect on each pair is uncertain
+_LEAST_SIGMAS = 2.0  # least significance of a displacement, standard deviations: small, noisy images seem to have moved
+_SURE = 5.0  # multiple of `LEAST_EVIDENCE` from which motion is certain, even if its effect on each pair is not
 _EXPLAINED_SHARE = 0.5
-"""Largest remaining share of the distance between pairs if features neither confirm nor refute. True motions leave a
-seventh, false ones on matte plaster two thirds."""
+"""Largest share of the distance between pairs that may remain if features neither confirm nor refute the motion. True
+motions leave a seventh, false ones on matte plaster two thirds."""
 _UNEXPLAINED_MM = 0.12
-"""Rest above which a motion is not rigid, mm. Clean captures leave at most 0.05 (docs/decisions/0027)."""
+"""Remaining disagreement above which a motion is not rigid, mm; clean captures leave at most 0.05 (decision 27)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,7 +107,7 @@ class MotionEstimate:
     displaced: tuple[Displaced, ...] = ()
     """All pairs, most displaced first."""
     confirmation: CorrectionEvidence | None = None
-    """Test of the motions with features, which they were not estimated from. None: not tested."""
+    """Test of the motions with features, from which they were not estimated. None: not tested."""
 
     @property
     def refuted(self) -> bool:
@@ -181,7 +181,7 @@ def find(
     if smooth.expected.log_evidence - rigid.expected.log_evidence >= LEAST_EVIDENCE:
         parameters, moved, breaths_mm = breathing, smooth, BREATHS_MM
         evidence = moved.expected.log_evidence - moved.still.log_evidence
-    # Again, with the pairs compared where the corrected cameras see them.
+    # Estimate again, with the pairs compared where the corrected cameras see them.
     so_far = moved.expected.motions
     images = [_apply(image, rig, parameters, so_far) for image in range_images]
     again = observed(_moved_rig(rig, parameters, so_far), differences(images), rows, covariance, parameters.effects)
@@ -374,7 +374,7 @@ def _refuse(found: MotionEstimate, settings: StillnessSettings, expected_mm: flo
 
 
 _MOST_PART, _LITTLE = 0.7, 0.35
-"""Share of a displacement above which only the body moved, and below which only cameras did. In the text only."""
+"""Share of a displacement above which only the body moved, and below which only cameras did. For texts only."""
 _NAMED = 3  # most cameras in a sentence
 
 
@@ -430,7 +430,7 @@ def summary(found: MotionEstimate) -> str:
     if not found.moved:
         return f"nothing moved; pairs agree to {found.distance_mm[0]:.3f} mm (RMS)"
     if found.refuted:
-        return f"nothing moved, though pairs agree to {found.distance_mm[0]:.3f} mm (RMS) only"
+        return f"nothing moved, although pairs agree only to {found.distance_mm[0]:.3f} mm (RMS)"
     pairs = ", ".join(
         f"{displacement.pair} {displacement.effect_mm:.2f} ± {displacement.std_mm:.2f} mm"
         for displacement in found.displaced

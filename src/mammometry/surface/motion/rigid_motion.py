@@ -1,6 +1,6 @@
 """Most probable small motions of cameras and body, from the pairs' disagreement.
 
-Cameras turn, and each pair's exposure has a rigid motion of its own and a smooth one, as of a breathing chest. The
+Cameras turn, and the body moves between the pairs' exposures: rigidly, and smoothly when the chest breathes. The
 distances between two pairs' surfaces and the vertical disparity within a pair are linear in the errors θ of the
 cameras' poses: y = Hθ + noise, with the covariance of calibration and matching. Turns and shifts have normal priors,
 whose sizes are those that make y most probable (the evidence, or type-II likelihood: MacKay 1992, Neural Computation 4,
@@ -30,16 +30,16 @@ from mammometry.surface.motion.agreement import Differences, RowErrors
 
 _CELL_MM = 0.06
 """Standard deviation of a cell's difference in addition to its data's own, mm: matching errors within a window."""
-_COMMON_MM = 0.05  # standard deviation common to cells within `_REACH_MM`, mm: curved skin is smoothed alike
+_COMMON_MM = 0.05  # standard deviation common to cells within `_REACH_MM`, mm: matching smooths curved skin
 _EXPECTED_SHARE = 0.5
-"""Share of two pairs' expected standard deviation in a cell's median, and again in common with cells near it: noise and
-weak texture make windows err alike (docs/decisions/0009 has 0.35 for one pair)."""
+"""Standard deviation of a cell's median relative to the two pairs' expected one, and again common to cells near it:
+noise and weak texture cause similar errors in neighbouring windows (docs/decisions/0009 has 0.35 for one pair)."""
 _REACH_MM = 40.0
 _ROW_PX = 0.1
 """Standard deviation of a cell's vertical disparity, px of the matched image. A correct calibration leaves 0.02 to 0.05
 RMS, similar over the image (docs/decisions/0027)."""
 _LEVER_MM = 150.0
-"""Lever arm, mm: half a trunk's width. A body that shifts by 1 mm also turns by 1 mm at this distance."""
+"""Lever arm, mm: half a trunk's width. A body that shifts by 1 mm also turns, by 1 mm at this distance."""
 _TURNS_DEG = (0.0, 0.001, 0.0015, 0.0025, 0.004, 0.006, 0.01, 0.015, 0.025, 0.04, 0.06)
 _SHIFTS_MM = (0.0, 0.03, 0.06, 0.1, 0.2, 0.35, 0.6, 1.0, 1.7)
 _RESTS_MM = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.1)
@@ -55,8 +55,8 @@ _OUTLIER_SIGMAS = 4.0  # robust standard deviations of a cell's difference beyon
 _CONTRADICTION = 2.0  # largest motion by a pair's rows alone, relative to the distance between pairs; not critical
 _OUTLIER_ROUNDS = 5  # most searches for outliers; it ends earlier when nothing changes
 LEAST_EVIDENCE = 10.0
-"""Least rise of the log probability of all observations for a motion, and largest fall for leaving one out: e¹⁰ is
-22,000. Clean captures reach 0 to 3."""
+"""Least rise of the log probability of all observations for a motion. Sizes of motions whose log probability is lower
+than the best by more are left out. e¹⁰ is 22,000. Clean captures reach 0 to 3."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -227,7 +227,7 @@ class Observed:
 
 
 def own_noise_mm2(comparison: Differences) -> Float64[Array, "n n"]:
-    """Covariance of two pairs' distances by matching, mm². Neighbouring cells err alike."""
+    """Covariance of two pairs' distances by matching, mm². Neighbouring cells have similar errors."""
     near = np.exp(-cdist(comparison.points, comparison.points, "sqeuclidean") / (2 * _REACH_MM**2))
     own, shared = (np.hypot(floor, _EXPECTED_SHARE * comparison.expected_mm) for floor in (_CELL_MM, _COMMON_MM))
     noise: Float64[Array, "n n"] = np.diag(comparison.scatter_mm**2 + own**2) + np.outer(shared, shared) * near
@@ -286,8 +286,8 @@ def observed(
 def without_outliers(seen: Observed, parameters: MotionParameters) -> Observed:
     """Observations without cells that no plausible motion explains.
 
-    Such cells are on hair, edges or arms in front of the trunk. All rows of a pair are left out together: they are
-    pixels off without a motion if much of the pair was matched by chance, as on a pale wall.
+    Such cells are on hair, edges or arms in front of the trunk. All rows of a pair are left out together: if much of
+    the pair was matched by chance, as on a pale wall, they are pixels off although nothing moved.
     """
     keep = np.ones(len(seen.values), dtype=bool)
     std = np.sqrt(seen.variance)
@@ -309,8 +309,8 @@ def without_outliers(seen: Observed, parameters: MotionParameters) -> Observed:
 def without_contradicted_rows(seen: Observed, parameters: MotionParameters) -> Observed:
     """Observations without rows that common skin contradicts.
 
-    The motion that such rows alone suggest would move the pairs much farther apart than they are, and not closer: parts
-    of the pair were matched by chance.
+    The motion that such rows alone suggest is much larger than the distances between surfaces, and does not reduce
+    them: parts of the pair were matched by chance.
     """
     distance_mm, by_unknown = seen.values[seen.distances], seen.by_unknown[seen.distances]
     keep = np.ones(len(seen.values), dtype=bool)
@@ -343,8 +343,9 @@ class Found:
 def most_probable(seen: Observed, parameters: MotionParameters, breaths_mm: Sequence[float] = (0.0,)) -> Found:
     """Most probable motions, with smooth motions of one of these sizes.
 
-    All cameras have a common size, and all groups. A motion of one camera or group alone is tested only to name it: two
-    cameras of a pair may turn alike by chance, and the others' motions would then seem certain.
+    All cameras share one size of turns, and all groups one size of motions. The motion of a single camera or group is
+    tested only to name it: two cameras of a pair may turn alike by chance, and the others' motions would then seem
+    certain.
     """
     rests_mm = _RESTS_MM if seen.distances.any() else _RESTS_MM[:1]  # rows alone do not determine it
     models = {rest_mm: seen.model(rest_mm) for rest_mm in rests_mm}

@@ -22,11 +22,11 @@ _AGREEMENT_SAMPLES = 20000  # data of a view that are compared: their median is 
 JUMP_MM = 5.0
 """Difference of ranges above which they belong to two surfaces, mm. Not critical."""
 _APART_MM = 1.0  # largest median distance between two views
-_FEWEST_COMMON = 500  # data that two views need in common to be compared
+_FEWEST_COMMON = 500  # fewest common data of two views that are compared
 _CULPRIT_RATIO = 1.2  # ratio to the next pair's differences from which a pair is named as the moved one
 _ALIKE_DEG = 20.0  # largest angle between normals of two views on the same skin; not critical
 LEAST_COSINE = 0.5
-"""60° from the normal: data at larger angles are not compared, and skin may end there."""
+"""60° from the normal: data seen at larger angles are not compared."""
 
 
 class Label(IntEnum):
@@ -46,8 +46,8 @@ def gap_mm(points_world: Float64[Array, "n 3"], range_image: RangeImage) -> Floa
     """Signed distance |r_B(m, n)| − D along the ray from points to the surface that a view saw, mm.
 
     D is the point's distance from the perspective centre. Positive in front of the surface, negative behind it; NaN
-    where the nearest element has no datum, outside the image and behind the camera. Between four data on one surface
-    the range is interpolated: at 70°, half a pixel would be a disagreement.
+    where the nearest element has no datum, outside the image and behind the camera. The range is interpolated between
+    four data on one surface: at 70° from the normal, half a pixel would look like a disagreement.
     """
     transform = range_image.camera.camera_from_world
 
@@ -131,7 +131,7 @@ def disagreement_mm(range_images: Sequence[RangeImage]) -> dict[tuple[str, str],
 def _distances_across(view: ComparedView, other: ComparedView) -> Float64[Array, "n 2"]:
     """Distances of a view's data from the other's surface along the normal, and their expected σ, mm.
 
-    Data far behind are left out, since the other's surface may hide them: of two views that contradict each other, one
+    Data far behind the other's surface are left out: it may hide them. If two views contradict each other, one of them
     has its data in front of the other's surface.
     """
     common = common_skin(view, other)
@@ -155,7 +155,7 @@ class ComparedView:
 
     @classmethod
     def of(cls, image: RangeImage) -> ComparedView:
-        """The view with every few of its data, evenly."""
+        """The view with an evenly spaced subset of its data."""
         stride = max(1, int(image.valid.sum()) // _AGREEMENT_SAMPLES)
         rows, columns = (index[::stride] for index in np.nonzero(image.valid))
         rays = image.camera.rays_world(np.stack([columns, rows], axis=-1).astype(np.float64))
