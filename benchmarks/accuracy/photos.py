@@ -6,14 +6,16 @@
     python -m benchmarks.accuracy.photos --walks ../shared/data/photos --filtered 25 --out OUT
     python -m benchmarks.accuracy.photos --women 9701 9702 9703 --out OUT
 
-The first measures walks of another renderer. The second crops each of their photographs at random first, as a
-stabilised lens shifts them: standard deviation in pixels. The third compresses them to this JPEG quality, and saves
-them as PNG, since the program leaves out JPEGs below 50. The fourth smooths differences of about so many grey levels,
-as a beauty filter does. The last renders its own, one for each woman, under the conditions `CONDITIONS` in turn. Each
-folder of `--walks` has ``photos/`` and ``truth/`` (``truth.json`` with the board's pose and the nipples, and
-``body.ply``). The surface is judged on the true skin within 85 mm of a nipple, whether the photographs show it or not,
-and by the skin that was measured there. Each volume is compared with that of the true mesh by the same program, and
-with the true volume of an own woman. A walk in OUT is not measured again.
+The first command measures walks from another renderer. The second one first crops each photograph at a random
+position, with a standard deviation in pixels, as a stabilised lens shifts it. The third one compresses photographs to
+this JPEG quality, and saves them as PNG, because the program leaves out JPEGs below 50. The fourth one smooths
+differences of about that many grey levels, like a beauty filter. The last one renders its own walks, one for each
+woman, with each of `CONDITIONS` in turn.
+
+Each folder of `--walks` contains ``photos/`` and ``truth/`` (``truth.json`` with the board's pose and the nipples, and
+``body.ply``). Errors are measured on the true skin within 85 mm of a nipple, whether the photographs show it or not,
+and on the measured skin there. Each volume is compared with that of the true mesh by the same program, and for own
+women also with the true volume. *Held* means that the interval contains it. A walk in OUT is not measured again.
 `--peers` adds rows of other programs (`photo_peers`).
 """
 
@@ -51,12 +53,12 @@ CONDITIONS = {
     "held": ("skin", "breath=0.3,autofocus=0.1,stabiliser=5,rolling=1"),
     "smooth": ("pale-skin", ""),
 }
-"""Name → skin and disturbances of a rendered walk. ``held``: a held breath, lens and shutter of a telephone."""
-_SCALE = 0.3  # photographs of 1210 × 907: time
-_MOST_SHIFT_PX = 24  # of a photograph, either way
-_NEAR_MM = 85.0  # of a nipple: a large breast's skin
-_LEAST_SIGMA_MM = 0.1  # of a vertex: the cameras' positions add as much
-_FAR_MM = 1.0  # clip of the mean signed distance, which a few wild places would decide otherwise
+"""Name → skin and disturbances of a rendered walk. ``held``: a held breath, and a telephone's lens and shutter."""
+_SCALE = 0.3  # photographs of 1210 × 907; limits time
+_MOST_SHIFT_PX = 24  # largest shift of a photograph, in either direction
+_NEAR_MM = 85.0  # largest distance from a nipple: contains a large breast's skin
+_LEAST_SIGMA_MM = 0.1  # least σ of a vertex: errors of the cameras' positions add about this much
+_FAR_MM = 1.0  # signed distances are clipped to this: a few outliers would dominate their mean
 
 
 def true_body(path: Path) -> TriangleMesh:
@@ -137,7 +139,7 @@ def measured(walk: Path, out: Path) -> str:
 
 
 def peers(walk: Path, out: Path) -> Iterator[str]:
-    """A row for each other program, on a walk that `measured` has measured."""
+    """A row for each other program, for a walk that `measured` has measured."""
     truth = json.loads((walk / "truth" / "truth.json").read_text(encoding="utf-8"))
     body, pose = true_body(walk / "truth" / "body.ply"), np.array(truth["board_pose"])
     makers: dict[str, Callable[[], tuple[str, TriangleMesh | None]]] = {
@@ -148,16 +150,16 @@ def peers(walk: Path, out: Path) -> Iterator[str]:
     }
     for name, maker in makers.items():
         begun_s = processor_s()
-        said, mesh = maker()
+        note, mesh = maker()
         errors = ""
         if mesh is not None:
             moved = TriangleMesh(vertices=mesh.vertices @ pose[:3, :3].T + pose[:3, 3], faces=mesh.faces)
             errors = surface_errors(moved, body, np.array(truth["nipples"]))
-        yield f"| {walk.name}: {name} | {said} | {errors} | | | {processor_s() - begun_s:.0f} |"
+        yield f"| {walk.name}: {name} | {note} | {errors} | | | {processor_s() - begun_s:.0f} |"
 
 
 def render(women: list[int], folder: Path) -> Iterator[Path]:
-    """Walks of these women, rendered when they are asked for and not there yet."""
+    """Walks of these women, each rendered when it is needed, unless it exists."""
     for number, seed in enumerate(women):
         name = list(CONDITIONS)[number % len(CONDITIONS)]
         skin, disturbances = CONDITIONS[name]
@@ -175,7 +177,7 @@ def render(women: list[int], folder: Path) -> Iterator[Path]:
 
 
 def shifted(walk: Path, out: Path, std_px: float) -> Path:
-    """The walk with each photograph cropped at a random place, as by a lens that a stabiliser shifts."""
+    """The walk with each photograph cropped at a random position, as by a stabilised lens."""
     if not out.exists():
         shutil.copytree(walk / "truth", out / "truth")
         (out / "photos").mkdir()
@@ -207,7 +209,7 @@ def changed(walk: Path, out: Path, change: Callable[[Image.Image], Image.Image])
 
 
 def compressed(image: Image.Image, quality: int) -> Image.Image:
-    """A photograph after a messenger."""
+    """A photograph compressed as by a messenger."""
     small = BytesIO()
     image.save(small, "JPEG", quality=quality)
     return Image.open(small)

@@ -31,7 +31,7 @@ MISSING = "missing"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Walk:
-    """Region and uncertainty of photographs taken with one telephone on a walk around the patient."""
+    """Region and uncertainty of photographs taken with one telephone while walking around the patient."""
 
     region: Region
     """Box that contains the body, world frame."""
@@ -42,7 +42,7 @@ class Walk:
     board_mm: Float64[Array, "2 2"]
     """Lowest and highest corner (x, y) of the board's points, world frame, mm."""
     card_scale: float | None = None
-    """Length on the print by a bank card on it, relative to the length as drawn or typed. None: without a card."""
+    """True length on the print by a bank card on it, relative to its stated length. None: no card."""
 
     @property
     def errors(self) -> tuple[float, ...]:

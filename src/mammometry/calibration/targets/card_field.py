@@ -1,8 +1,7 @@
-"""Field for a bank card on the telephone's board: a second witness of the print's size.
+"""Field for a bank card on the telephone's board: a second measurement of the print's size.
 
-The card is as large as ISO/IEC 7810 says of ID-1. It covers a part of the lower two rows of squares, where its edges
-cross black squares and white paper, so that light cards and dark ones are seen. Lengths in the frame of the board as
-drawn, mm.
+Cards have the size ID-1 of ISO/IEC 7810. The card covers a part of the lower two rows of squares, where its edges cross
+black squares and white paper, so that light and dark cards are visible. Lengths in the frame of the board as drawn, mm.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ CARD_TOLERANCE_MM = (0.125, 0.055)
 CARD_THICKNESS_MM = 0.76
 """Nominal thickness of a bank card (ISO/IEC 7810)."""
 FIELD_MIDDLE = (58.8, 160.0)
-"""Place of the card's middle."""
+"""Position of the card's middle."""
 FIELD_EDGE_MM = 264.0
 """Length of the board along x, as drawn."""
 _BARS = ((30.0, 181.0, 20.0, 10.0), (68.0, 181.0, 20.0, 10.0))
