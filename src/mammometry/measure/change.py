@@ -32,7 +32,7 @@ _FIXED = 60_000  # points of the earlier trunk; chosen for speed
 _JUDGED = 20_000  # points of the later trunk whose distance is measured; chosen for speed
 _STARTS_MM = (0.0, -25.0, 25.0)  # shifts along the trunk's axis, its least certain direction (decision 22)
 _BEYOND_MM = 20.0  # later skin farther beyond the earlier one's edge is not compared; error 1.4 mm on a round trunk
-_SHARE = 0.8  # quantile of the distances: the robust scatter does not separate bodies (decision 22)
+_SHARE = 0.8  # quantile of the distances; their robust scatter does not tell bodies apart (decision 22)
 
 
 @value(eq=False)

@@ -1,7 +1,7 @@
 """Closing of a scan's hole below a breast that hangs over its fold.
 
-The chest's skin runs into such a hole, and the breast's skin runs out around it. Both are continued with their own
-slope, with least bending (docs/decisions/0051).
+At the edge of such a hole the chest's skin slopes inwards and the breast's skin outwards. The patch continues both
+slopes and bends as little as possible (docs/decisions/0051).
 """
 
 from __future__ import annotations
@@ -24,12 +24,13 @@ _RING_MM = 12.0  # width of the ring of skin that determines the slope at a hole
 _EVEN_MM = 2.0  # spacing of points along a hole's edge; not critical
 _SMOOTH_MM = 8.0  # Gaussian σ along the edge, which is ragged by the size of a triangle; not critical
 _GRID_MM = 2.0  # spacing of vertices in a closed hole
-_FEWEST = 16  # fewest points along it
+_FEWEST = 16  # fewest points along a hole's edge
 _LEAST_MASS_MM2 = 1e-3  # least area of a vertex
 _TAILS, _IN, _OUT = (0.1, 0.9), -0.4, 0.2
-"""Parts of the edge at which the skin runs in and out, and the limits of both: cosines between the skin's direction and
-outwards. Eighteen hidden folds have −1.0 to −0.7 and 0.5 to 0.9. Cut arms and necks have 0.4 or more, a dome's tip 0:
-they do not run in. An armpit has −0.9 and −0.3: it does not run out."""
+"""Two quantiles along the edge, and limits of the cosine between the skin's direction and outwards at them: at a hidden
+fold the skin slopes inwards at one and outwards at the other. Eighteen hidden folds have −1.0 to −0.7 and 0.5 to 0.9.
+Cut arms and necks have 0.4 or more, a dome's tip 0: no skin slopes inwards. An armpit has −0.9 and −0.3: none slopes
+outwards."""
 
 Filling: TypeAlias = tuple[Float64[Array, "k 3"], Int64[Array, "m 3"]]
 """Points inside a hole's edge, mm, and triangles: indices into the edge's vertices, then the points."""
@@ -102,7 +103,7 @@ def continued(edge: HoleEdge) -> Filling:
 
 
 def _quantiles(edge: HoleEdge) -> tuple[float, float]:
-    """How far the skin runs out of the hole, in its two tails: cosines, weighted by length."""
+    """Lower and upper quantile of `HoleEdge.out`, weighted by length."""
     order = np.argsort(edge.out)
     share = np.cumsum(edge.lengths_mm[order]) / edge.lengths_mm.sum()
     low, high = np.interp(_TAILS, share, edge.out[order])

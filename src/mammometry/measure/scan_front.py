@@ -21,7 +21,7 @@ _TRUNK = (0.56, 0.87)
 at 0.47, the nipples at 0.70 to 0.74."""
 _BEHIND_MM = 25.0  # the front ends this far behind the middle between front and back, so that it includes the sides
 _FACING_BACK = -0.3  # largest cosine between straight ahead and the normals of a back
-_NOTED = 0.1  # share of the area from which a cut is noted
+_NOTED = 0.1  # least removed share of the area that is reported
 _WORTH_MM = 5.0  # a back of less depth is not cut off
 _MIDLINE_MM = 150.0  # half width of the strip that shows the body's height, without raised hands; not critical
 _FEET, _ANKLES = 0.03, (0.05, 0.09)  # height of the feet, and heights of the ankles, relative to the body
@@ -72,7 +72,7 @@ def ahead_by_feet(mesh: TriangleMesh, up: Float64[Array, 3]) -> Float64[Array, 3
     """Straight ahead of a whole body, from the direction of its feet. None without feet.
 
     Args:
-        mesh: of a standing body, mm.
+        mesh: a standing body, mm.
         up: towards the head.
     """
     heights = mesh.vertices @ up

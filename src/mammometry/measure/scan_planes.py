@@ -19,7 +19,7 @@ _LEAST_CM2 = 10.0
 
 
 def planar_faces(mesh: TriangleMesh) -> Bool[Array, " m"]:
-    """Mask of the faces of a mesh, mm, in flat regions that are larger than any of skin."""
+    """Mask of the faces of a mesh, mm, in flat regions that are too large to be skin."""
     vectors = mesh.face_vectors()
     area_mm2 = np.linalg.norm(vectors, axis=1)
     normals = vectors / np.maximum(area_mm2, 1e-12)[:, None]

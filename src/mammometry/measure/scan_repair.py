@@ -1,7 +1,7 @@
 """Repair of a scan's mesh where the result is unambiguous, with notices of what was changed.
 
-Touching seams are joined, crumbs removed, faces turned outwards, small holes closed. Skin in a closed hole is marked as
-invented, so that it widens a volume's interval. All other faults are refused by `scanned.check_mesh`.
+Touching seams are joined, small fragments removed, faces turned outwards, small holes closed. Skin in a closed hole is
+marked as invented, so that it widens a volume's interval. All other faults are refused by `scanned.check_mesh`.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ WIDEST_HOLE_MM = 90.0
 _FOLD_MM = (48.0, 130.0)
 """Least and largest width of a hole at a hidden fold, mm. The least has 18 cm² (`boundary.hidden_fold`); virtual women
 of up to 1,500 cc have up to 107 mm."""
-_OWN_EDGE_MM = 70.0  # the longest opening, if wider than this, is the surface's own edge (a small cast's)
+_OWN_EDGE_MM = 70.0  # a longest opening wider than this is the edge of the surface (of a small cast)
 _LONGEST_HOLE_MM = 150.0  # longest slit that is closed; not critical
-_CRUMB = 0.01  # share of the area below which a piece is a crumb
-_BESIDE = 0.2  # largest share of the area of all pieces that are not the body; not critical
-_FLAT_MM, _WIDE_MM = 12.0, 80.0  # standard deviations across and along a wall; a trunk's front has 40 across
+_CRUMB = 0.01  # share of the area below which a piece is a small fragment
+_BESIDE = 0.2  # largest share of the area in pieces other than the body; not critical
+_FLAT_MM, _WIDE_MM = 12.0, 80.0  # largest SD across a wall, and least along it; a trunk's front has 40 across
 _FEW_FINS = 0.01  # largest share of faces that are removed at edges where three or more meet; not critical
 _RING_MM = 12.0  # width of the ring of skin that determines a hole's curvature; not critical
 _RING_POINTS = 300  # most points of that ring; chosen for speed
-_SMOOTHING = 30.0  # of the thin plate, mm²: it follows a tip but not 1 mm of noise; not critical
-_FEWEST_FACES = 50  # fewest faces of a scan: a dome of 40 faces has four fifths of its volume
+_SMOOTHING = 30.0  # smoothing of the thin plate, mm²: follows a tip, but not 1 mm of noise; not critical
+_FEWEST_FACES = 50  # fewest faces of a scan: a dome of 40 faces has four fifths of the true volume
 _FEWEST = 10  # fewest points for a plate
-_NOTED_MM2 = 5.0  # area of invented skin from which it is noted
+_NOTED_MM2 = 5.0  # least area of invented skin that is reported
 _NO_AREA_MM2 = 1e-6  # area below which a hole is a seam
 _GRID_MM = 2.0  # spacing of vertices in a closed hole: finer than the edges of `scanned.finer_along`
 
@@ -57,7 +57,7 @@ class RepairedScan:
     invented: Bool[Array, " n"]
     """Vertices of closed holes."""
     at_fold: Bool[Array, " n"]
-    """Those of holes at hidden folds, which are continued from the skin around (`fold_patch`)."""
+    """Vertices of closed holes at hidden folds, where the surrounding skin is continued (`fold_patch`)."""
     notices: tuple[Notice, ...]
     """What was changed."""
     inside_out: bool = False
@@ -65,7 +65,7 @@ class RepairedScan:
 
     @classmethod
     def unchanged(cls, mesh: TriangleMesh) -> RepairedScan:
-        """A mesh as it is."""
+        """Result for a mesh without any repair."""
         none = np.zeros(len(mesh.vertices), dtype=bool)
         return cls(mesh=mesh, invented=none, at_fold=none, notices=())
 
@@ -73,7 +73,7 @@ class RepairedScan:
 def repair_scan(
     mesh: TriangleMesh, *, largest: bool = False, skin_alone: bool = False, holes: bool = True
 ) -> RepairedScan:
-    """A scan with joined seams, without crumbs, with faces outwards and small holes closed.
+    """A scan with joined seams, no small fragments, faces outwards and small holes closed.
 
     Args:
         mesh: from the file, mm, coincident vertices merged.
@@ -355,7 +355,7 @@ def _filled(mesh: TriangleMesh, notices: list[Notice]) -> RepairedScan:
 
 
 def _fan(count: int) -> Int64[Array, "m 3"]:
-    """Triangles around the centre of a hole, by its number of corners."""
+    """Triangles from the `count` corners of a hole's edge to its centre."""
     number = np.arange(count)
     return np.stack([np.roll(number, -1), number, np.full(count, count)], axis=1)
 
@@ -367,12 +367,12 @@ def _without_chords(
     triangles: Int64[Array, "m 3"],
     taken: set[int],
 ) -> tuple[Float64[Array, "j 3"], Int64[Array, "i 3"]]:
-    """Points and triangles of a hole's patch, with edges split that the mesh already has.
+    """Points and triangles of a hole's patch, with edges split if the mesh already has them.
 
     Args:
         mesh: the skin with the hole.
         loop: the hole's edge.
-        points: of the patch, except its edge, mm.
+        points: points of the patch, without its edge, mm.
         triangles: indices into the edge's corners, then the points.
         taken: edges of the mesh (smaller vertex times number of vertices, plus larger); those of the patch are added.
     """

@@ -35,11 +35,11 @@ _ONE_SIDED = 0.2
 """Length of the horizontal mean normal from which a mesh shows one side only. Fronts of bodies have 0.47 or more, a
 half tube 0.64; tubes that are open on one side at most the opening's share of the skin, 0.13 (a torso's arm)."""
 _ROUNDER = 2.0  # least roundness of a torso's front relative to its other sides
-_UPRIGHT = np.cos(np.deg2rad(45.0))  # least cosine between the trunk's axis and an axis of the file for upright
+_UPRIGHT = np.cos(np.deg2rad(45.0))  # least cosine between the trunk's axis and the file's upright axis
 _AXIS_SAMPLES = 20_000  # faces from whose normals the trunk's axis is found; chosen for speed
 _ALONG_AXIS = np.cos(np.deg2rad(20.0))  # a front within this angle of an axis is along that axis; not critical
 _FRONT_ROUNDS = 4  # iterations of front and frame; bodies turn by less than 0.2° after the second; not critical
-_SAME_FRAME = 1 + 2 * np.cos(np.deg2rad(0.2))  # trace of the turn between frames from which they are the same
+_SAME_FRAME = 1 + 2 * np.cos(np.deg2rad(0.2))  # trace of the rotation between frames that count as equal
 _SQUARE = 1e-6  # largest cosine of the angle between head and straight ahead
 _ON_MESH_MM = 15.0  # largest median distance of a curve on a mesh from its vertices; not critical
 
@@ -48,12 +48,13 @@ Places = Mapping[str, Float64[Array, "_ 3"]]
 
 
 class DirectionError(MeasureError):
-    """A scan does not show which side is the patient's front: `--ahead` names it."""
+    """The patient's front cannot be determined from a scan: `--ahead` states it."""
 
     code = "direction"
     kind = "MeasureError"
     fronts: Mapping[str, Float64[Array, "3 3"]] = MappingProxyType({})
-    """Option that names a side ("--ahead z") → frame as it would be: patient's left, head, straight ahead (rows)."""
+    """Option that names a side ("--ahead z") → frame that it would give: patient's left, head, straight ahead
+    (rows)."""
 
 
 def as_scanned(
@@ -64,7 +65,7 @@ def as_scanned(
     Args:
         mesh: mm.
         invented: vertices of closed holes. None: there are none.
-        at_fold: those of hidden folds, which borders are found on.
+        at_fold: vertices of closed holes at hidden folds, on which a border may run.
 
     Raises:
         MeasureError: it is empty, or not an oriented surface.
@@ -111,7 +112,7 @@ def check_mesh(mesh: TriangleMesh) -> None:
 def finer_scan(scan: RepairedScan, curves: Sequence[Float64[Array, "_ 3"]]) -> RepairedScan:
     """A scan with edges short enough for cutting near the curves.
 
-    New vertices come last. One is invented, or at a hidden fold, if an end of its edge is.
+    New vertices come last. A new vertex is invented, or at a hidden fold, if an end of its edge is.
     """
     if not curves:
         return scan
@@ -238,9 +239,9 @@ def frame_from_axes(mesh: TriangleMesh, head: str | None = None, ahead: str | No
 def own_front(scan: RepairedScan, frame: Float64[Array, "3 3"]) -> tuple[RepairedScan, Float64[Array, "3 3"]]:
     """A scan's front, and the body's own frame: patient's left, head, straight ahead (rows).
 
-    Each is found from the other, so the result does not depend on how the body lies in the file
-    (docs/decisions/0053). If that shows no trunk, or no breast but the front in the file's frame does, the latter is
-    used.
+    They are found iteratively, each from the other, so that the result does not depend on the orientation of the body
+    in the file (docs/decisions/0053). The file's frame is used if no trunk is found, or if only the front in that frame
+    shows a breast.
 
     Args:
         scan: a torso or a whole body, mm.
@@ -277,12 +278,12 @@ def _upright(mesh: TriangleMesh, looks: Float64[Array, 3]) -> str:
     if abs(axis[1]) > _UPRIGHT:
         return "y"
     along_y = np.argmax(np.abs(looks)) == 1 and abs(looks[1]) > _ONE_SIDED
-    along_z = abs(axis[2]) > _UPRIGHT and abs(looks[2]) < _ONE_SIDED  # a front that leans far faces along z, too
+    along_z = abs(axis[2]) > _UPRIGHT and abs(looks[2]) < _ONE_SIDED  # a front that leans far also faces along z
     return "z" if along_y or along_z else "y"
 
 
 def _ahead_by_breasts(mesh: TriangleMesh, up: Float64[Array, 3]) -> Float64[Array, 3] | None:
-    """Straight ahead of a torso with its back, from its breasts. None if no side clearly has them.
+    """Straight ahead of a torso with skin on all sides, from its breasts. None if no side is clear.
 
     Directions across the torso's width are tried before those along it.
 

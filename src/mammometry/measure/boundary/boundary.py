@@ -56,17 +56,17 @@ _ALL_AROUND = 0.995  # share of a breast that is written as 100 %
 _FLAT_MM = 0.1  # largest sag of a base that is called flat; not critical
 _FOLDED = 0.5  # least creased share of the lower quarter for a visible fold; not critical
 _SIGMA_QUANTILES = (0.1, 0.9)  # quantiles of a curve's uncertainty that are reported
-_COARSE_PX = 1.0  # initial scatter, so that outliers are removed gradually and no near minimum is taken; not critical
+_COARSE_PX = 1.0  # initial scatter, large: outliers are rejected gradually, local minima avoided; not critical
 _BENDS = (0.15, 0.3, 0.45)  # curvatures that are tried: radius of the rim over that of the cylinder; not critical
-_FINISHED = 3  # converged directions of bending that are refined without constraint; not critical
-_UNSEEN_SHARE = 0.5  # distance of the visible base in front of the true one, over the rim's radius (decision 17)
+_FINISHED = 3  # best fits with fixed curvature that are refined with free curvature; not critical
+_UNSEEN_SHARE = 0.5  # distance of the visible rim in front of the base, relative to the rim's radius (decision 17)
 _CUT_OFF = 5  # standard deviations to which distances from the common rim are limited
 _FEW = 250  # rim points used to compare directions of bending; chosen for speed
-_AGREED_PX = 0.07  # RMS disagreement of the cameras below which no other base is searched (docs/decisions/0017)
+_AGREED_PX = 0.07  # RMS disagreement of the cameras below which no other base is searched for (docs/decisions/0017)
 _RIVAL_GAIN = 2.0
-"""Plane and cylinder are both possible if their mean squared disagreements (px²) differ by a smaller factor. Half of
-the difference between them is then uncertain. Not critical."""
-_CUT_SHARE = 0.01  # a base may cut off this much more of the measured surface than another one (decision 17)
+"""Plane and cylinder both remain possible if their mean squared disagreements (px²) differ by less than this factor.
+Half of the distance between them then adds to the uncertainty. Not critical."""
+_CUT_SHARE = 0.01  # share of the measured surface that a base may cut off in addition to the best (decision 17)
 
 
 @value(eq=False)
@@ -88,7 +88,7 @@ class Boundary:
     sigma_mm: float | None = None
     """Standard uncertainty of the whole curve along the wall's normal, mm. None if unknown."""
     across_mm: Float64[Array, " n"] | None = None
-    """Standard uncertainty of each point across a torso's curve, in addition to that of any drawn curve, mm: large
+    """Standard uncertainty of each point across a torso's curve, in addition to that of every drawn curve, mm: large
     where the skin does not show the border. None: zero."""
     hidden_fold_cm2: float = 0.0
     """Area of skin that closes a scan's hole at the fold, cm². 0: the fold is visible."""
@@ -186,8 +186,9 @@ def find_base(
 ) -> tuple[AdjustedBase, tuple[Base, ...]]:
     """A cast's base (plane or convex cylinder) from its rim, and alternatives that remain possible.
 
-    It is searched robustly, then adjusted to all silhouettes. The cylinder is used if the cameras agree on its rim
-    clearly better than on the plane's. A base that cuts off measured skin that the other one keeps is excluded.
+    A robust search comes first, then an adjustment to all silhouettes. The cylinder is used if the cameras agree
+    clearly better on its rim than on the plane's. A base that cuts off measured skin that the other one keeps is
+    excluded.
 
     Args:
         candidates: silhouette points that may show the rim.
@@ -229,10 +230,10 @@ def find_base(
 def _ways_to_fit(
     plane: AdjustedBase, cylinder: Base, candidates: RimCandidates, surface_points: Float64[Array, "m 3"]
 ) -> list[AdjustedBase]:
-    """Cylinders on which the cameras nearly agree, the best first, from some of the candidates.
+    """Cylinders on which the cameras nearly agree, best first, fitted to a part of the candidates.
 
-    A rim that is visible in part has several. So the plane is bent in each direction in small steps, and adjusted each
-    time. The best of these, and the given cylinder, are then adjusted with free curvature.
+    If only part of the rim is visible, there are several. So the plane is bent in each direction in small steps, and
+    adjusted each time. The best of these, and the given cylinder, are then adjusted with free curvature.
     """
     few = candidates.chosen(slice(None, None, max(1, len(candidates.points_world) // _FEW)))
 
@@ -254,7 +255,7 @@ def _ways_to_fit(
 
 
 def leaving_whole(tried: list[AdjustedBase], surface_points: Float64[Array, "m 3"]) -> list[AdjustedBase]:
-    """Bases that cut off no more of the measured surface (mm, world frame) than the best one."""
+    """Bases that cut off at most 1 % more of the measured surface (mm, world frame) than the best one."""
     below = [float((attempt.base.height(surface_points) < -INLIER_MM).mean()) for attempt in tried]
     return [attempt for attempt, cut in zip(tried, below, strict=True) if cut <= min(below) + _CUT_SHARE]
 

@@ -47,21 +47,21 @@ from mammometry.measure.trunk.thorax import (
 from mammometry.surface.repair.repair import RepairedSurface
 
 _OTHER: dict[SideName, SideName] = {"left": "right", "right": "left"}
-_ROUNDS = 3  # iterations of trunk and middles of the breasts; not critical
-_FAINT = 0.25  # largest roundness, relative to the other side's, of a dome that is left in the trunk; not critical
+_ROUNDS = 3  # iterations between the trunk and the middles of the breasts; not critical
+_FAINT = 0.25  # domes below this roundness, relative to the other side's, stay in the trunk's fit; not critical
 _HIGHEST_SIGMA_MM = 8.0  # Gaussian σ of the relief in which the highest point is searched; not critical
 _BESIDE_MM = 25.0  # least distance of a side's highest point from the midline; not critical
-_OUTSIDE_MM = 2 * PIXEL_MM  # outside a curve at a fold the innermost skin is that of the trunk
+_OUTSIDE_MM = 2 * PIXEL_MM  # distance outside a curve at which the innermost skin at a fold is the trunk's
 _NEAR_MM = 20.0  # surface around an outline onto which it is projected; not critical
 _ABSENT_SHARE = 1 / 3
 """Volume above the trunk at the mirrored place, relative to the other breast's, below which a breast is clearly absent:
-nearer to an empty side (0) than to an equal one (1). Not 0, because the chest's own form protrudes, too."""
+nearer to an empty side (0) than to an equal one (1). Not 0, because the chest itself also protrudes."""
 _SHEET_TURN = 0.15  # window of an outline's running median, in turns (60 to 80 mm); not critical
 _LEAP_MM = 10.0  # largest distance from the running median on the same layer of skin; not critical
 _FRONT_RAD, _FRONT_MM = np.deg2rad(60.0), 90.0  # half width and half height of the trunk's front
-_FOLD_PER_MM = 0.08  # least concavity of a fold, which has 0.1 to 1; the foot of a mound has 0.02 to 0.06
+_FOLD_PER_MM = 0.08  # least concavity of a fold: folds have 0.1 to 1, the foot of a mound 0.02 to 0.06
 _WIDEST_HALF_WIDTHS, _TALLEST_MM = 1.95, 260.0
-"""Largest width of a base around the trunk, half widths, and largest height, mm. Not critical."""
+"""Largest width of a base around the trunk, in half widths of the trunk, and largest height, mm. Not critical."""
 _LARGEST_CM2 = 350.0
 """Largest area of a base on the flattened trunk. Real women have 170 ± 28 cm² seen from ahead; virtual ones of up to
 1,600 cc, drawn from their statistics, up to 270 (docs/decisions/0029)."""
@@ -159,7 +159,7 @@ def find_breasts(surface: RepairedSurface, frame: Float64[Array, "3 3"], *, head
 
 
 def breasts_per_mm(surface: RepairedSurface, frame: Float64[Array, "3 3"]) -> float:
-    """Sum of the roundness of both sides' domes, 1/mm: a score for a trunk with breasts seen in a frame.
+    """Sum of the roundness of both sides' domes, 1/mm: a score for how well a frame fits a trunk.
 
     0 without domes, or if the frame shows the trunk from the side.
 
@@ -198,7 +198,7 @@ def _lie_level(surface: RepairedSurface, skin: SkinSamples, frame: Float64[Array
     """
     thorax = fit_thorax(find_trunk(skin, frame), skin)
     relief = lay_flat(thorax, dense_samples(surface.mesh.submesh(seen_faces(surface))))
-    return level_pair(relief, most=2) is not None  # a third dome at the height of either would say so, too
+    return level_pair(relief, most=2) is not None  # only two: a third dome, level with one of them, would also pair
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -299,10 +299,10 @@ def _sides(relief: Relief, trunk: Trunk, middles: dict[SideName, Middle | None])
 
 
 def _by_mirrored(sides: dict[SideName, _Side]) -> dict[SideName, _Side]:
-    """Sides with unclear verdicts decided by the other side.
+    """Decide unclear sides by comparison with the other side.
 
-    A breast is compared with its mirrored place. Two low domes, each at the mirrored place of the other, support each
-    other: chests without breasts have none there.
+    The dome is compared with the mirrored position of the other side's breast. Two low domes at mirrored positions
+    support each other: chests without breasts have none there.
     """
     decided = dict(sides)
     for name, side in sides.items():
@@ -318,8 +318,8 @@ def _by_mirrored(sides: dict[SideName, _Side]) -> dict[SideName, _Side]:
 def _is_absent(other: _Side, relief: Relief) -> bool:
     """Whether this side's breast is clearly absent.
 
-    The other side has a clear one, and there is little at its mirrored place. A flat chest with a low dome on one side
-    is not enough, because an absent breast means surgery.
+    The other side must have a clear breast, and this side little at its mirrored position. A flat chest with a low dome
+    on one side is not enough, because an absent breast implies surgery.
     """
     if other.verdict != "breast" or other.prominence is None or other.prominence.top_mm < SURE_PROMINENCE_MM:
         return False
@@ -395,7 +395,7 @@ def _result(
 
 
 def _low(code: str, name: SideName, prominence: Prominence | None) -> Notice:
-    """The notice of this code, or with ``-low`` the one that states the height of a low prominence."""
+    """Notice with this code; if there is a low prominence, with ``-low`` appended and its height."""
     if prominence is None:
         return Notice(code=code, about=(name,))
     values = {"top_mm": prominence.top_mm, "mean_mm": prominence.mean_mm}
@@ -455,7 +455,7 @@ def _check_base(flat: Float64[Array, "n 2"], name: str, trunk: Trunk) -> None:
 def fuller_below(crease: Crease, relief: Relief) -> float:
     """Inferior–superior asymmetry of fullness and crease, −1 to 1.
 
-    By gravity and the inframammary fold a breast's crease is sharper below and its mass is below the middle, so the
+    Gravity and the inframammary fold make a breast's crease sharper below and shift its mass below the middle, so the
     sign shows the direction of the feet.
     """
     turn = np.arange(len(crease.flat)) / len(crease.flat)
@@ -493,7 +493,7 @@ def _no_crease(creased: float, name: str, least: float) -> MeasureError:
 
 
 def _near(mesh: TriangleMesh, points_world: Float64[Array, "n 3"]) -> TriangleMesh:
-    """Part of a mesh around points on it. The whole mesh if they are not on it."""
+    """Part of a mesh near the points. The whole mesh if it has no faces there."""
     inside = np.zeros(len(mesh.vertices), dtype=bool)
     inside[mesh.vertices_between(points_world.min(axis=0) - _NEAR_MM, points_world.max(axis=0) + _NEAR_MM)] = True
     part = mesh.submesh(mesh.faces_within(inside))

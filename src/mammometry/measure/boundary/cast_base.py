@@ -22,18 +22,19 @@ BaseKind: TypeAlias = Literal["plane", "convex-cylinder"]
 SECTORS = 72  # directions around the cast with equal weight, so that a well visible side does not tilt the base
 INLIER_MM = 1.0  # largest distance of a rim point from the base; not critical
 BEND_GAIN = 1.2
-"""Least ratio of disagreement between cameras for a curved base, or for excluding an alternative. Not critical."""
+"""Factor by which the disagreement must decrease for a curved base to replace a plane, or for an alternative to be
+excluded. Not critical."""
 _TRIALS = 2000  # random minimal samples; ten times as many found no better base (docs/decisions/0017)
 _GENERATORS = 12  # directions of a cylinder's lines that are tried, 15° apart; not critical
 _POLISH_ROUNDS = 40  # most Gauss–Newton iterations
 _SEEDS = 6  # planes that are refined; refining all found no other base (docs/decisions/0017)
 _COARSENESS = (4.0, 2.0, 1.0)  # factors of Tukey's constant, from coarse to fine; not critical
 _WAYS = 6  # directions in which a plane is bent, 30° apart (docs/decisions/0017)
-_EVERY = 1e3  # inlier distance over the rim's radius for plain least squares
+_EVERY = 1e3  # inlier distance relative to the rim's radius that includes every point: plain least squares
 _SURFACE_POINTS = 3000  # approximate number of measured points for the cost; chosen for speed
-_CUT_COST = 100.0  # cost of cutting off the whole surface, in directions without rim: 1 % costs one direction
+_CUT_COST = 100.0  # cost of cutting off the whole surface: 1 % costs as much as one direction without rim
 _STEP_MM = 1e-3  # step of numerical derivatives
-_CONVERGED_MM = 1e-4  # largest last step
+_CONVERGED_MM = 1e-4  # a smaller step ends the iteration
 
 
 @value(eq=False)
@@ -122,7 +123,7 @@ def fit_base(
         settings=settings,
         extent=float(np.percentile(np.linalg.norm(candidates - centre, axis=1), 90)),
     )
-    rng = np.random.default_rng(0)  # the same photographs give the same volume
+    rng = np.random.default_rng(0)  # fixed seed: the same photographs give the same volume
     planes = _plane_seeds(data, viewer_direction, rng)
     plane = min((_polish(seed, data, bend=False) for seed in planes), key=data.cost)
     curved = [seed for start in (plane, *planes[:2]) for seed in _cylinder_seeds(start, data, rng)]
@@ -190,7 +191,7 @@ def frame_towards(direction: Float64[Array, 3]) -> Float64[Array, "3 3"]:
 
 
 def _tukey(residuals: Float64[Array, "*n"], constant: float) -> Float64[Array, "*n"]:
-    """Tukey's weights above the base. Below it at least a quarter (see the module)."""
+    """Tukey's weights, but at least 0.25 just below the base, where there are no limbs (see the module)."""
     weights = np.clip(1 - (residuals / constant) ** 2, 0.0, None) ** 2
     return np.where((residuals < 0) & (residuals > -3 * constant), np.maximum(weights, 0.25), weights)
 

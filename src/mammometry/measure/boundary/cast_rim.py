@@ -3,8 +3,8 @@
 Candidates come from the silhouettes and the measured surface. At a point of a silhouette the surface either turns away
 smoothly (an occluding limb: the viewing ray touches it) or ends at the rim (the ray intersects its continuation). The
 surface measured next to the silhouette is continued as a quadratic patch in its own tangent plane, so that it can
-become steep towards the rim, and intersected with the ray. A limb that is so sharp that it begins beyond the measured
-skin looks like a rim, so only points too sharp for any breast count.
+become steep towards the rim, and intersected with the ray. A limb so sharp that it begins beyond the measured skin
+looks like a rim, so only points too sharp for a limb of any breast are accepted.
 
 The viewing ray of each silhouette point on the rim intersects the base in a point of the rim. With the right base the
 points of different cameras are on one closed curve, with a wrong base they are not. Base and curve are adjusted
@@ -71,8 +71,8 @@ class RimCandidates:
 def require_separate(foregrounds: Mapping[str, Foreground]) -> None:
     """Refuse a cast that most silhouettes do not separate from its surroundings.
 
-    A silhouette up to the photograph's edge contains a wall or table, or cuts the cast off. Without the others the
-    surface has that wall in it.
+    A silhouette that reaches the photograph's edge contains a wall or a table, or the cast is cut off. With too few
+    other silhouettes, that wall becomes part of the surface.
 
     Raises:
         MeasureError: more than half of the silhouettes are unknown, or reach the photograph's edge.
@@ -208,11 +208,11 @@ def _meet(
 
 
 SILHOUETTE_SIGMA_PX = 0.05
-"""Standard uncertainty of the edge in each camera, common to its whole outline, px, and least scatter. It was 0.00 to
-0.04 in eight cameras and three casts that are lit to the edge (docs/decisions/0009)."""
+"""Standard uncertainty of the edge common to a camera's whole outline, px; also the least scatter that is assumed.
+Measured: 0.00 to 0.04 in eight cameras, for three casts that are lit to the edge (docs/decisions/0009)."""
 _LOCAL_SIGMA_PX = 0.1
-"""Standard uncertainty of the edge in one eighth of a camera's outline, px: 0.02 to 0.12 was measured, because light
-differs around a rim."""
+"""Standard uncertainty of the edge in one eighth of a camera's outline, px. Measured: 0.02 to 0.12, because the light
+varies around a rim."""
 _RIM_KNOTS = 40  # knots of the rim's closed spline, one every 9°; not critical
 _ROUNDS = 30  # most Gauss–Newton iterations
 _REWEIGHT = 4  # updates of the weights per iteration; not critical
@@ -221,7 +221,7 @@ _NARROWING = 0.8  # factor per iteration of the coarse scatter; not critical
 _CORRELATED = 4.0  # neighbouring silhouette points that count as one, because they share pixels
 _PRIOR_MM = 0.5  # standard uncertainty of the candidates' own heights; extrapolated ranges had errors of 0.3
 _STEP = 1e-2  # step of numerical derivatives, mm
-_CONVERGED_MM = 2e-3  # largest last step: 0.02 cc of a cast
+_CONVERGED_MM = 2e-3  # a smaller step ends the iteration: 0.02 cc of a cast
 _STRETCHES = 8  # parts of an outline with errors of their own (`_LOCAL_SIGMA_PX`)
 
 
@@ -231,7 +231,7 @@ class AdjustedBase:
 
     base: Base
     weights: Float64[Array, " n"]
-    """Of each candidate, 0 (no rim) to 1."""
+    """Weight of each candidate, 0 (not rim) to 1."""
     residuals_px: Float64[Array, " n"]
     """Distance of each silhouette point from the common rim, px."""
     scale_px: float
@@ -241,7 +241,7 @@ class AdjustedBase:
     covariance: Float64[Array, "k k"]
     """Covariance of the base's tilts, height and bend, from the scatter, mm²."""
     per_camera: Float64[Array, "k c"]
-    """Their change if one camera's outline is one pixel further out, mm."""
+    """Change of tilts, height and bend if one camera's outline moves outwards by one pixel, mm."""
     per_stretch: Float64[Array, "k m"]
     """The same for one eighth of one camera's outline."""
 

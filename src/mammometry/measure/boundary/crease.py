@@ -92,31 +92,34 @@ _EVEN_DIRECTIONS = 3.0  # directions over which abruptness is averaged; not crit
 _VANISH_MM = 2.0  # height over the thorax fit at which a breast ends; the fit's own scatter is 1–2 mm
 _CREASE = 0.6  # score of a crease of 0.017 per mm; that of a fold of 0.1 per mm is 1.4
 _HEIGHT_COST, _MOST_HEIGHT_COST, _MOST_FLANK_COST = 0.05, 0.3, 0.5
-"""Cost of a border on skin one `_VANISH_MM` above that height, and its limit. It is small, and only keeps the border
-off creases on the breast, because a trunk fitted beside breasts has larger errors above them. The cost is applied
-again, with the second limit, to skin that is higher than these errors: a breast's flank."""
+"""Cost of a border per `_VANISH_MM` of its skin's height above that level, and two limits of the cost. The first limit
+is low, only to keep the border off creases on the breast: the fitted trunk is less accurate above the breasts than
+beside them. Skin higher than its errors (`_TRUNK_OFF_MM`) is a breast's flank, and costs the same again up to the
+second."""
 _TRUNK_OFF_MM = 20.0  # error of the fitted trunk above the breasts, 10 to 20 mm: the height of a muscle
 _STIFFNESS = 0.1  # cost of a step of 1 mm between neighbouring directions, quadratic in the step; not critical
 _USUAL_SHAPE = np.array([0.43, 0.54, 0.67, 0.55, 0.47, 0.58, 0.62, 0.59])
-"""Distance of real women's boundaries from their middle over the root of their area, every 45° from lateral upwards:
-mean of 145 breasts (docs/decisions/0029). The standard deviation between women is 0.04 (7 %)."""
+"""Distance of real women's boundaries from their middle over the square root of their area, every 45° from lateral
+upwards: mean of 145 breasts (docs/decisions/0029). The standard deviation between women is 0.04 (7 %)."""
 _SHAPE_SCATTER, _UNLIKE_COST = 0.12, 0.03
-"""Expected relative scatter about that shape, for bodies in any pose, and the cost of one scatter. A fold outweighs
-four."""
+"""Expected relative standard deviation from that shape, for bodies in any pose, and the cost of a deviation by one. A
+fold outweighs a deviation by four."""
 _SIZES_MM = np.geomspace(80.0, 180.0, 11)
-"""Roots of a base's area that are tried, mm: 64 to 324 cm²."""
+"""Square roots of the base areas that are tried, mm: 64 to 324 cm²."""
 _SIZE_SCATTER, _SIZE_COST = 0.12, 5.0
-"""Relative scatter of that root about its estimate from the breast's dome, and the cost of one scatter."""
+"""Relative standard deviation of such a root from its estimate by the breast's dome, and the cost of one."""
 _CENTRINGS = 3  # iterations of the border about its own centroid; not critical
 _NATS, _SIZE_NATS = 2.0, 0.2
 """Log likelihood per unit of score, for a curve and for a size. Errors of neighbouring directions are correlated, so
 the score of a size counts less. Calibrated on virtual women (decision 43)."""
 _ERR_ALIKE = 2.4
-"""Error of a border over its paths' spread, for the same reason: 1 on virtual scans, 2.6 on hanging breasts."""
-_GOES_ON = 1 / 3  # height of skin outside the border, relative to the top, that still is breast; not critical
+"""Ratio of a border's error to the spread of its paths: 1 on virtual scans, 2.6 on hanging breasts, because errors of
+neighbouring directions are correlated."""
+_GOES_ON = 1 / 3  # skin outside the border above this height, relative to the top, is still breast; not critical
 _ENDED_MM, _UNSEEN_SCATTER = 18.0, 0.3
-"""A border within this distance of the end of the visible skin may be anywhere beyond; its scatter there, relative to
-its distance from the middle. Large breasts of held-out captures extend 30 to 50 mm above the map. Not critical."""
+"""Distance from the end of the visible skin within which a border may be anywhere beyond it, mm; and the border's
+standard deviation there, relative to its distance from the middle. Large breasts of held-out captures extend 30 to 50
+mm above the map. Not critical."""
 _FALLEN = 0.9
 """Height, relative to the top, below which a breast may end. 0.68 changes volumes by 4 % of an interval; 1 would allow
 an end at the top."""
@@ -154,16 +157,17 @@ def follow_crease(
     """Border of a breast: along its crease, and without a crease along the mean shape of breasts.
 
     The score of a distance from the middle is log(1 + κ/κ₀) for the concavity κ of the smoothed relief, if positive,
-    and less where the skin rises outside by more than it falls inside: there something else begins. Costs are skin
-    above the height at which a breast ends, and a curve that differs in shape from real women's boundaries or in size
-    from the estimate by the breast's dome. The curve is then moved to the crease's outer flank, where κ is half its
-    maximum, minus the effect of smoothing: nothing at a step of curvature, up to 2 σ at a fold.
+    and less where the skin rises outside by more than it falls inside, because an arm, a belly or the like begins
+    there. There are costs for skin above the height at which a breast ends, and for a curve that differs in shape from
+    real women's boundaries, or in size from the estimate by the breast's dome. The curve is then moved to the crease's
+    outer flank, where κ is half its maximum, minus the effect of smoothing: nothing at a step of curvature, up to 2 σ
+    at a fold.
 
     Args:
         relief: the flattened skin.
         middle: the breast's middle on it, mm.
         side: of the patient.
-        base_mm: estimated root of the area of its base, mm.
+        base_mm: estimated square root of the area of its base, mm.
         between_mm: limits of the border around the trunk, half width × θ.
     """
     angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
@@ -195,7 +199,7 @@ def follow_crease(
     reach = _STEP_MM * (1 + way)
     flank_mm = _outer_flank_mm(concavity, allowed, way)
     fine = relief.at(places, relief.concavity_per_mm(_FINE_MM))
-    # A pixel's innermost skin is at its outer edge: half a pixel too far in.
+    # A pixel's value is its innermost skin, which is at its outer edge: the curve is half a pixel too far in.
     reach = reach + flank_mm - _smeared_mm(concavity, fine, way) + PIXEL_MM / 2
     apart = float(np.mean(reach)) * 2 * np.pi / DIRECTIONS
     reach = np.asarray(gaussian_filter1d(reach, _SIGMA_MM / apart, mode="wrap"))
@@ -278,8 +282,8 @@ def _centroid(flat: Float64[Array, "n 2"]) -> Float64[Array, 2]:
 def _beyond_the_top(bulge: Float64[Array, "d s"], arm: Bool[Array, "d s"]) -> Bool[Array, "d s"]:
     """Mask of the places at which a breast may end.
 
-    They begin where its height has fallen to `_FALLEN` of the top, and end where the skin rises again, the trunk ends
-    or an arm begins.
+    These places begin where the height has fallen to `_FALLEN` of the top, and end where the skin rises again, the
+    trunk ends or an arm begins.
     """
     top = np.maximum.accumulate(bulge, axis=1)
     low = bulge < np.maximum(_FALLEN * top, _VANISH_MM)
@@ -288,7 +292,7 @@ def _beyond_the_top(bulge: Float64[Array, "d s"], arm: Bool[Array, "d s"]) -> Bo
     risen = begun & (bulge > np.maximum(lowest, 0.0) + _RISE_MM)
     ended = risen | (begun & (bulge < -_BEHIND_MM))
     allowed = begun & ~np.maximum.accumulate(ended, axis=1) & ~arm
-    unknown = ~allowed.any(axis=1)  # unknown: determined by the neighbours
+    unknown = ~allowed.any(axis=1)  # directions without such places: determined by the neighbours
     allowed[unknown] = ~arm[unknown]
     return allowed
 

@@ -16,7 +16,7 @@ from mammometry.measure.boundary.overlap import Overlap
 from mammometry.surface.repair.repair import Provenance, RepairedSurface
 
 _SAMPLE_MM = 3.0  # one vertex per cube of this side: finer than the groove beside a finger, 10 mm
-_DISC_MM, _RING_MM = 5.0, (10.0, 16.0)  # radius of a groove's disc, and radii of the ring around it: half to one finger
+_DISC_MM, _RING_MM = 5.0, (10.0, 16.0)  # radius of the disc, and radii of the ring around it: half to one finger
 _GROOVE_MM = 1.5
 """Least depth of the disc's mean below the ring's, mm. Noise of a telephone's scans reaches 0.5; a hand 25 mm thick has
 3 to 8."""

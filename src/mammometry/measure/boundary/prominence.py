@@ -31,15 +31,16 @@ DOME_MM = 75.0
 """Radius around a breast's middle, on the flattened trunk, that contains its dome and excludes the trunk's skin, mm.
 Half the height of real women's bases is 84 mm, half the width 60."""
 _BASE_OVER_DOME, _TELLING = 2.3, 0.7
-"""Root of a base's area over that of its dome (the area that it would have with uniform roundness): 2.3 ± 0.2 on 22
-breasts of virtual women and torsos; and the weight of this estimate against the usual base (scatters 20 and 12 %)."""
+"""Square root of a base's area over that of its dome (the area that it would have with uniform roundness): 2.3 ± 0.2 on
+22 breasts of virtual women and torsos; and the weight of this estimate against the usual base (SDs 20 and 12 %)."""
 _BASE_OVER_HALF, _HALF_TELLING = 1.89, 0.84
 """The same for the area above half the height: 1.89 ± 0.13 on 87 breasts of eight families. The dome underestimates the
 base of a ptotic breast by up to 25 % (docs/decisions/0043)."""
 _HALF_FROM_MM = (50.0, 80.0)
-"""Height of the top over the trunk up to which only the dome is used, and from which only half the height, mm. A trunk
-15 mm too deep above the breasts adds a muscle to the upper half of a low breast. Not critical."""
-_USUAL_BASE_MM = 130.0  # root of the mean base area: real women have 170 ± 28 cm²
+"""Height of the top over the trunk up to which only the dome is used, and from which only the area above half the
+height, mm. If the fitted trunk is 15 mm too deep above the breasts, muscle counts as the upper half of a low breast.
+Not critical."""
+_USUAL_BASE_MM = 130.0  # square root of the mean base area: real women have 170 ± 28 cm²
 _WIDEST_RAD = np.deg2rad(80.0)  # largest angle of a breast's middle around the trunk; not critical
 _TALLEST_MM = 110.0  # largest height of a breast's middle above or below the breasts' height; not critical
 _LIKE_MM = 60.0  # difference from mirrored places at which a pair's weight is 1/e; not critical
@@ -59,7 +60,7 @@ class Middle:
     roundness_per_mm: float
     """Least curvature of the dome, averaged over its middle, 1/mm."""
     base_mm: float
-    """Estimated root of the area of its base, mm."""
+    """Estimated square root of the area of its base, mm."""
 
 
 def breast_middles(relief: Relief, trunk: Trunk) -> dict[SideName, Middle | None]:
@@ -86,11 +87,10 @@ def breast_middles(relief: Relief, trunk: Trunk) -> dict[SideName, Middle | None
 
 
 def level_pair(relief: Relief, most: int = 4) -> tuple[Float64[Array, 2], Float64[Array, 2]] | None:
-    """Left and right middle of the two domes that are the breasts, flattened, mm, whatever the midline.
+    """Middles of the left and the right breast, flattened, mm, without knowledge of the midline.
 
-    They are the roundest pair that is most nearly at one height: an arm or its end at the edge of the photographs may
-    be rounder than a breast, but is not at the height of the other one. None unless both are clearly breasts and side
-    by side.
+    The roundest pair of domes at nearly the same height is chosen: an arm, or its end at the edge of the photographs,
+    may be rounder than a breast, but is not level with one. None unless both are clearly breasts and side by side.
 
     Args:
         relief: the flattened skin.
@@ -162,7 +162,7 @@ LOW_CREASED = 0.9
 """Least share of the outline in a crease at the height `MIN_PROMINENCE_MM`. Up to `SURE_PROMINENCE_MM` the share is
 interpolated."""
 CHEST_MM = 6.0
-"""Mean height up to which a prominence without a crease around nearly all of it is the chest's own form, mm. Chests
+"""Mean height up to which a prominence without a crease around nearly all of it is the shape of the chest, mm. Chests
 without a breast have 3 to 5.4 beside the armpit, mounds of 80 cc or more at least 8 (docs/decisions/0026)."""
 LEAST_CREASED = 0.4
 """Least share of a proposed boundary in a crease."""
@@ -170,8 +170,8 @@ LEAST_CREASED = 0.4
 Verdict: TypeAlias = Literal["breast", "none", "unclear"]
 
 ELSEWHERE_MM = 25.0
-"""Distance from the other breast's mirrored middle up to which a low mound is a breast's, mm. Chests' own forms are 39
-to 79 mm from it (docs/decisions/0026)."""
+"""Distance from the other breast's mirrored middle up to which a low mound is a breast, mm. Bulges of the chest itself
+are 39 to 79 mm from it (docs/decisions/0026)."""
 _MIRRORED_CREASED = 0.7
 """Least share of the outline in a crease of a low mound at the mirrored place of the other breast. Photographed mounds
 of 80 cc had 0.74 to 0.78 there, others at least 0.87. Chests without a breast had 0.1 to 0.8, but at least 39 mm from
@@ -179,12 +179,12 @@ that place (docs/decisions/0026)."""
 _OVERHANG_MM, _OVERHANG_REACH = 10.0, 3
 """Least step of the skin at an overhang, mm, and its distance outside the outline, pixels: outlines of hanging breasts
 are up to 6 mm inside the fold, and the step is 20 to 90 mm (docs/decisions/appendix/0043.md)."""
-_TOP = 0.98  # quantile of the heights that is the top, so that specks do not count
+_TOP = 0.98  # quantile of the heights that counts as the top, to exclude outliers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Prominence:
-    """Relief in front of a membrane over an outline."""
+    """Relief in front of a membrane that spans an outline."""
 
     top_mm: float
     """Height of its top, mm."""
@@ -203,9 +203,9 @@ class Prominence:
     def verdict(self, offset_mm: float | None = None) -> Verdict:
         """Breast, none, or unclear.
 
-        A low mean height without a crease around nearly all of the outline is the chest's own form, unless it is at the
-        mirrored place of the other breast. The lower the prominence, the more of a crease it needs to be a breast, and
-        most without another breast. All else is unclear.
+        A low mean height without a crease around nearly all of the outline is the shape of the chest, unless it is at
+        the mirrored position of the other breast. The lower a prominence, the more of its outline must be a crease for
+        it to be a breast, and most if there is no other breast. Everything else is unclear.
 
         Args:
             offset_mm: distance from the mirrored middle of the other breast, mm; None without one.
@@ -263,6 +263,6 @@ def prominence_within(relief: Relief, inside: Bool[Array, "h w"], creased: float
 
 
 def _below_overhang_mm(relief: Relief) -> Float64[Array, "h w"]:
-    """The bulge, and next to a step the lower side's, mm."""
+    """Bulge of each pixel, but next to a step that of its lower side, mm."""
     lowest: Float64[Array, "h w"] = minimum_filter(relief.bulge_mm, size=2 * _OVERHANG_REACH + 1)
     return np.where(relief.bulge_mm - lowest > _OVERHANG_MM, lowest, relief.bulge_mm)

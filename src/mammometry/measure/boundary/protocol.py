@@ -136,8 +136,8 @@ def _arcs(
 ) -> Float64[Array, "n 2"]:
     """Quarter ellipses through the protocol's four landmarks, on the flattened trunk, mm.
 
-    They run from the fold by the lateral end, the top above the fold and the medial end, vertical at the medial and
-    lateral end and horizontal at fold and top.
+    They run from the fold through the lateral end, the top above the fold and the medial end. They are vertical at the
+    medial and lateral end, and horizontal at fold and top.
     """
     upper = np.array([fold[0], top])
     quarter = np.arange(0.0, 90.0, 2.0) * np.pi / 180

@@ -16,7 +16,7 @@ from mammometry.measure.solid.cut import OpenPart
 _STEP_MM = 3.0  # spacing of the stops along a curve, about an edge's length
 _STOPS = (1, 4, 12)  # the path passes every n-th stop; the values are tried one after the other until it is simple
 BANDS_MM = (6.0, 12.0, 25.0, 40.0)  # half widths of the band around the curve, tried one after the other; not critical
-_BESIDE_HOLE_MM = BANDS_MM[1]  # largest distance of an opening, along the edge of a hole, from its curve
+_BESIDE_HOLE_MM = BANDS_MM[1]  # largest distance from the curve where an opening follows the edge of a hole
 _OFF_MESH_MM = 5.0  # largest distance of a curve from its mesh; not critical
 REACH_MM = BANDS_MM[-1] + _OFF_MESH_MM
 """Largest distance from a curve at which the mesh affects its path, mm."""
@@ -46,7 +46,7 @@ def check_curve(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMe
         )
     distance = np.array(point_tree(mesh.vertices).query(points_world)[0])
     far = distance > _OFF_MESH_MM
-    if far.any() and len(mesh.faces):  # from the vertices; a coarse mesh may still be near
+    if far.any() and len(mesh.faces):  # distances to vertices: a coarse mesh's faces may be nearer
         distance[far] = closest_on_mesh(points_world[far], mesh).distances_mm
     off = distance > _OFF_MESH_MM
     if off.any():
@@ -80,8 +80,8 @@ def crossing_points(points: Float64[Array, "n 3"]) -> Float64[Array, "k 3"]:
 def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> Int64[Array, " k"]:
     """Vertices of a simple closed path of mesh edges, as close to a curve as possible.
 
-    On unmeasured skin in folds, the vertices nearest to the curve alternate between folds, and the path meets itself.
-    It then passes fewer of them, with the shortest paths over the surface between.
+    On folded, unmeasured skin, the vertices nearest to the curve alternate between folds, and the path meets itself. It
+    is then led through fewer of them, with shortest paths over the surface in between.
 
     Raises:
         MeasureError: the path cannot be closed, or the curve runs back along itself.
@@ -119,10 +119,10 @@ def check_beside_holes(name: str, points_world: Float64[Array, "n 3"], part: Ope
     """Raise an error if a part's opening goes around a hole of the mesh, far from its curve.
 
     Args:
-        name: of the boundary.
+        name: name of the boundary.
         points_world: its curve, mm.
-        part: cut out along it.
-        mesh: from which it was cut.
+        part: the part that was cut out along it.
+        mesh: the mesh that it was cut from.
 
     Raises:
         MeasureError: it states the distance.

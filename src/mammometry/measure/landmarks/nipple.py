@@ -6,9 +6,8 @@ around them. A tip protrudes from the ring of skin around it. If neither is visi
 A disc with a soft edge is fitted to the areola's colours. Distances from its centre are measured in three dimensions,
 because an areola on curved skin is round, but its projection is not. At each position near the centre, a bump is fitted
 to the skin. Its improvement over smooth skin gives the likelihood of the position, and the distance from the areola's
-centre the prior. The nipple is the mean position with these weights: a clear tip decides, and a tip that a scan has
-flattened leaves the decision to the areola. Without a visible areola, the nipple is the tip near the most projecting
-point.
+centre the prior. The nipple is the mean position with these weights: a clear tip determines it, and the areola does if
+a scan has flattened the tip. Without a visible areola, the nipple is the tip near the most projecting point.
 """
 
 from __future__ import annotations
@@ -30,11 +29,11 @@ _LEAST_TIP_MM = 1.2
 A round breast has up to 0.5, a mound on a telephone's scan up to 0.7, a nipple 1.6 to 5."""
 _TIP_SIGMA_MM = 2.5  # standard uncertainty of a tip within an areola; errors on a virtual torso were 2.6 and 3.2 mm
 _ALONE_SIGMA_MM = 4.0  # standard uncertainty of an areola's centre without a tip, and of a tip without an areola
-_AREOLA_TIP_PROBABILITY = 0.98  # of a nipple at an areola with a tip; like the next two, not critical
-_AREOLA_PROBABILITY = 0.9  # of a nipple at an areola without a tip
-_TIP_PROBABILITY = 0.6  # of a nipple at a tip without an areola, which may be a scar
+_AREOLA_TIP_PROBABILITY = 0.98  # probability of a nipple at an areola with a tip; like the next two, not critical
+_AREOLA_PROBABILITY = 0.9  # probability of a nipple at an areola without a tip
+_TIP_PROBABILITY = 0.6  # probability of a nipple at a tip without an areola, which may be a scar
 
-# Not critical:
+# None of the following constants is critical.
 _SAMPLE_MM = 2.5  # one vertex is used per cube of this side
 _AREOLA_MM, _AREOLA_RING_MM = 10.0, (22.0, 36.0)  # radius of the areola's disc, and radii of the ring around it
 _TIP_MM, _FOOT_MM = 4.5, (8.0, 14.0)  # radius of the nipple's disc, and radii of the ring around it
@@ -275,7 +274,7 @@ def _disc_centre(patch: _Patch) -> Float64[Array, 3] | None:
 
 
 def _likeliest(patch: _Patch) -> Float64[Array, 3]:
-    """Mean position of the nipple around the patch's centre, the areola's, world frame, mm."""
+    """Mean position of the nipple near the centre of a patch around the areola's, world frame, mm."""
     weight = patch.weight
     smooth = np.linalg.qr(patch.smooth(patch.flat) * weight[:, None])[0]
     height = patch.height * weight

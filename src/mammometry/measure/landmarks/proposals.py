@@ -25,11 +25,12 @@ _DISC_MM, _RING_MM = 5.0, (14.0, 22.0)  # radius of a hollow's disc, and radii o
 _WHOLE = 0.98  # share of disc and ring that must be visible
 _LEAST_CELL = 1e-3  # smoothed number of vertices below which a cell counts as not visible
 _NOTCH_MM, _NAVEL_MM = 1.8, 0.9
-"""Least depth. Virtual bodies and scans have notches of 2.7 to 4.2 mm, navels of 0.9 to 2.1, other hollows ≤ 0.7."""
+"""Least depths of a sternal notch and an umbilicus, mm. Virtual bodies and scans have notches of 2.7 to 4.2 mm, navels
+of 0.9 to 2.1, other hollows ≤ 0.7."""
 _NOTCH_ASIDE_MM, _NAVEL_ASIDE_MM = 12.0, 8.0  # largest distance from the midline; not critical
 _BONE_MM = 6.0  # distance of the breastbone's upper edge below the hollow's centre, from virtual bodies
 _NAVEL_BELOW_MM = 80.0  # least distance below the breasts: virtual navels 104 to 157, hollows under a fold up to 60
-_NOTCH_SIGMA_MM, _NAVEL_SIGMA_MM = 4.0, 5.0  # measured: benchmarks/accuracy/scans; two scans of one navel
+_NOTCH_SIGMA_MM, _NAVEL_SIGMA_MM = 4.0, 5.0  # measured in benchmarks/accuracy/scans; from two scans of one navel
 _PROBABILITY = 0.8  # probability that a hollow is the landmark; not critical
 _LINE_MM = 10.0  # spacing of the midline's points
 

@@ -17,7 +17,7 @@ from mammometry.surface.fusion.marching import march
 
 _CUBE_MM = (1.0, 2.0)  # least and greatest edge of the field's cubes
 _CUBE_PER_EDGE = 0.7  # edge of a cube between these limits, relative to the finest mesh's median edge
-_MOST_CORNERS = 60_000_000  # of the grid, 0.5 GB; larger bodies get larger cubes
+_MOST_CORNERS = 60_000_000  # most corners of the grid, 0.5 GB; larger bodies get larger cubes
 _BAND_CUBES = 3.0  # distance from a scan up to which the field is computed, in cubes
 _MARGIN_CUBES = 5  # margin of the grid around the scans, so that the surface never reaches its border
 _TAPER_MM = 25.0
@@ -169,7 +169,7 @@ def _whole_cells(seen: Bool[Array, "x y z"]) -> Bool[Array, "i j k"]:
 
 
 def _with_sources(mesh: TriangleMesh, scans: Sequence[ColouredMesh]) -> FusedScans:
-    """A mesh with the scans that show each vertex, and its colour."""
+    """Find the scans that show each vertex of a mesh, and its colour."""
     weights = np.zeros((len(scans), len(mesh.vertices)))
     painted = np.zeros((len(mesh.vertices), 3))
     for own, scan in zip(weights, scans, strict=True):

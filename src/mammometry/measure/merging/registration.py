@@ -27,7 +27,7 @@ _FINE_MM, _MEDIUM_MM, _COARSE_MM = 6.0, 9.0, 22.0
 """Spacing of the samples, mm: for residuals and the last registration, for choosing among starts, for the search."""
 _STARTS, _REFINED = 3, 12  # sets of 60 initial rotations, and number of the best that are refined
 _ROUNDS = 12  # iterations of the coarse search
-_KEPT = 0.7  # trimmed share of nearest pairs in the coarse search: the rest is shown by one scan only
+_KEPT = 0.7  # share of nearest pairs that the coarse search keeps: the others may be in one scan only
 _FAR_MM = 20.0  # distance at which a point's misfit is capped when starts are compared
 _FACING = 0.5  # least cosine between the normals of the same skin in both scans
 _SAME_SKIN_MM = 60.0  # largest distance between the scans on the same skin

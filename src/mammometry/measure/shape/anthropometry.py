@@ -33,7 +33,7 @@ def volume_within_mm3(solid: TriangleMesh, origin: Float64[Array, 3], normals: S
     Args:
         solid: closed, mm.
         origin: a point on all planes, mm.
-        normals: of one or more planes, towards the positive side.
+        normals: normals of one or more planes, towards the positive side.
     """
     triangles = solid.corners() - origin
     for normal in normals:
@@ -270,7 +270,7 @@ def dimensions(
     Args:
         mesh: the whole surface, mm, world frame.
         measurements: one for each breast.
-        landmarks: of this surface; improbable ones are ignored.
+        landmarks: landmarks on this surface; improbable ones are ignored.
         frame: rows: the patient's left, the head, straight ahead; world frame.
         settings: uncertainty of the boundary.
         plane: the mid-sagittal plane, used if no midline was picked.

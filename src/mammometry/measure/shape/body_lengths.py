@@ -44,7 +44,7 @@ def find_body_size(
 
     Args:
         surface: the repaired mesh, world frame, mm.
-        breasts: cut out of it.
+        breasts: the breasts cut out of it.
         body: the body frame.
         settings: least probability of a nipple.
     """

@@ -18,10 +18,10 @@ from mammometry.base.value import value
 from mammometry.measure.settings import MeasureSettings
 
 _RARE, _NEVER = 2.33, 3.29  # standard deviations: 2 % and 0.1 % of adults are outside (both sides)
-_ALIKE = 1.28  # standard deviations that each length must deviate to one side; 80 % of adults are within
+_ALIKE = 1.28  # least deviation of every length, in the same direction, SDs; 80 % of adults are within
 _FEWEST = 2  # lengths that must agree before a body is refused
 _ALONE = 4.5  # standard deviations at which one length is enough: a trunk wider than 550 mm or narrower than 171
-_CORRELATION = 0.5  # of two lengths' logarithms between adults; assumed, as for two breadths of the trunk
+_CORRELATION = 0.5  # between the logarithms of two lengths of adults; assumed, as for two breadths of the trunk
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

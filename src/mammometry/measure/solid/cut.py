@@ -164,7 +164,7 @@ def check_above_base(part: OpenPart, height: Height) -> None:
 
     Args:
         part: the part above the base.
-        height: above the base, mm.
+        height: gives the height above the base, mm.
 
     Raises:
         MeasureError: an opening is entirely above the base.
@@ -182,8 +182,8 @@ def check_whole(name: str, part: OpenPart) -> None:
     """Raise an error if a part is not a complete breast.
 
     Args:
-        name: of the boundary.
-        part: cut out along it, or above a cast's base.
+        name: name of the boundary.
+        part: the part that was cut out along it, or above a cast's base.
 
     Raises:
         MeasureError: it has another opening than the cut's, or is concave seen from outside.
@@ -213,7 +213,7 @@ def faces_inside(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> Bool[Array, "
     inside = np.zeros(len(mesh.faces), dtype=bool)
     near = TriangleMesh(vertices=mesh.vertices, faces=mesh.faces[around])
     chosen = _smaller_part(near, curve, goes_on=True)
-    if chosen is None:  # connected by another breast, both sides leave the neighbourhood
+    if chosen is None:  # both sides leave the neighbourhood: another breast connects them
         return np.asarray(_smaller_part(mesh, curve, goes_on=False))
     inside[around] = chosen
     return inside

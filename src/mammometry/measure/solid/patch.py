@@ -80,7 +80,7 @@ def _filled(loops: Sequence[Float64[Array, "_ 2"]], spacing_mm: float | None) ->
         points = np.concatenate([points, inner])
         rings += [ring[::-1] for ring in opening_loops(cells, len(points))] if len(cells) else []
     order = np.concatenate(rings)
-    centre = points.mean(axis=0)  # the sweep would lose precision far from the origin
+    centre = points.mean(axis=0)  # the triangulation loses precision far from the origin
     seam = manifold3d.triangulate([points[ring] - centre for ring in rings])
     faces = np.concatenate([order[np.asarray(seam, dtype=np.int64)].reshape(-1, 3), cells])
     wanted = sum(signed_area_mm2(loop) for loop in loops)

@@ -134,7 +134,7 @@ def find_body(
             mesh_remedy="Give the file's axis towards the head, for example --head x",
         )
     middle = np.mean([curve.mean(axis=0) for curve in boundaries], axis=0) if boundaries else None
-    if boundaries:  # a large breast's upper slope is as straight as a trunk, and up to 30° from it
+    if boundaries:  # a large breast's upper slope is as straight as a trunk, and up to 30° oblique to it
         breast = np.any([within_boundary(skin.points_world, curve) for curve in boundaries], axis=0)
         skin = skin if breast.all() else skin.chosen(~breast)
     frame, point = rough, skin.points_world.mean(axis=0) if middle is None else middle
@@ -218,8 +218,8 @@ def _least_asymmetry(skin: SkinSamples, trunk: Trunk) -> tuple[float, float]:
 def lies_across(skin: SkinSamples, frame: Float64[Array, "3 3"]) -> bool:
     """Whether the trunk's axis is along the frame's left, because the cameras are rolled by 90°.
 
-    The axis is the direction to which most of the skin is parallel, of those found
-    from either start. Upright torsos have .46 to .49 of it along the trunk and .27 to .36 across.
+    The axis is searched from the frame's left and from its up. Of the two results, that with more skin parallel to it
+    is used. Upright torsos have a share of 0.46 to 0.49 along the trunk, and 0.27 to 0.36 across.
     """
     normals = skin.about(TRUNK_SAMPLES).normals_world
 

@@ -20,20 +20,20 @@ _FEWEST = 200  # fewest samples of skin for a sign
 _LEAST_ARMS = 0.05
 """Least share of arms in the visible skin: a shelf beside a body without arms gave 0.015, arms 0.10 to 0.17."""
 _CLEAR_SHOULDERS = 0.6
-"""Least balance of that skin for a sign: hanging arms, visible at all heights, gave −0.7 to 0.6 on upright bodies;
-raised ones, or arms on a frame, 0.7 to 1."""
+"""Least balance of that skin above and below that counts as a sign: hanging arms, visible at all heights, gave −0.7 to
+0.6 on upright bodies; raised ones, or arms on a frame, 0.7 to 1."""
 _FLANK_DEG, _FLANK = (65.0, 115.0), (0.75, ARM)
 """Flank: directions of the skin's normals, degrees from straight ahead, and distances from the axis, half widths."""
 _FLANK_MM = 200.0  # largest height above and below the breasts of flanks; not critical
 _AHEAD, _LAST = 0.5, 0.005
-"""Skin within this share of the half width shows the upper and lower end of the images; extreme quantiles left out."""
+"""Share of the half width within which skin shows the images' upper and lower end, and the extreme share left out."""
 _MIDLINE_MM, _BIN_MM = 20.0, 10.0  # half width of the strip along the midline, and height of its bins; not critical
 _FRONT_MM = (40.0, 230.0)  # heights above and below the breasts at which the strip is compared; not critical
 _FEWEST_IN_BIN, _FEWEST_BINS = 5, 5  # fewest samples of a bin, and fewest bins visible both above and below
-_SLOPE = 0.2  # sine of the mean slope at which the strip's sign is greatest; upright bodies have −0.04 to 1
+_SLOPE = 0.2  # sine of the mean slope at which the strip's sign reaches its limit; upright bodies have −0.04 to 1
 _FRONT_SHARE = 0.5
-"""Greatest sign of the strip, half of the others': a chest that projects over a flat belly slopes as much below as
-above (a body of an independent renderer: −0.1)."""
+"""Largest sign of the strip. It is half of the others', because a chest that projects over a flat belly slopes as much
+below as above (a body of an independent renderer: −0.1)."""
 _SHOWN = 0.5
 """Sum of the signs from which the head is up. Below its negative, the body contradicts the cameras
 (docs/decisions/0026)."""

@@ -20,10 +20,10 @@ _FACING = 0.7  # least cosine between partners' normals; not critical
 _TUKEY = 4.0  # Tukey's constant, in scatters; not critical
 _FINEST_MM = 0.15  # least scatter: the skin's own noise
 _RIDGE = 1e-6  # regularisation of motions that the surfaces do not determine, as a share of the trace
-_SHARED = 25.0  # points with a common error, because neighbours share a matching window
+_SHARED = 25.0  # number of points with a common error: neighbours share a matching window
 _FIRST_REACH_MM, _NARROWING, _REACH, _LEAST_REACH_MM = 30.0, 0.8, 6.0, 3.0
 """Search distance for partners: first value, mm; factor per round; lower limits, in scatters and mm. Not critical."""
-_AT_REST = 0.01  # largest last step, relative to the motion's uncertainty; with a smaller one partners may oscillate
+_AT_REST = 0.01  # final step, relative to the motion's uncertainty; below it, partners may oscillate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -99,7 +99,7 @@ def register(
 
 
 _PLANE_ROUNDS = 6  # most iterations of mirroring and registering
-_AT_REST_RAD = 1e-4  # largest last turn of the plane
+_AT_REST_RAD = 1e-4  # a smaller turn of the plane ends the iteration
 
 
 @value(eq=False)
@@ -135,8 +135,8 @@ def mirror_plane(
 ) -> MirrorPlane:
     """Plane about which skin is most symmetric.
 
-    The skin is mirrored at a first plane and registered with itself. Mirror and motion together are an improper motion,
-    whose plane is the next estimate.
+    The skin is mirrored at a first plane and registered with itself. Reflection and motion together are an improper
+    motion, whose plane is the next estimate.
 
     Args:
         points_world: skin, mm, world frame.
@@ -162,7 +162,7 @@ def mirror_plane(
         normal = normal if normal @ left_world > 0 else -normal
         halfway = (points_world + image).mean(axis=0) / 2
         point = point + normal * float((halfway - point) @ normal)
-        # Not the motion's own rotation: slightly asymmetric skin keeps one about the plane's normal.
+        # Not the motion's rotation: on slightly asymmetric skin one about the plane's normal remains.
         if np.linalg.norm(normal - before) < _AT_REST_RAD:
             break
     return MirrorPlane(point_world=point, normal_world=normal, sigma_mm=float(sigma), scatter_mm=float(scatter))

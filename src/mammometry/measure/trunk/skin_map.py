@@ -124,14 +124,14 @@ def middles_of_parts(
 
 
 PIXEL_MM = 2.0  # side of a pixel, half of the scale of creases
-_SPECK = 3  # pixels; smaller specks of an outer layer are removed
+_SPECK = 3  # pixels; smaller spots of an outer layer are removed
 _FINEST_MM = 0.75 * PIXEL_MM  # spacing of samples on the skin, so that no pixel is missed
 _MOST_SAMPLES = 1_000_000  # most samples of the skin; chosen for memory
 KNOWN_MM = 5.0  # a pixel is known if there is visible skin within this distance; not critical
 _EDGE_MM = 13.0  # margin at the end of the visible skin: three times the 4 mm scale of creases, and a pixel
 _JUMP_MM, _JUMP_REACH = 10.0, 20
-"""Rise of the bulge from one pixel to the next at the edge of an arm, mm, and the pixels of the trunk after which it
-has no effect: an arm's edge is near the trunk's side. A breast's flank that is as steep is near the midline."""
+"""Least rise of the bulge between pixels at the edge of an arm, mm, and number of pixels of trunk after which such a
+rise is ignored: an arm's edge is near the trunk's side, an equally steep flank of a breast near the midline."""
 _RISE_MM = 6.0  # largest rise of skin that continues to the side, as at a border (`boundary.crease`)
 _STEEP_MM = 60.0  # cap on the bulge; not critical
 
@@ -159,7 +159,7 @@ class Relief:
 
         Zero where no skin is visible and near the outer end of the visible skin, where it depends on the filling.
         """
-        shallow = np.minimum(self.bulge_mm, _STEEP_MM)  # a breast's height over its fold does not deepen the fold
+        shallow = np.minimum(self.bulge_mm, _STEEP_MM)  # so that the height of a breast does not deepen its fold
         laplacian = gaussian_laplace(shallow, sigma_mm / PIXEL_MM) / PIXEL_MM**2
         return np.where(self.known, laplacian * self.within_its_end(_EDGE_MM), 0.0)
 
@@ -233,11 +233,11 @@ def _continues(inner: Float64[Array, "h w"], beyond: Float64[Array, "h w"]) -> B
 
     A large breast extends beyond the trunk's side. At each height its skin continues the trunk's outwards without
     rising, and the trunk's flank is seen outside it. An arm rises from the trunk, is not connected with it at that
-    height, or hides it, so that the bulge jumps at its edge. Skin in a hole that remains is the breast's, too.
+    height, or hides it, so that the bulge jumps at its edge. Skin in a remaining hole also belongs to the breast.
 
     Args:
-        inner: bulge of the skin no further aside than the trunk's side, mm, ∞ where none was seen.
-        beyond: the same of the skin further aside.
+        inner: bulge of the skin up to the trunk's side, mm, ∞ where none is visible.
+        beyond: the same for skin farther to the side.
     """
     trunk, arm = np.isfinite(inner), np.isfinite(beyond) & ~np.isfinite(inner)
     continued = np.zeros(inner.shape, dtype=bool)

@@ -33,7 +33,7 @@ docs/decisions/0009)."""
 _SIDE_BAND_MM = 80.0  # largest height above and below the breasts of side skin; not critical
 _BREADTH_ROUNDS = 3  # iterations of the body's scale and its breadth: the third changes them by 0.5 % at most
 _FEWEST_SIDE = 50  # fewest samples of skin on either side; not critical
-_ARM_MM = 40.0  # least gap between the trunk's side and an arm's outer skin: arms are thicker, sides even
+_ARM_MM = 40.0  # least gap from the trunk's side to an arm's outer skin; arms are thicker, and sides have no gaps
 _BEHIND_FRONT_MM = 30.0
 """Least distance of a trunk's side behind the breastbone's skin, mm. A breast's flank has the same direction but is
 further ahead: a boundary 121 mm wide, tilted back by 7.7° (means of real women), ends 16 mm behind its medial end. Not
@@ -143,11 +143,11 @@ def seen_faces(surface: RepairedSurface) -> Int64[Array, " k"]:
     return np.flatnonzero(seen) if seen.any() else np.arange(len(surface.mesh.faces))
 
 
-@lru_cache(maxsize=1)  # the steps of a measurement need it for the same surface
+@lru_cache(maxsize=1)  # several steps of a measurement use the same surface
 def seen_skin(surface: RepairedSurface) -> SkinSamples:
     """Samples of the visible faces, evenly by area.
 
-    Their order follows a space-filling curve, so that every n-th of them is an even sample as well, whatever the
+    Their order follows a space-filling curve, so that every n-th of them is also an even sample, independently of the
     fineness of the mesh and the order of its faces.
     """
     chosen = seen_faces(surface)
@@ -192,9 +192,9 @@ def find_trunk(
 ) -> Trunk:
     """The trunk with its axis, from the skin.
 
-    The axis is the direction that the skin's normals avoid, and is midway between the sides: skin that faces to the
-    side, well behind the breastbone (a breast's flank is further ahead). If a side is not visible, the axis is the
-    frame's up, `ASSUMED_DEPTH_MM` behind the breastbone, and `Trunk.assumed` is true.
+    The axis is as perpendicular as possible to the skin's normals, and midway between the trunk's sides. The sides are
+    skin that faces sideways well behind the breastbone (a breast's flank is further ahead). If a side is not visible,
+    the axis is the frame's up, `ASSUMED_DEPTH_MM` behind the breastbone, and `Trunk.assumed` is true.
 
     Args:
         skin: the torso's visible skin.
@@ -315,7 +315,7 @@ def _side_skin(front: _Front, scale: float = 1.0) -> tuple[Float64[Array, "n 3"]
 
     Args:
         front: skin at the breasts' height.
-        scale: of the body relative to an adult.
+        scale: size of the body relative to an adult.
     """
     local, azimuth, bone = front.local, front.azimuth_deg, front.bone
     low, high = _SIDE_AZIMUTH_DEG

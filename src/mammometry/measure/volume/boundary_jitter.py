@@ -62,7 +62,7 @@ class Band:
         core[part[self._at_core]] = rest[part[self._at_rest]] = True
         touching[part[np.flatnonzero(walls) // 3]] = True
         if (core & rest).any() or (core & touching).sum() != 1 or (rest & touching).sum() != 1 or touching.sum() != 2:
-            return inside_curve(self._whole, self._vertices[curve])  # undecidable in the band
+            return inside_curve(self._whole, self._vertices[curve])  # the band alone does not show it
         faces = self._core.copy()
         faces[self._faces] = core[part] | (~rest[part] & self._inside[self._faces])
         return open_part(self._whole, faces, self._vertices[curve])
@@ -75,22 +75,22 @@ class Band:
 
 
 UNSEEN_SLOPE = 0.5
-"""Uncertainty of skin, and of a boundary on it, per mm of distance from measured skin, mm. On a photographed cast that
-of skin is limited to the space that no view excludes. For a ptotic cast photographed by one pair, with its lower pole
-hidden (63 cm², up to 49 mm away), the volume error was 0.5 times distance times area. For casts photographed by four
-pairs, at 0.15 of full size, it was −0.2 to 0.4 times (docs/decisions/0009)."""
+"""Uncertainty of skin, and of a boundary on it, per mm of distance from measured skin, mm. On a photographed cast the
+uncertainty of skin is limited to the space that no view excludes. For a ptotic cast photographed by one pair, with its
+lower pole hidden (63 cm², up to 49 mm away), the volume error was 0.5 times distance times area. For casts photographed
+by four pairs, at 0.15 of full size, it was −0.2 to 0.4 times (docs/decisions/0009)."""
 ORDERS = 4  # Fourier orders 0 to 3: wider, shifted, oblong, three-lobed (docs/decisions/0009)
-_SHARES = (1.0, 0.5, -1.0, -0.5)  # factors on a displacement, tried one after the other at an edge of the skin
+_SHARES = (1.0, 0.5, -1.0, -0.5)  # factors on a displacement, tried in turn until the curve stays on the skin
 _SMOOTH = 48  # length of the curve over the σ with which its uncertainty is smoothed; not critical
 _SKIN_MARGIN_MM = 10.0  # skin around a redrawn curve onto which it is projected; not critical
 
 
 def boundary_std_cc(breast: OpenBreast, wall: ChestWall) -> float | None:
-    """Standard deviation of the volume by jitter of a torso's boundary, cc.
+    """Standard deviation of the volume due to jitter of a torso's boundary, cc.
 
-    The standard deviation of the jitter is that between observers (``settings.observers``), plus ``UNSEEN_SLOPE`` of
-    the distance from measured skin, because unmeasured skin may be wrong and shows no crease. None if the displaced
-    curve can be followed on neither side.
+    The variance of the jitter is the sum of those of observers (``settings.observers``), of the boundary's own
+    uncertainty (``across_mm``), and of unmeasured skin, which may be wrong and shows no crease: ``UNSEEN_SLOPE`` times
+    the distance from measured skin, squared. None if a displaced curve cannot be followed on the skin.
 
     The jitter is a displacement across the curve, along the skin, by independent Fourier terms up to the third order,
     each with that profile. Each order has the same share of the variance. For each of the seven terms the curve is
@@ -101,8 +101,8 @@ def boundary_std_cc(breast: OpenBreast, wall: ChestWall) -> float | None:
     which are equal, so each order contributes it: ((V₊ − V₋)/2)² + Σ (Vₖ − V − b/2)² + (4b)².
 
     Args:
-        breast: of a torso.
-        wall: that closes it; its kind is kept.
+        breast: a breast of a torso.
+        wall: the wall that closes it; its kind is kept.
     """
     boundary, surface = breast.boundary, breast.surface
     volume_cc = wall.closed.volume_mm3() / 1000

@@ -1,8 +1,8 @@
 """Difference of two volumes (left and right, or before and after), with its own interval.
 
-The volumes share errors: the target's scale, the bias of scanner or matching, the trunk, the form of the chest, motions
-of the body. Of a shared error only the difference of its signed effects remains. All other errors add up (root of the
-sum of squares). Errors of a border that a person drew are not shared (docs/decisions/0046).
+The volumes share errors: the target's scale, the bias of scanner or matching, the trunk, the shape of the chest,
+motions of the body. Of a shared error only the difference of its signed effects remains. All other errors add up (root
+of the sum of squares). Errors of a border that a person drew are not shared (docs/decisions/0046).
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def difference(
         effects = [_effect(measured, name, common=common) for measured in (first, second)]
         if name == WALL and alike and pairing != "sides":
             areas_cm2 = (first.base_area_cm2, second.base_area_cm2)
-            # Two measured walls, which have smaller errors of their own, are not made worse.
+            # Two measured walls have smaller errors, which are kept.
             effects = [
                 _Effect(common_cc=(), own_cc=min(_UNSHARED_MM[pairing] * area_cm2 / 10, effect.own_cc))
                 for area_cm2, effect in zip(areas_cm2, effects, strict=True)

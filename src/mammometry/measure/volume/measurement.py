@@ -46,7 +46,7 @@ DENSITY_G_PER_CC, DENSITY_SD = 0.97, 0.04
 covers both. Specimens of 31 women: 0.94 ± 0.02 (doi 10.1055/a-2253-8442); of 108 women: 0.96 ± 0.04 above and
 1.01 ± 0.08 below 50 years (Arch Aesthetic Plast Surg 25(4), 2019)."""
 LEAST_OF_LAYER = 0.5
-"""An assumed layer is added only if the breast in front of it has at least this share of its volume."""
+"""An assumed layer is added only if the breast in front of it has at least this share of the layer's volume."""
 MUSCLE_WALL = "cylinder-membrane"
 """Wall to which the layer's thickness refers."""
 
@@ -87,7 +87,7 @@ class HalfWidths:
 def layer_before_muscle_mm(side: str, settings: LayerSettings) -> tuple[float, float, int]:
     """Mean height of the layer in front of the muscle, from the muscle to the cylinder membrane.
 
-    A quadrant that was not measured is assumed to differ from its usual thickness as the measured ones do.
+    A quadrant that was not measured is assumed to differ from its usual thickness by as much as the measured ones.
 
     Returns:
         Height and its 95 % half-width, mm; number of thicknesses used, 0 for the mean of real women.
@@ -121,7 +121,7 @@ def define(
     Args:
         side: left or right.
         wall: name of the wall that closes it.
-        volume_cc: in front of that wall, cc.
+        volume_cc: volume in front of that wall, cc.
         measured_wall: whether the wall was measured separately.
         errors: half-widths by source.
         cylinder: volume in front of the cylinder membrane, cc, and its base, cm²; None if that wall does not fit.

@@ -62,8 +62,8 @@ def movement_cc(
     """Uncertainty of a volume after motions, cc.
 
     Args:
-        movement: of the capture.
-        skin: of the breast, mm, world frame.
+        movement: motion of the capture.
+        skin: the breast's skin, mm, world frame.
         boundary_world: the curve around it, mm.
         surface: the whole repaired surface, with the pairs that measured each vertex.
 
@@ -215,9 +215,9 @@ def interval(
     breast from capture to capture (`WALL_FIT_U95_MM`).
 
     Args:
-        boundary: around the breast.
-        wall: that closes it.
-        volume_cc: between skin and wall, cc.
+        boundary: the curve around the breast.
+        wall: the wall that closes it.
+        volume_cc: volume between skin and wall, cc.
         settings: standard uncertainties that earlier stages do not provide.
         evidence: results of earlier stages.
     """
@@ -364,7 +364,7 @@ def _may_be_off_mm(
 ) -> Float64[Array, " k"]:
     """Largest error of unmeasured vertices, mm. 0 if nothing was measured.
 
-    It is the distance of measured skin, or the space that no view excludes if that is less.
+    It is the distance from measured skin, or the space that no view excludes if that is less.
     """
     measured = surface.mesh.vertices[surface.provenance == Provenance.MEASURED]
     if not (len(measured) and which.any()):

@@ -23,7 +23,7 @@ SILHOUETTE_DOUBT_PX = 1.0
 """Distance outside a silhouette from which points are excluded, px."""
 SILHOUETTE_DOUBT_SLOPE = 0.25
 """Growth of that distance along an outline that is the border of a shadow, px per px. In eight outlines of a cast whose
-fold is as dark as the backdrop, such stretches were up to 0.2 of it inside the true one."""
+fold is as dark as the backdrop, such stretches were inside the true outline by up to 0.2 px per px."""
 SEEN_THROUGH_MM = 0.5
 """Distance in front of measured skin from which points are excluded, mm, in addition to three standard deviations."""
 _STEPS = 24  # steps of the search along a normal; chosen for speed

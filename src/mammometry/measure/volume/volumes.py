@@ -206,7 +206,7 @@ def refused_side(breast: OpenBreast, refusal: MeasureError | None = None) -> NoB
     """A side of a torso without a volume, with the reason.
 
     Args:
-        breast: whose volume was refused.
+        breast: the breast whose volume was refused.
         refusal: the error. None: the measurement is tried again to find it.
     """
     points = breast.boundary.points_world

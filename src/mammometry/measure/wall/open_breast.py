@@ -39,7 +39,7 @@ class OpenBreast:
     surface: RepairedSurface
     """The closed, repaired mesh."""
     settings: MeasureSettings = field(default_factory=MeasureSettings)
-    """Selected wall, and description of the trunk."""
+    """Settings of the measurement, such as the selected wall."""
     boundaries: Sequence[Boundary] = ()
     """Boundaries of all breasts including this one, which separate the trunk's skin from theirs. Empty: this breast is
     the only one."""

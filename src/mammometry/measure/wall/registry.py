@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 Close: TypeAlias = "Callable[[OpenBreast], Closed]"
 """Function that closes a breast. It raises a MeasureError if the wall does not fit it."""
 DEFAULT = "default"
-"""Setting by which the wall depends on the subject."""
-_LAST = 100  # place of a wall without one: after all others
+"""Value of the setting `measure.wall` for which the wall depends on the subject."""
+_LAST = 100  # place of a wall that states none: after all others
 _USUAL_BASE_CM2 = 170.0  # mean area of the base of the real women on whom walls were tested
 _UNTRIED_MM = 9.5  # half-width for an untested wall: that of the worst tested one (docs/decisions/0029)
 

@@ -217,7 +217,9 @@ def plane(breast: OpenBreast) -> Closed:
     definition="Coons' bilinearly blended patch between the boundary's four sides",
 )
 def coons(breast: OpenBreast) -> Closed:
-    """Coons' bilinearly blended patch between the sides above, below, towards and off the midline.
+    """Coons' bilinearly blended patch between four sides of the boundary.
+
+    The sides meet at the boundary's extreme points along the diagonals of its best plane's axes.
 
     Raises:
         MeasureError: the skin has more than one opening, or the boundary does not have four sides.

@@ -30,7 +30,7 @@ def thorax_fit(breast: OpenBreast) -> Closed:
 _AROUND_MM = 10.0  # margin of skin around the mirrored boundary, so that the layer covers all of it
 _CORE = 0.7  # share of the boundary's half extent in which a breast on the other side is looked for; not critical
 _STANDING_OUT = 0.95
-"""Quantile of the bulge there that is compared with the prominence of a breast, so that 5 % outliers do not
+"""Quantile of the bulge in this core that is compared with the prominence of a breast, so that 5 % outliers do not
 matter."""
 
 
