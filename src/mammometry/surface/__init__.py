@@ -1,1 +1,1 @@
-"""One true surface from disparities (paper 2.4 to 2.6)."""
+"""The subject's surface, from disparities (paper 2.4 to 2.6)."""

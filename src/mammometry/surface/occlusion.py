@@ -36,8 +36,8 @@ from mammometry.surface.ranges.visibility import LEAST_COSINE
 
 _GUARD_PX = 3.0  # px of `block_of`: within it a datum's own error may put it outside a silhouette; not critical
 SAMPLES = 300_000
-"""Data of a view that are looked up in others: about a dozen per block of the subject."""
-_MOST_SAMPLES = 8 * SAMPLES  # of all pairs: many pairs, as of a walk, see the same skin; limits memory and time
+"""Largest number of a view's data that are looked up in other views: about a dozen per block of the subject."""
+_MOST_SAMPLES = 8 * SAMPLES  # of all pairs together: the pairs of a walk see the same skin; limits memory and time
 _LEAST_SHARE = 2e-4  # smallest place, relative to the subject's blocks: fewer are outliers; not critical
 _GAP_BLOCKS = 4  # gaps between data narrower than twice this belong to the place; not critical
 _ROUNDS = 4  # most rounds of votes; two are usual
@@ -163,14 +163,14 @@ class _View:
         height, width = self.subject.shape
         column, row, depth_mm = projected(self.camera, points_world).T
         column, row = column / self.step, row / self.step
-        index = np.flatnonzero((column >= 0) & (row >= 0) & (column < width) & (row < height))  # NaN is nowhere
+        index = np.flatnonzero((column >= 0) & (row >= 0) & (column < width) & (row < height))  # false for NaN
         places = _Places(
             index=index.astype(np.int32), row=row[index].astype(np.int32), column=column[index].astype(np.int32)
         )
         return places, depth_mm[index]
 
     def measured(self, points_world: Float64[Array, "n 3"]) -> tuple[_Places, Float64[Array, " k"]]:
-        """The same. The depths of every other point are entered in `depth_mm`."""
+        """As `places`. The depths of every second point are also entered in `depth_mm`."""
         at, depth_mm = self.places(points_world)
         np.minimum.at(self.depth_mm, (at.row[::2], at.column[::2]), depth_mm[::2])
         return at, depth_mm
@@ -218,7 +218,7 @@ def _vote(
 ) -> None:
     """Let views vote which points are skin, and mark in `hits` where such points are outside the subject.
 
-    A camera has no vote where its view is known to be blocked.
+    The vote of a camera against a point is ignored where its view is known to be blocked.
     """
     on, outside = (np.zeros(poll.count, dtype=np.int32) for _ in range(2))
     for name in poll.voters:
@@ -277,7 +277,7 @@ _SIDE_MM = 12.0  # width of the skin on each side from which its slope and curva
 _LEAST_BLOCKS = 4  # fewest blocks of measured skin on each side
 _EDGE_BLOCKS = 4  # largest distance from the slit to measured skin: windows end before an edge; not critical
 _STEEPEST = np.tan(np.radians(60.0))  # largest slope of skin at a slit: at the subject's end it is larger; not critical
-_SQUARE = np.cos(np.radians(50.0))  # a line must cross both edges: others are chords of a curved outline; not critical
+_SQUARE = np.cos(np.radians(50.0))  # least cosine of a line to both edges' normals: others are chords; not critical
 _OUTLINE_BLOCKS = 2.0  # Gaussian σ with which an outline's direction is measured; not critical
 _BEND = 0.5  # largest difference in depth between both sides' continuations, in slit widths; not critical
 
@@ -382,7 +382,8 @@ _TURNED_MM = 0.5  # distance of data behind the tangent plane from which skin tu
 def continued_world(image: RangeImage) -> Float64[Array, "n 3"]:
     """Points beyond the edges of a pair's data, on tangent planes of the nearest data, world frame, mm.
 
-    Only of skin that faces the camera and does not turn away. Data within half a window of an edge are replaced too.
+    Only skin that faces the camera and does not turn away is continued. Data within half a window of an edge, which are
+    biased, are replaced too.
     """
     unit = block_of(image.valid.shape)[1]
     if image.valid.all():  # no datum has an edge
@@ -395,8 +396,8 @@ def continued_world(image: RangeImage) -> Float64[Array, "n 3"]:
     rows, columns = image_kernels.nearest_true(sound)
     own_row, own_column = np.nonzero(~sound)
     row, column = rows[own_row, own_column], columns[own_row, own_column]
-    near = np.hypot(row - own_row, column - own_column) <= 2 * EDGE_PX * unit  # as far past the edge
-    near &= cosines[row, column] >= LEAST_COSINE  # never where there is no normal
+    near = np.hypot(row - own_row, column - own_column) <= 2 * EDGE_PX * unit  # as far beyond the edge as inside it
+    near &= cosines[row, column] >= LEAST_COSINE  # false without a normal
     own_row, own_column, row, column = (indices[near] for indices in (own_row, own_column, row, column))
     # `image.ray_directions` would need 90 MB for a full image.
     datum, ray = (
@@ -410,6 +411,6 @@ def continued_world(image: RangeImage) -> Float64[Array, "n 3"]:
     behind = image.valid[own_row, own_column] & (image.range_mm[own_row, own_column] > range_mm + _TURNED_MM)
     turned = np.zeros(image.valid.shape, dtype=bool)
     turned[row[behind], column[behind]] = True
-    kept = (steep >= LEAST_COSINE / 2) & ~turned[row, column]  # a plane seen so obliquely runs off
+    kept = (steep >= LEAST_COSINE / 2) & ~turned[row, column]  # a plane seen more obliquely runs far off
     points: Float64[Array, "n 3"] = image.camera.centre_world + ray[kept] * range_mm[kept, None]
     return points

@@ -28,12 +28,14 @@ TRUNCATION_MM = 2.0
 """Half-width of the band around a measured surface in which views are averaged, mm. 2 gave the smallest errors."""
 EXTEND_MM = 16.0
 """Distance by which range data are continued outwards along their tangent plane, mm across the ray. Matching loses the
-rim and a band along every occluding edge, which otherwise swell: with 4 mm, errors on a torso are 10 % larger."""
+rim and a band along every occluding edge, where the surface would swell: with 4 mm, errors on a torso are 10 %
+larger."""
 SPAN_JUMP_MM = 20.0
-"""Difference in range of a gap's sides above which it is spanned, mm: nothing unmeasured is in front of the span. This
-closes what a breast hides (between two, under one). 10 to 40 gave the same surfaces."""
+"""Difference in range between a gap's sides above which the gap is spanned, mm. Nothing unmeasured is assumed in front
+of the span. Spans close what a breast hides: the skin between two breasts and under one. 10 to 40 gave the same
+surfaces."""
 LOST_SLOPE = 0.1
-"""Where a shadow hides a silhouette's edge: assumed distance of the subject's end outside it, px per px of distance to
+"""Assumed distance of the subject's edge outside a silhouette whose edge is hidden in shadow, px per px of distance to
 the nearest visible edge. Folds of casts have 0.05 to 0.2 (docs/decisions/0017)."""
 
 Rule: TypeAlias = Literal["default", "nearest", "furthest", "tsdf"]
@@ -51,10 +53,10 @@ _CONTOUR_BAND_PX = 12.0  # width of exact distances from a silhouette: more than
 _AROUND_PX = 64  # largest distance from a silhouette, and margin around the subject's box; not critical
 _OUTLIERS = 0.002  # percent of the data at either end of an axis that do not widen the closing box: one in 50,000
 _BOX_SAMPLES = 1_000_000  # data for the box's percentiles
-_SMALLEST_HOLE_SHARE = 2e-3  # of the subject's area: larger holes in a mask are gaps between limbs; not critical
+_SMALLEST_HOLE_SHARE = 2e-3  # share of the subject's area: larger holes in a mask are gaps between limbs; not critical
 _SLOPE_MM = 4.0  # distance over which the slope of skin next to a gap is measured; not critical
 _BLOCK_PX = 4  # side of the blocks in which other views' data are looked up: each contains some data
-_BEFORE_MM = 5.0  # distance of other views' data in front of a span from which they contradict it; not critical
+_BEFORE_MM = 5.0  # data of other views more than this in front of a span contradict it; not critical
 _CLOSING_MM = 4.0  # without a silhouette, gaps in the data narrower than twice this are closed; not critical
 
 
@@ -206,9 +208,9 @@ def view_elements(
 
     Measured data have the weight cos²/(σ² + floor²), less near the edge of the data. Up to `EXTEND_MM` outwards they
     are continued on the nearest datum's tangent plane. The rest of the subject's silhouette (or, without one, of the
-    data's outline) has the nearest datum's range, which only supports. Gaps between near and far skin are spanned
-    instead (`image_kernels.spans`): hidden skin turns away there, and nothing unmeasured is in front of the span.
-    `others_mm`: from `nearest_of_others_mm`.
+    data's outline) has the nearest datum's range, which only supports what is behind it. Gaps between near and far skin
+    are spanned instead (`image_kernels.spans`): hidden skin turns away there, and nothing unmeasured is in front of the
+    span. `others_mm`: from `nearest_of_others_mm`.
     """
     normals = image.normals_camera(NORMAL_MM)
     subject = _subject_mask(image, left, foreground)

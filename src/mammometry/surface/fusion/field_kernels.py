@@ -64,7 +64,7 @@ def sample_field(
 ) -> Float32[Array, "n s s s"]:
     """Signed distance in n blocks, mm, positive outside, limited to ±truncation.
 
-    Source by source, for all samples of a block. Silhouettes too far from a block to matter are skipped.
+    The samples of a block are computed source by source. Silhouettes too far from a block to matter are skipped.
 
     Args:
         origins: first sample of each block, world, mm.
@@ -198,7 +198,7 @@ def _bound_by_silhouette(
     truncation: float,
     bound: Float64[Array, " k"],
 ) -> bool:
-    """Raise `bound` to a silhouette's distances, from px to mm by depth. Whether all is outside."""
+    """Raise `bound` to a silhouette's distances, from px to mm by depth. Return whether all is outside."""
     u, v, depth = np.empty_like(bound), np.empty_like(bound), np.empty_like(bound)
     _project_block(view, block, u, v, depth, np.empty_like(bound))
     outside = True
@@ -365,7 +365,7 @@ def _clipped(cosine):  # type: ignore[no-untyped-def]
 
 
 # For each of the 16 cases of a square's corners: up to two pieces of the contour, as the sides where each enters and
-# leaves, with the subject on the same hand. −1 for none.
+# leaves, with the subject always on the same side. −1 for none.
 _TOP, _RIGHT, _BOTTOM, _LEFT, _NONE = 0, 1, 2, 3, -1
 _PIECES = np.array(
     [
@@ -399,7 +399,7 @@ def contour_pieces(
     its end, in steps from the window's first pixel. Like skimage.measure.find_contours, but unordered.
 
     Args:
-        coverage: of each pixel.
+        coverage: coverage of each pixel.
         window: first and last row (plus one), first and last column (plus one).
         holes: holes at every `step`-th pixel of the window: pixels next to them count as covered.
         step: pixels per step.

@@ -55,16 +55,15 @@ def tunnel_places(mesh: TriangleMesh, cell_mm: float) -> Float64[Array, "n 3"]:
 SMOOTHING_CUBES = 1.0
 """Standard deviation of the Gaussian on the signed distance, cubes. Without it the surface has tunnels."""
 NEAR_MM = 2.0
-"""Distance from all range data beyond which cubes are four times as large, mm. The repair moves nothing there."""
+"""Distance from all range data beyond which cubes are four times as large, mm. The repair moves no vertex there."""
 BACK_MM = 10.0
 """Distance of the closing box's back behind the farthest datum, mm."""
-"""How far behind the furthest datum the unseen back is closed, mm."""
 AROUND_MM = 20.0
 """Distance of the closing box's other sides from the data, mm. Silhouettes bound the solid earlier."""
 _HEALING_ATTEMPTS = 5  # most attempts to smooth a tunnel away; not critical
 _HEALING_GROWTH = 1.5  # factor on radius and Gaussian from attempt to attempt; not critical
 _HEALING_REACH_MM, _HEALING_SIGMA_MM = 4.0, 1.0  # radius of the first attempt, and its Gaussian; not critical
-_TUNNEL_CELL_MM = 6.0  # contains a tunnel's whole curvature; no part of a body that size is as curved
+_TUNNEL_CELL_MM = 6.0  # contains a tunnel's whole curvature; no part of a body of that size is as curved
 _MIN_DATA = 50  # fewest data of a usable view; not critical
 _SILHOUETTE_SAMPLES = 5000  # data looked up in a mask: gives the share outside it to 1 %
 _MOST_OUTSIDE = 0.5  # largest share of a view's data that another camera may see outside the subject
@@ -136,7 +135,7 @@ def meshed(
             break
         wider = _HEALING_GROWTH**attempt
         places = tunnel_places(candidate, _TUNNEL_CELL_MM)
-        if not len(places):  # the rest are rings as large as limbs, closed where no camera saw
+        if not len(places):  # the remaining handles are as large as limbs, and closed where no camera sees
             break
         surface.heal(places, reach_mm=_HEALING_REACH_MM * wider, sigma_mm=_HEALING_SIGMA_MM * wider)
         healed = surface.mesh()
@@ -157,7 +156,7 @@ def meshed(
 def _surface(
     solid: FusedField, settings: ExtractSettings, near_mm: float, progress: Progress
 ) -> tuple[Isosurface, TriangleMesh]:
-    """Sample and mesh. If fine and coarse cubes do not fit together, all cubes are fine."""
+    """Sample the field and mesh it. If fine and coarse cubes do not fit together, use fine cubes only."""
     corners = solid.distance.box.corners
     grid = sample_blocks(
         solid.distance.sample,
@@ -239,10 +238,10 @@ def usable(range_images: Sequence[RangeImage]) -> list[RangeImage]:
 
 
 def check_silhouettes(range_images: Sequence[RangeImage], foregrounds: Mapping[str, Foreground], rig: Rig) -> None:
-    """Refuse a view that has matched the background.
+    """Refuse a view whose data are of the background.
 
-    Another camera sees most of its data outside the subject. Only cameras with a known foreground and enough of the
-    data in their image count.
+    Such a view has most of its data outside the subject as another camera sees it. Only cameras with a known foreground
+    and enough of the data in their image count.
 
     Raises:
         SurfaceError: names the pair, and the camera that sees most of its data outside.

@@ -170,7 +170,7 @@ class Isosurface:
         coarse = _off_level(_smooth(grid.coarse, min(smoothing, _COARSE_SMOOTHING)), grid.cube_mm * FAR_CUBES)
         self._coarse = self._without_saddles(coarse)
         shape = np.array(grid.index.shape)
-        near = ndimage.maximum_filter(grid.index >= 0, size=3)  # a block's neighbours share its field's smoothing
+        near = ndimage.maximum_filter(grid.index >= 0, size=3)  # smoothing spreads a block's field into its neighbours
         chunks = [chunk for chunk in np.ndindex(*(-(-shape // _CHUNK))) if near[self._blocks(chunk)].any()]
         self._pieces = self._meshed(chunks, progress)
         self._far = self._far_piece() if grid.far.any() else None
@@ -233,7 +233,7 @@ class Isosurface:
     def mesh(self) -> TriangleMesh | None:
         """The joined pieces, world frame, mm, with faces counter-clockwise seen from outside.
 
-        None if fine and coarse cubes do not fit together: they treat a saddle differently.
+        None if fine and coarse cubes do not fit together, because they treat a saddle differently.
         """
         near = _joined([piece for piece in self._pieces.values() if piece is not None])
         whole = near if self._far is None else stitched(near, self._far, FAR_CUBES)

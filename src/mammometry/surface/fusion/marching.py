@@ -140,7 +140,7 @@ def march(
                             numbers[p, q, r, axis] = vertex_count
                         loop[n] = numbers[p, q, r, axis] - 1
                     at += length
-                    if _LENGTHS[row, number] < 0:  # a diagonal could be in that face, like the neighbour's
+                    if _LENGTHS[row, number] < 0:  # a diagonal could coincide with the neighbour's in that face
                         for axis in range(3):
                             vertices[vertex_count, axis] = 0.0
                         for n in range(length):
@@ -194,7 +194,7 @@ def _best_start(vertices, loop, length):  # type: ignore[no-untyped-def]
 
 @kernel
 def longer(rows):  # type: ignore[no-untyped-def]
-    """The rows in an array of twice their number."""
+    """Copy of an array with space for twice as many rows."""
     copy = np.empty((2 * len(rows), rows.shape[1]), dtype=rows.dtype)
     for row in range(len(rows)):
         for column in range(rows.shape[1]):

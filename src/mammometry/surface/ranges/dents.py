@@ -309,7 +309,7 @@ def _without_islands(keep: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
 
 _BEHIND = 1.4  # largest depth relative to the centre's, as in `matching.coarse_stereo`
 _STEP_PX = 5.0  # edge of a cell, pixel widths on the surface: gaps of fewer pixels do not separate pieces
-_MOST_CELLS = 256  # along a side
+_MOST_CELLS = 256  # largest number of cells along a side
 _SMALLEST = 0.05  # smallest piece that is kept, relative to the largest, in cells; used for open surfaces only
 
 
@@ -318,7 +318,7 @@ def subject_data(
 ) -> list[Bool[Array, "h w"]]:
     """Per view and element, whether its datum belongs to the subject.
 
-    If a view has no silhouette, only the largest piece is kept; else also pieces that are not much smaller.
+    If a view has no silhouette, only the largest piece is kept; else also pieces of at least 5 % of its size.
 
     Args:
         range_images: range images of all pairs.

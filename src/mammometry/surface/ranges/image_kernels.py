@@ -317,7 +317,7 @@ def _between_four(image, row, column, down, along):  # type: ignore[no-untyped-d
 def outline_distances(
     inside: Bool[Array, "h w"], starts: Float64[Array, "n 2"], steps: Float64[Array, "n 2"], band: float
 ) -> Float32[Array, "h w"]:
-    """Signed distance of every pixel from an outline, px, negative inside. There must be one.
+    """Signed distance of every pixel from an outline, px, negative inside. There must be an outline.
 
     Within `band` it is exact, from the nearest of the outline's short straight pieces (row, column). Farther away it is
     the distance from the nearest pixel on either side of the outline, plus or minus half a pixel.

@@ -92,8 +92,8 @@ class RangeImage:
         """Unit normals towards the camera, camera frame. NaN where not valid or unknown.
 
         On a plane the inverse depth is linear, ``1/z = a x + b y + c``, in ideal image coordinates (x, y). A
-        least-squares fit over the valid data in a square window of half-width `neighbourhood_mm` gives the normal
-        (a, b, c). It is unknown with fewer than six data, or with all data on a line.
+        least-squares fit over the valid data in a square window of half-width `neighbourhood_mm` gives the normal's
+        direction −(a, b, c). It is unknown with fewer than six data, or with all data on a line.
         """
         normals = np.full((*self.camera.shape_hw, 3), np.nan, dtype=np.float32)
         if not self.valid.any():

@@ -5,7 +5,7 @@ import numpy as np
 from mammometry.base.machine.compiled import kernel, small_kernel
 from mammometry.geometry.arrays import Array, Float64, Int64
 
-_SLOPE_STEP_PX = 0.05  # of the disparity, for the central difference of the distance: any small step
+_SLOPE_STEP_PX = 0.05  # step of the disparity for the central difference of the distance: any small one
 
 
 @kernel

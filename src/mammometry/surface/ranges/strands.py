@@ -1,7 +1,7 @@
 """Hair, straps and cords in front of the skin.
 
 They are long, narrow, nearer and much darker than the skin around them. Matching measures them like skin. A dark fold,
-scar or tattoo is not nearer than its surroundings, and a nipple is not long. All limits here are not critical.
+scar or tattoo is not nearer than its surroundings, and a nipple is not long. None of the limits here is critical.
 """
 
 import numpy as np
@@ -44,7 +44,7 @@ def strands_in(image: RangeImage, photograph: Photograph, camera: Camera) -> Boo
     sides = [[side.stop - side.start for side in box] for box in ndimage.find_objects(places)]
     rays = image.camera.rays_world(np.stack([column, row], axis=1) * float(step))
     points = image.camera.centre_world + rays * range_mm[row, column].astype(np.float64)[:, None]
-    uv = np.floor((camera.project(points) + 0.5) / step)  # of blocks
+    uv = np.floor((camera.project(points) + 0.5) / step)  # position in blocks
     inside = np.all((uv >= 0) & (uv < luma.shape[::-1]), axis=1)
     u, v = uv[inside].astype(np.intp).T
     shown = np.zeros(valid.shape, dtype=places.dtype)

@@ -58,7 +58,7 @@ def propagate(
     away_mm: Float64[Array, " n"],
     known: Int64[Array, " q"],
 ) -> None:
-    """Fill `values` and `away_mm` (infinite: unknown) ring by ring, in place: `repair.propagate`."""
+    """Fill `values` and `away_mm` (infinite: unknown) ring by ring, in place (see `repair.propagate`)."""
     frontier = known
     width = values.shape[1]
     while len(frontier) > 0:

@@ -10,7 +10,7 @@ import numpy as np
 from mammometry.base.child_process import ChildProcess
 from mammometry.geometry import Array, Float32, Int32, TriangleMesh
 
-_LARGE = 300_000  # triangles from which a process of its own, which takes half a second to start, is worth it
+_LARGE = 300_000  # least number of triangles for which a child process is worth its start of half a second
 
 
 def thinned(mesh: TriangleMesh, triangles: int) -> TriangleMesh:

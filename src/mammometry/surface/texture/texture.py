@@ -121,7 +121,7 @@ def _facing(
 def _hidden(
     mesh: TriangleMesh, camera: Camera, places: Float64[Array, "n 3"], shown: Bool[Array, " n"]
 ) -> Int64[Array, " k"]:
-    """The shown vertices that the mesh hides from the camera."""
+    """Indices of the `shown` vertices that the mesh hides from the camera."""
     index = np.flatnonzero(shown)
     if not len(index):
         return index

@@ -1,7 +1,7 @@
 """Photographic colours that fade to grey where the skin was not measured.
 
-More than some millimetres from measured skin the surface is closed by silhouettes alone, but with photographs on it,
-it would look like skin: in pictures, in the 3D view and in exported models.
+More than some millimetres from measured skin, the surface is closed by silhouettes alone. With photographs on it, it
+would look like skin in pictures, in the 3D view and in exported models.
 """
 
 from __future__ import annotations
