@@ -33,12 +33,12 @@ from mammometry.matching.support import (
     reciprocal_depth,
 )
 
-# Without another source: chosen on the simulated captures of docs/decisions/0028.
+# Unless another source is stated, chosen on the simulated captures of docs/decisions/0028.
 _SPAN_PX = 270  # approximate longer side of the reduced photographs: a trunk is 100 pixels wide
 _NEAREST, _FARTHEST = 0.6, 4.0  # range of depths searched, relative to the working volume's centre
 _NEAR, _FAR = 1.25, 1.4  # largest relative depth in the volume, and smallest behind it; in between is unknown
 _AGREEMENT_PX = 1.0  # largest difference between both directions, reduced pixels
-_AROUND_PX, _TEXTURE = 9, 4.0  # neighbourhood, and its variance over noise: a black room has 1 to 4, skin 7 to 60
+_AROUND_PX, _TEXTURE = 9, 4.0  # neighbourhood; least variance over noise: a black room has 1 to 4, skin 7 to 60
 _SMALLEST_FAR = 0.015  # smallest far part, as a share of the image: smaller ones near the border may match by chance
 _POINTS = 1500  # points of a pair that are compared with the silhouettes
 _LEAST_COMMON = 0.25  # share of the width that both images show at the nearest depth, if no target was seen
@@ -69,7 +69,7 @@ class CoarseDepths:
 def coarse_depths(rig: Rig, pair_name: str, photographs: tuple[Photograph, Photograph]) -> CoarseDepths | None:
     """Match a pair coarsely.
 
-    None if the photographs do not have their cameras' sizes or cannot be rectified: matching then gives the error.
+    None if the photographs do not have their cameras' sizes or cannot be rectified. Matching then raises the error.
 
     Args:
         rig: the calibrated cameras.
@@ -152,7 +152,7 @@ class SortedDepths:
 
     depths: CoarseDepths
     sides: tuple[tuple[Bool[Array, "h w"], Bool[Array, "h w"]], tuple[Bool[Array, "h w"], Bool[Array, "h w"]]]
-    """Near and far pixels of both rectified images. A support is far."""
+    """Near and far pixels of both rectified images. A support counts as far."""
     supported: bool
     """Whether the subject is on a board or table."""
 
@@ -282,7 +282,8 @@ def _depths(
 def _textured(image: Float32[Array, "h w"]) -> Bool[Array, "h w"]:
     """Mask of the pixels in areas that vary by more than their noise.
 
-    An area's neighbourhood varies too, because its border does. It is removed: nothing is there on a dark background.
+    Around a textured area the neighbourhoods also vary, because they include its border. They are removed, because a
+    dark background shows nothing there.
     """
     mean, square, noise = (
         ndimage.uniform_filter(values, _AROUND_PX)

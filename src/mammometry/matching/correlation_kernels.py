@@ -173,7 +173,7 @@ def slope_ratio(
     there_mask: Bool[Array, "h w"],
     shift: Float32[Array, "h w"],
 ) -> float:
-    """RMS ratio of the slopes of the other image and this one, on every second row. Arguments are splines."""
+    """RMS ratio of the slopes of the other image and this one, on every second row, from their splines."""
     height, width = shift.shape
     power_there, power_here = 0.0, 1e-30
     for i in range(0, height, _RATIO_ROWS):

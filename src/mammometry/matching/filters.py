@@ -194,8 +194,9 @@ def pull(
 def from_blocks(means: Float32[Array, "h w"], height: int, width: int, steepest: float) -> Float32[Array, "H W"]:
     """Field at the pixels from means of 2 × 2 blocks, exact for quadratics.
 
-    A pixel is a quarter of a block from its block's centre: mean ± slope/4, since curvature adds the same there as to
-    the mean. If that is more than `steepest` the mean is used, so that nothing is stretched across a jump.
+    A pixel is a quarter of a block from its block's centre, so its value is the mean ± slope/4: curvature adds the same
+    there as to the mean. If it differs from the mean by more than `steepest`, the mean is used, so that nothing is
+    stretched across a jump.
     """
     rows, columns = means.shape
     out = np.empty((height, width), dtype=np.float32)

@@ -107,7 +107,7 @@ _FEWEST_MATCHES = 100  # fewest matches for a noise estimate
 _SOUND_CORRELATION = 0.5  # smallest correlation of a match used for the noise estimate
 _MOST_DOUBT = 4.0  # largest factor on a match's variance: twice its standard deviation (docs/decisions/0015)
 _LONG_WAVES = 4.0  # in window σ: slower shading is not texture
-_LOWEST_NOISE = 1e-4  # of luma 0…1: a tenth of an 8-bit step's rounding
+_LOWEST_NOISE = 1e-4  # least SD of luma, 0…1: a tenth of an 8-bit step's rounding
 
 
 def unexplained(level: Level, matches: MatchEstimate, sigma_px: float) -> Float32[Array, "h w"]:
@@ -132,8 +132,9 @@ def unexplained(level: Level, matches: MatchEstimate, sigma_px: float) -> Float3
 def weak_texture(level: Level, matches: MatchEstimate, sigma_px: float, limit_px: float) -> Bool[Array, "h w"]:
     """Subject pixels whose texture is too weak for a match with a standard deviation below `limit_px`.
 
-    Also those whose texture is only noise. A window's shift has the variance noise² Σw² / Σw·slope² (Cramér and Rao).
-    The noise of both images together is the median, over the matches, of the residual; the slope is that of the image.
+    Pixels whose texture is only noise are included. A window's shift has the variance noise² Σw² / Σw·slope² (Cramér
+    and Rao). The noise of both images together is the median, over the matches, of the residual; the slope is that of
+    the image.
 
     Args:
         level: the finest matched level.

@@ -45,7 +45,7 @@ def _half_band_taps() -> Float32[Array, " 14"]:
 HALF_BAND = _half_band_taps()
 """Filter of the finest step: keeps frequencies below a quarter cycle per pixel (plain smoothing loses precision)."""
 BINOMIAL = np.array([1, 5, 10, 10, 5, 1], dtype=np.float32) / 32
-"""For the coarser steps: smoother, without ringing."""
+"""Filter of the coarser steps: smoother, without ringing."""
 
 
 def decimation(level: int) -> Float32[Array, " taps"]:

@@ -1,4 +1,4 @@
-"""Quality of a disparity map and of the calibration, without a truth: figures and warnings."""
+"""Quality of a disparity map and of the calibration, without ground truth: figures and warnings."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ _CERTAIN_SIGMAS = 3.0  # significance of the smooth part: single pixels scatter 
 _BLOCKS = 6  # blocks along each side of the map, whose medians show the smooth part
 _LEAST_PIXELS = 20  # fewest matched pixels of a block for a median
 _SMOOTH_TERMS = 6  # 1, x, y, x², xy, y²: effect of turned cameras and other lenses on rows
-_MUCH_WEAK_PERCENT = 10.0  # of the surface, from which there is a warning; no volume depends on it
+_MUCH_WEAK_PERCENT = 10.0  # least share of the surface with weak texture for a warning; no volume depends on it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,7 +25,7 @@ class MatchQuality:
     """Figures of one pair."""
 
     size_wh: tuple[int, int]
-    """Of the map, pixels."""
+    """Size of the map, pixels."""
     matched_pixels: int
     weak_percent: float
     """Share of matched and weak pixels with texture too weak to match, %."""
@@ -49,7 +49,7 @@ class MatchQuality:
 
 
 def assess(found: DisparityMap) -> MatchQuality:
-    """Quality of a disparity map, without a truth."""
+    """Quality of a disparity map, without ground truth."""
     matched, weak = int(found.valid.sum()), int((found.weak & ~found.valid).sum())
     d_v = found.pair_px * found.d_v_px[found.valid].astype(np.float64)
     low, median, high = np.percentile(d_v, (16, 50, 84)) if matched else (0.0, 0.0, 0.0)
@@ -93,9 +93,9 @@ def concerns(pair: str, quality: MatchQuality, missing: Sequence[str] = ()) -> I
     """Notices that a user must read before trusting the pair.
 
     Args:
-        pair: its name.
+        pair: name of the pair.
         quality: its figures.
-        missing: its cameras without an outline. The background may then be what does not fit.
+        missing: cameras of the pair without an outline. The misfit may then be due to the background.
     """
     if quality.calibration_alarm:
         code = "pair-disagrees" if missing else "pair-moved"

@@ -18,12 +18,12 @@ from mammometry.matching.foreground.foreground import Foreground
 
 MARGIN_PX = 16
 """Pixels kept around the subject's silhouette in both rectified images, for windows and filters."""
-_LEAST_AXES_COSINE = 0.17  # cosine between the optical axes, 80°: at larger angles two cameras hardly see the same skin
+_LEAST_AXES_COSINE = 0.17  # least cosine between the optical axes, 80°: at larger angles they hardly see the same skin
 _ROUND_TRIP_PX = 0.1  # largest error through the lens model and back; more means that the model folds back there
 _LEAST_COSINE = 0.2  # cosine between a ray and the common axis: nothing can be resampled beyond 78°
-_LEAST_SQUARE_SHARE = 0.5  # of the mean axis, across the baseline: with less, one camera is in the other's view
-_WIDEST_TANGENT = 2.0  # a field of view of 127°: wider lenses are fisheyes, which this lens model does not describe
-_LARGEST_GROWTH = 4.0  # largest size of a rectified image in photographs: more means a useless geometry
+_LEAST_SQUARE_SHARE = 0.5  # least share of the mean axis across the baseline: else one camera sees the other
+_WIDEST_TANGENT = 2.0  # widest field of view, 127°: wider lenses are fisheyes, which this lens model does not describe
+_LARGEST_GROWTH = 4.0  # largest area of a rectified image, in photographs: a larger one means a useless geometry
 _SMALLEST_SIDE_PX = 8  # smallest side of the common region without margins: one window
 _SPLINE_REACH_PX = 10  # the influence of farther pixels on a cubic spline coefficient is below 2e-6
 _BAND_ROWS = 256  # rows resampled at a time, to limit memory
@@ -33,7 +33,7 @@ _SPLINE_POLE = np.sqrt(3) - 2
 SPLINE_TAPS = (np.sqrt(3) * _SPLINE_POLE ** np.abs(np.arange(-_SPLINE_REACH_PX, _SPLINE_REACH_PX + 1))).astype(
     np.float32
 )
-_SAFE_SHARE = 0.99  # share of the lens's field that is used: the radius grows by less between grid points
+_SAFE_SHARE = 0.99  # share of the lens's field that is used; the radius grows by less than the rest between grid points
 _MAP_STEP_PX = 8  # the resampling map is smooth: exact on this grid, cubic in between
 
 

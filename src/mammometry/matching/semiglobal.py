@@ -99,8 +99,7 @@ def aggregate(
     last, nothing, never = count + 1, np.uint16(0), np.uint16(30_000)
     for backward in range(2):
         # Paths from the row above (left, middle, right) and from the pixel before. A path's first pixel has no
-        # predecessor:
-        # zeros between two shifts that are never chosen.
+        # predecessor: it starts from zeros between two shifts that are never chosen.
         above = np.full((3, width + 2, count + 2), never)
         above[:, :, 1:last] = nothing
         current = above.copy()
@@ -138,8 +137,8 @@ def cheapest(
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
     """Shift of lowest cost for either image.
 
-    For the other image along the diagonals of the same volume. Sub-pixel by a parabola for this image. Without NaN:
-    where all costs are equal the shift is that of the range's centre.
+    For this image it is refined by a parabola. For the other image it is found along the diagonals of the same volume.
+    There is no NaN: where all costs are equal, the shift is that of the range's centre.
     """
     height, width, count = total.shape
     middle = np.float32(lowest + count // 2)
@@ -190,8 +189,8 @@ def start(
     """Initial shifts of both directions, by semi-global matching.
 
     Right − left for the left image and left − right for the right one, pixels of this level. The search covers ±
-    `range_share` of the subject's width around the shift between the two centroids. `noise` is its variance around each
-    pixel of either image.
+    `range_share` of the subject's width around the shift between the two centroids. `noise` is the noise's variance
+    around each pixel of either image.
     """
     columns = [np.nonzero(level.mask.any(axis=0))[0] for level in (left, right)]
     width = max(int(c[-1] - c[0] + 1) for c in columns)
@@ -237,7 +236,7 @@ def _unit_neighbourhoods(level: Level, noise: Float32[Array, "h w"]) -> Float32[
     """
     near, near_power = _neighbourhood(level.image, level.mask, 1)
     far, far_power = _neighbourhood(blur(level.image, gaussian_taps(_FAR_PX / 2)), level.mask, _FAR_PX)
-    power = blur(near_power, gaussian_taps(_POWER_PX)) / 8  # nine values with their mean subtracted
+    power = blur(near_power, gaussian_taps(_POWER_PX)) / 8  # nine values minus their mean: eight degrees of freedom
     share = np.clip(1 - _GRAIN * noise / np.maximum(power, 1e-12), 0, 1)
     near *= np.sqrt(share / (near_power + 9 * _FLAT**2))[..., None]
     far *= np.sqrt((1 - share) / (far_power + 9 * _FLAT**2))[..., None]

@@ -2,7 +2,8 @@
 
 Every pair sees it, and it is not the subject. If half of what is near is in a plane and the rest in front of it, the
 plane is a support: a body curves away behind the plane that fits it best. All pairs are used together first: a plane
-that one of them sees clearly is the support of all, also of those that see little of it or at a grazing angle.
+that one of them sees clearly is the support in all, including those that see little of it, or see it at a grazing
+angle.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ LEAST_SHARE = 0.02
 LEAST_STANDING = 0.004
 """Smallest share of the image of an object on a wide table."""
 
-# Without another source: chosen on the simulated captures of docs/decisions/0028.
-_FLATNESS = 0.012  # relative depth difference of an inlier: a pixel of disparity, a tenth of a cast's height
-_STANDING = 1.5  # times that: certainly in front of it
-_BOARD, _ON_BOARD, _BELOW = 0.5, 0.03, 0.4  # shares of what is near: on a board, in front, behind (of those in front)
-_TABLE = 0.8  # share of what is near: a wide table
+# Unless another source is stated, chosen on the simulated captures of docs/decisions/0028.
+_FLATNESS = 0.012  # largest relative depth difference of an inlier: a pixel of disparity, a tenth of a cast's height
+_STANDING = 1.5  # factor on it beyond which a point is certainly in front of the plane
+_BOARD, _ON_BOARD, _BELOW = 0.5, 0.03, 0.4  # shares of near pixels: least on a board, in front; most behind (of those in front)
+_TABLE = 0.8  # least share of near pixels on a wide table
 _SOME, _TRIALS, _LEAST_AREA, _DRAWN = 1500, 150, 0.02, 28  # points and planes tested, their share of the image, seed
 _FITS = 3  # refits by least squares to the plane's inliers
 
@@ -52,7 +53,7 @@ class _Split:
     standing: int
     behind: int
     standing_share: float
-    """Share of the image, without specks."""
+    """Share of the image, without small spots."""
     behind_share: float
 
 
@@ -111,7 +112,7 @@ def parted(
 
 
 def cleaned(mask: Bool[Array, "h w"], least_share: float) -> Bool[Array, "h w"]:
-    """Remove thin parts and specks, and close gaps in the largest part."""
+    """Close small gaps, and remove thin parts and small ones."""
     opened = ndimage.binary_opening(ndimage.binary_closing(mask), iterations=2)
     labels, count = ndimage.label(opened)
     if count == 0:
@@ -155,7 +156,7 @@ def _best_plane(view: NearDepths) -> Float64[Array, 4] | None:
 
 
 def _split(view: NearDepths, plane_world: Float64[Array, 4]) -> _Split:
-    """Parts of what a pair sees nearby. Only pixels with a reliable depth are in front of the plane or behind it."""
+    """Split what a pair sees nearby at a plane. In front and behind, only reliable depths count."""
     rows, columns = np.indices(view.depth_mm.shape)
     a, b, c = reciprocal_depth(plane_world, view.camera)
     known = view.near & np.isfinite(view.depth_mm)
@@ -174,8 +175,8 @@ def _split(view: NearDepths, plane_world: Float64[Array, 4]) -> _Split:
 def _is_support(splits: Sequence[_Split]) -> bool:
     """Whether the subject is on a plane, by what pairs see of both.
 
-    Half of what is near is in the plane and the rest in front of it. On a table, which may be nearly all of what is
-    near, the subject may be small.
+    At least half of the near pixels are in the plane, and most others in front of it. On a table, which may be nearly
+    everything that is near, the subject may be small.
     """
     lying, standing, behind = (
         float(sum(getattr(one, part) for one in splits)) for part in ("lying", "standing", "behind")

@@ -9,7 +9,7 @@ from mammometry.matching.dense.least_squares_step import DOUBTED_DEVIATION_PX, B
 from mammometry.matching.foreground.block_segmentation import large_parts
 from mammometry.matching.pyramid import Level, finer_mask
 
-_REACH_PX = 8  # margin around the matches of the coarsest level, its pixels: one window
+_REACH_PX = 8  # margin around the matches of the coarsest level, in its pixels: one window
 _SMALLEST_PART = 0.05  # smallest part, as a share of the largest matched one; the rest is clutter
 _MOSTLY = 0.6  # matched share of the masks above which nothing is cropped: it is a subject, not a scene
 

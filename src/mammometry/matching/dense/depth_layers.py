@@ -11,7 +11,7 @@ from mammometry.base.machine.compiled import fast_kernel, kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Int64
 from mammometry.matching.correlation_kernels import shift_of_sums
 
-_JUMP_PX = 1.5  # within 3 × 3 pixels; skin that steep is never matched; from prototypes on rendered captures
+_JUMP_PX = 1.5  # jump within 3 × 3 pixels; skin that steep is never matched; from prototypes on rendered captures
 _FEWEST_CONNECTED = 10  # pixels; smaller jumps are noise
 _SAME_LAYER_PX = np.float32(1.0)  # largest deviation of a neighbour on the same layer from the pixel's tangent
 _SAME_LAYER_SLOPE = np.float32(0.12)  # … plus this per pixel of distance

@@ -34,9 +34,9 @@ from mammometry.matching.semiglobal import span_px
 from mammometry.matching.settings import MatchSettings
 
 FINEST_SPAN_PX = 800.0
-"""Subject size (root of its area, pixels) above which a level is not matched from both images: at full resolution
-optics leave little detail. One level coarser, only left matches are computed and checked by coarser right ones. So
-semi-global matching starts at half of this size at most; at a quarter, folds and arms would be matched as one
+"""Subject size (square root of its area, pixels) above which a level is not matched from both images: at full
+resolution optics leave little detail. One level coarser, only left matches are computed and checked by coarser right
+ones. So semi-global matching starts at half of this size at most; at a quarter, folds and arms would be matched as one
 surface."""
 
 _FIRST_STEPS, _FURTHER_STEPS, _LAST_STEPS = 5, 4, 2
@@ -46,7 +46,7 @@ An error remaining on a coarse level has twice as many pixels on the next. Once 
 remains (docs/decisions/0015).
 """
 _SMALLEST_SPAN_PX = 24  # about three windows
-_CALM_SPAN_PX = 230  # larger subjects start one level coarser, because of the finest level's noise (docs\
+_CALM_SPAN_PX = 230  # larger subjects start one level coarser, because of the finest level's noise
 _SOFT_SPAN_PX = 150  # smallest size of a blurred subject on its finest level: windows cover too much of smaller ones
 _FINEST_LEVEL = 1  # of a large subject: optics leave little detail at full resolution
 
@@ -126,10 +126,10 @@ AGREEMENT_PX = 1.0  # largest difference between the directions for a match to b
 _START_DEVIATION_PX = 0.5  # standard deviation of the semi-global start, pixels of its level
 _YIELDS_AT = 4.0  # ratio to the coarser match's standard deviation above which a finer match is replaced by it
 _COARSE_SMOOTHING_PX = 2.5  # σ of the plane fits between the steps: that of a window
-LAST_SMOOTHING_PX = 4.5  # … on the last level; 3.5 px was worse on the torso by a twentieth (docs/decisions/0015)
+LAST_SMOOTHING_PX = 4.5  # … on the last level; 3.5 px was 5 % worse on the torso (docs/decisions/0015)
 _DETAIL_FACTOR = 2.75
-"""Ratio to the noise variance of its difference from the next coarser one, above which a finer final smoothing is used.
-3, 4 and 6 gave worse results (docs/decisions/0015)."""
+"""A finer final smoothing is used where the square of its difference from the next coarser one exceeds the noise
+variance by this factor. 3, 4 and 6 gave worse results (docs/decisions/0015)."""
 
 _T = TypeVar("_T")
 

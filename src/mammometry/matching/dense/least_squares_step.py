@@ -17,7 +17,7 @@ from mammometry.matching.dense.depth_layers import beside_jump, layered_least_sq
 from mammometry.matching.filters import blur, gaussian_taps
 from mammometry.matching.pyramid import Level
 
-_DOUBTED_WEIGHT = np.float32(0.02)  # of a failed match: it only fills gaps
+_DOUBTED_WEIGHT = np.float32(0.02)  # relative weight of a failed match, which only fills gaps
 _LEAST_VARIANCE_PX2 = np.float32(0.01**2)  # lower limit, so that no single match dominates
 LARGEST_STEP_PX = 1.0  # the linear model of a window is not valid for larger steps
 LARGEST_VARIANCE_PX2 = np.float32(LARGEST_STEP_PX**2)
@@ -112,12 +112,12 @@ LEAST_CORRELATION = 0.3
 """Correlation below which a match is rejected (c of Eq. 1). It shows the amount of noise, not the match's error:
 accepted matches must also agree in both directions and be certain enough."""
 LEAST_MASS = 0.3  # smallest part of the window inside both subjects
-FLAT_DEVIATION = 0.002  # luma (0…1) in a window, half a step of 8 bit: below it, too flat to match
+FLAT_DEVIATION = 0.002  # least SD of luma (0…1) in a window that can be matched: half a step of 8 bit
 _BAND_ROWS = 192  # bounds memory: a full-size torso under a gigabyte (docs/decisions/0020)
 _WIDER = 2.0  # width of the wide window, for weak texture and dark folds (docs/decisions/0015)
 _WIDE_YIELDS_AT = 3.0  # ratio to the wide window's standard deviation above which the ordinary match is replaced
 DOUBTED_DEVIATION_PX = 0.3  # expected deviation above which the wide window is used too (docs/decisions/0015)
-_HIGH_PASS = 2.0  # in window σ; σ of 3, 5 and 10 px were compared (docs/decisions/0015, Whitening)
+_HIGH_PASS = 2.0  # σ of the high-pass in window σ; 3, 5 and 10 px were compared (docs/decisions/0015, Whitening)
 
 _T = TypeVar("_T")
 Both: TypeAlias = tuple[_T, _T]

@@ -70,11 +70,11 @@ ERODE_PX = 2
 LARGEST_SIGMA_PX = 1.0
 """Standard deviation of one window's match above which it is rejected, pixels of the finest level. Half of it where
 noise does not explain the residual after gain and offset."""
-_SIGMA_SCALE = 1.8  # expected σ over the smoothing's; from captures of two renderers (error / σ in docs/decisions/0015)
+_SIGMA_SCALE = 1.8  # expected σ relative to the smoothing's; from two renderers (error / σ in docs/decisions/0015)
 _SIGMA_SLOPE = 1.0  # … plus this times slope²
 _DOUBT_SLOPE = 4.0  # factor 1 + 4·slope² on the deviation of a window on steep skin
 _LAST_STEP_PX = LARGEST_STEP_PX / 2  # a match that still moves by more has not converged
-_D_H_STEP_PX = 2.0**-8  # step of the stored values: its rounding has a σ of 0.0011 px, matching at least 0.019 (docs\
+_D_H_STEP_PX = 2.0**-8  # step of the stored values: its rounding has a σ of 0.0011 px, matching at least 0.019
 _D_V_STEP_PX = 2.0**-10  # finer, since its medians are used to detect motion
 _CONFIDENCE_STEP = 2.0**-7  # shown with two decimals
 _ISLAND_WINDOWS = 4  # in areas of a Gaussian window, 4πσ²: smaller islands are rejected (docs/decisions/0015)
@@ -419,7 +419,7 @@ def _accept(name: str, found: Finest, settings: MatchSettings, pool: Executor) -
     too_weak = pool.submit(weak_texture, found.image, matches, window, LARGEST_SIGMA_PX)
     met = requirements(found, settings)
     steep = squared_slope(shift)
-    weak = too_weak.result()  # before the correlation changes
+    weak = too_weak.result()  # before the correlation is clipped in place
     valid = np.logical_and.reduce(list(met.values()))
     # Random agreement gives small islands, usually outside an outline, which are too small to be confirmed.
     valid = without_specks(valid, round(_ISLAND_WINDOWS * 4 * np.pi * window**2))

@@ -44,10 +44,9 @@ def plane_fit(
         square[k] = along[k] * np.float32(k - radius)
         spread += square[k]
     damping = _DAMPING * spread
-    # The window is symmetric: neighbours at equal distances are added or subtracted first. Vertical sums: weight × (1,
-    # y,
-    # y²), weighted value × (1, y), weighted square; then ten horizontal ones. They are computed in tiles of columns,
-    # whose sums stay in the L1 cache; tiles without weight are skipped.
+    # The window is symmetric: neighbours at equal distances are added or subtracted first. Vertical sums come first:
+    # weight × (1, y, y²), weighted value × (1, y), weighted square. Ten horizontal sums follow. They are computed in
+    # tiles of columns, whose sums stay in the L1 cache; tiles without weight are skipped.
     columns = np.zeros((6, _TILE_COLUMNS + 2 * radius), dtype=np.float32)
     sums = np.zeros((10, _TILE_COLUMNS), dtype=np.float32)
     nothing = np.zeros(_TILE_COLUMNS + 2 * radius, dtype=np.float32)  # for rows outside the image

@@ -42,8 +42,8 @@ from mammometry.matching.pyramid import Level, finer_shift
 
 _HARMLESS_PX = 0.1  # pixels of a level; vertical errors of this size do not change d_h (docs/decisions/0011)
 _STEEPEST = 0.25  # change of the shift per pixel; on steeper skin smoothing errors look vertical (docs/decisions/0011)
-_FEWEST_PIXELS = 400  # 30 for each of 13 unknowns
-_ENOUGH_PIXELS = 20_000  # 1,500 for each of 13 unknowns; limits time
+_FEWEST_PIXELS = 400  # fewest pixels: 30 for each of 13 unknowns
+_ENOUGH_PIXELS = 20_000  # number of pixels used: 1,500 for each of 13 unknowns; limits time
 _BAND_ROWS = 128  # limits memory
 _CALM_PX = 1.0  # Gaussian σ over which images and slopes are averaged first
 _LARGEST_SLOPE_RESIDUAL = 3.0  # in median residuals: pixels beyond it are not used
@@ -174,8 +174,7 @@ def refine(
 
     Linear least squares of left ≈ gain·right + vertical slope·δ(x, y) + horizontal slope·ε(x, y) over trusted pixels on
     a grid, δ and ε quadratic: ε separates errors of the horizontal shift from the vertical one. Coefficients have the
-        prior
-    0 ± half a pixel: a narrow strip of skin would not determine the quadratic outside it.
+    prior 0 ± half a pixel, because a narrow strip of skin does not determine the quadratic outside it.
     """
     height, width = shift.shape
     every = max(1, int(np.sqrt(np.count_nonzero(trusted) / _ENOUGH_PIXELS)))
@@ -219,7 +218,7 @@ class FreeVertical:
     """The vertical disparity v_left − v_right at each pixel of the right image, on the last solved level."""
 
     refinements: ClassVar[int] = 100
-    """All steps of a level: two unknowns in each."""
+    """All steps of a level: each solves both unknowns."""
     d_v_px: Float32[Array, "h w"]
     """Pixels of the level, on the left image's rows."""
     level: int

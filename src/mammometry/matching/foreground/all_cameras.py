@@ -2,7 +2,7 @@
 
 Coarse depths of all pairs show where the subject is, what is near in each photograph, and what the subject is on.
 `segment` and `seeded` find it in each. Then the photographs are compared, since all show the same subject. A silhouette
-that contradicts the others is not used: everything that its pair sees is matched, and it does not carve.
+that contradicts the others is not used: everything that its pair sees is matched, and it carves nothing.
 
 A silhouette is rejected only if another explanation of all views is better (`check_masks`):
 
@@ -134,7 +134,7 @@ def _partners(rig: Rig, names: set[str]) -> set[str]:
 
 # Chosen on the captures of benchmarks.accuracy.foreground; correct silhouettes are above 0.9 in all three.
 _WITHIN = 0.4  # smallest share of the subject's points in the image that a silhouette must contain
-_FEWEST = 150  # fewest of them for a decision
+_FEWEST = 150  # fewest of these points for a decision
 _FILLED = 0.5  # smallest share of a silhouette that the hull must fill
 _GRID = 48  # grid points of the hull along each side
 _MOST = 0.5  # share of a cell above which it belongs to the silhouette
@@ -223,8 +223,8 @@ def _contradicted(
 ) -> dict[str, str]:
     """Silhouettes that do not contain what the others agree on, the worst first.
 
-    The partner in a pair is not counted: both are usually wrong for the same reason. If the others agree on nothing,
-    everything nearby counts.
+    A camera's partner in a pair is not counted: both are usually wrong for the same reason. If the others agree on
+    nothing, everything nearby counts.
     """
     looked = _looked_up(rig, masks, steps, seen)
     doubts: dict[str, str] = {}
@@ -268,7 +268,7 @@ def _incomplete(
     judged = seeing > 0
     if np.count_nonzero(judged) < _FEWEST:
         return {}
-    within = (2 * holding >= seeing)[judged].mean()  # in most of them: a rail may hide the subject from some
+    within = (2 * holding >= seeing)[judged].mean()  # in most silhouettes: a rail may hide the subject from some
     if within >= _WITHIN:
         return {}
     return dict.fromkeys(

@@ -15,21 +15,21 @@ BACKGROUND_MARGIN = 1.15
 """Factor by which a subject pixel's red (sRGB-encoded) exceeds the brightest background. Pixels of the subject's colour
 also count if colour separates the two."""
 
-# Without another source: chosen on the captures of docs/decisions/0020.
+# Unless another source is stated, chosen on the captures of docs/decisions/0020.
 _RED = 0  # channel in which skin and plaster are palest
-_SMALLEST_PART = 0.002  # smallest part, relative to the largest one's area: smaller ones are specks
+_SMALLEST_PART = 0.002  # smallest part, relative to the largest one's area: smaller ones are random
 _GROWTH_ROUNDS = 4  # most rounds; two are usual
 _FEWEST = 0.002  # smallest share of the image for a core or a background
 _LEAST_CONTRAST = 1.5  # smallest ratio of the core's red to the rest's
-_TWO_THINGS, _TWO_CLASSES = 1.8, 0.83  # ratio of means, share of variance between; one subject: at most 1.4, 0.76
+_TWO_THINGS, _TWO_CLASSES = 1.8, 0.83  # least ratio of means, share of variance between; one subject: at most 1.4, 0.76
 _BINS, _BIN_SPREAD = 96, 1.2  # bins of chromaticity along red and green, and σ of the histogram's blur in bins
 CHROMATICITY = ((0.15, 0.65), (0.15, 0.55))  # range of red's and green's share of all light, encoded, in skin and rooms
-_RARE = 0.01  # relative to the commonest colour's frequency: rarer colours are not the subject's
+_RARE = 0.01  # least frequency relative to the commonest colour's: rarer colours are not the subject's
 _ALIKE, _UNLIKE = 0.6, 0.35  # smallest share of the core, and largest of the background, with the subject's colour
-DARKEST = 0.25  # relative to the subject's median light (red + green + blue, encoded): darker colours are noise
+DARKEST = 0.25  # least light relative to the subject's median (red + green + blue, encoded): darker colours are noise
 _THIN_PX = 1.6  # half the width of parts that are removed, pixels of the reference size
-_INLAY, _SET_IN = 0.05, 0.4  # largest area of an inlay in the subject's, smallest share of its border on it
-_LARGE_HOLE = 0.004  # relative to the subject's area: smaller holes are always filled
+_INLAY, _SET_IN = 0.05, 0.4  # largest inlay relative to the subject, and smallest share of its border on the subject
+_LARGE_HOLE = 0.004  # smallest large hole, relative to the subject's area: smaller ones are always filled
 _LIKE_BACKDROP = 0.15  # relative difference in red below which a large hole shows the background
 
 
@@ -81,7 +81,7 @@ def segment(encoded: Float32[Array, "h w channels"], unit: float) -> Bool[Array,
 def _coloured_like(
     light: Float32[Array, "h w channels"], core: Bool[Array, "h w"], unit: float
 ) -> Bool[Array, "h w"] | None:
-    """Blocks whose chromaticity is commoner in the core than around it. None if colour does not separate them."""
+    """Blocks whose chromaticity is commoner in the core than around it. None if colour is no help."""
     away = ~_widened(core, 8 * unit)
     if light.shape[2] == 1 or away.mean() < _FEWEST:
         return None
@@ -109,9 +109,8 @@ def _coloured_like(
 def _with_inlays(core: Bool[Array, "h w"], bright: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
     """The core with small bright inlays of another colour, such as an areola on the outline.
 
-    An inlay inside the core would be filled as a hole. One that is cut by the outline has the core on part of its
-    border only, and as background it would carve the breast away. Objects next to the subject share less of their
-    border.
+    An inlay inside the core would be filled as a hole. An inlay on the outline borders on the core only in part. If it
+    counted as background, it would carve the breast away. Objects next to the subject share less of their border.
     """
     labels, _ = ndimage.label(bright & ~core)
     sizes = np.bincount(labels.ravel())

@@ -26,10 +26,10 @@ from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.nearest import point_tree
 from mammometry.matching.foreground.foreground import Foreground
 
-_TANGENT_STEP = 4  # contour points (about 1 px) on either side
+_TANGENT_STEP = 4  # contour points (about 1 px each) on either side
 _CONTOUR_POINTS = 700  # fewest points, if there are as many; limits time
-_FRAME_BORDER_PX = 2.0  # closer to the frame a profile is incomplete
-_SHARPNESS = 0.3  # of the usual edge's steepness; softer ones are borders of shadows (docs/decisions/0017)
+_FRAME_BORDER_PX = 2.0  # distance from the frame within which a profile is incomplete
+_SHARPNESS = 0.3  # least steepness relative to the usual edge's: softer ones border shadows (docs/decisions/0017)
 _ALONG = 2.0  # Gaussian σ over which profiles are averaged, contour points
 # Search grids, in units of the blur of the contour's usual profile, which shading makes wider than the photograph's.
 # Positions between grid points are found by a parabola.
@@ -38,7 +38,7 @@ _PLACES = np.arange(-2.0, 2.01, 0.05)
 _BLURS = np.arange(0.5, 1.26, 0.05)
 _DEPTHS = (1.0, 2.0, 4.0)  # depths of the shading, in σ
 _DARKEST = 0.2  # smallest a: a darker border is not an edge; 0.65 to 0.95 occur (docs/decisions/0017)
-_FOR_THE_BLUR = 150  # profiles are enough for the common parameters; limits time
+_FOR_THE_BLUR = 150  # number of profiles for the common parameters; limits time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,7 +53,7 @@ class Contour:
     """Unit vectors across the contour, into the subject."""
 
     def chosen(self, keep: Bool[Array, " n"]) -> Contour:
-        """Some of its points."""
+        """Contour with some of the points."""
         return Contour(uv=self.uv[keep], tangent=self.tangent[keep], inward=self.inward[keep])
 
 

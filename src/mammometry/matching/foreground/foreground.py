@@ -19,11 +19,11 @@ from mammometry.matching.foreground.seeded_segmentation import DepthSeeds, agree
 from mammometry.matching.foreground.silhouette import block_means, sub_pixel_coverage
 
 CONTOUR_LEVEL = 0.4
-"""Coverage at the silhouette, 0…1. The border is turned away from the light and darker than the skin next to it: 0.5
-was 0.1 to 0.3 px inside the true one in eight views of three subjects, 0.4 within 0.1 px."""
+"""Coverage at the silhouette, 0…1. The border is turned away from the light and darker than the skin next to it: in
+eight views of three subjects, 0.5 was 0.1 to 0.3 px inside the true border, and 0.4 within 0.1 px of it."""
 _REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images on which widths were measured, a quarter of the paper's size
 _BLOCK_PX = 2.0  # pixels per block at that size: shows a bar of 4 px, and takes about a second
-_EVEN = 0.02  # difference of encoded values (sRGB), 5 of 255, due to noise in the blocks of an empty image
+_EVEN = 0.02  # largest difference of encoded values (sRGB), 5 of 255, by noise in the blocks of an empty image
 _BLACK = 0.1  # encoded value (sRGB) that no block of a black photograph reaches: 1 % of the light
 _BLUR_OF_A_DRAWN_MASK_PX = 1.0  # Gaussian σ that makes a drawn mask's edge smooth
 
@@ -76,8 +76,8 @@ def subject_blocks(name: str, blocks: Blocks, seeds: Sequence[DepthSeeds]) -> Bo
     """Blocks that show the subject. None if nothing separates it from the rest.
 
     Args:
-        name: of the photograph, for messages.
-        blocks: its means.
+        name: name of the photograph, for messages.
+        blocks: means of the photograph.
         seeds: near and far blocks by coarse stereo, for each pair of the camera.
 
     Raises:
@@ -103,7 +103,7 @@ def estimate_foreground(
         photograph: the capture.
         camera_name: its camera.
         given: mask of the subject, drawn or segmented by another program; takes precedence.
-        subject: its blocks. None: the silhouette is unknown.
+        subject: blocks of the subject. None: the silhouette is unknown.
 
     Raises:
         ImageError: the given mask has another size than the photograph.

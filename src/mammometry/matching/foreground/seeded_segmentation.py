@@ -18,23 +18,23 @@ from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float32, Int32
 from mammometry.matching.foreground.block_segmentation import CHROMATICITY, DARKEST
 
-# Without another source: chosen on the simulated captures of docs/decisions/0028.
+# Unless another source is stated, chosen on the simulated captures of docs/decisions/0028.
 _FATTENED = 4.0  # reduced pixels by which coarse stereo may extend a depth across a border
 _SHARE_BINS, _LIGHT_BINS = 48, 24  # bins of red's and green's share of all light, and of light
 _SURE = 4.0  # ratio of a colour's frequencies on the two sides above which it belongs to one of them
 _SEEN = 1e-5  # frequency below which a colour is too rare for a decision
 _CLEAR_PX = 12.0  # pixels of the reference size: closer to near seeds, colour alone does not mark background
 _SPECK_PX = 3.0  # half the smallest width of an area that becomes a marker by colour
-_TELLING = 0.5  # share of near seeds with a distinct colour below which colour is not used
+_TELLING = 0.5  # least share of near seeds with a distinct colour; below it, colour is not used
 _PRUNINGS = 2  # rounds in which seeds of the other side's colour are removed
 SMALLEST_PART = 0.02  # relative to the largest part: smaller ones are random
-# Shares above which depth contradicts brightness: of the near seeds that it omits, of its subject that is far, and of
-# its subject that neither depth nor colour connects to the seeds.
+# Shares above which depth contradicts the subject found by brightness: of the near seeds that this omits, of it that is
+# far, and of it that neither depth nor colour connects to the seeds.
 _MISSED, _BEHIND, _BEYOND = 0.04, 0.02, 0.04
-_FAR_END = 0.04, 0.15  # of the bright subject: far parts in it, and what they would remove, if it is the end of an arm
-_LONG_END, _NECK = 0.3, 0.25  # of the bright subject, if connected to the rest by this share of its border
+_FAR_END = 0.04, 0.15  # largest shares of the bright subject for an arm's end: its far parts, and their loss
+_LONG_END, _NECK = 0.3, 0.25  # the same loss if at most this share of its border touches the rest
 _CUT_OFF = 0.9  # share of a separated part's blocks that have the subject's chromaticity
-_AROUND, _WITHIN = 1.5, 0.95  # near area over the bright subject's, share of it within: it is on a support
+_AROUND, _WITHIN = 1.5, 0.95  # near area over the bright subject's, and its share within: it is on a support
 
 
 @value(eq=False)
@@ -70,7 +70,7 @@ def agreed(
     step: int,
     unit: float,
 ) -> Bool[Array, "h w"] | None:
-    """The subject's blocks by brightness, or by depth if depth contradicts brightness.
+    """The subject's blocks by brightness, or by depth if the two contradict each other.
 
     Args:
         encoded: means over blocks of sRGB-encoded values, 0…1; one channel or three.
@@ -111,7 +111,7 @@ def agreed(
     around = (
         np.count_nonzero(found.subject) > _AROUND * size and np.count_nonzero(bright & found.subject) > _WITHIN * size
     )
-    if around:  # its support is as near: only brightness separates them
+    if around:  # the subject's support is as near as it: only brightness separates them
         return bright
     if other.any():
         found = segment_by_depth(encoded, near & ~other, far | other, unit) or found
@@ -119,7 +119,7 @@ def agreed(
 
 
 def _by_a_neck(bright: Bool[Array, "h w"], kept: Bool[Array, "h w"], far: Bool[Array, "h w"]) -> bool:
-    """Whether only a small part of the far part's border is connected to the rest, as of an arm.
+    """Whether only a small share of the far part's border is connected to the rest, as for an arm.
 
     An object behind the body borders on it everywhere.
     """
@@ -157,7 +157,7 @@ def _cut_off(
 def _unlike_the_rest(
     encoded: Float32[Array, "h w channels"], near: Bool[Array, "h w"], bright: Bool[Array, "h w"]
 ) -> Bool[Array, "h w"]:
-    """Near seeds of a chromaticity unlike the subject's, such as a rail in front of it, or trousers.
+    """Near seeds with a chromaticity unlike the subject's, such as a rail in front of it, or trousers.
 
     Brightness does not include them. Empty if brightness omits most seeds.
     """
@@ -203,7 +203,7 @@ def segment_by_depth(
         return None
     near = _closed(near, far)
     ratio = colours.ratio(near, ~near)
-    # The subject is elsewhere too, in other light: only another chromaticity makes it background.
+    # The subject also occurs elsewhere, in other light: only another chromaticity makes a block background.
     other = (ratio < 1 / _SURE) & (colours.ratio(near, ~near, by_light=False) < 1)
     distance = ndimage.distance_transform_edt(~near)
     backdrop = _from_outside(far | (_solid(other, unit) & (distance > _CLEAR_PX * unit)), far)
@@ -231,7 +231,7 @@ class _Colours:
     def ratio(
         self, here: Bool[Array, "h w"], there: Bool[Array, "h w"], *, by_light: bool = True
     ) -> Float32[Array, "h w"]:
-        """Ratio of each block's colour's frequency here to that there.
+        """Ratio of the frequency of each block's colour in `here` to that in `there`.
 
         Without `by_light`, by chromaticity alone if there is enough light; 1 where there is no chromaticity.
         """
@@ -279,7 +279,7 @@ def _solid(mask: Bool[Array, "h w"], unit: float) -> Bool[Array, "h w"]:
 
 
 def _closed(near: Bool[Array, "h w"], far: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
-    """Near seeds with the areas that they enclose, unless something far is seen there."""
+    """Near seeds with the areas that they enclose, unless they contain far seeds."""
     labels, count = ndimage.label(ndimage.binary_fill_holes(near) & ~near)
     through = np.bincount(labels[far], minlength=count + 1) > 0
     through[0] = True
@@ -288,7 +288,7 @@ def _closed(near: Bool[Array, "h w"], far: Bool[Array, "h w"]) -> Bool[Array, "h
 
 
 def _from_outside(backdrop: Bool[Array, "h w"], far: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
-    """Parts that reach the frame or contain far seeds. An areola does neither."""
+    """Parts of the backdrop that reach the frame or contain far seeds. An areola does neither."""
     labels, count = ndimage.label(backdrop)
     reaching = np.bincount(labels[far], minlength=count + 1) > 0
     for edge in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):

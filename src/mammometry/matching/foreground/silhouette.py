@@ -2,7 +2,7 @@
 
 Near the contour each pixel is compared with the background and the subject *next to it*, in linear light and along the
 colour direction in which these two differ. So a shaded flank or a bright patch of the background does not move the
-silhouette, and a flank darker than its background is found too. If the two do not differ, the blocks' outline is used.
+silhouette, and a flank darker than its background is also found. If the two do not differ, the blocks' outline is used.
 Only a narrow band of pixels is computed.
 """
 
@@ -32,7 +32,7 @@ def sub_pixel_coverage(
     unit: float,
     contour_level: float,
 ) -> Float32[Array, "h w"]:
-    """Share of each pixel that the subject covers, smooth near the contour, without specks and holes.
+    """Share of each pixel that the subject covers, smooth near the contour, without spots and holes.
 
     Args:
         pixels: sRGB-encoded, 8 or 16 bit.
@@ -54,7 +54,7 @@ def sub_pixel_coverage(
     dark = _beside(light, (-signed > guard) & (-signed < reach), step / unit)
     blocks, widths = (signed, bright, dark), (guard / 2, _FEATHER_PX * unit)
     share, zone = compare(pixels, linear, blocks, step, widths)
-    del pixels  # a copy: 40 MB for a full-size torso
+    del pixels  # freed early: 40 MB for a full-size torso
     share = blur(share, gaussian_taps(_CALM_PX * unit))
     share = finish(share, zone, signed, step, widths, contour_level)
     coverage = np.zeros(shape_hw, dtype=np.float32)
@@ -202,9 +202,9 @@ def finish(
 ) -> Float32[Array, "h w"]:
     """Coverage of the band around the contour.
 
-    It is computed from the comparison, blended to 0 and 1 at the band's borders; specks and holes are closed. A pixel
-    above the level belongs to the subject only if it is connected to the inside, and one below it to the background
-    only if it is connected to the outside.
+    It is computed from the comparison, blended to 0 and 1 at the band's borders; isolated spots and holes are removed.
+    A pixel above the level belongs to the subject only if it is connected to the inside, and one below it to the
+    background only if it is connected to the outside.
     """
     guard_px, feather_px = widths_px
     height, width = share.shape

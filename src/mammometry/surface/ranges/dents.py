@@ -265,7 +265,7 @@ def _patch_angles_rad(
 def _seen_through(
     index: int, images: Sequence[RangeImage], angles: Sequence[Float32[Array, "h w"]]
 ) -> tuple[Bool[Array, "h w"], dict[int, tuple[Int64[Array, " n"], Int64[Array, " n"]]]]:
-    """Elements of view `index` in front of a surface that another view saw at a better angle, and outvoted elements.
+    """Elements of view `index` that another view sees through at a better angle, and outvoted elements.
 
     A datum is upheld if at least `_VOTES` other views agree with it for each one that sees through it. Then it stays,
     and the data behind it are outvoted: number of the view → rows and columns.
