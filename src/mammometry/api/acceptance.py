@@ -40,7 +40,7 @@ from mammometry.study.acceptance.tables import (
 __all__ = ["acceptance_files", "acceptance_inputs", "run_acceptance"]
 NUMBERS = "acceptance.json"
 FILES = (PAGE, DOCUMENT, NUMBERS, "acceptance.csv", "history.csv", *picture_names())
-"""Files that results may have."""
+"""Files that a folder of results may contain."""
 
 
 def acceptance_inputs(folder: Path) -> tuple[AcceptanceTest, dict[Kind, dict[str, Path]]]:
@@ -70,9 +70,9 @@ def run_acceptance(folder: Path, settings: Settings | None = None, *, progress: 
     """Evaluate all measurements of an acceptance test.
 
     Args:
-        folder: as `mammometry acceptance new` makes it, with the measurements.
+        folder: a folder made by `mammometry acceptance new`, with the measurements.
         settings: for sessions of photographs; None for the recommended ones.
-        progress: fraction of the measurements.
+        progress: called with the fraction of the measurements that are done.
 
     Raises:
         SessionError: the folder is not as documented.
@@ -108,7 +108,7 @@ def _surface(path: Path, units: str, settings: Settings | None) -> TriangleMesh:
     if is_scan(path):
         return read_foreign(path / MESH, "mm").mesh
     repaired = open_session(path, settings).surface().repaired
-    return repaired.mesh.submesh(repaired.mesh.faces_within(repaired.claimed))  # not what was filled in
+    return repaired.mesh.submesh(repaired.mesh.faces_within(repaired.claimed))  # only measured and repaired skin
 
 
 def _model_cc(session: Path, settings: Settings | None) -> float:
@@ -123,8 +123,8 @@ def acceptance_files(folder: Path, outcome: Outcome) -> dict[str, bytes]:
     """The results' files: name → content.
 
     Args:
-        folder: of the test. Earlier tests of the same device are looked for in the folders beside it.
-        outcome: of the test.
+        folder: folder of the test. Earlier tests of the same device are searched for in the folders next to it.
+        outcome: outcome of the test.
     """
     history = [*past_tests(folder, outcome.test.device), as_past(outcome)]
     history.sort(key=lambda past: past.date)
@@ -145,7 +145,7 @@ def past_tests(folder: Path, device: str) -> list[PastTest]:
 def device_tests(folder: Path, device: str, *, without: str = "") -> list[PastTest]:
     """Tests of a device in the subfolders of a folder, the oldest first.
 
-    Results of other devices and versions are skipped, and the subfolder `without`.
+    Results of other devices and versions, and the subfolder `without`, are skipped.
     """
     found = []
     for other in visible(folder):

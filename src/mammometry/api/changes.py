@@ -66,9 +66,9 @@ def changes(store: Store, plan: Plan, keys: Iterable[Key]) -> Changes:
     """Differences between the keys of results and their records. Results without a record are ignored.
 
     Args:
-        store: with the records.
-        plan: of the session or scan, to distinguish its files from its results.
-        keys: of the results that would be made now.
+        store: the store with the records.
+        plan: plan of the session or scan, to distinguish its files from its results.
+        keys: keys of the results that would be made now.
     """
     made = [product.key for products in plan.bound.values() for product in products.values()]
     results = {key.product for key in made}
@@ -124,7 +124,7 @@ def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any
 
 
 def _group(plan: Plan, key: Key) -> str:
-    """Group of the settings that a product declares. Empty: it declares none, or chooses them itself."""
+    """Group of the settings that a product declares. Empty if it declares none or chooses them itself."""
     for definition, products in plan.bound.items():
         if isinstance(definition.settings, str) and any(product.key == key for product in products.values()):
             return definition.settings

@@ -84,7 +84,7 @@ def compare(
     Args:
         before: the earlier session; if both manifests have a date, the dates decide.
         after: the later session.
-        settings: of all stages, for both; None for the defaults.
+        settings: settings of all stages, for both; None for the defaults.
         out: folder to write; None: ``results/compare/<earlier session>`` in the later one.
         privacy: what to leave out of the page; None: nothing.
         watches: called for each product that is computed, for each session.
@@ -127,7 +127,7 @@ def compare_visits(
     Args:
         before: folder of the earlier visit.
         after: folder of the later visit.
-        settings: of all stages, with which both were measured.
+        settings: settings of all stages with which both were measured.
         out: folder to write.
         progress: called with the fraction of the comparison.
 
@@ -323,7 +323,7 @@ def _measured_again(
 
     Args:
         job: the date.
-        boundaries: of the breasts.
+        boundaries: boundaries of the breasts.
         wall: kind of chest wall; None: from the settings.
         back: the measured wall, if there is one at both dates.
         progress: called with the fraction done.
@@ -355,7 +355,7 @@ def _boundaries(job: Job) -> tuple[Boundary, ...]:
 
 
 def _automatic(job: Job) -> tuple[Boundary, ...]:
-    if (sides := job.plan.value(measure.sides)) is not None:  # found when it was measured
+    if (sides := job.plan.value(measure.sides)) is not None:  # found during the measurement
         return sides.boundaries
     from mammometry.measure.boundary.boundary import outline_torso
     from mammometry.measure.trunk.body import rig_frame

@@ -68,7 +68,7 @@ def _same_picture(path: Path, photograph: Photograph, camera: str, calibrated: M
 
 
 def _require_newer(path: Path, camera: str, calibrated: Mapping[Shot, Path]) -> None:
-    """Raise an error if a photograph is not newer than its camera's in the calibration."""
+    """Raise an error if a photograph is not newer than those of its camera in the calibration."""
     taken_s = read_exposure(path).taken_s
     if taken_s is None:
         return

@@ -39,9 +39,9 @@ def open_session(
     """The main job on a folder: a session of photographs, or a scan.
 
     Args:
-        path: of a session, of a scan imported by ``mammometry import mesh``, or of a mesh measured by
+        path: folder of a session, of a scan imported by ``mammometry import mesh``, or of a mesh measured by
             ``mammometry measure``.
-        settings: of all stages; None for the recommended ones.
+        settings: settings of all stages; None for the recommended ones.
         watch: called for each product that is computed; gives its progress callback.
         method: plans the products: `job.method.method`, or a function that calls it and plans more.
         given: product of the method → another function that computes it (`job.products.instead_of`).
@@ -99,7 +99,7 @@ def scan_files(folder: Path, *, subject: str | None = None, drawn: bool = True) 
     """An imported scan's mesh with its drawings. Other boundaries are found automatically.
 
     Args:
-        folder: made by ``mammometry import mesh``, with the drawings, as in a session.
+        folder: a folder made by ``mammometry import mesh``, with the drawings as in a session.
         subject: a pseudonym. None: that of the folder.
         drawn: whether to include drawn boundaries and landmarks.
 

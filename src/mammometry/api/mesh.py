@@ -101,8 +101,8 @@ class MeshJob(Job):
 
         Args:
             files: the mesh and its drawings.
-            folder: for the results, with the layout of a session's.
-            settings: of the measurement; None for the recommended ones.
+            folder: folder for the results, with the layout of a session's.
+            settings: settings of the measurement; None for the recommended ones.
             watch: called for each product that is computed.
             edited: whether to include boundaries and landmarks that were drawn in the folder.
             method: plans the products, as for `api.job.open_session`.
@@ -245,7 +245,7 @@ class MeshJob(Job):
 
     @property
     def session(self) -> Session:
-        """No photographs: always an error."""
+        """Always an error: a mesh has no photographs."""
         raise without_photographs(self.folder)
 
     @property
@@ -258,12 +258,12 @@ class MeshJob(Job):
         return self.finished
 
     def _lay_out(self, repaired: RepairedSurface, foreign: ForeignMesh, by_drawing: dict[str, str]) -> None:
-        """Plan the measurement as for a session, with the earlier products given.
+        """Plan the measurement as for a session, with the products of earlier stages given.
 
         Args:
             repaired: the surface to be measured.
             foreign: the mesh with its colours.
-            by_drawing: digests of the drawing, if it determines the viewer's position.
+            by_drawing: digests of the drawings, if they determine the viewer's position.
         """
         from mammometry.measure.trunk.body import rig_frame
         from mammometry.surface.texture.texture import TexturedMesh
@@ -376,7 +376,7 @@ class MeshJob(Job):
             drawn = pool.submit(draw)
 
             def wait() -> Mapping[str, ReportPicture]:
-                from mammometry.report.documents import html, pdf  # noqa: F401  # the pages need them next
+                from mammometry.report.documents import html, pdf  # noqa: F401  # for the pages
 
                 return drawn.result()
 

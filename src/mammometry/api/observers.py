@@ -50,7 +50,7 @@ _NUMBERED = re.compile(r"(.*[^\W\d_])[ _]?(\d{1,3})")
 """A name and a number without a hyphen."""
 _COPY = re.compile(r"\(\d+\)$|[\s_-](copy|kopie|copie|copia)([\s_-]?\(?\d+\)?)?$|^(copy of|kopie von) ", re.IGNORECASE)
 """Names of copies by browsers and desktops: ``anna-1 (1)``, ``anna-1 copy 2``, ``Copy of anna-1``."""
-_SAME_MM = 1e-3  # curves nearer than this are copies: files have a resolution of 0.001 mm, which no hand repeats
+_SAME_MM = 1e-3  # curves nearer than this are copies: files have a resolution of 0.001 mm, which nobody draws twice
 _COLUMNS = "columns mesh, boundary and observer, and repeat if a person drew twice"
 
 
@@ -197,11 +197,11 @@ def measure_drawings(
 
     Args:
         drawn: files with their observers.
-        units: of the meshes: ``mm``, ``cm``, ``m``; None if the files state it.
+        units: unit of the meshes: ``mm``, ``cm``, ``m``; None if the files state it.
         head: the meshes' axis towards the head; None: from the curves of both sides, else ``y``, or ``z`` if ``y`` is
             straight ahead.
         ahead: the axis straight ahead; None: the direction in which an open mesh faces.
-        settings: selected wall, and description of the trunk.
+        settings: settings of the measurement, such as the selected wall.
         progress: called with the fraction done.
 
     Raises:
@@ -273,7 +273,7 @@ def _on_one(
 
 
 def _require_no_copies(drawn: Sequence[DrawnBy], files: Sequence[Mapping[str, Float64[Array, "n 3"]]]) -> None:
-    """Raise an error if two files contain the same curve to 0.001 mm, whatever its start and direction."""
+    """Raise an error if two files contain the same curve to 0.001 mm, from any start in any direction."""
     seen: list[tuple[DrawnBy, str, Float64[Array, "n 3"]]] = []
     for drawing, curves in zip(drawn, files, strict=True):
         for side, curve in curves.items():

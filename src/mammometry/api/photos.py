@@ -74,7 +74,7 @@ class PreparedWalk:
     point_std_mm: float
     """Standard uncertainty of a reconstructed point due to the telephone's poses and lens, mm."""
     card_scale: float | None = None
-    """True length on the print by a bank card, relative to its stated length. None: no card."""
+    """True length on the print, measured with a bank card, relative to the stated length. None: no card."""
     times: Mapping[str, str] = field(default_factory=dict)
     """Number of a frame → its time in the video ("12.4 s"). Empty for photographs."""
 
@@ -104,10 +104,10 @@ def prepare_walk(
     Args:
         folder: the photographs or one video, and ``board.toml`` if the board was measured or is another one.
         out: the session's folder: new, empty, or a session of these photographs.
-        posture: of the patient.
-        subject: pseudonym.
+        posture: posture of the patient.
+        subject: pseudonym of the patient.
         scratch: folder for temporary frames of a video. None: the system's folder for temporary files.
-        progress: fraction of the photographs in which the board was searched.
+        progress: called with the fraction of the photographs that were searched for the board.
 
     Raises:
         SessionError: no photographs, photographs and a video, a ``board.toml`` that is not as documented, or other
@@ -200,7 +200,7 @@ def board_pdf(page: str = "A4") -> bytes:
     """PDF of the telephone's board at true scale, with its field for a bank card.
 
     Args:
-        page: as for `target_pdf`.
+        page: paper size, as for `target_pdf`.
 
     Raises:
         SessionError: the board does not fit the page.

@@ -72,8 +72,8 @@ class Previews:
         """Context in which pictures are drawn as soon as their stages are complete.
 
         Args:
-            stages: to be computed, in order. A second process is used only if pictures can be drawn in parallel with a
-                later stage.
+            stages: stages to be computed, in order. A second process is used only if pictures can be drawn in parallel
+                with a later stage.
         """
         missing = any(not self.store.has(previews_key(stage, self.plan)) for stage in stages[:-1])
         usual = self.plan.method is method and not self.plan.given  # replaced functions exist only in this process
@@ -124,7 +124,7 @@ class Previews:
 
 
 class PreviewTasks:
-    """Pictures being drawn, in this or the second process."""
+    """Pictures that are being drawn, in this process or the second one."""
 
     def __init__(self, ensure: Callable[[Stage], Facts], pool: ThreadPoolExecutor | None) -> None:
         self._ensure = ensure

@@ -24,7 +24,7 @@ from mammometry.settings import Settings
 from mammometry.study.repeatability.design import Reading
 
 LEVELS = {2: ("woman", "capture"), 3: ("woman", "rater", "capture"), 4: ("woman", "device", "rater", "capture")}
-"""Depth of the folders → what each level names, where the user names nothing."""
+"""Depth of the folders → what each level names, unless the user states it."""
 _NAMES = ("woman", "device", "rater", "day", "capture")
 _LENGTHS = ("SN-N", "N-N")
 """Lengths whose spread shows posture, breath and arms: sternal notch to nipple, nipple to nipple."""
@@ -38,14 +38,12 @@ def read_captures(
     levels: Sequence[str] = (),
     progress: Progress = no_progress,
 ) -> tuple[Reading, ...]:
-    """Read repeated captures.
-
-    Results that are missing are made first.
+    """Read repeated captures. Missing results are computed first.
 
     Args:
         source: a table (see `read_repeated`), or a folder of folders: WOMAN/CAPTURE, WOMAN/RATER/CAPTURE or
-            WOMAN/DEVICE/RATER/CAPTURE, each CAPTURE a session or a scan.
-        settings: of all stages; None for the defaults.
+            WOMAN/DEVICE/RATER/CAPTURE, where each CAPTURE is a session or a scan.
+        settings: settings of all stages; None for the defaults.
         measured: column of the volumes in a table.
         levels: what the levels of folders name: woman, device, rater, day, capture. Empty: by their depth, as above.
         progress: called with the fraction of folders that are read.

@@ -44,7 +44,7 @@ class Results:
     report: Path | None
     """The report's page. None if it was not requested."""
     no_breast: Mapping[str, str] = field(default_factory=dict)
-    """Side of a torso without a breast → the evidence for that."""
+    """Side of a torso without a volume → the reason."""
     notices: tuple[Notice, ...] = ()
     """Changes of a scanner's mesh, assumptions, warnings about a torso's volumes, and the posture."""
     lacking: Mapping[str, VolumeDeficit] = field(default_factory=dict)
@@ -143,9 +143,9 @@ class Results:
 
 _LOG = logging.getLogger(__name__)
 FOLDER, PAGE = "refused", "refused.html"
-"""Folder of the page in the results, with its pictures."""
+"""Folder in the results that contains the page of a refusal and its pictures, and the page."""
 Pictures = Mapping[str, bytes]
-"""Name → PNG with its caption."""
+"""Name → PNG that contains its caption."""
 
 
 def show_refusal(results: Path, identity: Identity, error: MammometryError, draw: Callable[[], Pictures]) -> None:
@@ -153,9 +153,9 @@ def show_refusal(results: Path, identity: Identity, error: MammometryError, draw
 
     Args:
         results: folder of the session's results.
-        identity: of the subject.
+        identity: identity of the subject.
         error: the refusal; its `page` is set.
-        draw: makes the pictures.
+        draw: function that draws the pictures.
     """
     from mammometry.report.documents.pages import refusal_page
 
@@ -188,8 +188,8 @@ def seen(
         stage: calibrate, match, surface or measure.
         error: the refusal.
         plan: the whole job.
-        inputs: of the session.
-        previews: pictures of a completed stage.
+        inputs: inputs of the session.
+        previews: function that gives the pictures of a completed stage.
     """
     from mammometry.calibration.judge.suspects import SuspectPhotographsError
     from mammometry.report.figures import refused

@@ -1,4 +1,4 @@
-"""The main job: run stages, read values. `api.job.open_session` opens one."""
+"""The main job, which `api.job.open_session` opens: run stages, read values."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ _PAGE_KEY = re.compile(r'<meta name="mammometry-key" content="([0-9a-f,]+)">')
 
 
 class Job(Reported):
-    """The main job on one folder, resumed from disk where current.
+    """The main job on one folder. Current results are read from disk.
 
     A session has photographs. `api.mesh.MeshJob` is the job on a scan, whose surface is given.
     """
@@ -97,7 +97,7 @@ class Job(Reported):
         self.store = Store(session.results, watch, session.manifest.subject.id)
         self.inputs = self.session.inputs()
         self.plan = Plan(method, self.inputs, settings, self.store, given=given)
-        """Every product, made or read back when called: ``job.plan[match.disparity]["front"]()``."""
+        """Every product, computed or read back when called: ``job.plan[match.disparity]["front"]()``."""
         self.stage_seconds: dict[str, float] = {}
         self._previews = Previews(
             session=self.session, settings=settings, inputs=self.inputs, plan=self.plan, store=self.store
@@ -145,7 +145,7 @@ class Job(Reported):
         """Compute a stage and those before it, unless they are current.
 
         Args:
-            stage: the last one.
+            stage: the last stage.
             drawn: whether to draw their previews, and pictures of a refusal. The report needs them.
 
         Raises:
@@ -154,7 +154,7 @@ class Job(Reported):
         self.session.require(stage)
         stages = STAGES[: STAGES.index(stage) + 1]
         if drawn and not self.store.at_work and self._all_current(stages):
-            return  # also in a read-only folder
+            return  # works also in a read-only folder
         reuse_freed_memory()
         with (
             self.store.taken(),
@@ -192,7 +192,7 @@ class Job(Reported):
             drawing.begin(stage)
 
     def _seen(self, stage: Stage, error: MammometryError, drawing: PreviewTasks) -> Mapping[str, bytes]:
-        drawing.facts()  # all started pictures are then complete
+        drawing.facts()  # waits for all started pictures
         return seen(stage, error, self.plan, self.inputs, self.previews)
 
     def calibrate(self) -> CameraSet:
@@ -211,8 +211,8 @@ class Job(Reported):
         The result is added to the session's history of checks.
 
         Args:
-            image_set: folder of the exposure, ``<camera>.<ext>`` in it, or of several such folders.
-            progress: fraction of the photographs that are searched.
+            image_set: folder with the exposure's photographs, ``<camera>.<ext>``, or with several such folders.
+            progress: called with the fraction of the photographs that were searched.
 
         Raises:
             MammometryError: the first error; also if photographs are those of the calibration itself, of an earlier
@@ -331,7 +331,7 @@ class Job(Reported):
         return self.posture or None
 
     def pages(self) -> dict[str, State]:
-        """Page in results/ for others or of two dates → its state."""
+        """Report for others, or comparison of two dates, in results/ → its state."""
         folder = self.store.folder
         here = {self.page_digest(deidentify=deidentify) for deidentify in (False, True)}
         paths = sorted([*folder.glob("*/report.html"), *folder.glob("compare/*/compare.html")])
@@ -377,7 +377,7 @@ class Job(Reported):
         Files of an earlier call are replaced; other files in the way are refused before anything is computed.
 
         Args:
-            folder: for report.html and report.pdf.
+            folder: folder for report.html and report.pdf.
             privacy: what to leave out.
 
         Raises:
@@ -393,7 +393,7 @@ class Job(Reported):
 
     def _ensure_report(self, drawing: PreviewTasks) -> None:
         scene = None
-        if drawing.waiting:  # while the last pictures are drawn: products that do not need them
+        if drawing.waiting:  # meanwhile, compute products that do not need the last pictures
             from mammometry.report import gather
 
             scene = gather.whole_scene(self.plan)

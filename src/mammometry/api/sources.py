@@ -31,16 +31,16 @@ class Sources:
     changed: Changes
     """Differences from the sources of the stored results."""
     not_compared: tuple[str, ...]
-    """Files without any result. A folder of such files ends with ``/`` and their number."""
+    """Files that no result depends on. A folder is listed with a final ``/`` and the number of such files in it."""
 
 
 def sources(folder: Path, settings: Settings, recorded: frozenset[str]) -> Sources:
     """Comparison of a session or an imported scan with the records of its results. Nothing is written.
 
     Args:
-        folder: of the session or scan.
-        settings: of the results.
-        recorded: files of the folder in other records, by their paths below it.
+        folder: folder of the session or scan.
+        settings: settings of the results.
+        recorded: files that other records contain, as paths relative to the folder.
 
     Raises:
         MammometryError: it cannot be opened.

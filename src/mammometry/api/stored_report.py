@@ -48,7 +48,7 @@ class Reported(ABC):
     settings: Settings
     store: Store
     plan: Plan
-    """Its products, at least those of the measurement."""
+    """Products of the session or scan, at least those of the measurement."""
     identity: Identity
     """Identity of the subject on pages."""
     folder: Path
@@ -135,7 +135,7 @@ class Reported(ABC):
         """Write a report for others into a folder, replacing that of an earlier call, and return its page.
 
         Args:
-            folder: for report.html and report.pdf.
+            folder: folder for report.html and report.pdf.
             privacy: what to omit.
             gather: collects the content, without the omitted parts.
             brought: the user's own files, which must not be in the folder.
@@ -194,8 +194,8 @@ def _write(folder: Path, files: Mapping[str, bytes]) -> None:
 
 CONTENT = "content.zip"
 _WORDS = "content.json"
-_LARGEST = 256 << 20  # most bytes of all members; ours have a few MB
-_ALWAYS = (1980, 1, 1, 0, 0, 0)  # time of all members, so that the same content gives the same bytes
+_LARGEST = 256 << 20  # largest total size of the members, bytes; real ones have a few MB
+_ALWAYS = (1980, 1, 1, 0, 0, 0)  # time stamp of all members, so that equal contents give equal bytes
 
 
 def packed(content: ReportContent) -> bytes:
@@ -218,7 +218,7 @@ def packed(content: ReportContent) -> bytes:
 
 
 def unpacked(data: bytes) -> ReportContent:
-    """The content of such a ZIP.
+    """The content of a ZIP from `packed`.
 
     Raises:
         StorageError: it is damaged.

@@ -119,7 +119,7 @@ def current_results(job: Job) -> SessionResults:
 
 
 MODELS = tuple(f"plaster_{number}" for number in range(1, 10))
-"""Volumes within 3 % of the paper's Table 1. Even ones have a curved back."""
+"""Models with volumes within 3 % of the paper's Table 1. Those with even numbers have a curved back."""
 _RECORD = "study.json"
 
 
@@ -130,7 +130,7 @@ class PhantomResult:
     name: str
     true_cc: float
     measured_cc: float | None
-    """None if it was refused."""
+    """Measured volume, cc. None if it was refused."""
     interval_cc: tuple[float, float] | None
     """95 % interval, cc."""
     failed: str = ""
@@ -157,10 +157,10 @@ def measure_phantoms(
 
     Args:
         out: folder of the study, with one session per model.
-        scale: of the reference rig's 4504 × 3000 pixels.
-        seed: of the rig, its calibration poses and the models' shapes.
-        models: names; the first one's calibration is used for all.
-        settings: of all stages; None for the recommended ones.
+        scale: size of the photographs relative to the reference rig's 4504 × 3000 pixels.
+        seed: seed of the rig, its calibration poses and the models' shapes.
+        models: names of the models; the first one's calibration is used for all.
+        settings: settings of all stages; None for the recommended ones.
         map_tasks: how the models are distributed to processes.
 
     Raises:
@@ -201,8 +201,8 @@ def measure_model(
     Args:
         progress: called with the stage and its fraction done.
         session: folder of this model.
-        recipe: of its photographs.
-        settings: of all stages, TOML.
+        recipe: recipe of its photographs.
+        settings: settings of all stages, TOML.
         first: session whose calibration is copied if its photographs of the target are the same.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Breasts with a truth by another method, measured by every definition of the volume.
+"""Breasts whose true volume is known by another method, measured by every definition of the volume.
 
 ```python
 from mammometry.api.validation import read_cases
@@ -26,18 +26,18 @@ from mammometry.study.validation.study import ValidationCase
 def read_cases(
     path: Path | str, settings: Settings | None = None, *, kind: str | None = None, progress: Progress = no_progress
 ) -> tuple[str, tuple[ValidationCase, ...]]:
-    """Read a table of truths, and the measured volumes from the table or from folders of results.
+    """Read a table of true volumes, and the measured ones from the table or from folders of results.
 
-    Results that are missing are made first.
+    Missing results are computed first.
 
     Args:
         path: see `read_truths`.
-        settings: of all stages; None for the defaults.
-        kind: of truth; None: by the table's columns.
+        settings: settings of all stages; None for the defaults.
+        kind: kind of truth; None: by the table's columns.
         progress: called with the fraction of rows that are read.
 
     Returns:
-        Kind of truth, and one case a breast.
+        Kind of truth, and one case for each breast.
 
     Raises:
         MammometryError: the table, a folder or its measurement is refused.

@@ -39,13 +39,13 @@ class WalkPictures:
     """The pictures of a walk, by number ("01")."""
 
     names: Mapping[str, str]
-    """Name of every picture: its file's, or its time in the video."""
+    """Number → file name of the picture, or its time in the video."""
     photographs: Mapping[str, Photograph]
-    """Read when looked up."""
+    """Number → photograph, read when looked up."""
     observations: Observations
     """The board in the usable pictures."""
     left_out: Mapping[str, LeftOut]
-    """Why the others are not used."""
+    """Number of a picture that is not used → the reason."""
 
     def placed(self) -> tuple[Stations, Mapping[str, LeftOut]]:
         """The telephone at each picture that fits the common lens, and all pictures that are left out.
@@ -127,7 +127,7 @@ def usable_pictures(
     The frames of a video are deleted when the context ends.
 
     Args:
-        folder: with the photographs or the video.
+        folder: folder with the photographs or the video.
         target: the board.
         progress: fraction of the pictures checked.
         scratch: folder for the frames of a video. None: the system's.

@@ -25,7 +25,7 @@ LEAST_STANDING = 0.004
 # Unless another source is stated, chosen on the simulated captures of docs/decisions/0028.
 _FLATNESS = 0.012  # largest relative depth difference of an inlier: a pixel of disparity, a tenth of a cast's height
 _STANDING = 1.5  # factor on it beyond which a point is certainly in front of the plane
-_BOARD, _ON_BOARD, _BELOW = 0.5, 0.03, 0.4  # shares of near pixels: least on a board, in front; most behind (of those in front)
+_BOARD, _ON_BOARD, _BELOW = 0.5, 0.03, 0.4  # least near share on a board, in front; most behind, of those in front
 _TABLE = 0.8  # least share of near pixels on a wide table
 _SOME, _TRIALS, _LEAST_AREA, _DRAWN = 1500, 150, 0.02, 28  # points and planes tested, their share of the image, seed
 _FITS = 3  # refits by least squares to the plane's inliers
