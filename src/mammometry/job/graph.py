@@ -1,4 +1,4 @@
-"""The products of a session, as planned by the method, and the threads that compute them.
+"""The products of a session, planned by the method, and the threads that compute them.
 
 Each product knows its key, and is computed or read back when its value is first needed. So one plan runs a job, resumes
 it, and knows which results are stale.

@@ -42,11 +42,11 @@ class Walk:
     board_mm: Float64[Array, "2 2"]
     """Lowest and highest corner (x, y) of the board's points, world frame, mm."""
     card_scale: float | None = None
-    """True length on the print by a bank card on it, relative to its stated length. None: no card."""
+    """True length on the print, measured with a bank card, relative to the stated length. None: no card."""
 
     @property
     def errors(self) -> tuple[float, ...]:
-        """Values of a walk that change intervals: its uncertainties and the card's size."""
+        """Values of a walk that affect intervals: its uncertainties and the card's size."""
         card = () if self.card_scale is None else (self.card_scale,)
         return (self.scale_std, self.point_std_mm, *card)
 
@@ -103,7 +103,7 @@ class Inputs:
     scale_std: float | None = None
     """Relative standard uncertainty of all lengths of a scan. None if a calibration gives it."""
     walk: Walk | None = None
-    """Set if the photographs are one telephone's. None: a rig."""
+    """Facts about a walk with one telephone. None: the photographs are a rig's."""
     wall: TriangleMesh | None = None
     """Measured wall behind the breast, or back of a cast, world frame, mm. None: not measured."""
     digests: Mapping[str, str] = field(default_factory=dict)

@@ -1,8 +1,9 @@
 """The whole method on one page, from photographs to volumes.
 
-Each line enters a product: the function that computes it, and the products that the function gets. Nothing is computed
-here. `graph.Plan` computes a product, or reads it back, when its value is needed. The functions are in `job.stages`,
-one file per stage. Above each function: what else is in the product's key (version, settings, inputs of the session).
+Each line enters a product: the function that computes it, and the products that it is computed from. Nothing is
+computed here. `graph.Plan` computes a product, or reads it back, when its value is needed. The functions are in
+`job.stages`, one file per stage. The decorator of each states what else is in the product's key: version, settings,
+inputs of the session.
 
 To replace the function of a line, or to add a line (docs/how-to/extend.md)::
 

@@ -1,6 +1,6 @@
 """Products: the values that a run computes, with their keys, storage and release from memory.
 
-A product is declared by a function (`job.stages`) of other products' values::
+A product is declared by a function (`job.stages`) of the values of other products::
 
     @product_of_each("surface", version=3, settings="surface.triangulate")
     def range_image(disparity: DisparityMap, *, job: Context) -> RangeImage: ...
@@ -33,7 +33,7 @@ Stage: TypeAlias = Literal["calibrate", "match", "surface", "measure", "report"]
 _WORKERS_AT_MOST = 4  # each may need half a gigabyte at full image size
 
 STAGES: tuple[Stage, ...] = ("calibrate", "match", "surface", "measure", "report")
-"""In the order in which data flow."""
+"""All stages, in the order in which data flow."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,11 +73,11 @@ class Memo(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Context:
-    """Inputs, settings and progress: what a product's function gets besides other products."""
+    """Inputs, settings and progress, which a product's function gets in addition to other products."""
 
     inputs: Inputs
     settings: Settings
-    """Of all stages. A function may read only those that its product declares: only they are in its key."""
+    """Settings of all stages. A function may read only those that its product declares, as only they are in its key."""
     item: str = ""
     """Pose, camera or pair of this product. Empty: the session has a single one."""
     progress: Progress = no_progress
@@ -93,7 +93,7 @@ class Definition(Generic[T_co]):
     """Raise it when the result changes for the same inputs and settings. None: an intermediate value, never stored.
     The keys of its children then depend on its parents."""
     name: str
-    """In keys and on disk, with ``{item}``: the function's name if not given."""
+    """Name in keys and on disk, with ``{item}``. The function's name if not given."""
     settings: str | Callable[[Context], object] = ""
     """Its own settings: their path in `Settings`, or a function that returns a dataclass or a tuple of them."""
     inputs: tuple[str, ...] | Callable[[Context], Mapping[str, str]] = ()
@@ -290,7 +290,7 @@ class Product(Generic[T]):
             values.clear()
             for parent in self.made_from:
                 parent._release_if_unneeded(self.key.stage, made=self)
-            if self.definition.threads is None:  # nothing else is computed meanwhile
+            if self.definition.threads is None:  # nothing else is being computed
                 return_freed_memory()
             return made
 
@@ -304,7 +304,7 @@ class Product(Generic[T]):
             self.release()
 
     def _is_to_be_made(self, stage: Stage) -> bool:
-        """Whether a stage will still compute it: for itself, or for its children if it is not stored."""
+        """Whether a stage will still compute it, to store it or for one of its children."""
         if self.key.stage != stage or not self.missing:
             return False
         return self.is_stored or any(child._is_to_be_made(stage) for child in self.children)

@@ -1,1 +1,1 @@
-"""The method, stage by stage: each product is a function whose parameters are what it is made from."""
+"""The method, stage by stage: each product is a function of the products that it is computed from."""

@@ -42,7 +42,7 @@ def names(cameras: CameraSet, *, job: Context) -> PhotographCheck:
         return (width, height), keypoints(photograph)
 
     if job.inputs.walk is not None:
-        return check_names(cameras.rig, {})  # the poses were found in the photographs themselves
+        return check_names(cameras.rig, {})  # a walk's cameras were found in the photographs themselves
     in_pairs = sorted({camera for pair in job.inputs.pair_names.values() for camera in pair})
     with ThreadPoolExecutor(min(_AT_ONCE, available_cores())) as pool:
         seen = dict(zip(in_pairs, pool.map(features, in_pairs), strict=True))

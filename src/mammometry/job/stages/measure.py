@@ -35,13 +35,13 @@ if TYPE_CHECKING:  # the stages import compilers and image libraries, which a pl
 
 
 def are_breasts_sought(inputs: Inputs, settings: Settings) -> bool:
-    """Whether breasts are searched for on a torso: not if all are drawn, removed, or given by landmarks."""
+    """Whether to search for breasts on a torso: not if all are drawn, removed, or given by landmarks."""
     wanted = inputs.automatic or not (inputs.boundaries or inputs.all_removed)
     return inputs.subject_kind == "torso" and settings.measure.boundary != "landmarks" and bool(wanted)
 
 
 def _frame(cameras: CameraSet, job: Context, body: BodyDirections | None = None) -> Float64[Array, "3 3"]:
-    """Unit vectors (rows): left, up, ahead. The body's own, or the cameras'."""
+    """Unit vectors left, up, ahead (rows), of the body if it is given, else of the cameras."""
     from mammometry.measure.trunk.body import rig_frame
 
     return rig_frame(cameras.rig, job.inputs.mounting) if body is None else body.frame
@@ -181,8 +181,8 @@ def evidence(
 ) -> VolumeEvidence:
     """Results of earlier stages that determine the errors of a volume.
 
-    Views are used for casts only, which are round where they are not seen. A patient's folds are closed too far
-    outside, and no view shows how deep the skin is (docs/decisions/0043).
+    Views are used for casts only, which are round where no camera sees them. On a patient, folds that no camera sees
+    are closed too far outside, and no view shows how deep the skin is (docs/decisions/0043).
     """
     from mammometry.measure.volume.uncertainty import EarlierErrors, VolumeEvidence, movement_of
 
@@ -282,7 +282,7 @@ def absent(
 def lacking(
     repaired: RepairedSurface, measurements: tuple[VolumeMeasurement, ...], body: BodyDirections, *, job: Context
 ) -> tuple[VolumeDeficit, ...]:
-    """Volume by which the smaller breast of a torso is smaller than the mirrored larger one."""
+    """Volume deficit of the smaller side of a torso relative to the mirrored larger one."""
     from mammometry.measure.volume.deficit import volume_deficit
 
     try:
@@ -301,7 +301,7 @@ def landmarks(
     *,
     job: Context,
 ) -> tuple[Landmark, ...]:
-    """Landmarks picked by the user, and proposed nipples."""
+    """Landmarks picked by the user, and proposals for the others."""
     from mammometry.measure.shape.anthropometry import find_landmarks
 
     colours, picked, settings = mesh.textured.colours, job.inputs.landmarks, job.settings.measure

@@ -1,4 +1,4 @@
-"""Report stage: keys of its pages, which are folders of files written by `api`, not values.
+"""Report stage: keys of its pages. They are folders of files, written by `api`, and not values.
 
 A page's key covers everything that the page shows.
 """
@@ -21,19 +21,19 @@ VERSIONS: Mapping[str, int] = MappingProxyType({"previews": 10, "content": 11, "
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PageInputs:
-    """Everything that a page shows besides products."""
+    """Everything that a page shows in addition to products."""
 
     identity: Identity
-    """Whose results these are. All names and dates on the page come from here."""
+    """Identity of the subject. All names and dates on the page come from here."""
     settings: Settings
-    """Of all stages, as listed on the page."""
+    """Settings of all stages, as listed on the page."""
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
     """Stage → duration of its computation, s."""
     posture: str = ""
     """Posture of the patient. Empty: unknown."""
 
     def key(self, products: Iterable[Product[Any]], inputs: Mapping[str, str] | None = None) -> Key:
-        """Key of a report's content with this and these products.
+        """Key of a report's content: this, and the products that it shows.
 
         Args:
             products: all products that the page shows.

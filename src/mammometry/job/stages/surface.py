@@ -97,7 +97,7 @@ def walk_motion(
 def corrected_cameras(
     cameras: CameraSet, stillness: MotionEstimate, walk_motion: WalkMotion | None, *, job: Context
 ) -> CameraSet:
-    """The cameras in their most probable poses at the exposures: as calibrated, if nothing moved."""
+    """The cameras in their most probable poses at the exposures. As calibrated if nothing moved."""
     return replace(cameras, rig=(walk_motion or stillness).rig(cameras.rig))
 
 
