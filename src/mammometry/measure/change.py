@@ -44,7 +44,7 @@ class TrunkSkin:
     normals_world: Float64[Array, "n 3"]
     """Their unit outward normals."""
     trunk: Trunk
-    """Its axis and frame."""
+    """Axis and frame of the trunk."""
     frame: Float64[Array, "3 3"]
     """Rows: the patient's left, the head, straight ahead, approximately; world frame."""
 
@@ -72,7 +72,7 @@ def trunk_of(
 
     Args:
         surface: the whole torso, world frame, mm.
-        boundaries: around the breasts.
+        boundaries: curves around the breasts.
         frame: rows: the patient's left, the head, straight ahead, approximately, from the photographs.
 
     Raises:

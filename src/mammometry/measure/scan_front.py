@@ -41,7 +41,7 @@ def front_of_body(scan: RepairedScan, frame: Float64[Array, "3 3"]) -> RepairedS
 def upper_trunk(scan: RepairedScan, up: Float64[Array, 3]) -> RepairedScan:
     """Cut the upper trunk out of a whole body.
 
-    Any other scan is returned as it is.
+    Any other scan is returned unchanged.
 
     Args:
         scan: a torso or a whole body, mm.

@@ -1,4 +1,4 @@
-"""Repair of a scan's mesh where the result is unambiguous, with notices of what was changed.
+"""Repair of a scan's mesh where the result is unambiguous, with notices of the changes.
 
 Touching seams are joined, small fragments removed, faces turned outwards, small holes closed. Skin in a closed hole is
 marked as invented, so that it widens a volume's interval. All other faults are refused by `scanned.check_mesh`.
@@ -76,8 +76,8 @@ def repair_scan(
     """A scan with joined seams, no small fragments, faces outwards and small holes closed.
 
     Args:
-        mesh: from the file, mm, coincident vertices merged.
-        largest: whether to keep only the largest piece, whatever the size of the others.
+        mesh: the mesh of the file, mm, with coincident vertices merged.
+        largest: whether to keep only the largest piece, however large the others are.
         skin_alone: whether to remove planes, which are lids made by another program.
         holes: whether to close small holes.
 
@@ -294,7 +294,7 @@ def _turned_apart(
 ) -> Bool[Array, " m"] | None:
     """Faces to turn so that neighbours agree. None if that is impossible.
 
-    Each face is two nodes of a graph, as it is and turned. Neighbours that disagree are connected crosswise.
+    A graph has two nodes for each face: unchanged and turned. Neighbours that disagree are connected crosswise.
     """
     cross = np.where(unlike, count, 0)
     starts = np.concatenate([one, one + count])

@@ -32,8 +32,8 @@ _FACES_AT_MOST = 4_000_000  # most faces of a refined mesh; chosen for memory
 _VIEWER_MM, _EYES_MM = 1500.0, 200.0  # distance and baseline of the viewer's cameras; only directions matter
 _VIEWER_PX = 1000  # size and focal length of the viewer's images, which are never rendered
 _ONE_SIDED = 0.2
-"""Length of the horizontal mean normal from which a mesh shows one side only. Fronts of bodies have 0.47 or more, a
-half tube 0.64; tubes that are open on one side at most the opening's share of the skin, 0.13 (a torso's arm)."""
+"""Least length of the horizontal mean normal of a mesh that shows one side only. Fronts of bodies have 0.47 or more, a
+half tube 0.64. A tube with an opening on one side has at most the opening's share of the skin, 0.13 (a torso's arm)."""
 _ROUNDER = 2.0  # least roundness of a torso's front relative to its other sides
 _UPRIGHT = np.cos(np.deg2rad(45.0))  # least cosine between the trunk's axis and the file's upright axis
 _AXIS_SAMPLES = 20_000  # faces from whose normals the trunk's axis is found; chosen for speed

@@ -193,7 +193,7 @@ def find_base(
     Args:
         candidates: silhouette points that may show the rim.
         surface_points: measured points of the cast, mm, world frame.
-        viewer_direction: from the cast towards the cameras, approximately.
+        viewer_direction: direction from the cast towards the cameras, approximately.
         settings: tolerances.
 
     Raises:
@@ -270,7 +270,7 @@ class TorsoSides:
     """Boundaries on the sides of a torso, and reasons for sides without one."""
 
     boundaries: tuple[Boundary, ...]
-    """Of each breast, the patient's left first."""
+    """Boundary of each breast, the patient's left first."""
     absent: tuple[NoBreast, ...]
     """Sides without a breast, with the reasons."""
 

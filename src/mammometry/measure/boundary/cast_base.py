@@ -106,7 +106,7 @@ def fit_base(
     Args:
         candidates: possible rim points, mm, world frame; up to half may be on occluding limbs.
         surface_points: measured points of the cast, nearly all on the viewer's side of the base.
-        viewer_direction: from the cast towards the cameras, approximately.
+        viewer_direction: direction from the cast towards the cameras, approximately.
         settings: tolerances.
 
     Raises:

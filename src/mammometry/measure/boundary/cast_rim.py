@@ -243,7 +243,7 @@ class AdjustedBase:
     per_camera: Float64[Array, "k c"]
     """Change of tilts, height and bend if one camera's outline moves outwards by one pixel, mm."""
     per_stretch: Float64[Array, "k m"]
-    """The same for one eighth of one camera's outline."""
+    """The same change for one eighth of one camera's outline."""
 
     def sigma_mm(self, rim: Float64[Array, "n 3"]) -> float:
         """Standard uncertainty of the base's mean height within the rim, mm.

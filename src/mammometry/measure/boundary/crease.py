@@ -166,7 +166,7 @@ def follow_crease(
     Args:
         relief: the flattened skin.
         middle: the breast's middle on it, mm.
-        side: of the patient.
+        side: side of the patient.
         base_mm: estimated square root of the area of its base, mm.
         between_mm: limits of the border around the trunk, half width × θ.
     """

@@ -53,7 +53,7 @@ def outline_by_protocol(
     """Side (``left``, ``right``) → boundary, for each side with all landmarks.
 
     Args:
-        landmarks: on the surface, checked (`landmarks.picked_landmarks`).
+        landmarks: checked landmarks on the surface (`landmarks.picked_landmarks`).
         surface: the repaired mesh, mm, world frame.
         frame: patient's left, head, straight ahead (rows), approximately.
         join: how the landmarks are joined.

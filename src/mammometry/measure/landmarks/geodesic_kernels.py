@@ -18,7 +18,7 @@ def shortest(
     `more_mm`. The straight distance to `stop` is the lower bound.
 
     Args:
-        places: on the surface, mm.
+        places: points on the surface, mm.
         of_face: indices of the places in each face, which are joined to one another; negative: none.
         start: index of the first place.
         stop: index of the last place.

@@ -32,7 +32,7 @@ class LandmarkName:
     """One landmark of the protocol."""
 
     name: str
-    """In files: ``nipple_left``."""
+    """Name in files: ``nipple_left``."""
     title: str
     """For the reader: "left nipple". Left and right are the patient's."""
     kind: LandmarkKind
@@ -101,7 +101,7 @@ def proposed_landmark(
         points_world: one point or several, mm.
         how: how it was found, as a noun phrase.
         sigma_mm: standard uncertainty of its position.
-        probability: that it is this landmark.
+        probability: probability that it is this landmark.
     """
     return Landmark(
         name=name,

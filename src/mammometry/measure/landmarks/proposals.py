@@ -163,7 +163,7 @@ def propose_ends(
         side: the patient's ``left`` or ``right``.
         boundary_world: closed curve, mm.
         frame: rows: the patient's left, the head, straight ahead.
-        sigmas: of the boundary.
+        sigmas: standard uncertainties of the boundary.
     """
     outwards = frame[0] if side == "left" else -frame[0]
     share = np.linspace(0, 1, _PARTS, endpoint=False)[:, None]

@@ -197,7 +197,7 @@ def find_landmarks(
         picked: landmark → its points, mm.
         body: the body frame; None: of a cast. Without a mid-sagittal plane nothing on the midline is proposed.
         settings: uncertainty of a drawn boundary.
-        boundaries: of the breasts, with the uncertainty of their points.
+        boundaries: boundaries of the breasts, with the uncertainty of their points.
 
     Raises:
         MeasureError: a picked landmark is off the surface or on the wrong side.

@@ -76,7 +76,7 @@ def linear_measures(
     """All lengths that the landmarks allow.
 
     Args:
-        landmarks: by name.
+        landmarks: landmarks by name.
         mesh: the surface that they are on, mm, world frame.
         midline: a point and the unit normal of the mid-sagittal plane, and its standard uncertainty, mm. It replaces a
             midline that was not picked.
@@ -145,7 +145,7 @@ def ptosis(
     Args:
         measured: the closed breast.
         up_world: unit vector towards the patient's head.
-        nipple: of this side.
+        nipple: nipple of this side.
         fold: lowest point of the inframammary fold; None: the boundary's lowest point.
         boundary_sigma_mm: standard uncertainty of the boundary, mm; used if there is no fold.
     """

@@ -67,7 +67,7 @@ def symmetry(
     """Differences between left and right. None unless both were measured.
 
     Args:
-        measurements: of both breasts.
+        measurements: measurements of both breasts.
         frame: rows: the patient's left, the head, straight ahead; world frame.
         plane: the mid-sagittal plane of the trunk without breasts.
 

@@ -107,7 +107,7 @@ def check_head(signs: HeadSigns, *, stated: bool = False) -> HeadPlace:
     A contradiction is refused and never corrected automatically. The user's statement takes precedence.
 
     Args:
-        signs: of the body.
+        signs: the body's signs.
         stated: whether the user stated the head's direction.
 
     Raises:

@@ -112,7 +112,7 @@ def confirmed_words(
     Args:
         method: how it was found or drawn.
         curve: its digest.
-        confirmation: of this curve or of an earlier one.
+        confirmation: latest confirmation, of this curve or of an earlier one.
         remarks: facts about the boundary.
         named: whether to include name and date.
     """

@@ -162,9 +162,9 @@ def drawn_sigma_mm(
     region's direction about the curve's centre, where the cosine is positive; the weights add up to 1.
 
     Args:
-        boundary: of a torso's breast.
+        boundary: boundary of a torso's breast.
         frame: body frame, rows: the patient's left, the head, straight ahead. None: all regions have equal weight.
-        observers: by region.
+        observers: standard uncertainty of drawn curves by region.
     """
     points = boundary.points_world
     if frame is None:

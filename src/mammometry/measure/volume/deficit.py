@@ -50,7 +50,7 @@ def volume_deficit(
 
     Args:
         surface: the repaired mesh, world frame, mm.
-        measurements: of one or both breasts.
+        measurements: measurements of one or both breasts.
         body: the body frame with its mid-sagittal plane.
         settings: uncertainty of the boundary.
 

@@ -30,7 +30,7 @@ FEWEST_LAYERS = 2
 MEAN_LAYER_MM = 17.8
 """Distance between the cylinder membrane and the muscle: mean of 145 breasts, mm."""
 LAYER_U95_MM = 12.0
-"""Half-width of its 95 % interval if no thickness was measured, from the same breasts, mm."""
+"""Half-width of that distance's 95 % interval if no thickness was measured, from the same breasts, mm."""
 OVER_LAYER_MM = 0.6
 """That distance minus the mean layer normal to the muscle at the boundary: 17.8 − 17.2, mm."""
 MEASURED_LAYER_U95_MM = 5.0
@@ -195,7 +195,7 @@ class VolumeMeasurement:
     """95 % interval of the volume, cc. None if unknown. Never below zero. For a torso it refers to the volume above a
     flat chest, with the layer found at the boundary continued behind the breast."""
     as_defined_cc: tuple[float, float] | None = None
-    """For a torso: 95 % interval of the volume in front of the named wall, cc, whatever the true chest."""
+    """For a torso: 95 % interval of the volume in front of the named wall, cc, regardless of the true chest."""
     interval_terms_cc: Mapping[str, float]
     """Contribution of each source: half-width at 95 %, cc. Empty without an interval."""
     common_cc: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
@@ -228,7 +228,7 @@ class VolumeMeasurement:
     definitions: tuple[DefinedVolume, ...] = ()
     """The volume by each definition of "the breast". Empty for a cast."""
     boundary_remarks: tuple[BoundaryRemark, ...] = ()
-    """Facts about the boundary, as codes: ``given``, ``head-not-shown``, ``to-be-confirmed``."""
+    """Facts about the boundary, as codes: ``given``, ``head-not-shown``, ``to-be-confirmed``, ``confirmed``."""
 
     @property
     def skin(self) -> TriangleMesh:

@@ -101,7 +101,7 @@ def bounds(foregrounds: Mapping[str, Foreground], range_images: Sequence[RangeIm
 
     Args:
         foregrounds: silhouettes by camera, in the original photographs; cameras without one exclude nothing.
-        range_images: of each pair.
+        range_images: range image of each pair.
         rig: the calibrated cameras.
     """
     through = (SeenThrough.of(image, SEEN_THROUGH_MM) for image in range_images)

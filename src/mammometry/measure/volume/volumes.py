@@ -48,7 +48,7 @@ def measure(
     """Measurement of the solid between skin and wall, exact for the mesh (divergence theorem).
 
     Args:
-        boundary: around the breast, mm, world frame.
+        boundary: curve around the breast, mm, world frame.
         wall: fitted to that boundary.
         settings: uncertainties of boundary and wall.
         alternatives: other walls on the same boundary, for comparison.
@@ -150,7 +150,7 @@ def measure_volumes(
     """Measurements of all breasts, each with every wall that fits.
 
     Args:
-        breasts: of one subject (`open_breasts`).
+        breasts: breasts of one subject (`open_breasts`).
         evidence: results of earlier stages, without surface and boundary jitter, which are found for each breast.
         progress: called with the fraction done.
 

@@ -42,7 +42,7 @@ def fit(breast: OpenBreast, kind: str | None = None) -> ChestWall:
     """One breast or cast closed by a wall.
 
     Args:
-        breast: with its boundary, mm, world frame.
+        breast: the breast or cast with its boundary, mm, world frame.
         kind: name of the wall; None: that of the settings.
 
     Raises:

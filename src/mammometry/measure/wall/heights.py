@@ -123,7 +123,7 @@ def layer(places: Float64[Array, "n 3"], subject: str) -> Height:
     """Height interpolated linearly between the means of 4 mm cells of scattered points.
 
     Raises:
-        MeasureError: by the returned function, if too few of its places are between the scattered points.
+        MeasureError: the returned function is called with too few positions between the scattered points.
     """
     cell = np.round(places[:, :2] / _CELL_MM).astype(np.int64)
     _, number = np.unique(cell, axis=0, return_inverse=True)

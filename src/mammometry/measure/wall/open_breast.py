@@ -169,7 +169,7 @@ def open_breasts(
     Args:
         boundaries: one for each breast.
         surface: the closed, repaired mesh, mm, world frame.
-        settings: of the measurement.
+        settings: settings of the measurement.
         frame: body frame, rows: the patient's left, the head, straight ahead.
         back: separately measured wall, mm, world frame.
     """
