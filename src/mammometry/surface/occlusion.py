@@ -37,7 +37,7 @@ from mammometry.surface.ranges.visibility import LEAST_COSINE
 _GUARD_PX = 3.0  # px of `block_of`: within it a datum's own error may put it outside a silhouette; not critical
 SAMPLES = 300_000
 """Largest number of a view's data that are looked up in other views: about a dozen per block of the subject."""
-_MOST_SAMPLES = 8 * SAMPLES  # of all pairs together: the pairs of a walk see the same skin; limits memory and time
+_MOST_SAMPLES = 8 * SAMPLES  # for all pairs together: the pairs of a walk see the same skin; limits memory and time
 _LEAST_SHARE = 2e-4  # smallest place, relative to the subject's blocks: fewer are outliers; not critical
 _GAP_BLOCKS = 4  # gaps between data narrower than twice this belong to the place; not critical
 _ROUNDS = 4  # most rounds of votes; two are usual

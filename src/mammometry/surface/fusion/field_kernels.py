@@ -17,7 +17,7 @@ RULE_DEFAULT, RULE_NEAREST, RULE_FURTHEST, RULE_TSDF = 0, 1, 2, 3
 """Numbers of the rules by which views are merged."""
 
 _LEAST_COSINE = 0.1  # 84° from the normal: with a smaller cosine every gap would shrink to nothing
-_UNKNOWN_COSINE = 0.5  # of a datum without a normal: 60°, the angle whose cosine is the mean of 0 and 1
+_UNKNOWN_COSINE = 0.5  # cosine for a datum without a normal: 60°, as 0.5 is the mean of 0 and 1
 _STEEPEST = 6.0
 """Largest slope of a continued tangent plane, mm per mm across the ray: 80°. Seen edge-on it would diverge."""
 SPANNED = np.float32(1e-30)

@@ -16,7 +16,7 @@ from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32
 _EDGES = np.array([[a, a | 1 << bit] for bit in (2, 1, 0) for a in range(8) if not a & 1 << bit])
 _FACES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
 _EDGE_OF = {frozenset(edge): number for number, edge in enumerate(_EDGES.tolist())}
-_MOST_EDGES, _MOST_LOOPS = 12, 4  # of one cube: a loop has at least three of the twelve edges
+_MOST_EDGES, _MOST_LOOPS = 12, 4  # per cube: a loop has at least three of the twelve edges
 
 
 def _ambiguous(code: int) -> list[int]:

@@ -29,7 +29,7 @@ def strands_in(image: RangeImage, photograph: Photograph, camera: Camera) -> Boo
     Args:
         image: range image of a pair.
         photograph: photograph of one of its cameras.
-        camera: that camera.
+        camera: the camera of that photograph.
     """
     shape, blocks = image.valid.shape, blocks_of(photograph)
     step = blocks.step

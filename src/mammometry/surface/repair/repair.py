@@ -197,7 +197,7 @@ def _near_data(mesh: TriangleMesh, valid: ValidPatches, settings: RepairSettings
 
 
 def _spread(values: Array, kept: Bool[Array, " n"], otherwise: float) -> Array:
-    """Values of all vertices from those of the kept ones. The others have one value."""
+    """Values of all vertices from those of the kept ones. The others get the value `otherwise`."""
     result = np.full((len(kept), *values.shape[1:]), otherwise, dtype=values.dtype)
     result[kept] = values
     return result

@@ -165,7 +165,7 @@ class _Chart:
     low: Int64[Array, 2]
     """First column and row of the piece in the photograph."""
     high: Int64[Array, 2]
-    """Its last column and row plus one."""
+    """Last column and row of the piece, plus one."""
 
 
 def _charts(
@@ -311,7 +311,7 @@ def fading_pixels(
     Args:
         mesh: the viewing mesh.
         view: number of the photograph that each face shows, −1 for none.
-        weights: from `fading_weights`.
+        weights: weights from `fading_weights`.
         uv_px: positions of the faces' corners in the picture, pixels, integers at pixel centres.
         size_wh: size of the picture.
     """

@@ -64,7 +64,7 @@ def hidden(
 
     Args:
         places: column and row in pixels of `inverse_depths`, inverse depth in 1/mm.
-        inverse_depths: of the surface nearest to the camera, 1/mm. −∞ where there is none.
+        inverse_depths: inverse depth of the surface nearest to the camera, 1/mm. −∞ where there is none.
         clearance_mm: least distance in front of a point from which the surface hides it.
     """
     height, width = inverse_depths.shape
