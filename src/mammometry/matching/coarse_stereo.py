@@ -1,8 +1,8 @@
-"""Coarse stereo of whole photographs: what is near, what is in the background.
+"""Coarse stereo of whole photographs, to separate near objects from the background.
 
 Before the subject is known, both photographs of a pair are reduced, rectified and matched completely, from well in
 front of the calibration target's position to far behind it. Where both directions agree, the depth shows whether a
-block is in the working volume or behind it, whatever its brightness. Dark or smooth areas remain unknown.
+block is in the working volume or behind it, independently of its brightness. Dark or smooth areas remain unknown.
 """
 
 from __future__ import annotations
@@ -161,7 +161,7 @@ def sort_depths(depths: Sequence[CoarseDepths], middle_world: Float64[Array, 3])
     """Classify all pairs' pixels by depth: near, far, and the support under the subject.
 
     Args:
-        depths: of all pairs.
+        depths: depths of all pairs.
         middle_world: point near the subject's centre, mm.
     """
     nears = [_is_near(one, middle_world) for one in depths]

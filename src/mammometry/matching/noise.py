@@ -1,8 +1,8 @@
 """Noise, sharpness and texture of an image, measured in the image itself.
 
-Sharpness: on a level with details the image changes from pixel to pixel about as much as on the next coarser one. In a
-blurred one it changes half as much, and its power is a quarter. Noise hides this on the finest level, so each level is
-judged by the two coarser ones, in which most noise is gone.
+Sharpness: on a level with details, neighbouring pixels differ about as much as on the next coarser level. On a blurred
+level they differ half as much, so the power of the differences is a quarter. Noise hides this on the finest level, so
+each level is assessed from the two coarser ones, on which most noise is gone.
 """
 
 from collections.abc import Sequence
@@ -20,9 +20,9 @@ _PART_PX = 768  # side of the square at the subject's centre that is used
 _RIM_PX = 3  # distance from the subject's border, outside which the image is extended
 _FEWEST_PX = 400  # fewest pixels of a level for a decision
 _SOFT = 0.5
-"""Ratio of the power of steps between pixels on the next coarser level to that on the one after, below which a level is
-empty: in-focus plaster has 0.73 to 0.80, torsos 0.85, a head 0.58; with a blur of 0.8, 1.4 and 3.6 px 0.46, 0.36 and
-0.32 (docs/decisions/0015)."""
+"""A level is empty if the power of steps between pixels on the next coarser level, over that on the level after it, is
+below this ratio: in-focus plaster has 0.73 to 0.80, torsos 0.85, a head 0.58; with a blur of 0.8, 1.4 and 3.6 px 0.46,
+0.36 and 0.32 (docs/decisions/0015)."""
 
 
 def empty_levels(image: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> int:
@@ -106,7 +106,7 @@ def noise_variance(finest: Level, decimations: Sequence[Float32[Array, " _"]]) -
 _FEWEST_MATCHES = 100  # fewest matches for a noise estimate
 _SOUND_CORRELATION = 0.5  # smallest correlation of a match used for the noise estimate
 _MOST_DOUBT = 4.0  # largest factor on a match's variance: twice its standard deviation (docs/decisions/0015)
-_LONG_WAVES = 4.0  # in window σ: slower shading is not texture
+_LONG_WAVES = 4.0  # σ of the high-pass, in window σ: slower shading is not texture
 _LOWEST_NOISE = 1e-4  # least SD of luma, 0…1: a tenth of an 8-bit step's rounding
 
 
@@ -118,7 +118,7 @@ def unexplained(level: Level, matches: MatchEstimate, sigma_px: float) -> Float3
 
     Args:
         level: the finest matched level.
-        matches: on this level.
+        matches: matches on this level.
         sigma_px: σ of the Gaussian window.
     """
     # In place: at full size each array needs a quarter of an image's memory.
@@ -138,7 +138,7 @@ def weak_texture(level: Level, matches: MatchEstimate, sigma_px: float, limit_px
 
     Args:
         level: the finest matched level.
-        matches: on this level.
+        matches: matches on this level.
         sigma_px: σ of the Gaussian window.
         limit_px: standard deviation, pixels of the level.
     """

@@ -38,7 +38,7 @@ def matching_costs(
     costs = np.zeros((height, width, count), dtype=np.uint8)
     unit, half = np.float32(COSTS_TO_ONE), np.float32(0.5)
     no_partner = np.uint8(unit * np.float32(outside) + half)
-    partners = np.empty((length, width), dtype=np.float32)  # of one row: neighbouring shifts are contiguous
+    partners = np.empty((length, width), dtype=np.float32)  # one row: neighbouring shifts are contiguous
     products = np.empty(count, dtype=np.float32)
     for i in range(height):
         for j in range(width):

@@ -80,7 +80,7 @@ def find_supports(views: Sequence[NearDepths]) -> list[Float64[Array, 4] | None]
 
 
 def _by_most(splits: Sequence[_Split]) -> bool:
-    """Whether most pairs find a support, each by itself: one pair may be misled by a repeating pattern."""
+    """Whether most pairs find a support separately: a repeating pattern may mislead one pair."""
     return 2 * sum(_is_support([one]) for one in splits) > len(splits)
 
 

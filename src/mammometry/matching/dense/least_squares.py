@@ -48,7 +48,7 @@ remains (docs/decisions/0015).
 _SMALLEST_SPAN_PX = 24  # about three windows
 _CALM_SPAN_PX = 230  # larger subjects start one level coarser, because of the finest level's noise
 _SOFT_SPAN_PX = 150  # smallest size of a blurred subject on its finest level: windows cover too much of smaller ones
-_FINEST_LEVEL = 1  # of a large subject: optics leave little detail at full resolution
+_FINEST_LEVEL = 1  # finest level of a large subject: optics leave little detail at full resolution
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,7 +98,7 @@ def choose_levels(pair_name: str, masks: Sequence[Bool[Array, "h w"]], *, empty:
     """Choose the levels by the size of the smaller subject and the sharpness of the more blurred image.
 
     Args:
-        pair_name: for messages.
+        pair_name: name of the pair, for messages.
         masks: the subject's pixels in both images.
         empty: number of finest levels in which an image has no details (`sharpness`), only noise.
 

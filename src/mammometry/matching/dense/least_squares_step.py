@@ -143,7 +143,7 @@ class MatchEstimate:
     shift: Float32[Array, "h w"]
     """Column of each pixel's match in the other image minus its own. Pixels of the level."""
     step: Float32[Array, "h w"]
-    """Its change in the last step."""
+    """Change of the shift in the last step."""
     correlation: Float32[Array, "h w"]
     """c of Eq. 1 before that change, −1…1."""
     variance: Float32[Array, "h w"]

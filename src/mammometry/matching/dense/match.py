@@ -77,7 +77,7 @@ _LAST_STEP_PX = LARGEST_STEP_PX / 2  # a match that still moves by more has not 
 _D_H_STEP_PX = 2.0**-8  # step of the stored values: its rounding has a σ of 0.0011 px, matching at least 0.019
 _D_V_STEP_PX = 2.0**-10  # finer, since its medians are used to detect motion
 _CONFIDENCE_STEP = 2.0**-7  # shown with two decimals
-_ISLAND_WINDOWS = 4  # in areas of a Gaussian window, 4πσ²: smaller islands are rejected (docs/decisions/0015)
+_ISLAND_WINDOWS = 4  # least island, areas of a Gaussian window, 4πσ²: smaller ones are rejected (docs/decisions/0015)
 
 
 @value(eq=False)
@@ -88,7 +88,7 @@ class DisparityMap:
     left: Camera
     """Ideal rectified camera at the map's resolution."""
     right: Camera
-    """Its partner at the same resolution and orientation. Only the principal column differs."""
+    """The right camera at the same resolution and orientation. Only the principal column differs."""
     d_h_px: Float32[Array, "h w"]
     """Horizontal disparity u_left − u_right, in steps of 2^-8. 0 where not valid."""
     d_v_px: Float32[Array, "h w"]

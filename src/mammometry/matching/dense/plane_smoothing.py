@@ -184,7 +184,7 @@ def evaluate_planes(planes: Float32[Array, "5 h w"], choice: UInt8[Array, "h w"]
 
 _JUMP_PX = 0.5  # scatter about the plane above which a window crosses a jump
 _BAND_ROWS = 256  # limits memory
-_WINDOW_MOVE = 2.0  # in σ: at this distance a window no longer contains the jump's other side
+_WINDOW_MOVE = 2.0  # shift of a window in σ: at this distance it no longer contains the jump's other side
 _NARROWEST_PX = 2.0  # σ from which samples at a distance of one pixel are enough (docs/decisions/0020: σ 4 on blocks)
 _NOISE_PX = 4.0  # Gaussian σ over which variances are averaged
 _ENOUGH_MASS = 1e-6  # smallest mass of a window, with weights scaled to a median of 1

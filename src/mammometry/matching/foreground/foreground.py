@@ -21,7 +21,7 @@ from mammometry.matching.foreground.silhouette import block_means, sub_pixel_cov
 CONTOUR_LEVEL = 0.4
 """Coverage at the silhouette, 0…1. The border is turned away from the light and darker than the skin next to it: in
 eight views of three subjects, 0.5 was 0.1 to 0.3 px inside the true border, and 0.4 within 0.1 px of it."""
-_REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images on which widths were measured, a quarter of the paper's size
+_REFERENCE_DIAGONAL_PX = 1353.0  # 1126 × 750 pixels, a quarter of the paper's size, on which widths were measured
 _BLOCK_PX = 2.0  # pixels per block at that size: shows a bar of 4 px, and takes about a second
 _EVEN = 0.02  # largest difference of encoded values (sRGB), 5 of 255, by noise in the blocks of an empty image
 _BLACK = 0.1  # encoded value (sRGB) that no block of a black photograph reaches: 1 % of the light
