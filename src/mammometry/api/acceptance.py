@@ -71,7 +71,7 @@ def run_acceptance(folder: Path, settings: Settings | None = None, *, progress: 
 
     Args:
         folder: a folder made by `mammometry acceptance new`, with the measurements.
-        settings: for sessions of photographs; None for the recommended ones.
+        settings: settings for sessions of photographs; None for the recommended ones.
         progress: called with the fraction of the measurements that are done.
 
     Raises:
@@ -137,7 +137,7 @@ def acceptance_files(folder: Path, outcome: Outcome) -> dict[str, bytes]:
 
 
 def past_tests(folder: Path, device: str) -> list[PastTest]:
-    """Earlier tests of a device, from the results in the folders beside this test's. Others are skipped."""
+    """Earlier tests of a device, from the results in the folders next to this test's. Others are skipped."""
     own = folder.resolve()
     return device_tests(own.parent, device, without=own.name)
 
@@ -155,7 +155,7 @@ def device_tests(folder: Path, device: str, *, without: str = "") -> list[PastTe
         try:
             past = read_past(path, device)
         except SessionError:
-            continue  # not results of a test, or of another version
+            continue  # not the results of a test, or those of another version
         if past is not None:
             found.append(past)
     return sorted(found, key=lambda past: past.date)

@@ -132,7 +132,7 @@ def compare_visits(
         progress: called with the fraction of the comparison.
 
     Raises:
-        MammometryError: as `compare`.
+        MammometryError: as in `compare`.
     """
     from mammometry.report.privacy import Privacy
 

@@ -50,7 +50,7 @@ _NUMBERED = re.compile(r"(.*[^\W\d_])[ _]?(\d{1,3})")
 """A name and a number without a hyphen."""
 _COPY = re.compile(r"\(\d+\)$|[\s_-](copy|kopie|copie|copia)([\s_-]?\(?\d+\)?)?$|^(copy of|kopie von) ", re.IGNORECASE)
 """Names of copies by browsers and desktops: ``anna-1 (1)``, ``anna-1 copy 2``, ``Copy of anna-1``."""
-_SAME_MM = 1e-3  # curves nearer than this are copies: files have a resolution of 0.001 mm, which nobody draws twice
+_SAME_MM = 1e-3  # curves nearer than this are copies: files have a resolution of 0.001 mm, which no person repeats
 _COLUMNS = "columns mesh, boundary and observer, and repeat if a person drew twice"
 
 

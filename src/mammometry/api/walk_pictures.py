@@ -55,7 +55,7 @@ class WalkPictures:
         """
         observations, out = self.observations, dict(self.left_out)
         stations = stations_of(observations)
-        # Pictures with another lens bias the common one (a zoom of 50 % by 0.3 %), so the rest is judged again.
+        # Pictures with another lens bias the common one (a zoom of 50 % by 0.3 %), so the others are tested again.
         while odd := judge_lenses(stations.calibration, stations.rig.cameras):
             out |= odd
             good = tuple(board for board in observations.detections if board.pose not in odd)
