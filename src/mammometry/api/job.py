@@ -117,7 +117,7 @@ def scan_files(folder: Path, *, subject: str | None = None, drawn: bool = True) 
 
 
 def folder_for(mesh: Path) -> Path:
-    """Default folder for a mesh's results: an imported scan's own, else one next to the mesh, with its name."""
+    """Default folder for a mesh's results: an imported scan's own, else one next to the mesh."""
     if mesh.name == MESH and is_scan(mesh.parent):
         return mesh.parent / RESULTS
     return mesh.with_name(f"{mesh.stem}-measured")
