@@ -1,1 +1,1 @@
-"""The rig from photographs of a target (paper 2.2)."""
+"""Calibrate the rig from photographs of a target (paper 2.2)."""

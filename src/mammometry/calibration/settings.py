@@ -48,8 +48,7 @@ class CheckSettings:
 
     refuse_mm: float = 0.1
     """RMS displacement of measured points above which the calibration must not be used. Over the 300 cm² that a pair
-    sees,
-    0.1 mm is 3 cc."""
+    sees, 0.1 mm is 3 cc."""
 
     def __post_init__(self) -> None:
         if not self.refuse_mm > 0:

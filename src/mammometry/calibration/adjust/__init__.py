@@ -1,1 +1,1 @@
-"""Adjust the whole rig: from detections to cameras with covariance."""
+"""Adjust the whole rig: from detections to cameras with their covariance."""

@@ -21,7 +21,7 @@ class LinearView:
     """Weighted residuals of one view and their derivatives."""
 
     columns: Int64[Array, " k"]
-    """Parameters of its camera and of its station."""
+    """Columns of the parameters of its camera and of its station."""
     residual: Float64[Array, "n 2"]
     by_pose: Float64[Array, "n 2 k"]
     """Derivative of `residual` by these parameters."""
@@ -32,7 +32,7 @@ class LinearView:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Adjustment:
-    """The least-squares problem of a network. Free points are the triples of the normal equations."""
+    """The least-squares problem of a network. The free points are the `triples` of the normal equations."""
 
     network: Network
     active: Bool[Array, " n"]
@@ -133,7 +133,7 @@ class Adjustment:
     def _linearised(
         self, state: State, part: slice
     ) -> tuple[Float64[Array, "n 2"], Float64[Array, "n 2 k"], Float64[Array, "n 2 3"]]:
-        """Weighted residuals of some points, and derivatives by camera and station, and by points."""
+        """Weighted residuals of some points, and their derivatives by camera and station, and by the points."""
         network, active = self.network, self.active[part]
         view = network.view[part]
         camera, station = network.view_camera[view], network.view_station[view]

@@ -30,7 +30,8 @@ from mammometry.calibration.targets.target import Target
 from mammometry.geometry import Array, Bool, Camera, Float64, Rig, Transform
 
 FREE_TARGET_POSES = 6
-"""Placements from which ``auto`` adjusts a board's shape: fewer hardly separate it from the cameras'."""
+"""Fewest placements from which ``auto`` adjusts a board's shape. With fewer, its shape and the cameras' parameters can
+hardly be separated."""
 
 _PARAMETERS = {
     "brown": INTRINSIC_NAMES[:9],
@@ -84,7 +85,7 @@ def network_of(
     cameras = tuple(observations.sizes_wh)
     stations = tuple(dict.fromkeys([*sorted({v.station for v in views if not v.own}), *(v.station for v in views)]))
     target_of = {"": observations.target, **{camera: separate.target for camera, separate in own.items()}}
-    targets = list(dict.fromkeys(target_of.values()))  # equal boards are one board
+    targets = list(dict.fromkeys(target_of.values()))  # equal boards share their points
     tables = [target.points_target for target in targets]
     first_rows = np.concatenate([[0], np.cumsum([len(table) for table in tables])])
     rows = {camera: first_rows[targets.index(target)] for camera, target in target_of.items()}
@@ -140,7 +141,7 @@ def _is_free(target: Target, placements: int, settings: BundleSettings) -> bool:
 
 
 def _shape_prior_mm(target: Target, settings: BundleSettings) -> tuple[float, float, float]:
-    """The settings' prior, with the board's measured flatness, if any, for depth."""
+    """Prior standard deviations of the target's points, mm. In depth, a measured flatness is used instead."""
     across_x, across_y, depth = settings.target_prior_mm
     return across_x, across_y, target.flatness_mm or depth
 
@@ -172,15 +173,15 @@ def _start(network: Network, views: Sequence[UsedDetection], initial: InitialRig
 K3_SIGMA = 4.0
 """Standard deviations (for errors shared by a photograph's points) above which ``auto`` accepts k3."""
 VIEW_RATIO = 50.0
-"""Ratio to all views' median residual above which a whole view is excluded. Only an image of another pose, swapped
-cameras or a mirrored target reach it."""
+"""Ratio to all views' median residual above which a whole view is excluded. Only a photograph of another pose, swapped
+cameras or a mirrored target exceeds it."""
 
 __all__ = ["BundleSettings", "Calibration", "ParameterCovariance", "SetAside", "calibrate"]
 
 _LEAST_VIEW_ERROR_PX = 1.0
 """Median residual below which a view is never excluded, px."""
 _FIRST_VIEW_ERROR_WIDTHS = 0.02
-"""The same before the first adjustment, in image widths. Initial values are good to about a pixel, while images of
+"""The same before the first adjustment, in image widths. Initial values are good to about a pixel, while photographs of
 another pose are far off."""
 
 
@@ -207,8 +208,7 @@ def calibrate(
         rig_name: the rig's name.
         settings: of the calibration; only `bundle` is used.
         intrinsics_observations: camera → separate photographs of any target by this camera alone; they are adjusted
-            too,
-            each with its own placement.
+            too, each with its own placement.
         priors: camera → prior of its lens. With one, a single view of the camera is enough.
         progress: called with the fraction done.
 
@@ -227,7 +227,7 @@ def calibrate(
         return network_of(views, observations, own, initial, priors, settings.bundle)
 
     def setting_aside(network: Network, state: State, least_px: float) -> bool:
-        """Exclude views of something else."""
+        """Exclude views that do not fit at all. Return whether there were any."""
         bad = bad_views(network, state, VIEW_RATIO, least_px)
         set_aside.extend(SetAside(camera=views[i].camera, pose=views[i].pose, residual_px=px) for i, px in bad.items())
         views[:] = [view for i, view in enumerate(views) if i not in bad]
@@ -281,8 +281,8 @@ def _require_every_camera(
 def _with_needed_k3(solved: RobustResult, priors: Mapping[str, CameraPrior], settings: BundleSettings) -> RobustResult:
     """Adjust k3 too for cameras that need it.
 
-    It must differ from zero by its standard deviation from the scatter between photographs. With independent residuals
-    every lens would seem to have a k3.
+    k3 must differ significantly from zero, by its standard deviation from the scatter between photographs. With the one
+    for independent residuals, every lens would seem to have a k3.
     """
     network = solved.problem.network
     columns = network.columns_of_intrinsic("k3")

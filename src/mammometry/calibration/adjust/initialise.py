@@ -148,7 +148,6 @@ class TooFewViewsError(CalibrationError):
         subject: the cameras, in words.
         found: how often they saw it.
         expected: how often they must see it.
-        expected: how often they should.
         remedy: what the user can do about it.
     """
 

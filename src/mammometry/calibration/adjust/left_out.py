@@ -24,11 +24,11 @@ _FOLDS = 12
 """Number of groups of left-out poses, for speed. Rigs with up to twelve poses leave out one at a time."""
 _STEPS = 6
 """Most Levenberg–Marquardt steps without a fold, which starts near its minimum."""
-_NEAR = 0.1  # standard deviations
-_LINEAR = 0.1  # largest relative difference of the cost's decrease from the linear problem's
+_NEAR = 0.1  # tolerance of a refined result: remaining step in standard deviations
+_LINEAR = 0.1  # largest relative difference of the cost's actual from its predicted decrease after a single step
 _NO_PRIOR = 1e9
-"""Factor on a prior's standard deviation that makes it ineffective."""
-_SEED = 0  # of the random signs
+"""Factor on a prior's standard deviation that removes the prior's effect."""
+_SEED = 0  # seed of the random signs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,12 +40,11 @@ class LeftOut:
     fitted_px: float
     """RMS length of these poses' residuals in the adjustment of all poses."""
     left_out_px: float
-    """The same with each pose left out in turn: everything is adjusted without it, then only its target's placement is
-    estimated, with points from the other poses."""
+    """The same with each pose left out in turn: everything is adjusted without it. Then only the placement of its
+    target is estimated, with the cameras and target points from the other poses."""
     chance_ratio: float
-    """`ratio` for errors of the same size that are independent between points: the effect of the number of unknowns
-    only.
-    """
+    """`ratio` if errors of the same size were independent between points: the effect of the number of unknowns
+    alone."""
 
     @property
     def ratio(self) -> float:
@@ -75,7 +74,7 @@ def leave_poses_out(solved: RobustResult) -> LeftOut | None:
 
 
 def _with_drawn_signs(solved: RobustResult) -> RobustResult:
-    """Simulate independent errors of the same sizes, and minimise."""
+    """Give each residual a random sign, to simulate independent errors of the same sizes, and minimise."""
     problem, state = solved.problem, solved.state
     residual_px, _ = residuals(problem.network, state)
     signs = np.random.default_rng(_SEED).choice([-1.0, 1.0], size=(len(residual_px), 1))
@@ -85,7 +84,7 @@ def _with_drawn_signs(solved: RobustResult) -> RobustResult:
 
 
 def _left_out(solved: RobustResult, group: int) -> tuple[int, float, float] | None:
-    """Number of a group's poses that could be left out, and their RMS residuals used and left out, px."""
+    """Number of a group's poses that could be left out, and RMS of their residuals used and left out, px."""
     problem, state = solved.problem, solved.state
     network = problem.network
     fitted_px, _ = residuals(network, state)
@@ -115,9 +114,9 @@ def _left_out(solved: RobustResult, group: int) -> tuple[int, float, float] | No
 
 
 def _adjusted_without(without: Adjustment, state: State, equations: NormalEquations) -> State:
-    """State after one Newton step from the minimum of all poses.
+    """Newton step from the minimum of all poses to the one without some poses.
 
-    If the cost does not fall as predicted, it is minimised fully.
+    If the cost does not fall as predicted, it is minimised iteratively.
     """
     step = damped_step(equations.holding(without.held), DAMPING_LEAST)
     if step is not None:

@@ -30,7 +30,8 @@ class Fit:
     """Most probable motions under one hypothesis."""
 
     motions: Float64[Array, " p"]
-    """0 where held. Directions that are not determined are 0 too, in units of each unknown's own standard error."""
+    """0 where held. Directions that are not determined are 0 too, with each unknown in units of its own standard
+    error."""
     covariance: Float64[Array, "p p"]
     """Of the motions, after the observations. 0 where held, and in directions that are not determined."""
     misfit: float
@@ -85,7 +86,7 @@ class LinearModel:
         return Fit(motions=motions, covariance=covariance, misfit=misfit, freedom=freedom, log_evidence=log_evidence)
 
     def beyond(self, fit: Fit, more: slice | Int64[Array, " k"]) -> LinearModel:
-        """Return the model of further unknowns, for any values of those that `fit` found.
+        """Return a model for further unknowns with those of `fit` eliminated, so that they may take any value.
 
         Args:
             fit: of this model, without the further unknowns.

@@ -30,8 +30,8 @@ class Network:
     view_camera: Int64[Array, " v"]
     view_station: Int64[Array, " v"]
     view_group: Int64[Array, " v"]
-    """Group of each view: 0 for the rig's target, 1 for intrinsics photographs. A group has one factor on its
-    detections' covariances."""
+    """Group of each view: 0 for the rig's target, 1 for intrinsics photographs. Each group has one factor on the
+    covariances of its detections."""
     view_start: Int64[Array, " v1"]
     """Index of each view's first point, and the number of points at the end."""
     point: Int64[Array, " n"]
@@ -40,7 +40,8 @@ class Network:
     whitener: Float64[Array, "n 2 2"]
     """Inverse of the lower Cholesky factor of a point's covariance: residual px → standard deviations."""
     tie: Float64[Array, "10 m"]
-    """Intrinsic values by adjusted parameters: the camera model. A 1 marks where a parameter acts."""
+    """Matrix of the camera model: intrinsic values by adjusted parameters. A 1 marks the value that a parameter
+    sets."""
     intrinsic_names: tuple[str, ...]
     """Names of the adjusted intrinsic parameters."""
     prior_intrinsics: Float64[Array, "c 10"]
@@ -117,13 +118,13 @@ class State:
 
     intrinsics: Float64[Array, "c 10"]
     camera_rotation: Float64[Array, "c 3 3"]
-    """Of camera_from_world."""
+    """Rotation of camera_from_world."""
     camera_centre: Float64[Array, "c 3"]
     """Perspective centres, world, mm."""
     station_rotation: Float64[Array, "s 3 3"]
-    """Of world_from_target."""
+    """Rotation of world_from_target."""
     station_translation: Float64[Array, "s 3"]
-    """Of world_from_target, mm."""
+    """Translation of world_from_target, mm."""
     points: Float64[Array, "p 3"]
     """All targets' points, each in its target's frame, mm."""
 

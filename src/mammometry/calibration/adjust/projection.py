@@ -14,8 +14,8 @@ from mammometry.base.value import value
 from mammometry.geometry import Array, Camera, Float64, lens
 
 INTRINSIC_NAMES = ("fx_px", "fy_px", "cx_px", "cy_px", *lens.COEFFICIENTS, "skew_px")
-"""Order of a camera's ten intrinsic values in the adjustment. The skew, the change of u with the distorted y, is zero
-in every camera that we return. Only published calibrations of older cameras have one."""
+"""Order of a camera's ten intrinsic values in the adjustment. The skew is the change of u with the distorted y. It is
+zero in all cameras calibrated here; only published calibrations of older cameras have one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -43,7 +43,7 @@ def project(points_camera: Float64[Array, "n 3"], intrinsics: Float64[Array, "n 
 
 
 def project_with_derivatives(points_camera: Float64[Array, "n 3"], intrinsics: Float64[Array, "n 10"]) -> Projection:
-    """Project as `project` does, with analytic derivatives. They are by the point and by the intrinsics."""
+    """Project as `project` does, with analytic derivatives by the point and by the intrinsics."""
     fx, fy, skew = intrinsics[:, 0], intrinsics[:, 1], intrinsics[:, 9]
     coefficients = intrinsics.T[4:9]
     inverse_z = 1.0 / points_camera[:, 2]
@@ -84,7 +84,7 @@ LENS_NAMES = INTRINSIC_NAMES[:9]
 
 @value(eq=False)
 class CameraPrior:
-    """An earlier lens of a camera, with each parameter free, fixed or weighted.
+    """Earlier calibration of a camera's lens. Each parameter is free, fixed or weighted.
 
     Only the lens is used. The camera's pose is estimated again, so that a moved camera is noticed.
     """

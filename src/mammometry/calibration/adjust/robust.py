@@ -2,10 +2,9 @@
 
 Corner errors of one photograph are not independent: defocus, light and lens errors shift neighbours alike. The inverse
 of the normal matrix does not include this, but the scatter between views does: V = Σ dᵥ dᵥᵀ, where dᵥ is the step that
-    view
-v's residuals cause. This is the *sandwich* covariance clustered by views, with the small-sample correction CR2 (Bell
-and McCaffrey 2002, Survey Methodology 28): each view has affected its own camera and station, so its residuals are
-smaller than its errors.
+view v's residuals cause. This is the *sandwich* covariance clustered by views, with the small-sample correction CR2
+(Bell and McCaffrey 2002, Survey Methodology 28): the adjustment has fitted a view's camera and station to it, so its
+residuals are smaller than its errors.
 """
 
 from __future__ import annotations
@@ -22,9 +21,9 @@ from mammometry.geometry.arrays import Array, Bool, Float64
 HUBER_MAD = 3.0
 """Robust standard deviations up to which residuals count quadratically; larger ones count linearly."""
 REJECT_SIGMA = 10.0
-"""Robust standard deviations beyond which points are excluded from the last adjustment. Photographs of one capture
-differ twofold in noise, so ten for all photographs are five for the worst one. Smaller outliers do no harm, since they
-count linearly only."""
+"""Robust standard deviations beyond which points are excluded from the last adjustment. The noise of one capture's
+photographs differs by a factor of two, so ten for all photographs together are five for the worst one. Smaller outliers
+do no harm, since their loss is only linear."""
 _MAX_ITERATIONS = 50
 """Levenberg–Marquardt steps of one adjustment. 5–15 are usual."""
 
@@ -38,7 +37,7 @@ _SIGMA_ROUNDS = 8
 _SIGMA_SETTLED = 0.01
 """Relative change of the noise below which it has converged."""
 _LEAST_SIGMA = 0.05
-"""Smallest factor on the detections' standard deviations: exact synthetic images would have none."""
+"""Smallest factor on the detections' standard deviations. Exact synthetic images would have none."""
 _ROUGH = 1e-2  # standard deviations: tolerance while noise and outliers are estimated
 _REJECT_ROUNDS = 3
 """Most searches for outliers."""
@@ -137,9 +136,9 @@ def independent_covariance(solved: RobustResult) -> Float64[Array, "p p"]:
 def clustered_covariance(solved: RobustResult, independent: Float64[Array, "p p"]) -> Float64[Array, "p p"]:
     """Covariance of errors shared by the points of a view.
 
-    It is nowhere below the independent covariance. There are fewer views than parameters, so some directions would seem
-    exact and others too uncertain. Therefore the variances, in units of the independent ones, are moved half-way to
-    their mean.
+    No variance is smaller than the independent one. There are fewer views than parameters, so some directions would
+    seem exact and others too uncertain. Therefore the variances, in units of the independent ones, are moved half-way
+    to their mean.
     """
     free = ~solved.problem.held
     lower = np.linalg.cholesky(independent[np.ix_(free, free)])
@@ -176,8 +175,8 @@ def _without_leverage(
 ) -> Float64[Array, " m"]:
     """A view's residuals corrected for leverage: (1 − J C Jᵀ)^−½ r.
 
-    J is the derivative by the view's own camera and station. The result is as large as the errors. The target's points,
-    which all views share, are taken as fixed.
+    J is the derivative by the view's own camera and station. The result has the size of the errors. The target's
+    points, which all views share, are treated as fixed.
     """
     root = flat @ np.linalg.cholesky(covariance)
     shares, vectors = np.linalg.eigh(root.T @ root)

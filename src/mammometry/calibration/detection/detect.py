@@ -79,8 +79,8 @@ _WHITE, _MAX_WHITE_SHARE = 252, 0.35
 _DARK = 40
 """Brightest grey level of an image that is nearly black."""
 _MIN_STEP = 0.16
-"""Share of the image's contrast that a sharp edge rises between two pixels of the reduced image; a blurred one rises
-less."""
+"""Smallest step between neighbouring pixels of the reduced image at a sharp edge, as a share of the image's contrast.
+Blurred edges have smaller steps."""
 _MIN_CONTRAST = 50
 """Grey levels between dark and bright above which an image without edges is called blurred."""
 
@@ -329,10 +329,11 @@ def _require_size(name: str, camera: str, size_wh: tuple[int, int], expected_wh:
 
 
 _SAME_PX = 0.1
-"""Median distance of the same points, px. Different cameras are never so close. One camera at rest is, but then all
-cameras of the pose are."""
+"""Median distance of the same points, px, below which two photographs are the same. Views of different cameras are
+never so close. Two views of one camera are if nothing moved, but then those of all other cameras are, too."""
 _COPIED_PX = 1e-3
-"""Noise alone moves corners by more than this between exposures, px."""
+"""Median distance above which photographs of a target at rest are two exposures, px: noise alone moves corners by
+more."""
 _COMMON = 0.9
 """Smallest share of points that two copies of an image have in common."""
 
@@ -340,8 +341,8 @@ _COMMON = 0.9
 def set_duplicates_aside(observations: Observations) -> Observations:
     """Exclude photographs that exist more than once, with an explanation.
 
-    An image may have the names of two cameras, or be in two poses of one camera while the others saw the target move.
-    Neither copy is used. A copied whole pose counts once.
+    One image may have been stored under the names of two cameras, or in two poses of a camera while the other cameras
+    saw the target move. Neither copy is used. If a whole pose was copied, it counts once.
     """
     twins: dict[tuple[str, str], list[Detection]] = defaultdict(list)
     for a, b in combinations(observations.detections, 2):
@@ -369,7 +370,7 @@ def set_duplicates_aside(observations: Observations) -> Observations:
 
 
 def _stood_still(observations: Observations, a: Detection, b: Detection) -> bool:
-    """Whether every other camera saw the same in both poses."""
+    """Whether every other camera saw the target at the same place in both poses."""
     others = {seen.camera: seen for seen in observations.detections if seen.pose == a.pose and seen.camera != a.camera}
     pairs = [
         (others[seen.camera], seen) for seen in observations.detections if seen.pose == b.pose and seen.camera in others

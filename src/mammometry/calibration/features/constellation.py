@@ -43,10 +43,10 @@ _FOCAL_PRIOR, _LENS_PRIOR = 0.7, 0.5
 _LEAST_SHARE = 0.65
 """Smallest share of dots to explain in the area of the target."""
 _FLAT = 0.03
-"""Points thinner than this are in a plane. One plane of a spatial target is not enough: its mirror image is the same
-plane seen from behind."""
+"""Points with a smaller relative thickness are in a plane. One plane of a spatial target is not enough to identify it:
+seen from behind, the plane has the same image as its mirror image."""
 _RIVAL_SHARE = 0.8
-"""Share of the best reading's dots from which on a second reading makes it ambiguous."""
+"""Share of the best reading's dots above which a second reading makes the image ambiguous."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

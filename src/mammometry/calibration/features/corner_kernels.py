@@ -22,9 +22,9 @@ from both edges are skipped."""
 STEPS = 16
 """Most Gauss–Newton steps."""
 CONVERGED_PX = 3e-4
-"""A step of this length ends the fit: a thirtieth of the smallest standard deviation of a point."""
+"""Step that ends the fit: a thirtieth of the smallest standard deviation of a point."""
 CONVERGED_STD = 0.05
-"""Converged step, in standard deviations of the corner: smaller ones are within the noise."""
+"""Step that ends the fit, in standard deviations of the corner: smaller steps are within the noise."""
 SIDE_PIXELS = 8
 """Fewest pixels on each of the four sides of a corner."""
 RESULTS = 16

@@ -34,8 +34,8 @@ class CornerFits:
     covariance_px2: Float64[Array, "n 2 2"]
     """From the residuals and the normal equations, px²."""
     amplitude: Float64[Array, " n"]
-    """a: half the step from dark to bright, linear light. Positive if the squares before and after the corner in both
-    directions are the brighter ones."""
+    """a: half the step from dark to bright, linear light. Positive if the bright squares are those before and after the
+    corner in both directions."""
     background: Float64[Array, " n"]
     """b: mean of dark and bright, linear light."""
     residual: Float64[Array, " n"]
@@ -160,7 +160,7 @@ neighbouring corners' blurred edges."""
 _FIRST_WINDOW = 0.5
 """Half-width of the first, robust pass as a share of the final window."""
 _REACH_SQUARES = 1.2
-"""Largest distance of predicted corners from seen ones, squares: extrapolation is unreliable."""
+"""Largest distance of predicted corners from the nearest seen point, squares: extrapolation is unreliable."""
 _MIN_SQUARE_PX = 9.0
 """Smallest foreshortened square that is measured, px: below it the blurred edges overlap."""
 _MIN_CONTRAST = 0.12

@@ -2,11 +2,11 @@
 
 The centre is the centroid of darkness, corrected for perspective and curvature. Darkness is the share of a pixel that
 the dot covers, between the background's light and the dot's own, each a plane. A plain difference to the background
-would weigh the lit side of a dot more, and move the centroid of a disc of radius r by r²/4 times the relative gradient
-of the
-light: 0.25 px for a dot of 20 px in light that falls by 1 % per pixel. The dot's own plane, from its middle, separates
-falling light from gloss and haze, which add to dot and background alike. The centroid of a dot's image is not the image
-of its centre. The difference is computed from the map over the dot's area and subtracted.
+would give the lit side of a dot more weight. In light with a relative gradient g, the centroid of a disc of radius r
+would move by g r²/4: 0.25 px for a dot of 20 px in light that falls by 1 % per pixel. The dot's own plane, from its
+middle, distinguishes falling light from gloss and haze, which add the same light to dot and background. The centroid of
+a dot's image is not the image of its centre. The difference is computed from the map over the dot's area and
+subtracted.
 """
 
 from __future__ import annotations
@@ -135,8 +135,8 @@ def _darkness_centroid(
 ) -> tuple[Float64[Array, 2], Float64[Array, "2 2"], float] | None:
     """Centroid of the dot's share of each pixel, within its outline and blur.
 
-    The background is a plane fitted to a ring. If `start` is `centred`, the middle of the dot is known to be dark, and
-    the dot's light is taken from there.
+    The background is a plane fitted to a ring. With `centred`, `start` is accurate enough for the middle of the dot to
+    be dark, and the dot's own light is measured there.
     """
     inverse = np.linalg.inv(jacobian)
     mm_per_px = np.linalg.norm(inverse, axis=1)
@@ -169,7 +169,7 @@ def _darkness_centroid(
         plane = np.linalg.lstsq(design[use], value[use], rcond=None)[0]
         residual = value - design @ plane
         noise = MAD * float(np.median(np.abs(residual[use])))
-        use = ring & (np.abs(residual) < 3.5 * noise + 1e-4)  # at least half of them: the median is nearer
+        use = ring & (np.abs(residual) < 3.5 * noise + 1e-4)  # keeps at least half of them: 3.5 σ exceed the median
     background = design @ plane
     if background[inside].min() <= 0:
         return None
@@ -201,17 +201,17 @@ _STEPS = 80
 _DIRECTIONS = 16
 """Lines from a disc's centre."""
 _BESIDE = (-0.2, 0.0, 0.2)
-"""Positions of the lines across a square, in lengths of a line: between its corners for all but the smallest
+"""Positions of the lines across a square, in lengths of a line. They miss its corners, except for the smallest
 squares."""
 _OUTER = 0.7
-"""Share of a line beyond which the bright surroundings begin: a marker's own bright cells end before it."""
+"""Share of a line beyond which the bright surroundings begin. The bright cells inside a marker are before it."""
 _LEAST_MARKS = 4
 """Fewest marks completely in the image."""
 _DARKER = 0.6
 """Largest brightness of the dark, relative to the bright."""
 _DOUBT_PX, _DOUBT_BLURS = 0.5, 0.5
-"""Uncertainty of a step's position, px and standard deviations of the blur: if a bright gap is narrower than two of
-these, the step is no longer at half the height."""
+"""Uncertainty of a step's position, px and standard deviations of the blur. If a bright gap is narrower than twice
+this, the step is no longer at half the height."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

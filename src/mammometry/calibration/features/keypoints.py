@@ -17,7 +17,7 @@ WIDTH_PX = 450
 MOST = 1000
 """Most features of an image, the strongest: more take time without more information."""
 _CONTRAST = 0.01  # smallest contrast of a feature; on skin OpenCV's default 0.04 leaves a tenth of them
-_COARSE_STEP = 4  # reduction factor from which on only every other row and column is used
+_COARSE_STEP = 4  # reduction factor above which only every other row and column is used
 _RATIO = 0.8  # largest ratio of the nearest to the second nearest descriptor's distance; Lowe 2004, section 7.1
 
 _DETERMINED_BY = 7  # matches that determine a fundamental matrix (up to three of them)
@@ -41,7 +41,7 @@ def keypoints(photograph: Photograph, width_px: int = WIDTH_PX, most: int = MOST
     step = max(1, round(pixels.shape[1] / width_px))
     if pixels.dtype == np.uint16:
         pixels = (pixels >> 8).astype(np.uint8)
-    # Only green is used: three colours of 13.5 million pixels take ten times as long to reduce. In a large image every
+    # Only green is used: reducing three colours of 13.5 million pixels takes ten times as long. In a large image every
     # other pixel is enough.
     thin = 2 if step >= _COARSE_STEP else 1
     step = thin * (step // thin)
@@ -62,7 +62,7 @@ def keypoints(photograph: Photograph, width_px: int = WIDTH_PX, most: int = MOST
 def matched(one: Keypoints, other: Keypoints) -> tuple[Float64[Array, "m 2"], Float64[Array, "m 2"]]:
     """Match features that are each other's nearest, clearly before any second one. Returns positions, px.
 
-    The second nearest may be in either image, since the squares of a patterned board look alike.
+    The second nearest feature is searched in both images, since the squares of a patterned board look alike.
     """
     if min(len(one.uv), len(other.uv)) < 2:
         return np.empty((0, 2)), np.empty((0, 2))

@@ -61,7 +61,7 @@ def index_lattice(uv: Float64[Array, "n 2"]) -> tuple[Int64[Array, " m"], Int64[
             best = piece
     points = np.array(sorted(best), dtype=np.int64)
     places = np.array([best[point] for point in points.tolist()], dtype=np.int64)
-    # Two points at one position: indexing failed there, and neither is reliable.
+    # Two points have the same position: indexing failed there, and neither is reliable.
     _, inverse, count = np.unique(places, axis=0, return_inverse=True, return_counts=True)
     single = count[inverse.ravel()] == 1
     points, places = points[single], places[single]

@@ -14,13 +14,12 @@ from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
 MIN_POINTS = 8
 """Fewest points by which a target is recognised. Fewer may match by chance."""
 _BRIGHTEST, _SPARSE = 99.5, 4
-"""Percentile of the levels that becomes black in the inverse, and step of the rows and columns used for it, for speed.
-"""
+"""Percentile of the levels that becomes black in the inverse, and step of the rows and columns used for it."""
 _REC709 = np.array([[0.2126, 0.7152, 0.0722]], dtype=np.float32)
 
 
 def grey_bytes(photograph: Photograph) -> UInt8[Array, "h w"]:
-    """Grey of the encoded values, 8 bit, for detectors."""
+    """Grey levels of 8 bits for detectors, from the encoded values."""
     pixels = photograph.pixels
     if pixels.dtype == np.uint16:
         pixels = (pixels >> 8).astype(np.uint8)

@@ -7,19 +7,19 @@ import numpy as np
 
 from mammometry.geometry import Array, Float64, Transform
 
-_ATTEMPTS, _CONFIDENCE = 1000, 0.999  # random sets of points that are tried at most, and chance that one was right
+_ATTEMPTS, _CONFIDENCE = 1000, 0.999  # most random samples, and probability that one has no outlier
 
 
 def pose_of(
     points_world: Float64[Array, "n 3"], xy: Float64[Array, "n 2"], tolerance: float, fewest: int
 ) -> Transform | None:
-    """The most agreed pose, camera_from_world. None if fewer than `fewest` points agree.
+    """Pose with the most inliers, camera_from_world. None with fewer than `fewest` inliers.
 
     Args:
         points_world: mm.
-        xy: where the camera sees them, normalised coordinates without distortion.
-        tolerance: largest distance of a right point from its projection, the same units.
-        fewest: least number of points that agree.
+        xy: images of the points, normalised coordinates without distortion.
+        tolerance: largest distance of an inlier from its projection, in the same units.
+        fewest: least number of inliers.
     """
     if len(points_world) < fewest:
         return None

@@ -1,7 +1,7 @@
 """Test whether photographs have the right camera names, and whether something moved.
 
 Features that both photographs of a pair share must be on each other's epipolar lines, and their points must be in the
-cameras' common field of view. A photograph of another camera fails this for nearly all features. Then the photographs
+cameras' common field of view. Nearly all features of another camera's photograph fail this test. Then the photographs
 are permuted until the pairs agree. If the names are right but all features are off their lines by a similar small
 amount, something moved between the two exposures.
 """
@@ -29,16 +29,17 @@ _FEWEST = 12  # fewest matches of a pair for a decision
 _RIGHT = 0.5  # smallest share of matches that fit if the names are right (benchmarks.accuracy.exchanged)
 _FOREIGN = 0.25  # largest share for two unrelated photographs, by the same benchmark; in between: undecided
 _UNLIKELY = 1e-5  # probability of a chance fit below which matches count as fitting
-_UNLIKELY_NEARER = 1e-3  # the same, for being on the lines rather than near them
+_UNLIKELY_NEARER = 1e-3  # the same for the test that matches are on the lines, not only near them
 _MANY = 30  # fewest matches of photographs of the same subject; others have 5 to 24 by chance, by the same benchmark
-_RICH = 200  # features of a photograph from which on its partner shares at least a sixteenth, by the same benchmark
-_BY_CHANCE = 5  # fitting matches; photographs of different subjects have at most two, by the same benchmark
+_RICH = 200  # features of a photograph above which its partner shares at least a sixteenth, by the same benchmark
+# fewest fitting matches that are not chance; unrelated photographs have at most two, by the same benchmark
+_BY_CHANCE = 5
 _WIDER = 1.3  # largest angle of a pair that must share features, relative to other pairs that do
 _BUMPED_MM = 3.0  # largest offset from the lines after a bump; smaller motions are corrected later
-_GAIN = 0.2  # smallest gain of the two shares, summed, by swapping two pairs: 0.4 with wrong names, 0 with right ones
+_GAIN = 0.2  # smallest increase of two pairs' shares, summed, by swapping them: 0.4 with wrong names, 0 with right ones
 _STILL_MM = 1.0  # largest offset from the epipolar lines of a rig at rest; calibrated ones have below 0.1 mm
-"""For a pair with its own two photographs swapped, the share is 0 to 0.9, the larger the more symmetric the two cameras
-are, and the offset is 2 to 20 mm."""
+"""If the two photographs of a pair are swapped, the share of fitting matches is 0 to 0.9 (larger for more symmetric
+cameras), and the offset is 2 to 20 mm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,7 +61,7 @@ class PairAgreement:
 
     @property
     def is_consistent(self) -> bool:
-        """Whether the photographs are of these cameras."""
+        """Whether the matches fit the cameras that the photographs are named after."""
         return self.is_sufficient and self.fitting >= _RIGHT
 
     @property
@@ -70,12 +71,12 @@ class PairAgreement:
 
     @property
     def moved(self) -> bool:
-        """Whether all matches are farther from their lines than with a rig at rest."""
+        """Whether the matches are farther from their lines, by a common offset, than in a rig at rest."""
         return abs(self.offset_mm) > _STILL_MM
 
     @property
     def sure(self) -> bool:
-        """Whether the photographs are of these cameras and nothing moved."""
+        """Whether the photographs are certainly of these cameras, and nothing moved."""
         return self.is_consistent and not self.moved
 
 
@@ -93,7 +94,7 @@ class PhotographCheck:
     foreign: tuple[str, ...] = ()
     """Of those pairs, cameras whose photographs match no other's, while their partners' do."""
     unknown: tuple[str, ...] = ()
-    """Pairs that cannot be decided."""
+    """Pairs for which no decision is possible."""
 
     @property
     def cycles(self) -> tuple[tuple[str, ...], ...]:
@@ -203,7 +204,7 @@ def check_names(rig: Rig, seen: Mapping[str, Keypoints]) -> PhotographCheck:
     own = {pair: agreement(*both, *both) for pair, both in pairs.items()}
     suspects = {pair: pairs[pair] for pair, found in own.items() if not found.sure}
     exchanged: dict[str, str] = {}
-    if suspects:  # photographs are usually swapped among the pairs that look wrong; some look wrong by chance
+    if suspects:  # usually photographs are swapped among the pairs that look wrong, but some look wrong by chance
         exchanged = _best_exchange(suspects, own, agreement) or _best_exchange(pairs, own, agreement)
     exchanged = exchanged or _mirrored_pairs(pairs, own, agreement)
     unsolved = {pair: both for pair, both in suspects.items() if not set(both) & set(exchanged)}
@@ -211,7 +212,7 @@ def check_names(rig: Rig, seen: Mapping[str, Keypoints]) -> PhotographCheck:
     shared = [pair for pair in unsolved if own[pair].matches >= _MANY]
     misfitting = tuple(pair for pair in shared if pair in poor and show_the_same(*correspondences(*pairs[pair])))
     misplaced = tuple(pair for pair in shared if pair in misfitting or abs(own[pair].offset_mm) > _BUMPED_MM)
-    if len(misplaced) > max(1, len(pairs) / 2):  # one pair may have moved that far, but not most pairs
+    if len(misplaced) > max(1, len(pairs) / 2):  # one pair may be misplaced, but not most pairs
         misfitting = misplaced
     rich = {name for name, features in seen.items() if len(features.uv) >= _RICH}
     reach = max((_angle_deg(rig, pairs[pair]) for pair in _plain(own, pairs, rich)), default=0.0)
@@ -236,7 +237,7 @@ def check_names(rig: Rig, seen: Mapping[str, Keypoints]) -> PhotographCheck:
 
 
 def _plain(own: Mapping[str, PairAgreement], pairs: Mapping[str, tuple[str, str]], rich: Set[str]) -> Iterator[str]:
-    """Pairs that share as many features as photographs that belong together."""
+    """Pairs that share as many features as photographs of the same subject."""
     for pair, found in own.items():
         if found.sure and found.fitting_matches >= _MANY and set(pairs[pair]) <= rich:
             yield pair
@@ -251,12 +252,12 @@ def _angle_deg(rig: Rig, both: tuple[str, str]) -> float:
 def _best_exchange(
     pairs: Mapping[str, _Cameras], own: Mapping[str, PairAgreement], agreement: _Agreement
 ) -> dict[str, str]:
-    """Swap photographs so that more pairs agree, and no pair agrees less.
+    """Swap photographs so that more pairs agree, and none agrees less.
 
     Args:
         pairs: pair → its cameras.
-        own: pair → agreement of the photographs with its cameras' names.
-        agreement: function for any two cameras with any two cameras' photographs.
+        own: pair → agreement of the photographs with the cameras that they are named after.
+        agreement: returns the agreement of any two cameras' photographs with any two cameras.
 
     Returns:
         Camera → camera whose name its photograph has. Empty if no swap makes more pairs agree.
@@ -313,7 +314,7 @@ def _mirrored_pairs(
 
 
 def _foreign(wrong: Mapping[str, _Cameras], cameras: Sequence[str], agreement: _Agreement) -> tuple[str, ...]:
-    """Cameras of wrong pairs whose photographs match no other's, while their partners' do."""
+    """Cameras of wrong pairs whose photographs match no other's, although those of their partners do."""
 
     def belongs(name: str, partner: str) -> bool:
         others = (other for other in cameras if other not in (name, partner))
@@ -337,7 +338,7 @@ def check_board_names(rig: Rig, seen: Mapping[str, Detection]) -> tuple[str, str
         seen: camera → detection in the image with its name; without cameras that saw nothing.
 
     Returns:
-        The two cameras whose swap makes all agree. None if nothing is wrong, or no swap explains it.
+        The two cameras whose swap makes all agree. None if nothing is wrong, or no swap explains the disagreement.
     """
 
     @cache
@@ -362,7 +363,7 @@ def check_board_names(rig: Rig, seen: Mapping[str, Detection]) -> tuple[str, str
     best: tuple[int, tuple[str, str]] | None = None
     for pair in combinations(rig.cameras, 2):
         if not all(both & set(pair) for both in wrong):
-            continue  # something would still be wrong
+            continue  # something would remain wrong
         after = judged({**own, pair[0]: pair[1], pair[1]: pair[0]})
         if after and all(after.values()):
             best = max(best or (0, pair), (len(after), pair))
@@ -425,8 +426,8 @@ def pair_agreement(
 def _is_supported(near: int, tame: int, matches: int) -> bool:
     """Whether more matches fit than by chance.
 
-    Photographs of the same subject by other cameras also have many matches near the lines, but as many slightly off
-    them as on them.
+    Photographs of the same subject by other cameras also have many matches near the lines. But as many of them are
+    beside the lines as on them.
     """
     on_lines = float(bdtrc(near - 1, tame, _NEAR_PX / _FAR_PX))
     return on_lines < _UNLIKELY_NEARER and float(bdtrc(near - 1, matches, _BY_CHANCE_NEAR)) < _UNLIKELY

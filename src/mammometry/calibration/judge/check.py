@@ -1,8 +1,8 @@
 """Check from one later exposure whether a camera of the rig has moved, and which one.
 
-Each camera alone gives the target's placement (`sighting`). If nothing moved, all agree within their noise and that of
-the calibration. If they disagree, the smallest set of cameras without which the rest agree has moved (`moved_cameras`).
-Only relative motion is visible: if most cameras moved in the same way, the others are named.
+Each camera alone gives the target's placement (`sighting`). If nothing moved, all placements agree within their noise
+and that of the calibration. Otherwise the smallest set of cameras without which the rest agrees has moved
+(`moved_cameras`). Only relative motion is visible: if most cameras moved in the same way, the others are named.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from mammometry.geometry import Array, Camera, Float64, Rig, Transform
 from mammometry.geometry.twist import as_twist, moved_camera
 
 _CHANCE = 1e-6
-"""Probability, in a rig that did not move, below which a disagreement is called a motion. It is very small because real
-noise has longer tails than the normal distribution."""
+"""Probability of a disagreement in a rig that did not move, below which it is reported as a motion. It is very small
+because real noise has longer tails than the normal distribution."""
 _LEAST_INFLATION = 1.5
-"""Least factor on the exposure's noise: neighbouring corners have common errors. Larger if the calibration's own views
-show more."""
+"""Least factor on the exposure's noise: neighbouring corners have common errors. The factor is larger if the
+calibration's own views disagree more."""
 _LENS_RATIO = 3.0
-"""A camera's residual over that of its calibration above which its lens, or the target, must have changed."""
+"""Ratio of a camera's residual to that in its calibration above which its lens, or the target, must have changed."""
 
 CheckVerdict: TypeAlias = Literal["unmoved", "moved", "refuse"]
 _ROUNDS = 3
-"""Linearisations about the placements. With small residuals each squares the relative
-error of a motion: of 0.1, three leave 1e-8."""
+"""Number of linearisations about the placements. With small residuals, each squares the relative error of a motion:
+three reduce 0.1 to 1e-8."""
 _UNKNOWN_ERRORS = 5.0  # factor on one exposure's noise for given cameras, whose errors are unknown
 
 
@@ -54,9 +54,9 @@ class Reference:
     target_points: Float64[Array, "p 3"]
     """Target frame, mm."""
     volume_world: Float64[Array, "v 3"]
-    """Points of the working volume, mm: target points of the calibration. Without any, those of the exposure."""
+    """Points of the working volume, mm: target points of the calibration. If empty, those of the exposure are used."""
     covariance: ParameterCovariance | None = None
-    """Of the cameras. None for given cameras."""
+    """Covariance of the cameras. None for given cameras."""
     noise_factor: float = 1.0
     """Standard deviation of the residuals in units of the detections' own."""
     inflation: float = _UNKNOWN_ERRORS
@@ -96,7 +96,7 @@ class CameraCheck:
     shift_px: float
     """RMS displacement of the target in its picture, px."""
     rms_px: float
-    """Residual when this camera alone places the target, px: large if its lens or the target changed."""
+    """Residual when this camera alone places the target, px. Large if its lens or the target has changed."""
 
 
 @value(eq=False)
@@ -116,9 +116,9 @@ class RigCheck:
     pairs: Mapping[str, MovedPair]
     """Pair of a moved camera → effect on the points it measures. Read-only."""
     world_from_target: Mapping[str, Transform]
-    """Exposure → position of the target as seen by the cameras that did not move. Read-only."""
+    """Exposure → placement of the target by the cameras that did not move. Read-only."""
     exchanged: tuple[str, ...] = ()
-    """Two cameras whose pictures agree with the calibration if exchanged. Empty: none."""
+    """Two cameras whose pictures agree with the calibration if they are swapped. Empty if there are none."""
 
     @property
     def effect_mm(self) -> float:
@@ -129,8 +129,8 @@ class RigCheck:
 def scatter(calibration: Calibration, seen: Sequence[Sighting]) -> float:
     """Factor by which views of a pose disagree beyond their noise.
 
-    At least 1. Neighbouring corners have common errors (light, focus, print), which each covariance ignores. From the
-    median over the poses of the disagreement's χ².
+    At least 1. Neighbouring corners have common errors (light, focus, print) that each view's covariance does not
+    include. Estimated from the median over the poses of the disagreement's χ².
     """
     ratios = []
     for pose, placed in calibration.world_from_target.items():
@@ -151,8 +151,8 @@ def check(reference: Reference, observations: Observations, settings: CheckSetti
         settings: limits.
 
     Raises:
-        CalibrationError: nowhere two cameras saw the target together.
-        ImageError: a picture has another size than its camera's in the calibration.
+        CalibrationError: no two cameras saw the target together.
+        ImageError: the size of a picture is not that of its camera in the calibration.
     """
     _check_sizes(reference.rig, observations)
     seen = _sightings(reference, observations)
@@ -163,7 +163,7 @@ def check(reference: Reference, observations: Observations, settings: CheckSetti
     )
     agreement = about(_nearest_to_all(seen))
     candidates = agreement.explanations(_CHANCE)
-    for _ in range(_ROUNDS):  # motions add up only when they are small: again from where the still cameras see it
+    for _ in range(_ROUNDS):  # only small motions are linear: linearised again about the placements found
         agreement = about(agreement.placements(candidates[0]))
         candidates = agreement.explanations(_CHANCE)
     chosen = candidates[0]
@@ -196,7 +196,7 @@ def check(reference: Reference, observations: Observations, settings: CheckSetti
 
 
 def _exchanged(rig: Rig, observations: Observations) -> tuple[str, ...]:
-    """Two cameras whose pictures are exchanged in every exposure that shows it."""
+    """Two cameras whose pictures are swapped in every exposure that shows both."""
     exposures: dict[str, dict[str, Detection]] = {}
     for detection in observations.detections:
         exposures.setdefault(detection.pose, {})[detection.camera] = detection
@@ -259,7 +259,7 @@ def _start(camera: Camera, detection: Detection, points: Float64[Array, "p 3"]) 
 
 
 def _nearest_to_all(seen: Sequence[Sighting]) -> dict[str, Transform]:
-    """Sighting of each exposure that is nearest to the others. A moved camera does not pull it."""
+    """Exposure → the sighting nearest to the others, which a moved camera does not affect."""
     placed = {}
     for pose in sorted({sighting.pose for sighting in seen}):
         views = [sighting for sighting in seen if sighting.pose == pose]

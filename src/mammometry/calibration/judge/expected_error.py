@@ -49,7 +49,7 @@ class WorkingVolume:
 def working_volume(calibration: Calibration) -> WorkingVolume:
     """Compute the volume in which a calibrated rig measures.
 
-    It is a cube about the mean position of the target, as wide as the images' height there.
+    A cube about the mean position of the target, as wide as the images are high there.
     """
     rig = calibration.rig
     placed = [placed.apply(calibration.target_points) for placed in calibration.world_from_target.values()]
@@ -96,22 +96,22 @@ def _half_height_mm(camera: Camera, point_world: Float64[Array, 3]) -> float:
 
 @value(eq=False)
 class ExpectedError:
-    """Standard deviations of reconstructed points from the calibration alone.
+    """Standard deviations of reconstructed points in the working volume, from the calibration alone.
 
-    Over the working volume. Rigid motions of all points do not change a shape and are not included. Neither is the
-    overall scale: it depends only on the target's, ``Calibration.scale_std``, and no residual shows it.
+    Rigid motions of all points do not change a shape and are not included. Neither is the overall scale: it depends
+    only on the size of the target (``Calibration.scale_std``), and no residual shows it.
     """
 
     volume: WorkingVolume
     std_mm: Mapping[str, Float64[Array, "n n n"]]
     """Pair → standard deviation of a reconstructed point's distance from the true one (root of the covariance's trace)
-    on the volume's grid. NaN if one camera does not see it."""
+    on the volume's grid. NaN if a camera of the pair does not see the point."""
 
     @property
     def rms_mm(self) -> Mapping[str, float]:
         """Pair → root mean square over the seen part near the target. NaN if there is none.
 
-        Farther away the cameras are extrapolated, and errors grow without a meaningful bound.
+        Farther away, the cameras are extrapolated, and errors grow without a meaningful bound.
         """
         found = {}
         for pair, std in self.std_mm.items():
@@ -172,7 +172,7 @@ def expected_std_mm(
     std_mm = {}
     for pair, free in by_parameter.items():
         std_mm[pair] = np.full(len(points), np.nan)
-        flat = free.reshape(-1, len(columns))  # one product of matrices instead of one for each point
+        flat = free.reshape(-1, len(columns))  # one matrix product instead of one per point
         std_mm[pair][inside[pair]] = np.sqrt(np.sum(((flat @ matrix) * flat).reshape(len(free), -1), axis=1))
     return std_mm
 

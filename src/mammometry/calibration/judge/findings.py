@@ -21,7 +21,7 @@ from mammometry.calibration.targets.board import Board
 from mammometry.geometry.arrays import Array, Float64
 
 _FITS_NOISES = 10.0
-"""Largest median error of a picture that fits a shot, in RMS residuals."""
+"""Ratio of a picture's median error to the RMS residual up to which the picture fits a camera and pose."""
 _FITS_PX = 0.1
 """Errors below this always fit, px."""
 
@@ -35,7 +35,7 @@ class PhotographKey:
 
 
 def true_shot(calibration: Calibration, detection: Detection) -> PhotographKey | None:
-    """Find the camera and pose that a misfitting view really shows. None if none is known."""
+    """Find the camera and pose that a misfitting view really shows. None if there is none."""
     least, found = np.inf, None
     for pose, placed in calibration.world_from_target.items():
         points = placed.apply(calibration.target_points[detection.ids])
@@ -67,26 +67,26 @@ _EXPECTED_WARN_MM = 0.1
 """Expected error of reconstructed points in the working volume, from the cameras' uncertainty, that gives a warning.
 Over the 300 cm² that a pair sees, 0.1 mm is 3 cc."""
 _EXPECTED_REFUSE_MM = _GEOMETRY_REFUSE_MM
-"""Expected error above which measuring is not worthwhile."""
+"""Expected error above which the rig is too inaccurate to measure with."""
 _MOVED_REFUSE_MM = 0.05
-"""Displacement of measured points by a movement between poses above which the poses must not be used together."""
+"""Displacement of measured points, by motion between poses, above which the poses must not be used together."""
 _COVERAGE_WARN = 0.4
 """Share of a photograph, in cells of an 8 × 6 grid, in which the target was seen. Below it the lens is untested."""
 _VOLUME_COVERAGE_WARN = 0.25
-"""Share of the working volume near which the target was shown. Below it the volume is untested where skin will be."""
+"""Share of the working volume near which the target was shown. Below it, parts where skin will be are untested."""
 RESIDUAL_GOOD_MM = _GEOMETRY_REFUSE_MM / 10
 """RMS residual at the target's distance up to which it is called good: a tenth of the limit from the paper's plate."""
 _RESIDUAL_WARN_MM = 0.2
 """RMS residual at the target's distance above which the pictures or the target are wrong."""
 _LEFT_OUT_WARN = 1.2
-"""Residuals of poses left out over those of the same poses fitted, corrected for the number of unknowns. Above it, the
-cameras are not trusted elsewhere. 1.0 if points err independently, 1.05–1.1 if a photograph's points err together, 1.25
-and more with three such poses."""
+"""Ratio of left-out to fitted residuals of the same poses, corrected for the number of unknowns. Above it, the cameras
+are inaccurate elsewhere. 1.0 if points have independent errors, 1.05–1.1 if a photograph's points have common errors,
+1.25 or more with three such poses."""
 _BLURRED_RATIO = 5.0
 """RMS of a view over that of the others above which it is called blurred."""
 _REJECTED_WARN = 0.15
-"""Share of a view's points left out as outliers that gives a warning. Clean views lose up to a tenth: corners at the
-board's rim, or out of focus, err more than their σ."""
+"""Share of a view's points excluded as outliers that gives a warning. Clean views lose up to a tenth: corners at the
+board's edge, or out of focus, have errors larger than their σ."""
 
 Verdict: TypeAlias = Literal["pass", "warn", "refuse"]
 Values: TypeAlias = Mapping[str, float | str]
@@ -98,7 +98,7 @@ class CalibrationFinding:
 
     verdict: Verdict
     notice: Notice
-    """Its ``photographs`` are those that it is about; none: it is about the whole calibration."""
+    """Its ``photographs`` are those concerned. Empty: it concerns the whole calibration."""
 
 
 def _found(
@@ -112,8 +112,8 @@ def _found(
 
 
 _SQUARE_PIXELS, _SURE_SIGMA = 0.01, 5.0
-"""Share by which pixels may differ from squares, and standard deviations by which they then must. Real cameras are
-below .001; prints are stretched by up to .005."""
+"""Relative difference of fx and fy, and the same in standard deviations: pixels are not square above both. Real cameras
+have less than 0.001; prints are stretched by up to 0.005."""
 
 
 def about_names(calibration: Calibration) -> Iterator[CalibrationFinding]:
@@ -144,7 +144,7 @@ def about_names(calibration: Calibration) -> Iterator[CalibrationFinding]:
 def about_missed(calibration: Calibration) -> Iterator[CalibrationFinding]:
     """Report photographs that should show the target and cannot be used.
 
-    Where the finished calibration says that the camera looked at the target's back, its edge or past it, all is well.
+    A view is fine if, by the finished calibration, the camera saw the target's back or edge, or did not see it at all.
     """
     for view in calibration.observations.missed:
         if view.remedy and not sees_badly(calibration, view.camera, view.pose):
@@ -200,7 +200,7 @@ def about_fit(calibration: Calibration, views: Sequence[ViewQuality]) -> Iterato
 
 
 def about_bias(calibration: Calibration, views: Sequence[ViewQuality]) -> Iterator[CalibrationFinding]:
-    """Report views with one-sided residuals without a rigid movement."""
+    """Report views with biased residuals that no rigid motion explains."""
     aside = {(view.camera, view.pose) for view in calibration.set_aside}
     for view in sorted(views, key=lambda view: -view.bias):
         if view.bias > _BIAS_WARN and (view.camera, view.pose) not in aside:
@@ -220,7 +220,7 @@ def about_cameras(
     volume_coverage: float,
     settings: QualitySettings,
 ) -> Iterator[CalibrationFinding]:
-    """Report how well each lens is known, and parts that were never tested."""
+    """Report lenses that are not well determined, and parts of pictures and volume without target points."""
     places = np.median([placed.translation_mm for placed in calibration.world_from_target.values()], axis=0)
     for name, std in focal_std.items():
         if std > min(_FOCAL_STD_WARN, settings.focal_std_refuse):
@@ -246,7 +246,7 @@ def about_cameras(
 
 
 def about_pixels(calibration: Calibration) -> Iterator[CalibrationFinding]:
-    """Report pixels that are not square: two of the target's sizes, or the pictures, are stretched."""
+    """Report pixels that are not square: the target's sizes or the pictures are stretched."""
     for name, camera in calibration.rig.cameras.items():
         std = calibration.independent_std[name]
         ratio = float(camera.matrix[0, 0] / camera.matrix[1, 1])
@@ -275,7 +275,7 @@ def about_pairs(pairs: Sequence[PairQuality]) -> Iterator[CalibrationFinding]:
 
 
 def about_expected(expected_mm: Mapping[str, float]) -> Iterator[CalibrationFinding]:
-    """Report the error of measured points by the cameras' uncertainty."""
+    """Report the errors of measured points due to the cameras' uncertainty."""
     known = {pair: error_mm for pair, error_mm in expected_mm.items() if np.isfinite(error_mm)}
     if known:
         pair = max(known, key=lambda name: known[name])
@@ -288,10 +288,10 @@ def about_expected(expected_mm: Mapping[str, float]) -> Iterator[CalibrationFind
 
 
 def about_left_out(calibration: Calibration) -> Iterator[CalibrationFinding]:
-    """Report whether poses left out fit as well as those adjusted."""
+    """Report whether left-out poses fit as well as those that were used."""
     left_out = calibration.left_out
     if left_out is None:
-        if not calibration.observations.target.is_surveyed:  # of a surveyed target one exposure is enough
+        if not calibration.observations.target.is_surveyed:  # one exposure of a surveyed target is enough
             yield _found("warn", "no-pose-left-out")
         return
     values = {"px": left_out.left_out_px, "ratio": left_out.ratio, "excess": left_out.excess}
@@ -302,7 +302,7 @@ def about_left_out(calibration: Calibration) -> Iterator[CalibrationFinding]:
 
 
 def about_scale(calibration: Calibration) -> Iterator[CalibrationFinding]:
-    """Report how well all lengths are known. No residual shows a print of another scale."""
+    """Report the uncertainty of all lengths. No residual shows a print of another scale."""
     name, stated_mm = calibration.observations.target.stated_size
     sizes = calibrated_sizes(calibration)
     for size in sizes:
@@ -318,7 +318,7 @@ def about_scale(calibration: Calibration) -> Iterator[CalibrationFinding]:
 
 
 def about_residuals(rms_px: float, rms_mm: float) -> CalibrationFinding:
-    """Report whether the residuals are large, in millimetres."""
+    """Report whether the residuals are large. Their limits are in millimetres."""
     values: dict[str, float | str] = {"px": rms_px, "mm": rms_mm, "good_mm": RESIDUAL_GOOD_MM}
     if rms_mm > _RESIDUAL_WARN_MM:
         return _found("warn", "residuals-large", values=values)
@@ -327,7 +327,8 @@ def about_residuals(rms_px: float, rms_mm: float) -> CalibrationFinding:
 
 
 _STRETCH_WARN, _STRETCH_REFUSE = 3e-3, 1e-2
-"""Difference of a board's two scales, relative. Half of it may be in every length, one and a half times in volumes."""
+"""Relative difference of a board's scales along x and y. Half of it may affect every length, and one and a half times
+it volumes."""
 _BOW_WARN_MM = 1.0
 """Bow above which a board may not keep its shape while it is moved, mm. Assumed."""
 

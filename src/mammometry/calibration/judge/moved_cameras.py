@@ -17,14 +17,15 @@ from mammometry.geometry import Array, Camera, Float64, Transform
 from mammometry.geometry.twist import as_motion
 
 Kind: TypeAlias = Literal["shift", "turn", "either", "both"]
-"""Motion of a camera: displacement, rotation about its perspective centre, either as far as the data show, or certainly
-both."""
+"""Motion of a camera: only a displacement, only a rotation about its perspective centre, one of them (the data do not
+show which), or certainly both."""
 _MOST_SETS = 5000
-"""Number of tried sets after which no larger sets are tried. Twelve cameras have 4,095 sets, so all are tried."""
+"""Number of tested sets of cameras after which no larger ones are tested. Twelve cameras have 4,095, which are all
+tested."""
 _SINGULAR = 1e-14
 """Relative eigenvalue of a covariance below which a direction is undetermined: rounding."""
 _SAME = 6
-"""Decimals of χ² that are compared: all sets that leave one camera have the same χ², apart from rounding."""
+"""Decimals of χ² that are compared. All sets that leave one camera have the same χ², apart from rounding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -32,7 +33,7 @@ class CameraMotion:
     """Motion of a camera relative to those that did not move, world frame."""
 
     motion: Transform
-    """Transform from the calibrated to the current camera: of the simplest kind that fits."""
+    """Transform from the calibrated to the current camera, of the simplest kind that fits."""
     shift_mm: Float64[Array, 3]
     """Displacement of the perspective centre."""
     turn_rad: Float64[Array, 3]
@@ -43,12 +44,12 @@ class CameraMotion:
     """The same of the rotation, rad."""
     kind: Kind
     alone_mm: float
-    """Size of the motion if it was only a displacement, mm."""
+    """Size of the motion if it is only a displacement, mm."""
     alone_rad: float
-    """Size of the motion if it was only a rotation, rad."""
+    """Size of the motion if it is only a rotation, rad."""
     sigma: float
     """Length of the six-parameter motion in its standard errors: 2.3 by chance (median of χ with six degrees of
-    freedom). 0 without a camera to compare."""
+    freedom). 0 if there is no other camera to compare with."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -60,7 +61,7 @@ class MotionProblem:
     placed: Mapping[str, Transform]
     """Exposure → approximate placement of the target."""
     model: LinearModel
-    """Of the target's twists, then of the cameras', six each."""
+    """Model of the target's twists, then of the cameras', six unknowns each."""
 
     @classmethod
     def about(
@@ -77,7 +78,7 @@ class MotionProblem:
             placed: exposure → placement.
             seen: the sightings.
             cameras: those that may have moved.
-            calibrated: covariance of the cameras; None where it is not known.
+            calibrated: covariance of the cameras; None if unknown.
             inflation: factor on the standard deviations of the sightings' own noise.
         """
         moves = moves_of(seen, list(placed), cameras)
@@ -85,10 +86,10 @@ class MotionProblem:
         return cls(seen=tuple(seen), cameras=tuple(cameras), placed=placed, model=model)
 
     def explanations(self, chance: float) -> list[tuple[str, ...]]:
-        """Find the fewest cameras whose motion explains all. Several sets, best first, where each does.
+        """Find the fewest cameras whose motion explains all sightings: several sets, best first, if each does.
 
         Args:
-            chance: probability below which a disagreement is not taken for noise.
+            chance: probability below which a disagreement is not noise.
         """
         tried = 0
         for count in range(len(self.cameras)):
@@ -112,7 +113,7 @@ class MotionProblem:
         }
 
     def motion(self, camera: Camera, moved: Sequence[str], chance: float) -> CameraMotion:
-        """Motion of a camera relative to the others that did not move."""
+        """Motion of a camera relative to those that did not move."""
         fit, own = self._fit({*moved, camera.name}), self._of_camera(camera.name)
         motion = as_motion(-fit.motions[own]).inverse()  # exact for one exposure, however far it moved
         centre = camera.centre_world
@@ -148,7 +149,7 @@ class MotionProblem:
         return slice(start, start + 6)
 
     def _fit(self, moved: Collection[str]) -> Fit:
-        """The target's twists and those of the cameras that moved."""
+        """Fit the target's twists and those of the cameras that moved."""
         std = np.full(len(self.model.right), FREE)
         for camera in self.cameras:
             if camera not in moved:

@@ -15,21 +15,21 @@ from mammometry.calibration.features.pixels import Cause
 from mammometry.calibration.targets.target import Target
 
 _TRIED = 4
-"""Number of photographs in which commonly confused targets are searched."""
+"""Number of photographs in which targets that are commonly confused with this one are searched."""
 
 Photographs = Mapping[tuple[str, str], Photograph]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Reading:
-    """A target that is described by a common mistake."""
+    """A target that matches a common mistake in the description."""
 
     cause: Cause
     target: Target
 
 
 def no_target(target: Target, parts: Sequence[Observations], photographs: Photographs) -> CalibrationError:
-    """Error that no photograph shows the target, with their likely content.
+    """Return the error that no photograph shows the target, with what they show instead.
 
     Args:
         target: as described.
@@ -103,7 +103,7 @@ def _common_cause(missed: Sequence[MissedView]) -> tuple[str, str] | None:
 def _fitting_reading(
     target: Target, photographs: Photographs, keys: Sequence[tuple[str, str]]
 ) -> tuple[str, str] | None:
-    """Return the common mistake that explains most of some photographs without detection, as text, and its remedy."""
+    """Common mistake that explains most of some photographs without detection, as text, and its remedy."""
     some = [photographs[keys[k]] for k in np.unique(np.linspace(0, len(keys) - 1, _TRIED).astype(int)) if keys]
     for reading in _other_targets(target):
         fitting = sum(_fits(reading, photograph) for photograph in some[:2])

@@ -26,16 +26,16 @@ _MOST_MOVEMENTS = 6
 _MEDIAN = float(chdtri(6, 0.5))
 """Median of χ² with the six degrees of freedom of one sighting."""
 _EXPLAINED = 1e-10
-"""Share of a motion's information below which the motions found so far explain it as well: rounding leaves 1e-13."""
+"""Smallest share of a motion's information not explained by those found so far; rounding leaves 1e-13."""
 _ALIKE = 1e-6
-"""Relative difference of the χ² explained by two motions below which they are the same, apart from rounding."""
+"""Relative difference of the explained χ² below which two motions are equivalent, apart from rounding."""
 _LEAST_FREEDOM = 0.05
-"""Least share of the observations that is left for the noise."""
+"""Smallest share of the observations that must remain to estimate the noise."""
 
 
 @value(eq=False)
 class MovedCameras:
-    """One or two cameras that moved relative to the others. From one pose on, or in one pose only."""
+    """One or two cameras that moved relative to the others, from one pose on or in one pose only."""
 
     cameras: tuple[str, ...]
     """One camera, or both of a pair: an unsteady target looks the same."""
@@ -46,13 +46,13 @@ class MovedCameras:
     shift_mm: Float64[Array, 3]
     """Displacement of the first camera's perspective centre, world axes."""
     turn_rad: Float64[Array, 3]
-    """Rotation vector, world axes. One flat target hardly distinguishes a shift from a turn."""
+    """Rotation vector, world axes. With one flat target, a shift and a rotation can hardly be distinguished."""
     shift_px: float
     """RMS displacement of the target in their pictures."""
     sigma: float
     """Length of the motion in its standard errors, from the scatter of all views."""
     effect_mm: float
-    """RMS displacement of the pair's points between before and after. For one pose, that pose's share."""
+    """RMS displacement of the pair's points by the motion. If only one pose is affected, the share of that pose."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ def movements(calibration: Calibration, seen: Sequence[Sighting], least_sigma: f
     Args:
         calibration: the adjusted rig.
         seen: its single views (`sighting.sightings`).
-        least_sigma: length in standard errors from which on a movement is reported.
+        least_sigma: length in standard errors above which a movement is reported.
     """
     poses = [pose for pose in calibration.world_from_target if pose in {sighting.pose for sighting in seen}]
     cameras = [name for name in calibration.rig.cameras if name in {sighting.camera for sighting in seen}]
@@ -94,7 +94,7 @@ def movements(calibration: Calibration, seen: Sequence[Sighting], least_sigma: f
         sigma = float(np.sqrt(gains.max(initial=0.0) / noise))
         if sigma < least_sigma:
             break
-        best = int(np.argmax(gains > (1 - _ALIKE) * gains.max()))  # the first of those that explain the same
+        best = int(np.argmax(gains > (1 - _ALIKE) * gains.max()))  # the first of those that explain equally much
         std[parts[best]] = FREE
         fit = model.fit(std)
         found.append(_movement(calibration, seen, suspicions[best], fit.motions[parts[best]], sigma))
@@ -104,13 +104,13 @@ def movements(calibration: Calibration, seen: Sequence[Sighting], least_sigma: f
 def _suspicions(
     pair_names: Mapping[str, tuple[str, str]], seen: Sequence[Sighting], poses: Sequence[str]
 ) -> Iterator[_Suspicion]:
-    """A camera from one pose on. A camera, or a pair, in one pose only."""
+    """Possible motions: each camera from one pose on, and each camera or pair in one pose only."""
     views = {(sighting.camera, sighting.pose): i for i, sighting in enumerate(seen)}
     for camera in dict.fromkeys(camera for camera, _ in views):
         mine = [pose for pose in poses if (camera, pose) in views]
         for k, pose in enumerate(mine):
             yield _Suspicion((camera,), pose, True, (views[camera, pose],))
-            if 2 <= k <= len(mine) - 2:  # nearer to the ends it is the same as one or two single poses
+            if 2 <= k <= len(mine) - 2:  # nearer to the ends, it is equivalent to one or two single poses
                 yield _Suspicion((camera,), pose, False, tuple(views[camera, later] for later in mine[k:]))
     for pair in pair_names.values():
         for pose in poses:
@@ -120,7 +120,7 @@ def _suspicions(
 
 
 def _gain(model: LinearModel, fit: Fit, part: slice) -> float:
-    """Fall of χ² if one more thing moved."""
+    """Decrease of χ² with one more motion."""
     further = model.beyond(fit, part)
     if not (np.diag(further.matrix) > _EXPLAINED * np.diag(model.matrix)[part]).all():
         return 0.0
@@ -171,17 +171,18 @@ class Shifts:
 def shifts(pair: StereoPair, points: Float64[Array, "n 3"], names: tuple[str, ...]) -> Shifts:
     """Propagate parameters' errors through one pair's triangulation.
 
-    The right parameters being θ + dθ, the same image points mean X + dX: P dX + Q dθ is 0 in the left picture, and in
-    the right one what a point s above X shows, since both rays miss each other by s, square to the epipolar plane. P
-    and Q are the derivatives of the projections; s over the distance is the vertical disparity's angle.
+    If the true right parameters are θ + dθ, the point of the same image points is not X but X + dX. In the left
+    picture, P dX + Q dθ = 0. In the right picture, P dX + Q dθ is the image of a shift s of the point, perpendicular to
+    the epipolar plane, since both rays then miss each other by s. P and Q are the derivatives of the projections. The
+    angle of the vertical disparity is s over the distance.
 
     Args:
         pair: as calibrated.
-        points: that it measures, world frame, mm; in front of both cameras.
-        names: of the parameters, as in `ParameterCovariance.names`. Those of other cameras give zeros.
+        points: points that it measures, world frame, mm, in front of both cameras.
+        names: names of the parameters, as in `ParameterCovariance.names`. Those of other cameras give zeros.
     """
     (p_left, q_left), (p_right, q_right) = (derivatives(camera, points, names) for camera in (pair.left, pair.right))
-    upwards = np.einsum("nij,nj->ni", p_right, upright(pair, points))  # px for each mm out of the epipolar plane
+    upwards = np.einsum("nij,nj->ni", p_right, upright(pair, points))  # px per mm perpendicular to the epipolar plane
     system = np.zeros((len(points), 4, 4))
     system[:, :2, :3], system[:, 2:, :3], system[:, 2:, 3] = p_left, p_right, -upwards
     solved = -np.linalg.solve(system, np.concatenate([q_left, q_right], axis=1))
@@ -190,7 +191,7 @@ def shifts(pair: StereoPair, points: Float64[Array, "n 3"], names: tuple[str, ..
 
 
 def upright(pair: StereoPair, points: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-    """Unit normals of the epipolar planes through points, towards growing rows, world axes."""
+    """Unit normals of the epipolar planes through points, pointing towards larger rows, world axes."""
     baseline = pair.right.centre_world - pair.left.centre_world
     normal = np.cross(points - pair.right.centre_world, baseline)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)

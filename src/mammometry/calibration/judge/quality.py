@@ -1,7 +1,7 @@
 """Assess whether a calibration is good enough, for each camera, pose and pair, in millimetres.
 
-Independently of the adjustment: residuals are computed again with the final cameras, including excluded points; the
-target is reconstructed from each pair, as the skin will be; and each view is tested for whether its camera moved.
+It is independent of the adjustment: residuals are computed again with the final cameras and include excluded points;
+the target is reconstructed from each pair, as skin will be; and each view is tested for motion of its camera.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ from mammometry.calibration.judge.sighting import sightings
 from mammometry.calibration.settings import QualitySettings
 
 _MOVED_SIGMA = 8.0
-"""Length of a movement between poses, in standard errors, above which it is named. Clean rigs reach 5."""
+"""Length of a movement between poses, in standard errors, above which it is reported. Clean rigs reach 5."""
 
 __all__ = ["CalibrationQuality", "Verdict", "ViewQuality", "assess"]
 
 _GRID_WH = (8, 6)
-"""Cells of a photograph in which coverage is counted, across and down. They define the coverage that is reported."""
+"""Cells of a photograph in which coverage is counted, across and down. They define the reported coverage."""
 _GRAVITY: Mapping[Verdict, int] = {"refuse": 0, "warn": 1, "pass": 2}
 
 
@@ -64,21 +64,21 @@ class CalibrationQuality:
     rms_px_per_camera: Mapping[str, float]
     rms_px_per_pose: Mapping[str, float]
     rms_mm: float
-    """The residuals at the target's distance, mm in the plane across the line of sight."""
+    """RMS residual at the target's distance, mm, perpendicular to the line of sight."""
     coverage: Mapping[str, float]
     """Camera → share of an 8 × 6 grid on its photograph with target points."""
     volume_coverage: float
-    """Share of the working volume within an eighth of its width of a target position. NaN if there is none."""
+    """Share of the working volume within an eighth of its width from a target position. NaN if the volume is empty."""
     expected_mm: Mapping[str, float]
-    """Pair → standard deviation of its reconstructed points, from the cameras' own, over the part of the working volume
-    in which the target was shown. NaN if that is empty."""
+    """Pair → standard deviation of its reconstructed points due to the cameras' uncertainty, over the part of the
+    working volume in which the target was shown. NaN if that is empty."""
     focal_std: Mapping[str, float]
     """Camera → relative standard deviation of its focal length."""
     views: tuple[ViewQuality, ...]
     """In the order of the detections."""
     pairs: tuple[PairQuality, ...]
     movements: tuple[MovedCameras, ...]
-    """What moved while the rig was calibrated, the most certain first."""
+    """Cameras that moved while the rig was calibrated, the most certain first."""
 
     @property
     def verdict(self) -> Verdict:
@@ -102,11 +102,11 @@ class CalibrationQuality:
 
 
 def assess(calibration: Calibration, settings: QualitySettings = QualitySettings()) -> CalibrationQuality:
-    """Judge a calibration by residuals, standard deviations and reconstructed target.
+    """Assess a calibration by its residuals, standard deviations and reconstructed target.
 
-    The target is reconstructed from each pair. ``pass``: nothing stands out. ``warn``: usable, but something deserves
-    a look. ``refuse``: measuring with it would give wrong volumes without any other sign. The last judgement is kept:
-    several products and pages ask for that of the same calibration.
+    The target is reconstructed from each pair. ``pass``: no problem. ``warn``: usable, but something should be checked.
+    ``refuse``: measurements would have wrong volumes without any other sign. The last result is cached, because several
+    products and pages need it.
     """
     return _assessed(calibration, settings)
 

@@ -22,21 +22,22 @@ class PairQuality:
     poses: int
     points: int
     scale_ppm: float
-    """Relative difference of reconstructed from nominal sizes, ppm. NaN without a common pose, as below."""
+    """Relative difference between reconstructed and nominal sizes, ppm. NaN without a common pose; so are the next
+    two."""
     geometry_mm: float
-    """RMS distance of reconstructed from nominal points, aligned rigidly without scaling for each pose."""
+    """RMS distance of reconstructed from nominal points, aligned rigidly without scaling in each pose."""
     planarity_mm: float | None
-    """RMS distance from the best plane, for each pose. None if the target is not flat."""
+    """RMS distance from the best plane in each pose. None if the target is not flat."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MovedPair:
-    """Error of a pair after a camera moved, with the old calibration."""
+    """Error of a pair that is measured with the old calibration after a camera moved."""
 
     displacement_mm: float
-    """RMS distance of measured from true points: the shift of this pair's surface relative to the others'."""
+    """RMS distance of measured from true points: the displacement of this pair's surface relative to the others'."""
     shape_mm: float
-    """The remainder after a rigid alignment: the error of the surface's shape."""
+    """RMS distance after a rigid alignment: the error of the surface's shape."""
     scale_ppm: float
     """Relative difference of measured from true sizes, ppm. The difference in volume is three times as large."""
 
@@ -126,7 +127,7 @@ def _plane_rms(points: Float64[Array, "n 3"]) -> float:
 
 
 _FAR_PX = 1e6  # residual of a point behind its camera
-_GRAZING_COSINE = float(np.cos(np.radians(75.0)))  # beyond it, a board is dark and its markers too narrow
+_GRAZING_COSINE = float(np.cos(np.radians(75.0)))  # at larger angles a board is dark and its markers too narrow
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,7 +1,7 @@
-"""Test whether a rig's size fits its subject, or its lengths are in another unit.
+"""Test whether a rig's size fits its subject, or its lengths are in a wrong unit.
 
-A whole capture can be scaled without any residual. A wrong unit shows in the width of the field of view at the subject,
-which must contain a cast or a body.
+A whole capture can have a wrong scale without any residual. A wrong unit shows in the width of the field of view at the
+subject, which must contain a cast or a body.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ _BASELINE_MM: Range = (10.0, 2500.0)
 _USUAL_BASELINE_MM: Range = (30.0, 1500.0)
 """Usual distance between a pair's cameras. Simulated rigs and known real ones have 100 to 450 mm."""
 _PARALLEL_COSINE = float(np.cos(np.radians(5.0)))
-"""Optical axes within 5° of each other count as parallel: they meet nowhere."""
+"""Largest angle between optical axes that count as parallel, so that they meet nowhere: 5°."""
 
 
 def require_scale(calibration: Calibration, subject_kind: str) -> None:
     """Refuse a calibration whose target size gives a rig that cannot see its subject.
 
     Args:
-        calibration: with the target's sizes as in session.toml.
+        calibration: its target has the sizes in session.toml.
         subject_kind: ``model``, ``torso`` or ``surface``.
 
     Raises:
@@ -119,7 +119,7 @@ def _rig_sizes(rig: Rig, subject_kind: str) -> tuple[Size, ...]:
 def _sizes(rig: Rig, depths_mm: Mapping[str, float], subject_kind: str, where: str) -> tuple[Size, ...]:
     """Median short side of the fields of view at these depths, and median baseline of the pairs, mm.
 
-    Casts and bodies have usual sizes. A surface may have any size, so all possible ones are usual.
+    Casts and bodies have usual sizes. A surface may have any size, so no possible size is unusual.
     """
     baselines = [float(np.linalg.norm(pair.left.centre_world - pair.right.centre_world)) for pair in rig.pairs]
     views = [
@@ -156,8 +156,8 @@ def _sizes(rig: Rig, depths_mm: Mapping[str, float], subject_kind: str, where: s
 def require_sides(rig: Rig, upside_down: Collection[str]) -> None:
     """Refuse a pair whose right camera is to the left of the left one.
 
-    Either as seen from behind or in the images, which differ for cameras that are upside down. No result depends on
-    which camera is called left.
+    A pair is accepted if the left camera is on the left as seen from behind, or in the images. These differ for cameras
+    that are mounted upside down. No result depends on which camera is called left.
 
     Args:
         rig: as calibrated.

@@ -1,8 +1,7 @@
 """Placement of the target by one camera alone, with covariance.
 
 It shows whether the camera moved. If the target is displaced by the twist w (`geometry.twist`) and the camera by the
-twist m, the camera sees the target displaced by w − m. So each view of a known target is
-linear in the twists, whatever moved.
+twist m, the camera sees the target displaced by w − m. So each view of a known target is linear in the twists of both.
 """
 
 from __future__ import annotations
@@ -22,11 +21,11 @@ from mammometry.geometry import Array, Bool, Camera, Float64, Transform
 from mammometry.geometry.twist import as_motion, as_twist
 
 _STEPS = 10
-"""Gauss–Newton steps, at most."""
+"""Most Gauss–Newton steps."""
 _SETTLED_PX = 1e-7
-"""A step that moves the image by less ends the fit, px."""
+"""Displacement of the image, px, below which a step ends the fit."""
 _OUTLIER_SIGMA = 6.0
-"""Points farther off than this many robust standard deviations are left out."""
+"""Robust standard deviations above which points are excluded."""
 _OUTLIER_ROUNDS = 3
 """Most searches for outliers."""
 
@@ -45,7 +44,7 @@ class Sighting:
     uv_by_twist: Float64[Array, "n 2 6"]
     """Derivative of the points' image by a twist of the target, px."""
     residual_px: Float64[Array, "n 2"]
-    """Projected − measured at this placement, px, without the points left out."""
+    """Projected − measured at this placement, px, of the points that were used."""
 
     @property
     def rms_px(self) -> float:
@@ -71,19 +70,19 @@ def sight(
     parameters: Sequence[str] = (),
     keep: Bool[Array, " n"] | None = None,
 ) -> Sighting | None:
-    """Place the target by one calibrated camera: Gauss–Newton resection.
+    """Estimate the target's placement from one calibrated camera (Gauss–Newton resection).
 
     Args:
         camera: as calibrated.
         detection: what it saw.
         target_points: the target's points in its own frame, mm.
-        start: world_from_target near the answer.
-        noise_factor: on the standard deviations of the detection.
+        start: approximate world_from_target.
+        noise_factor: factor on the standard deviations of the detection.
         parameters: names of calibrated parameters. Of those, the camera's own are used for `Sighting.by_camera`.
-        keep: points to use; where not given, those within six robust standard deviations.
+        keep: points to use. None: those within six robust standard deviations.
 
     Returns:
-        None where fewer than six points are left, or none of them in front of the camera.
+        None if fewer than six points remain, or none is in front of the camera.
     """
     chosen = np.ones(len(detection.ids), bool) if keep is None else keep
     placed = start
@@ -117,7 +116,7 @@ def sight(
 
 
 def sightings(calibration: Calibration) -> tuple[Sighting, ...]:
-    """Each view of a calibration by itself, about the adjusted placement. Only points that took part."""
+    """Each view of a calibration by itself, about the adjusted placement, with only the points used."""
     found = []
     for detection, residual_px in zip(calibration.observations.detections, calibration.residuals_px, strict=True):
         good = np.isfinite(residual_px).all(axis=1)
@@ -152,7 +151,7 @@ def disagreement(
         seen: the sightings.
         placed: exposure → placement.
         moves: effect of each motion on each sighting's twist: 1 of the target's, −1 of the camera's, else 0.
-        cameras: covariance of the calibrated cameras; None where it is not known.
+        cameras: covariance of the calibrated cameras; None if unknown.
         inflation: factor on the standard deviations of the sightings' own noise.
     """
     twists = np.array([sighting.twist_from(placed[sighting.pose]) for sighting in seen])

@@ -1,4 +1,4 @@
-"""Find all photographs that spoil a calibration, and calibrate without them.
+"""Find all photographs because of which a calibration is refused, and calibrate without them.
 
 A bad photograph affects the others and may hide a second one. So suspects are excluded, and the rest is adjusted and
 assessed again, until it is good enough or nothing more can be spared.
@@ -24,7 +24,7 @@ from mammometry.calibration.settings import QualitySettings
 _MOST = 1 / 3
 """Largest share of photographs that may be suspect. With more, the rest may be wrong instead."""
 _WORST = 0.5
-"""Share of the largest bias from which on a view is suspect too: a bad view also biases its neighbours, but less."""
+"""Share of the largest bias above which a view is suspect too: a bad view also biases its neighbours, but less."""
 
 Shot: TypeAlias = tuple[str, str]
 """Pose and camera of a photograph."""
@@ -130,7 +130,7 @@ def _phrase(notice: Notice) -> str:
 def _board_fault(calibration: Calibration, recalibrate: Recalibrate) -> Notice | None:
     """Test whether the board is at fault, if its shape was not adjusted.
 
-    A few poses hardly separate it from the cameras, but show how much better they fit with an adjusted board.
+    A few poses are not enough to calibrate the board's shape, but they show how much better they fit if it is adjusted.
     """
     if np.ptp(calibration.target_points - calibration.observations.target.points_target) > 0:
         return next((fault.notice for fault in about_target(calibration) if fault.verdict == "refuse"), None)
@@ -182,7 +182,7 @@ def find_suspects(
 
 
 _LEAST_AGREEING = 5
-"""Fewest photographs of a camera without the one that is left out. Two or three always agree."""
+"""Fewest photographs of a camera besides the one that is left out. Two or three always agree."""
 
 
 def spared_photograph(
@@ -191,8 +191,7 @@ def spared_photograph(
     """Exclude the one photograph for which a calibration is refused, if all others agree without it.
 
     A camera's last photograph is not excluded: if the camera moved before it, the subject's photographs, which come
-    later,
-    would be measured with a wrong pose.
+    later, would be measured with a wrong pose.
 
     Args:
         calibration: the refused calibration.
@@ -229,7 +228,7 @@ def spared_photograph(
 
 
 def _worst_photograph(quality: CalibrationQuality) -> Shot | None:
-    """The photograph that contradicts the others most. None if there are several, or the cause is another."""
+    """The photograph that contradicts the others most. None if there are several, or another cause."""
     if quality.movements:
         worst = quality.movements[0]
         return (worst.first, worst.cameras[0]) if worst.only and len(worst.cameras) == 1 else None

@@ -15,12 +15,12 @@ from mammometry.calibration.targets.target import Target, require_grid, require_
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 
 BORDER_MM = 10.0
-"""White border around a board's pattern. Detectors need a part of it."""
+"""Width of the white border around a board's pattern. Detectors need a part of it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlatBody(ConvexBody):
-    """A board on its white paper. Only the printed side is seen."""
+    """A board on its white paper, visible from its printed side only."""
 
     attitude: ClassVar[Literal["facing", "upright", "any"]] = "facing"
 
@@ -33,7 +33,7 @@ class FlatBody(ConvexBody):
 
     @property
     def middle_mm(self) -> Float64[Array, 3]:
-        """Middle of what is printed, mm."""
+        """Middle of the print, mm."""
         return np.append(self.board.extent_mm.mean(axis=0), 0.0)
 
     @property
@@ -63,7 +63,7 @@ class FlatBody(ConvexBody):
     def is_whole(
         self, seen: Bool[Array, " n"], in_picture: Callable[[Float64[Array, "m 3"]], Bool[Array, " m"]]
     ) -> bool:
-        """Whether everything printed is in the image, unless the board may be cropped."""
+        """Whether the whole print is in the image, unless the board may be cropped."""
         return self.board.may_be_cropped or bool(seen.all() and in_picture(_corners(self.board.extent_mm)).all())
 
     def meet(self, origins: Float64[Array, "n 3"], directions: Float64[Array, "n 3"]) -> TargetHits:
@@ -96,8 +96,8 @@ class Board(Target):
     """Whether a part of it in the image is enough to identify its points."""
 
     least_points: ClassVar[int] = 4
-    """Fewest measured points of a usable view: four determine a homography. The points are identified by the markers or
-    the whole grid, of which more was seen."""
+    """Fewest measured points of a usable view: four determine a homography. The markers or the complete grid, which
+    consist of more points, identify them."""
 
     edge_std_mm: float | None = None
     """Standard uncertainty of the measured `edge_mm`, mm. None: the print was not measured."""

@@ -1,8 +1,8 @@
 """A strip of counting lamps on the calibration board, whose light shows when an image was exposed.
 
-Twelve lamps show a counter in Gray code (F. Gray 1953, US 2632058), so that only one changes at a tick. Two more at the
-ends are always on and show the brightness of a full exposure. The share of an exposure for which a lamp was lit is a
-number between 0 and 1, so the time is known much more precisely than a tick.
+Twelve lamps show a counter in Gray code (F. Gray 1953, US 2632058), so that only one lamp changes at a time. Two more,
+at the ends, are always on and show the brightness of a full exposure. The share of an exposure for which a lamp was lit
+is a number between 0 and 1, so the time is known much more precisely than the counter's step.
 """
 
 from __future__ import annotations

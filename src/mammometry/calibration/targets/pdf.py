@@ -40,16 +40,16 @@ _CUT_MM = 4.0
 """Length of a cutting mark."""
 _CARD_GAP_MM, _CARD_LINE_MM, _CARD_CORNER_MM, _CARD_TEXT_MM = 2.5, 12.0, 6.0, 9.0
 """Field for a card: distance of its lines from the card's edges, which are measured up to 2 mm outside; length of the
-lines; how far they go below the card, inside its rounded corners; height of the text, which the card covers."""
+lines beside the card and below it; height of the text above the lower edge, where the card covers it."""
 _FONT_POINTS = 6
-"""Size of ruler's and caption's text."""
+"""Size of the text."""
 _TRUETYPE = 42
 """matplotlib's number for embedded TrueType fonts."""
-_LEAST_SPECKLED_MM = (150.0, 200.0)  # page of speckles at least: half of A4
-_MANY_DISCS = 1000  # above which a page is compressed: speckles take several MB
-_SPECKLE_PITCH = 1.35  # distance of neighbouring speckles in diameters: 40 % of the paper is dark
+_LEAST_SPECKLED_MM = (150.0, 200.0)  # smallest page of speckles: half of A4
+_MANY_DISCS = 1000  # number of discs above which a page is compressed: speckles take several MB
+_SPECKLE_PITCH = 1.35  # distance of neighbouring speckles, in diameters: 40 % of the paper is dark
 _SPECKLE_SHIFT, _SPECKLE_SIZE = 0.16, 0.25
-"""Largest shift of a speckle, of the pitch, and largest change of its diameter, of itself: none touch."""
+"""Largest shift of a speckle, in pitches, and largest relative change of its diameter. None touch."""
 _MM_PER_INCH = 25.4  # by definition; matplotlib sizes pages in inches
 
 
@@ -77,13 +77,13 @@ def target_pdf(target: Target, *, page: str = "fit", margin_mm: float = 10.0, ca
 
 
 def speckle_pdf(*, page: str = "A4", dot_mm: float = 1.5, margin_mm: float = 10.0, seed: int = 1) -> bytes:
-    """Draw a page of speckles, whose surface cameras without a projector can measure. Returns a PDF file.
+    """Draw a page of speckles, which cameras without a projector can measure. Returns a PDF file.
 
     Args:
         page: a name of `PAGES_MM`, upright.
         dot_mm: mean diameter of a speckle: three to five pixels of the cameras.
         margin_mm: white border, which printers cannot print.
-        seed: of their places.
+        seed: seed of their random positions.
 
     Raises:
         SettingsError: the page is unknown.
@@ -95,7 +95,7 @@ def speckle_pdf(*, page: str = "A4", dot_mm: float = 1.5, margin_mm: float = 10.
 
 
 def speckles(size_mm: tuple[float, float], dot_mm: float, seed: int) -> PrintedSheet:
-    """Discs at random places that do not touch one another."""
+    """Discs at random positions that do not touch one another."""
     rng = np.random.default_rng(seed)
     pitch = _SPECKLE_PITCH * dot_mm
     columns, rows = (int(side / pitch) for side in size_mm)
@@ -157,7 +157,7 @@ def _draw(
         if field is not None:
             axes.add_artist(PathPatch(_field(field, corner_mm), facecolor="black", edgecolor="none", linewidth=0))
             _card_corners(axes, field, corner_mm)
-            middle_mm = page_mm[0] - corner_mm[0] - _RULER_MM / 2  # beside the field
+            middle_mm = page_mm[0] - corner_mm[0] - _RULER_MM / 2  # next to the field
         _ruler(axes, middle_mm - _RULER_MM / 2, foot_mm)
         axes.text(middle_mm, foot_mm - _CAPTION_UP_MM, caption, ha="center", va="bottom", fontsize=_FONT_POINTS)
         content = io.BytesIO()
@@ -184,7 +184,7 @@ def _field(field: PrintedSheet, corner_mm: Corner) -> Path:
 
 
 def _card_corners(axes: Axes, field: PrintedSheet, corner_mm: Corner) -> None:
-    """Lines beside the lower half of a card, outside it, and what the field is for."""
+    """Draw lines next to the lower half of a card, outside it, and the field's caption."""
     (left, _), (right, bottom) = field.extent_mm + np.array(corner_mm)
     for x, side in ((left, -1.0), (right, 1.0)):
         outer = x + side * _CARD_GAP_MM

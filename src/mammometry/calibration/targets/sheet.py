@@ -51,7 +51,8 @@ class SheetPattern:
     """A regular pattern on a board. The simulation's kernel draws it with exact edges."""
 
     grid: Literal["squares", "circles", "staggered"]
-    """Squares from the frame's origin; or circles from a centre there, with every second row shifted if staggered."""
+    """Squares from the frame's origin, or circles with the first one centred there. Staggered: every second row
+    shifted."""
     count: tuple[int, int]
     """Columns and rows."""
     pitch_mm: float
@@ -60,9 +61,8 @@ class SheetPattern:
     mark_mm: float
     """Side of a marker in the centre of its square, or radius of a circle."""
     cells: UInt8[Array, "rows columns c c"]
-    """Content of each square: [j, i, 0, 0] is `DARK`, `WHITE` or `MARKER`. A marker's cells start at [1, 1], 0 for
-    black.
-    Empty (0, 0, 1, 1) for circles."""
+    """Content of each square: [j, i, 0, 0] is `DARK`, `WHITE` or `MARKER`. A marker's cells start at [1, 1], with 0 for
+    black. Empty (0, 0, 1, 1) for circles."""
 
     def rectangles(self) -> Float64[Array, "n 4"]:
         """Dark squares and dark marker cells: x, y, width and height, mm."""
@@ -109,7 +109,7 @@ class ConvexBody(ABC):
     @property
     @abstractmethod
     def middle_mm(self) -> Float64[Array, 3]:
-        """Centre of the target, mm, placed at the centre of the rig."""
+        """Centre of the target, mm, which is placed at the centre of the rig."""
 
     @property
     @abstractmethod

@@ -18,7 +18,7 @@ _MAX_PRINT_SCALE = 0.1
 """Largest relative scale error of a print. Printers err by a few per cent at most, so a larger difference is a typing
 error."""
 _TARGET_MM, _USUAL_TARGET_MM = (20.0, 2500.0), (60.0, 1500.0)
-"""Possible and usual longest side of a target's points. A cast of 40 mm is no smaller than its target."""
+"""Possible and usual longest side of a target's points, mm. A cast of 40 mm is no smaller than its target."""
 
 
 def target_from_table(table: Mapping[str, object]) -> Target:

@@ -35,7 +35,7 @@ class Target(ABC):
     """Whether its points were surveyed, so that its frame is the world. For a board, the world is its first pose."""
 
     has_inverse: ClassVar[bool] = True
-    """Whether it is another pattern if printed white on black. The inverse of a chessboard is a chessboard."""
+    """Whether the target printed white on black is another pattern. The inverse of a chessboard is a chessboard."""
     least_points: ClassVar[int] = 8
     """Fewest measured points of a usable view: fewer points of a spatial target may match by chance."""
 
@@ -49,11 +49,11 @@ class Target(ABC):
 
     @property
     def stated_size(self) -> tuple[str, float]:
-        """The key of a target's size, and its value in mm, for a list of points their longest extent."""
+        """Key and value of the target's size, mm. For a list of points, their longest extent."""
         value = getattr(self, self.size_key, None)
         return self.size_key, value if isinstance(value, float) else float(np.ptp(self.points_target, axis=0).max())
 
-    # --- what the adjustment needs ---
+    # --- for the adjustment ---
 
     @property
     @abstractmethod
@@ -73,11 +73,11 @@ class Target(ABC):
     def mistaken(self) -> Iterator[tuple[str, Target]]:
         """Yield targets that are commonly confused with this description, the likeliest first.
 
-        Each with the keys of session.toml that describe it.
+        Each comes with the keys of session.toml that describe it.
         """
         yield from ()
 
-    # --- what is printed ---
+    # --- the print ---
 
     def caption(self) -> str:
         """Describe the print in one line."""
@@ -98,7 +98,7 @@ class Target(ABC):
             remedy="Make and survey an object with points; it cannot be printed",
         )
 
-    # --- what it looks like ---
+    # --- the appearance ---
 
     @property
     @abstractmethod

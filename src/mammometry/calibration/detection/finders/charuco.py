@@ -18,7 +18,7 @@ from mammometry.calibration.targets.kinds.charuco import CharucoTarget, charuco_
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, UInt8
 
 FITTING_SHARE = 0.9
-"""Smallest share of markers that are placed as on their board. On a board of the other pattern it is a half."""
+"""Smallest share of markers whose arrangement fits the board. On a board of the other pattern it is a half."""
 TOLERANCE_SQUARES = 0.35
 """Largest distance of a marker's corner from its place, squares. Lens distortion is smaller, other boards differ by
 one."""
@@ -62,7 +62,7 @@ class MarkerLayout:
         return np.stack([column, 2 * rows + lower], axis=1)
 
     def fitting_share(self, seen: SeenMarkers, marker_squares: float) -> float:
-        """Share of the markers that are placed as on this board.
+        """Share of the markers that are arranged as on this board.
 
         Args:
             seen: at least four markers of the image.
@@ -98,7 +98,7 @@ def layout_of(
 
 
 DOUBLED_MARKERS = 4
-"""More markers seen twice mean that two boards are in view, and neither can be chosen."""
+"""Most markers that may be seen twice. With more, two boards are in view, and the right one is unknown."""
 _BLUR_MARGIN_PX = 2.5
 """Width of a marker's blurred edge, excluded with it."""
 _NEARLY_ALL = 0.95
@@ -139,7 +139,7 @@ def find_charuco(target: CharucoTarget, photograph: Photograph, search_width_px:
     board_map, used = found
     off_mm = np.linalg.norm(board_map.board(uv) - board_mm, axis=1)
     if (off_mm < TOLERANCE_SQUARES * target.square_mm).mean() < FITTING_SHARE:
-        return None  # every second row of a board of the other pattern fits
+        return None  # every second row of a board of the other pattern fits, too
     linear = linear_luma(photograph)
     markers_mm = board_mm[:markers].reshape(-1, 4, 2).mean(axis=1)
     if cause := _about_marker_size(linear, board_map, markers_mm, target):
@@ -205,7 +205,7 @@ def _is_complete(
     centres_mm = np.asarray(board.getObjPoints(), np.float64).mean(axis=1)[:, :2]
     seen_px = np.array([np.asarray(markers[k], np.float64).reshape(4, 2).mean(axis=0) for k in known])
     picture_from_board, _ = cv2.findHomography(centres_mm[[places[numbers[k]] for k in known]], seen_px, cv2.LMEDS)
-    if picture_from_board is None:  # for points on a line, contrary to OpenCV's types
+    if picture_from_board is None:  # None for points on a line, contrary to OpenCV's type hints
         return False  # type: ignore[unreachable]
     expected = cv2.perspectiveTransform(centres_mm.reshape(-1, 1, 2), picture_from_board).reshape(-1, 2)
     inside = ((expected > 0) & (expected < np.array(shape_hw[::-1]))).all(axis=1)

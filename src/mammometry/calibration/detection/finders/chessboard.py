@@ -15,7 +15,7 @@ from mammometry.calibration.targets.kinds.chessboard import ChessboardTarget
 from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
 
 _LEAST_BEYOND = 3
-"""Squares of each colour beyond a side of the board by which a larger board is recognised."""
+"""Fewest squares of each colour beyond a side of the board that show that the board is larger."""
 _GOES_ON = 0.4
 """Smallest contrast of such squares, relative to the board's. A plain border has none."""
 
@@ -101,7 +101,7 @@ def _orders(grid: Float64[Array, "r c 2"]) -> list[Float64[Array, "r c 2"]]:
 
 
 def _goes_on(linear: Float32[Array, "h w"], board_map: BoardMap, target: ChessboardTarget) -> bool:
-    """Whether dark and bright squares continue beyond the board, where a border should be."""
+    """Whether dark and bright squares continue beyond the board, where its border should be."""
     columns, rows = target.squares
     inside = _light_in(linear, board_map, target, *np.meshgrid(np.arange(1, columns - 1), np.arange(1, rows - 1)))
     contrast = float(np.ptp(np.nanpercentile(inside, (20, 80))))
@@ -111,7 +111,7 @@ def _goes_on(linear: Float32[Array, "h w"], board_map: BoardMap, target: Chessbo
         even, odd = beyond[::2], beyond[1::2]
         if min(np.isfinite(even).sum(), np.isfinite(odd).sum()) < _LEAST_BEYOND:
             continue
-        # Objects behind a narrow border may be dark or bright, but hardly alternate.
+        # Objects behind a narrow border may be dark or bright, but rarely alternate like squares.
         (even_low, even_high), (odd_low, odd_high) = (np.nanpercentile(half, (25, 75)) for half in (even, odd))
         if max(even_low - odd_high, odd_low - even_high) > _GOES_ON * contrast:
             return True
@@ -134,7 +134,7 @@ def _light_in(
 
 
 def _starts_dark(linear: Float32[Array, "h w"], board_map: BoardMap, target: ChessboardTarget) -> bool:
-    """Whether the square before the first corner is dark, by the centres of the squares."""
+    """Whether the square before the first corner is dark, judged by the centres of the squares."""
     column, row = np.meshgrid(np.arange(1, target.squares[0] - 1), np.arange(1, target.squares[1] - 1))
     light = _light_in(linear, board_map, target, column, row)
     even = (column + row) % 2 == 0

@@ -1,8 +1,8 @@
 """Find a dotted cylinder in photographs, with consistent column numbers.
 
-In one photograph, columns are counted from the first one seen. The labels beyond the last row are not read: the
-unrolled label strips of two photographs are correlated at all offsets of whole columns. Photographs are then numbered
-along the tree of the best pairs. The first column is arbitrary and only rotates the world about the cylinder's axis.
+In one photograph, columns are counted from the first one seen. The labels beyond the last row are not decoded. Instead,
+the unrolled label strips of two photographs are correlated at all offsets of whole columns. Photographs are then
+numbered along the tree of the best pairs. The first column is arbitrary; it only rotates the world about the axis.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _MAP_ROUNDS = 4
 _LEAST = 24
 """Fewest dots for a map: 48 equations for 31 unknowns, eleven of the projection and twenty of the lens."""
 _FORM_TOLERANCE = 0.05
-"""Largest distance of a dot from its place, as a share of the pitch: printed rows and wrapped sheets reach it."""
+"""Largest distance of a dot from its place, as a share of the pitch: irregular prints and wrapped sheets reach it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

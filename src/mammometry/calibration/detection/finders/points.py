@@ -26,13 +26,14 @@ _SEARCH_WIDTHS = 2
 _NEIGHBOURHOODS = (0.05, 0.12)
 """Size of the neighbourhood that a dot must be darker than, image widths."""
 _MOST_DOTS = 250
-"""More dots than this are texture. Assumed; its effect has not been measured."""
+"""Largest number of dots: more are texture. Assumed; its effect has not been measured."""
 _START_HALF = 0.15
 """Initial radius if the diameter is unknown, in distances between neighbouring points."""
 _AROUND = 6
-"""Neighbours used for the surface's inclination at a point."""
+"""Number of neighbours that determine the surface's inclination at a point."""
 _FLAT = 0.12
-"""Neighbours that are in a plane to within this share of their distance give the surface's inclination."""
+"""Largest distance of the neighbours from a plane, as a share of their distance, if they are used for the
+inclination."""
 
 AMBIGUOUS = Cause(
     found="dots that match the list of points in more than one way",
@@ -63,7 +64,7 @@ def find_points(target: PointsTarget, photograph: Photograph, search_width_px: i
 
 
 def _measured(linear: Float32[Array, "h w"], target: PointsTarget, reading: DotAssignment) -> FoundPoints | None:
-    """Measure the dots of a reading."""
+    """Measure the dots of an assignment."""
     points, camera, ids = target.points_target, reading.camera, np.sort(reading.ids)
     nearest_mm = float(np.asarray(cKDTree(points).query(points, k=2)[0])[:, 1].min())
     half_mm = target.dot_diameter_mm / 2 if target.dot_diameter_mm else _START_HALF * nearest_mm
@@ -80,7 +81,7 @@ def _measured(linear: Float32[Array, "h w"], target: PointsTarget, reading: DotA
     error_px = np.linalg.norm(camera.image(points[ids]) - dots.uv, axis=1)
     size_px = 2 * half_mm * camera.focal_px / np.linalg.norm(points[ids] - camera.centre_mm, axis=1)
     good = dots.ok & (error_px < MAX_OFF * size_px)
-    # If the surface's slope is unknown, the largest error that a slope could cause is part of the uncertainty.
+    # If the surface's inclination is unknown, the largest error that it could cause is added to the uncertainty.
     doubt_px = np.where(flat[ids], 0.0, size_px**2 / (8 * camera.focal_px))
     covariance = dots.covariance_px2 + (doubt_px**2)[:, None, None] * np.eye(2)
     return FoundPoints(ids=ids[good], uv=dots.uv[good], covariance_px2=covariance[good]) if good.any() else None

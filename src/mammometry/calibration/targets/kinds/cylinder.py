@@ -19,7 +19,7 @@ _LEAST_DOTS = 3
 _GIRTH_SLACK = 1e-3
 """Share by which the columns may exceed the circumference, since the radius is rounded."""
 _CLOSING_PITCH = 1e-2
-"""The columns close if they fill the circumference to within this share of a pitch."""
+"""Largest gap between last and first column of a closed cylinder, as a share of a pitch."""
 
 
 @TARGETS.add("dotted-cylinder")
@@ -245,8 +245,7 @@ def wrap_sheet(target: DottedCylinderTarget) -> PrintedSheet:
     """Return the sheet to wrap around a cylinder, mm.
 
     Its origin is its upper left corner. The sheet is as wide as all columns. Column 0 is the leftmost, row 0 the
-    lowest,
-    and the labels are above the last row.
+    lowest, and the labels are above the last row.
 
     Raises:
         SettingsError: there are more columns than labels.

@@ -13,7 +13,8 @@ from mammometry.calibration.targets.target import TARGETS, Target, require_measu
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 
 _LEAST_POINTS = 4
-"""Three points have up to four poses in one image. A fourth makes it unique (Fischler and Bolles 1981)."""
+"""Fewest points. Three have up to four poses in one image; a fourth makes the pose unique (Fischler and Bolles
+1981)."""
 
 
 @TARGETS.add("points")
@@ -51,7 +52,7 @@ class PointsTarget(Target):
 
     @property
     def body(self) -> DottedBox:
-        """A box around the origin, the only object with points in the simulation."""
+        """A box around the origin: the only such object in the simulation."""
         return DottedBox(target=self)
 
 
