@@ -1,4 +1,4 @@
-"""Accounts: entry by an administrator, passwords, second factor, the hospital's own login."""
+"""Accounts: added by an administrator, with passwords, second factor, or the hospital's own login."""
 
 import base64
 import hashlib
@@ -76,13 +76,13 @@ _MESSAGES = {
     "mfa/messages/totp_activated.txt": "The second factor is set up.",
     "mfa/messages/totp_deactivated.txt": "The second factor is removed.",
 }
-"""Template of allauth's message → our sentence. All other messages are left out, because the page shows the result."""
+"""Template of allauth's message → our sentence. Other messages are not shown, because the page shows the result."""
 FRESH_S = 600
 """Time after a login without asking for the password again, s."""
 
 
 class Accounts(DefaultAccountAdapter):
-    """Accounts are made by an administrator."""
+    """Accounts are created by administrators only."""
 
     error_messages = {  # noqa: RUF012
         **DefaultAccountAdapter.error_messages,
@@ -94,7 +94,7 @@ class Accounts(DefaultAccountAdapter):
     }
 
     def is_open_for_signup(self, request: HttpRequest) -> bool:
-        """Refuse: accounts are made by an administrator."""
+        """Refuse: accounts are created by administrators."""
         return False
 
     def add_message(
@@ -102,7 +102,7 @@ class Accounts(DefaultAccountAdapter):
     ) -> None:
         """Show our sentence instead of allauth's.
 
-        The first codes come with the factor and replace none.
+        No message is shown for the first recovery codes: they are created with the factor and replace none.
         """
         sentence = _MESSAGES.get(message_template or "")
         first = message_template == _NEW_CODES and request.path != reverse("mfa_generate_recovery_codes")
@@ -110,7 +110,7 @@ class Accounts(DefaultAccountAdapter):
             super().add_message(request, level, message=sentence)
 
     def is_reauthentication_required(self, *, app: str, **kwargs: Any) -> bool:
-        """Whether the password is asked again: not when setting up the first second factor after a login."""
+        """Whether the password is asked for again. Not when the first second factor is set up after a login."""
         from allauth.account.authentication import get_authentication_records
 
         request = context.request
@@ -122,7 +122,7 @@ class Accounts(DefaultAccountAdapter):
 
 
 class SecondFactor(DefaultMFAAdapter):
-    """Secrets of authenticators are kept encrypted. A copy of the database alone opens nothing."""
+    """Stores authenticators' secrets encrypted, so that a copy of the database does not reveal them."""
 
     error_messages = {  # noqa: RUF012
         **DefaultMFAAdapter.error_messages,
@@ -131,7 +131,7 @@ class SecondFactor(DefaultMFAAdapter):
     }
 
     def encrypt(self, text: str) -> str:
-        """Encrypt with a key derived from the clinic's."""
+        """Encrypt with a key derived from the clinic's secret key."""
         return _cipher().encrypt(text.encode()).decode()
 
     def decrypt(self, encrypted_text: str) -> str:
@@ -163,31 +163,31 @@ class _Labelled:
 
 
 class LoginForm(_Labelled, account.LoginForm):
-    """Name and password."""
+    """Login with name and password."""
 
     words: ClassVar = {"login": ("Name", ""), "password": ("Password", "")}
 
 
 class FirstPasswordForm(_Labelled, account.ResetPasswordKeyForm):
-    """A new password, through a link."""
+    """A new password, set through a link."""
 
     words: ClassVar = {"password1": ("New password", _PASSWORD), "password2": _AGAIN}
 
 
 class ChangePasswordForm(_Labelled, account.ChangePasswordForm):
-    """The password now, and the new one."""
+    """The current password and a new one."""
 
     words: ClassVar = {"oldpassword": ("Password now", ""), **FirstPasswordForm.words}
 
 
 class PasswordAgainForm(_Labelled, account.ReauthenticateForm):
-    """The password, before something that needs it."""
+    """The password, asked again before a sensitive action."""
 
     words: ClassVar = {"password": ("Password", "")}
 
 
 class CodeForm(_Labelled, mfa.AuthenticateForm):
-    """The second factor's code, at the login."""
+    """The second factor's code at login."""
 
     words: ClassVar = {"code": ("Code", _CODE)}
 
@@ -201,7 +201,7 @@ class CodeForm(_Labelled, mfa.AuthenticateForm):
 
 
 class CodeAgainForm(_Labelled, mfa.ReauthenticateForm):
-    """The second factor's code, before something that needs it."""
+    """The second factor's code, asked again before a sensitive action."""
 
     words: ClassVar = CodeForm.words
 

@@ -1,4 +1,4 @@
-"""The one Django application."""
+"""The clinic's only Django application."""
 
 from django.apps import AppConfig
 from django.db.models.signals import post_migrate

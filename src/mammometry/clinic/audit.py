@@ -1,8 +1,8 @@
 """The audit: who saw and who changed what. Entries can be added and read, but never changed.
 
 django-auditlog records each change of a registered model, `record_view` each opened page, `record_refusal` each refused
-one, and login signals each login, logout and failed login. Entries have pseudonyms and no names: of `MASKED` fields
-they only record that they changed. `audit_entries` reads them.
+one, and login signals each login, logout and failed login. Entries contain pseudonyms and no names. For `MASKED` fields
+they record only that the value changed. `audit_entries` reads the entries.
 """
 
 import getpass
@@ -57,7 +57,7 @@ _ABOUT = {
 
 _BOTH_VERSIONS = 409
 """Status of the page for a record that a colleague changed."""
-_PATH = 300  # characters of an address that are stored; ours are shorter
+_PATH = 300  # stored characters of an address; the clinic's are shorter
 
 
 def mask(value: str) -> str:
@@ -103,7 +103,7 @@ def record_note(
         return
     before = "" if instance_old is None else getattr(instance_old, field)
     after = "" if is_deleted else getattr(instance, field)
-    if before == after:  # a new row's empty note
+    if before == after:  # the empty note of a new row
         return
     of_visit = sender.__name__ == "Visit"
     patient = instance.pk if sender.__name__ == "Patient" else getattr(instance, "patient_id", None)
@@ -137,11 +137,11 @@ def record_failed_login(
 ) -> None:
     """Record a wrong password, or a lock after too many.
 
-    The entry names the person whose login was tried. An unknown name is not stored, because it may be a password in the
-    wrong field.
+    The entry names the person whose login was attempted. An unknown name is not stored, because it may be a password
+    that was typed into the wrong field.
     """
     if signal is user_login_failed and getattr(request, "axes_locked_out", False):
-        return  # axes reports this by its own signal
+        return  # axes reports this with its own signal
     name = (tried_name(request, credentials) or "").replace("\0", "")
     person = get_user_model()._default_manager.filter(username=name).first()
     page = "login failed" if signal is user_login_failed else "locked out"
@@ -149,19 +149,19 @@ def record_failed_login(
 
 
 def record_wrong_code(person: Model, request: HttpRequest | None) -> None:
-    """Record a right password with a wrong code of the second factor."""
+    """Record a correct password with a wrong code of the second factor."""
     _enter_access(person, person, request, FAILED_LOGIN, {"page": "wrong code"})
 
 
 def record_view(request: HttpRequest, response: HttpResponseBase, parameters: Mapping[str, Any]) -> None:
-    """Record an opened page. The entry is about the last object in the path, otherwise the page.
+    """Record an opened page. The entry refers to the last object in the path, or else to the page.
 
     A view that shows several objects puts their ids into ``request.shown``.
     """
     if request.method not in ("GET", "POST"):
         return
     if response.status_code >= 300 and response.status_code != _BOTH_VERSIONS:
-        return  # nothing was shown; changes by a POST have their own entries
+        return  # nothing was shown; a change by a POST has its own entry
     _enter_page(request, OPENED, parameters)
 
 
@@ -194,7 +194,7 @@ def _enter_page(request: HttpRequest, kind: str, parameters: Mapping[str, Any]) 
 def _enter_access(
     what: Model | None, person: Model | None, request: HttpRequest | None, kind: str, additional: dict[str, Any]
 ) -> None:
-    model = get_user_model() if what is None else what._meta.model  # through a lazy user
+    model = get_user_model() if what is None else what._meta.model  # also of a lazy user
     LogEntry.objects.create(
         content_type=ContentType.objects.get_for_model(model),
         object_pk="" if what is None else str(what.pk),
@@ -215,18 +215,18 @@ def record_command(instance: Model, command: str, person: Model | None = None) -
 
 KIND_SQLITE = "json_extract(%s, '$.kind')"
 KIND_POSTGRESQL = "%s ->> 'kind'"
-"""An entry's kind in SQL, of the column of additional data; NULL for a change of a row."""
+"""SQL for the kind of an entry, from the column of additional data. NULL for a change of a row."""
 LINKS = "clinic_auditlink"
 _REFUSAL = "the audit is only added to"
 _NAMES = {TABLE: "clinic_audit", LINKS: "clinic_audit_links"}
-"""Table → how the names of its triggers begin."""
+"""Table → prefix of the names of its triggers."""
 _BODY = f" BEGIN RAISE EXCEPTION '{_REFUSAL}'; END "
 _ROW_CHANGED, _TRUNCATED = 1 + 2 + 8 + 16, 2 + 32
-"""PostgreSQL's `tgtype`: for each row, before, delete and update; before, truncate."""
+"""PostgreSQL's `tgtype` of a trigger: for each row, before delete and update; and before truncate."""
 
 
 def _sqlite_triggers(table: str) -> dict[str, str]:
-    """Name → its definition in SQLite. REPLACE deletes without a trigger, so an insert needs a new key."""
+    """Trigger → its definition in SQLite. REPLACE deletes without a trigger, so inserts need a new key."""
     refuse = f"BEGIN SELECT RAISE(ABORT, '{_REFUSAL}'); END"
     key = "place" if table == LINKS else "id"
     there = f"WHEN EXISTS (SELECT 1 FROM {table} WHERE {key} = NEW.{key})"
@@ -257,7 +257,7 @@ def _seals(table: str) -> list[str]:
 def seal() -> None:
     """Make the database refuse to change or delete entries, and add indexes for the filters.
 
-    Can be called again: existing triggers of these names are replaced.
+    It may be called again: existing triggers with these names are replaced.
     """
     kind = KIND_POSTGRESQL if connection.vendor == "postgresql" else KIND_SQLITE
     indexes = [
@@ -272,7 +272,7 @@ def seal() -> None:
 
 
 def is_sealed() -> bool:
-    """Whether the database refuses to change entries with exactly our triggers."""
+    """Whether the database has exactly our triggers, which refuse to change entries."""
     with connection.cursor() as cursor:
         if connection.vendor != "postgresql":
             cursor.execute("SELECT name, sql FROM sqlite_master WHERE type = 'trigger'")
@@ -289,7 +289,7 @@ def is_sealed() -> bool:
 
 
 def tried_name(request: HttpRequest | None, credentials: dict[str, Any] | None = None) -> str | None:
-    """The name of a failed login, however it was given."""
+    """The name of a failed login, from the credentials or the request."""
     for source in (credentials or {}, getattr(request, "POST", {})):
         for key in ("username", "login"):
             if source.get(key):

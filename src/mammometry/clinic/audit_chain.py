@@ -1,8 +1,8 @@
-"""The chain of the audit: each entry has a digest of itself and of the digest before.
+"""The chain of the audit: each entry has a digest of itself and of the previous digest.
 
-An entry that was changed, removed or inserted breaks the chain from there on. Entries are chained some seconds after
-they are written, and before each backup. Every backup contains the last digest, so that even a database administrator
-cannot start a new chain unnoticed (docs/dossier/security.md).
+A changed, removed or inserted entry breaks the chain from there on. Entries are chained some seconds after they are
+written, and before each backup. Every backup contains the last digest, so that even a database administrator cannot
+start a new chain unnoticed (docs/dossier/security.md).
 """
 
 import datetime
@@ -22,8 +22,8 @@ from mammometry.clinic.config import ClinicError
 from mammometry.clinic.models import AuditLink
 
 _AT_ONCE = 1000  # entries read at a time
-_LATE = 10_000  # entries between one and the latest: far more than are written at the same time
-_LOCK = 7_013_311  # of PostgreSQL: any number that is not used elsewhere
+_LATE = 10_000  # number of latest entries that are searched: far more than are written at the same time
+_LOCK = 7_013_311  # key of PostgreSQL's advisory lock: any number that is not used elsewhere
 _Row = TypeVar("_Row")
 
 
@@ -37,10 +37,10 @@ class ChainEnd:
 
 
 def extend(*, every: bool = True) -> ChainEnd:
-    """Chain all entries that are not chained yet. Returns the last link.
+    """Chain all entries that are not chained yet. Return the last link.
 
     Args:
-        every: check all entries. False: only the latest ones, which is always quick.
+        every: search all entries. False: only the latest ones, which is always quick.
     """
     new = LogEntry.objects.filter(~Exists(AuditLink.objects.filter(entry=OuterRef("pk")))).order_by("pk")
     if not every:
@@ -63,7 +63,7 @@ def extend(*, every: bool = True) -> ChainEnd:
 
 
 def verify(expected: ChainEnd | None = None) -> ChainEnd:
-    """Check every link against its entry. Returns the last link.
+    """Check every link against its entry. Return the last link.
 
     Args:
         expected: a link that must be in the chain, such as the last one of a backup.
@@ -100,11 +100,11 @@ def _next(before: str, content: bytes) -> str:
 
 
 def _contents(entries: Any) -> Iterator[tuple[int, bytes]]:
-    """Key and canonical bytes of entries: the same with either database, and after a restore."""
+    """Key and canonical bytes of entries, the same for both kinds of database and after a restore."""
     kinds: dict[int, str] = {}
     fields = [field.attname for field in LogEntry._meta.concrete_fields]
     for values in entries.values(*fields).iterator(chunk_size=_AT_ONCE):
-        kind = values.pop("content_type_id")  # a number that another database gives to another table
+        kind = values.pop("content_type_id")  # this number differs between databases
         if kind not in kinds:
             kinds[kind] = ".".join(ContentType.objects.get_for_id(kind).natural_key())
         content = json.dumps({**values, "content_type": kinds[kind]}, sort_keys=True, default=_plain)

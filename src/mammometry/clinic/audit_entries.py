@@ -1,4 +1,4 @@
-"""Reading the audit: filters, pages of entries, and their CSV."""
+"""Read the audit: filters, pages of entries, and their CSV."""
 
 import datetime
 import io
@@ -71,7 +71,7 @@ _TITLES = {
     "mfa_generate_recovery_codes": "New codes for a lost telephone",
     "mfa_download_recovery_codes": "Codes for a lost telephone, as a file",
 }
-"""Titles of routes whose name is not suitable."""
+"""Titles of routes whose names are unsuitable as titles."""
 _MODELS = {"dailycheck": "daily check", "visitorder": "order of a visit", "destination": "archive"}
 
 
@@ -89,7 +89,7 @@ class AuditFilter:
     """Filter of the audit's entries."""
 
     person: UUID | None = None
-    """Actor, or the login that was tried."""
+    """User, or the login that was attempted."""
     since: datetime.date | None = None
     """First day."""
     until: datetime.date | None = None
@@ -122,7 +122,7 @@ class AuditLine:
     client: str
     """Network address that the request came from."""
     is_new: bool
-    """Whether it is of a new row."""
+    """Whether its row is new."""
 
     @property
     def words(self) -> str:
@@ -189,14 +189,14 @@ def in_words(
 
     Args:
         row: the entry.
-        names: key of each person → name shown on pages.
+        names: key of a person → name shown on pages.
         texts: field → its text before and after, if the reader may see it.
     """
     additional: dict[str, Any] = row.additional_data if isinstance(row.additional_data, dict) else {}
     model = ContentType.objects.get_for_id(row.content_type_id).model
     model = _MODELS.get(model, model)
     changed = row.action in _CHANGES
-    # Entries before kinds were kept are of pages.
+    # Entries of versions that did not record kinds are of opened pages.
     kind = CHANGED if changed else additional.get("kind") if additional.get("kind") in KINDS else OPENED
     title = f"{model.capitalize()} {_VERBS[row.action]}" if changed else title_of(str(additional.get("page", "")))
     who = names.get(row.actor_id, f"account {additional['account']}" if "account" in additional else "")
@@ -217,7 +217,7 @@ def in_words(
 
 
 def change_of(row: Model) -> LogEntry | None:
-    """The newest change of a row, with its author and time. None: there is none."""
+    """The newest change of a row, with its author and time. None if there is none."""
     of_row = LogEntry.objects.filter(
         content_type=ContentType.objects.get_for_model(row), object_pk=str(row.pk), action__in=_CHANGES
     )
@@ -249,7 +249,7 @@ def audit_csv(chosen: AuditFilter) -> str:
 
 
 def _about_patient(rows: QuerySet[LogEntry], pseudonym: str) -> QuerySet[LogEntry]:
-    """Entries about a patient's rows, and pages that listed the patient.
+    """Entries about a patient's rows, and those of pages that listed the patient.
 
     For an erased patient only the pseudonym is used.
     """
@@ -267,7 +267,7 @@ def _about_patient(rows: QuerySet[LogEntry], pseudonym: str) -> QuerySet[LogEntr
 
 
 def _field_changes(changes: Any) -> Iterator[tuple[str, str, str]]:
-    """Field, value before and value after. Changes of several related rows by their names."""
+    """Field, value before and value after. Several related rows are given by their names."""
     for name, change in changes.items() if isinstance(changes, dict) else ():
         if isinstance(change, list) and len(change) == 2:
             before, after = ("" if value in (None, "None") else str(value) for value in change)

@@ -40,13 +40,13 @@ def rig_file(rig: Rig) -> Path | None:
 
 
 def service_of(rig: Rig, calibration: Calibration | None) -> CameraService:
-    """A rig's open cameras.
+    """Return a rig's open cameras.
 
     They are opened if needed, or if the rig's file or the calibration has changed.
 
     Args:
-        rig: the clinic's.
-        calibration: for comparison with the pictures; None: none yet.
+        rig: one of the clinic's.
+        calibration: to compare with the pictures; None if there is none yet.
 
     Raises:
         CaptureError: no such cameras are connected, or they do not answer.
@@ -71,7 +71,7 @@ def service_of(rig: Rig, calibration: Calibration | None) -> CameraService:
                     f"{path.name}: rig.pairs", found="other cameras or pairs", expected=f"those of {rig.name}",
                     remedy="Correct the file, or name the right one in clinic.toml",
                 )  # fmt: skip
-            # The clinic's calibration, never the file's, because visits are measured with it.
+            # Visits are measured with the clinic's calibration, so the one in the rig's file is ignored.
             rigged = OpenRig(path, calibration=folder, settings=the_clinic().measuring(), own_calibration=False)
             entry = _open[str(rig.pk)] = _Open(key=key, service=CameraService(rigged), used_s=time.monotonic())
         entry.used_s = time.monotonic()
@@ -83,10 +83,10 @@ def close_idle(*, idle_s: float = 0.0) -> int:
     """Release cameras that no page uses.
 
     Args:
-        idle_s: seconds since the last request.
+        idle_s: least time since the last request.
 
     Returns:
-        How many rigs are still open.
+        Number of rigs that are still open.
     """
     with _one:
         for key in [key for key, opened in _open.items() if time.monotonic() - opened.used_s >= idle_s]:

@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 FILE = "clinic.toml"
 KEY_FILE = "secret.key"
 SETTINGS_FILE = "settings.toml"
-"""Settings of all measurements, in the clinic's folder; without it, the defaults."""
+"""Settings of all measurements, in the clinic's folder. Defaults apply without it."""
 OPENID_SECRET_FILE = "openid.secret"
 FOLDERS = ("sessions", "rigs", "acceptance", "uploads", "backups", "logs")
 _STRICT = ConfigDict(extra="forbid", strict=True, frozen=True)
-_KEY_BYTES = 48  # of randomness in the secret key; Django asks for 50 characters
+_KEY_BYTES = 48  # random bytes in the secret key; Django wants at least 50 characters
 
 
 class ClinicError(MammometryError):
@@ -96,9 +96,9 @@ class RateLimits(BaseModel):
     wait_minutes: Annotated[int, Field(ge=1, le=24 * 60)] = 15
     """Duration of the lock."""
     requests_per_second: Annotated[int, Field(ge=1, le=100_000)] = 100
-    """Requests per second from one address, on average; the amount of ten seconds may come at once."""
+    """Average number of requests per second from one address; bursts of ten seconds' worth are allowed."""
     request_s: Annotated[int, Field(ge=1, le=600)] = 30
-    """Seconds for receiving a request, in addition to those of a large one at 10 kB a second."""
+    """Seconds for receiving a request; large requests get more time, at 10 kB a second."""
     photograph_mb: Annotated[int, Field(ge=1, le=2000)] = 150
     """Largest photograph, MB."""
     photograph_megapixels: Annotated[int, Field(ge=1, le=1000)] = 250
@@ -141,7 +141,7 @@ class Rigs(BaseModel):
 
 
 class OpenId(BaseModel):
-    """The hospital's own login, by OpenID Connect. Its secret is in the file openid.secret."""
+    """The hospital's own login by OpenID Connect. Its secret is in the file openid.secret."""
 
     model_config = _STRICT
 
@@ -161,7 +161,7 @@ class ClinicConfig(BaseModel):
     folder: Path
     """The clinic's folder."""
     name: Annotated[Filled, AfterValidator(_is_organization)] = "Clinic"
-    """Name on pages, and DICOM organization of the people who confirm."""
+    """Name on pages, and the DICOM organization of people who confirm results."""
     address: Annotated[str, StringConstraints(pattern=r"^[^\s:]+:\d{1,5}$")] = "127.0.0.1:8000"
     """Address of the server: host:port."""
     hosts: tuple[Filled, ...] = ("localhost", "127.0.0.1")
@@ -187,7 +187,7 @@ class ClinicConfig(BaseModel):
     """
 
     def stow_secret(self, address: str) -> str | None:
-        """Login for a DICOMweb archive. None: it has none.
+        """Login for a DICOMweb archive. None if it needs none.
 
         Raises:
             ClinicError: its file is missing or empty.
@@ -199,7 +199,7 @@ class ClinicConfig(BaseModel):
     def measuring(self) -> Settings:
         """The clinic's measurement settings: its settings.toml, or the defaults.
 
-        Everything that opens a session must use these; with others its results would be computed again.
+        Everything that opens a session must use them, because results would be computed again with others.
 
         Raises:
             SettingsError: the file is invalid.
@@ -216,7 +216,7 @@ class ClinicConfig(BaseModel):
 
     @property
     def secret_key(self) -> str:
-        """The key that signs sessions, from its file.
+        """Read the key that signs sessions.
 
         Raises:
             ClinicError: the file is missing or too short.
@@ -225,7 +225,7 @@ class ClinicConfig(BaseModel):
 
     @property
     def openid_secret(self) -> str:
-        """The clinic's secret for the hospital's login, from its file.
+        """Read the clinic's secret for the hospital's login.
 
         Raises:
             ClinicError: the file is missing or empty.
@@ -318,7 +318,7 @@ def new_clinic(
 
 
 def new_private(path: Path) -> BinaryIO:
-    """Open a new file, readable only by its owner. Replaces the leftover of a killed process."""
+    """Open a new file that only its owner can read. Replaces a file that a killed process has left."""
     path.unlink(missing_ok=True)  # it may have wider permissions, which opening would keep
     return open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb")
 

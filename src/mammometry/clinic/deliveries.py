@@ -1,4 +1,4 @@
-"""Results to archives. Each delivery is a job of the queue."""
+"""Send results to archives. Each delivery is a job of the queue."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -36,7 +36,7 @@ def require_libraries(*modules: str) -> None:
 
 
 def enqueue(visit: Visit, destination: Destination, person: Person | None) -> Delivery:
-    """Queue a visit's results for sending. An open delivery is not queued twice."""
+    """Queue a visit's results for sending. A delivery that is not finished is not queued twice."""
     pending = visit.deliveries.filter(destination=destination, state=Delivery.State.QUEUED).first()
     if pending is not None:
         return pending
@@ -47,7 +47,7 @@ def enqueue(visit: Visit, destination: Destination, person: Person | None) -> De
 
 
 def test(destination: Destination) -> None:
-    """Check that an archive answers, by C-ECHO or a search of its web service.
+    """Check that an archive answers: by C-ECHO, or by a search of its web service.
 
     Raises:
         MammometryError: it does not.
@@ -68,10 +68,10 @@ def send(config: ClinicConfig, job: Job) -> dict[str, Any]:
     """Send a visit's results, as a job of the queue.
 
     Returns:
-        ``sent``, the number of objects; ``kept``, whether the archive promised to keep all of them; ``message``.
+        ``sent``: number of objects; ``kept``: whether the archive has committed to store all; ``message``.
 
     Raises:
-        MammometryError: the visit is not measured, or the archive does not take them.
+        MammometryError: the visit is not measured, or the archive refuses the results.
     """
     assert job.delivery is not None
     visit, destination = job.delivery.visit, job.delivery.destination
@@ -81,22 +81,22 @@ def send(config: ClinicConfig, job: Job) -> dict[str, Any]:
 
 
 def patient_module(patient: Patient) -> PatientModule:
-    """A patient as in the hospital's systems."""
+    """The patient's identification for DICOM, as in the hospital's systems."""
     name = f"{plain_name(patient.family_name)}^{plain_name(patient.given_name)}"
     return PatientModule(id=patient.record_number, name=name, born=patient.born)
 
 
 def gathered(config: ClinicConfig, visit: Visit, *, whole: bool = True, deidentify: bool = False) -> Exported:
-    """Exported content of a visit.
+    """Gather what a visit's exports contain.
 
     Args:
         config: the clinic's.
         visit: measured.
-        whole: with report, models and photographs; otherwise only numbers.
-        deidentify: for others: no pseudonym, no dates, no photographs.
+        whole: include report, models and photographs; otherwise numbers only.
+        deidentify: for recipients outside the clinic: without pseudonym, dates and photographs.
 
     Raises:
-        MammometryError: it is not measured, has changed since, or needs a new measurement.
+        MammometryError: the visit is not measured, has changed since, or must be measured again.
     """
     from mammometry.hospital.gather import PARTS, gather
 
@@ -124,12 +124,12 @@ def _operations(visit: Visit) -> tuple[ExportedOperation, ...]:
 
 
 def study_of(config: ClinicConfig, visit: Visit, *, deidentify: bool = False) -> dict[str, bytes]:
-    """A visit's DICOM objects: name of a file → its content.
+    """A visit's DICOM objects: file name → content.
 
     Args:
         config: the clinic's.
         visit: measured.
-        deidentify: for others; see `gathered`.
+        deidentify: for recipients outside the clinic; see `gathered`.
 
     Raises:
         MammometryError: it is not measured, or a library is missing.
@@ -143,7 +143,7 @@ def study_of(config: ClinicConfig, visit: Visit, *, deidentify: bool = False) ->
 
 
 def order_of(visit: Visit) -> Order:
-    """A visit's order. Empty if it is not from a worklist."""
+    """Order of a visit. Empty if it is not from a worklist."""
     order = VisitOrder.objects.filter(visit=visit).first()
     if order is None:
         return Order()
@@ -154,7 +154,7 @@ def order_of(visit: Visit) -> Order:
 
 
 def connection(destination: Destination) -> tuple[Peer, PeerTls | None]:
-    """Address of a DICOM application, and the encryption of the connection."""
+    """Address of a DICOM application, and the connection's encryption."""
     return Peer.parse(destination.address), tls_of(destination)
 
 
@@ -177,7 +177,7 @@ def _send(config: ClinicConfig, visit: Visit, destination: Destination) -> tuple
 
 
 def tls_of(destination: Destination) -> PeerTls | None:
-    """Encryption of the connection to an archive. None: unencrypted."""
+    """Encryption of the connection to an archive. None if unencrypted."""
     if not destination.encrypted:
         return None
     files = (

@@ -3,9 +3,9 @@
 Three virtual patients at several dates, photographed by a virtual rig and measured by the queue.
 
 Everything works as in a real clinic: photographs are uploaded and checked, jobs calibrate and check the rig and measure
-the visits. Only the photographs are rendered, and small. It opens as soon as the rig is calibrated and the first visit
-is queued, after about half a minute on two cores. All visits are entered by then; a second process uploads their
-photographs one after another, and the queue measures them.
+the visits. Only the photographs are rendered, and small. The clinic opens as soon as the rig is calibrated and the
+first visit is queued, after about half a minute on two cores. By then, all visits are entered. A second process uploads
+their photographs one after another, and the queue measures them.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ if TYPE_CHECKING:
 _SCALE, POSES = (
     0.12,
     7,
-)  # pictures of 540 × 360, and just enough poses, the first, which all cameras see, for the check: for speed
+)  # pictures of 540 × 360 and few poses, for speed; all cameras see the first pose, which is used for the check
 _RIG = "reference:front,left,right"
 _RIG_NAME = "Room 1"
 _RIG_FILE = "cameras/rig.toml"  # in the clinic's folder
-_SEED = 11  # of the rig: all visits must have the same
+_SEED = 11  # seed of the rig, the same for all visits
 _TARGET = {"squares": (9, 7), "square_mm": 42.0, "marker_mm": 32.0, "dictionary": "DICT_4X4_100"}
 """A coarser board than usual, for small pictures."""
 SETTINGS = """\
@@ -54,15 +54,15 @@ SETTINGS = """\
 [surface.extract]
 cube_mm = 3.0
 """
-_CALIBRATED_DAYS = 80  # before today
+_CALIBRATED_DAYS = 80  # days before today
 _PEOPLE = (
     ("technician", "Tessa Technician"),
     ("clinician", "Clara Clinician"),
     ("researcher", "Rita Researcher"),
     ("administrator", "Ada Administrator"),
 )
-_WAIT_S = 900.0  # for all jobs: a slow machine is no failure
-_LOOK_S = 0.3  # between two checks of the jobs: often enough for a smooth bar
+_WAIT_S = 900.0  # time for all jobs: slow machines must not fail
+_LOOK_S = 0.3  # time between two checks of the jobs: short enough for a smooth progress bar
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,7 +73,7 @@ class VirtualPatient:
     given_name: str
     born: str
     subject: str
-    """Of the simulation."""
+    """Name of the simulation's subject."""
     dates: tuple[tuple[int, str], ...]
     """Days before today, and the simulation's disturbances on that date."""
     operations: tuple[tuple[int, str, str], ...] = ()
@@ -108,7 +108,7 @@ PATIENTS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Demo:
-    """A demo clinic that was made."""
+    """A finished demo clinic."""
 
     config: ClinicConfig
     passwords: dict[str, str]
@@ -116,7 +116,7 @@ class Demo:
     visits: int
     measured: int
     failed: dict[str, str]
-    """Pseudonym and date → reason why a visit was not measured."""
+    """Pseudonym and date of a visit → reason why it was not measured."""
     seconds: float
 
 
@@ -125,14 +125,14 @@ def make_demo(folder: Path, say: Callable[[str], Progress], *, address: str | No
 
     Args:
         folder: new or empty.
-        say: called with the current step; returns its progress callback.
+        say: called with the text of the current step; returns its progress callback.
         address: HOST:PORT of the server, if any.
-        whole: measure all visits. Otherwise they are entered, the first is queued, and `finish` with a server does the
-            others.
+        whole: measure all visits. Otherwise they are entered, the first one is queued, and `finish` does the rest while
+            a server runs.
 
     Raises:
         ClinicError: the folder is not empty.
-        BatchError: the jobs do not end.
+        BatchError: the jobs do not finish in time.
     """
     from mammometry.clinic.web.server import migrate
     from mammometry.io.write import write_text
@@ -150,13 +150,13 @@ def make_demo(folder: Path, say: Callable[[str], Progress], *, address: str | No
 
     passwords = _people()
     with tempfile.TemporaryDirectory(prefix="mammometry-demo-") as scratch, ExitStack() as working:
-        # One rendering gives the photographs of the rig and of the first visit.
+        # One rendering provides the photographs of the rig and of the first visit.
         first = PATIENTS[0]
         made = render(Path(scratch) / "rig", first.subject, first.dates[0][1], POSES, say("photographs"))
         working.enter_context(_runner(config))
         calibration = _calibrated(made)
         if not whole:
-            working.close()  # from here on the server's runner does the queued jobs
+            working.close()  # from here on, the server's runner does the queued jobs
         _check(calibration.rig, made)
         visit = _enter_visits(calibration)[0]
         _bring(visit, made)
@@ -179,9 +179,9 @@ def make_demo(folder: Path, say: Callable[[str], Progress], *, address: str | No
 
 
 def finish(say: Callable[[str], Progress]) -> None:
-    """Photograph the demo's visits that have no photographs yet, and queue them.
+    """Upload photographs for the demo's visits that have none yet, and queue the visits.
 
-    If it is stopped, calling it again continues.
+    It may be interrupted and called again.
     """
     from mammometry.clinic.jobs.queue import enqueue
     from mammometry.clinic.models import Visit
@@ -202,7 +202,7 @@ def finish(say: Callable[[str], Progress]) -> None:
 
 
 def finish_beside(folder: Path) -> None:
-    """Finish a demo while its server runs."""
+    """Finish a demo while its server is running."""
     from mammometry.base.progress import no_progress
     from mammometry.clinic.site import configure
 
@@ -227,7 +227,7 @@ def _people() -> dict[str, str]:
 
 @contextmanager
 def _runner(config: ClinicConfig) -> Iterator[None]:
-    """Have the queue served by this process while photographs are rendered."""
+    """Run the queue in this process while photographs are rendered."""
     from mammometry.clinic.jobs.runner import Runner
 
     runner = Runner(config)
@@ -241,7 +241,7 @@ def _runner(config: ClinicConfig) -> Iterator[None]:
 
 
 def _calibrated(made: Path) -> Calibration:
-    """The rig's calibration, some days before the first visit."""
+    """Calibrate the rig, dated some days before the first visit."""
     from django.utils import timezone
 
     from mammometry.capture.sessions import definition_of
@@ -272,7 +272,7 @@ def _with_cameras(config: ClinicConfig) -> ClinicConfig:
 
 
 def _write_cameras(made: Path, rig: Rig) -> None:
-    """Use the rendered pictures as the rig's cameras, so that firing can be tried on the page."""
+    """Use the rendered pictures as the rig's cameras, so that capturing can be tried on the page."""
     from mammometry.capture.sessions import manifest_text
     from mammometry.clinic.site import the_clinic
     from mammometry.io.write import write_text
@@ -291,7 +291,7 @@ def _shots(made: Path) -> list[Path]:
 
 
 def _check(rig: Rig, made: Path) -> None:
-    """Today's check, by a new photograph of the board."""
+    """Make today's check with a new photograph of the board."""
     from mammometry.clinic.jobs.queue import enqueue
     from mammometry.clinic.rig_history import new_check
 
@@ -303,7 +303,7 @@ def _check(rig: Rig, made: Path) -> None:
 
 
 def _enter_visits(calibration: Calibration) -> list[Visit]:
-    """All patients and their visits, without photographs."""
+    """Enter all patients and their visits, without photographs."""
     from django.utils import timezone
 
     from mammometry.clinic.models import Consent, Operation, Patient, Visit
@@ -379,7 +379,7 @@ def _wait_for_calibration(rig: Rig) -> None:
 
 
 def render(folder: Path, subject: str, other: str, poses: int, progress: Progress) -> Path:
-    """Photographs of the target or of a subject, by one rig."""
+    """Render photographs of the target or of a subject with one rig."""
     from mammometry.calibration.targets.kinds.charuco import CharucoTarget
     from mammometry.simulate.recipe import SessionRecipe, parse_situation
     from mammometry.simulate.session import write_session
@@ -394,7 +394,7 @@ def render(folder: Path, subject: str, other: str, poses: int, progress: Progres
 
 
 def _send(target: object, path: Path, pose: str = "") -> None:
-    """Upload one photograph, as the page does."""
+    """Upload one photograph in the same way as the page."""
     from mammometry.clinic.intake import uploads
     from mammometry.clinic.intake.announced import Announced
     from mammometry.clinic.models import Calibration, DailyCheck, Visit

@@ -23,7 +23,7 @@ def require_dicom_text(text: str, representation: Representation) -> None:
     """Refuse text that DICOM does not allow, before it is sent.
 
     Raises:
-        ValidationError: with the fault, and what is allowed.
+        ValidationError: states the fault and what is allowed.
     """
     if (fault := text_fault(text, representation)) is not None:
         found, allowed = fault
@@ -47,12 +47,12 @@ class PatientForm(RecordForm):
         }
 
     duplicates: Duplicates | None = None
-    """Records that may be of the same patient. None: there are none, or not searched yet."""
+    """Records that may be of the same patient. None if there are none, or they have not been searched yet."""
 
     def validate_unique(self) -> None:
-        """Show the same patient's record before another one is made.
+        """Show an existing record of the same patient before another one is created.
 
-        The user can continue if the record number is different.
+        The user may continue if the record number is different.
         """
         if self.errors:
             return
@@ -129,7 +129,7 @@ class VisitForm(RecordForm):
         self.fields["posture"].initial = Visit.Posture.LEANING
 
     def clean(self) -> dict[str, Any]:
-        """Ask about an unusual day. A model has no posture."""
+        """Ask the user to confirm an unusual day, and remove a model's posture."""
         values: dict[str, Any] = super().clean() or self.cleaned_data
         ask_about_day(self, values.get("rig"))
         if values.get("subject_kind") == Visit.Subject.MODEL:
@@ -148,7 +148,7 @@ def name_empty_choices(fields: Mapping[str, forms.Field]) -> None:
 
 
 class PersonForm(RecordForm):
-    """A person who logs in, with roles to tick."""
+    """A person who logs in, with checkboxes for roles."""
 
     roles = forms.MultipleChoiceField(
         choices=[
@@ -184,7 +184,7 @@ class PersonForm(RecordForm):
         self.fields["email"].required = False
 
     def clean_full_name(self) -> str:
-        """Refuse names of confirming people that other systems do not accept."""
+        """Refuse names that other systems do not accept, for people who confirm results."""
         name: str = self.cleaned_data["full_name"]
         require_dicom_text(name, "LO")
         if text_fault(person_name(name), "PN") is not None:
@@ -202,7 +202,7 @@ class PersonForm(RecordForm):
 
 
 class _Asking(Protocol):
-    """A form that asks about an unusual day of a visit."""
+    """A form that asks the user to confirm an unusual day of a visit."""
 
     questions: tuple[str, ...]
     data: Any
@@ -216,9 +216,9 @@ FIRST_DAY = datetime.date(1900, 1, 1)
 
 
 def ask_about_day(form: _Asking, rig: Rig | None) -> None:
-    """Ask if a visit's day is in the future or before the rig's first calibration.
+    """Ask for confirmation if a visit's day is in the future or before the rig's first calibration.
 
-    A second button confirms it. Days before 1900 or after tomorrow are always refused.
+    A second button confirms the day. Days before 1900 or after tomorrow are always refused.
     """
     taken_at = form.cleaned_data.get("taken_at")
     if taken_at is None:
@@ -234,7 +234,7 @@ def ask_about_day(form: _Asking, rig: Rig | None) -> None:
 
 
 _MOST_CC = 5000.0  # the largest expanders hold 1,500 cc
-_MOST_G = 10_000.0  # gigantomastia: some kg a side
+_MOST_G = 10_000.0  # gigantomastia: several kg on each side
 
 
 def _day() -> forms.DateInput:
@@ -302,7 +302,7 @@ class OperationForm(RecordForm):
 
 
 class OperationRemovalForm(RecordForm):
-    """Removes an operation, if it has not changed."""
+    """Remove an operation, unless it has changed in the meantime."""
 
     watched = ("kind", "side", "day", "volume_cc", "resected_g", "words")
 
@@ -379,7 +379,7 @@ class CircumstancesForm(RecordForm):
         repeat.queryset = earlier.filter(taken_at__lte=visit.taken_at).exclude(pk=visit.pk)
 
     def clean_repeat_of(self) -> Visit | None:
-        """Refuse a repeat with an operation in between."""
+        """Refuse to declare a repeat if there was an operation in between."""
         first: Visit | None = self.cleaned_data["repeat_of"]
         operations = () if first is None else self.instance.patient.operations.all()
         if first is not None and any(is_between(operation, first, self.instance) for operation in operations):

@@ -1,9 +1,9 @@
-"""Forms of records. Two people who change one record do not overwrite each other.
+"""Forms of records, which prevent two people from overwriting each other's changes.
 
-A page's form contains the version of its record: a digest of each field as shown. A submitted form is compared with the
-present record, under the lock for saving. If somebody else has saved in between and the two differ, nothing is saved:
-`StaleRecord` is raised, and `web.access.guarded` answers with a page of both versions, field by field, for every form
-of the clinic.
+A page's form contains the version of its record: a digest of each field as shown. When the form is submitted, it is
+compared with the current record, under the lock for saving. If another person has saved in between and the two differ,
+nothing is saved: `StaleRecord` is raised, and `web.access.guarded` answers with a page of both versions, field by
+field. This applies to every form of the clinic.
 """
 
 import hashlib
@@ -22,13 +22,13 @@ CHOICE = "choice-"
 TO_CHOOSE = "to-choose"
 """Name of the hidden fields that list the fields with a choice."""
 MINE, THEIRS, BOTH = "mine", "theirs", "both"
-_DIGEST_CHARACTERS = 16  # 64 bits: two values of one field never collide
+_DIGEST_CHARACTERS = 16  # 64 bits, so that different values practically never have the same digest
 _Sent = tuple[str, ...]
-"""A field's value as a browser sends it; empty: nothing entered."""
+"""A field's value as a browser sends it. Empty: nothing was entered."""
 
 
-class StaleRecord(Exception):  # an answer, as Http404 is
-    """Somebody else has saved the record since the page was opened."""
+class StaleRecord(Exception):  # an answer like Http404, not an error
+    """Another person has saved the record since the page was opened."""
 
     def __init__(self, form: "RecordForm") -> None:
         super().__init__("the record was changed meanwhile")
@@ -45,20 +45,20 @@ class Difference:
     """Value as text. None: the form does not show this field, so there is no choice."""
     theirs: str
     proposed: str
-    """`MINE` or `THEIRS`; empty: both changed it, so the user must choose."""
+    """`MINE` or `THEIRS`. Empty: both have changed the field, so the user must choose."""
     joinable: bool
     """Whether both texts can be kept, one below the other."""
 
 
 class RecordForm(forms.ModelForm):  # type: ignore[type-arg]
-    """A form of a new or existing record that refuses to overwrite somebody else's change.
+    """A form of a new or existing record that refuses to overwrite another person's change.
 
-    An existing record is read again and locked when the form is submitted, so a view is in a transaction and saves
-    `instance`, not the row that it passed.
+    The existing record is read again and locked when the form is submitted. So a view runs in a transaction, and saves
+    `instance` instead of the row that it passed.
     """
 
     watched: ClassVar[tuple[str, ...]] = ()
-    """Fields of the record that the form does not show but that saving replaces."""
+    """Fields that the form does not show but that saving replaces."""
 
     record_version = forms.CharField(required=False, widget=forms.HiddenInput)
 
@@ -73,7 +73,7 @@ class RecordForm(forms.ModelForm):  # type: ignore[type-arg]
         now = {name: _digest(sent) for name, sent in self._now.items()}
         now |= {name: _digest((str(getattr(self.instance, name)),)) for name in self.watched}
         self.version = json.dumps(now, sort_keys=True)
-        """Present version of the record."""
+        """Current version of the record."""
         self.fields[VERSION].initial = self.version
         if self.is_bound and known:
             self._compare(now)
@@ -87,7 +87,7 @@ class RecordForm(forms.ModelForm):  # type: ignore[type-arg]
         """Whether the form can be saved.
 
         Raises:
-            StaleRecord: somebody else has saved the record, and the two differ.
+            StaleRecord: another person has saved the record, and the two differ.
         """
         if self.differences:
             raise StaleRecord(self)
@@ -95,14 +95,14 @@ class RecordForm(forms.ModelForm):  # type: ignore[type-arg]
 
     @property
     def kept(self) -> list[tuple[str, str]]:
-        """Names and values of all sent fields, for the page of both versions to send again."""
+        """Names and values of all submitted fields, which the page of both versions sends again."""
         own = {VERSION, TO_CHOOSE, "csrfmiddlewaretoken", "form_token"}
         names = [name for name in self._sent_back if name not in own and not name.startswith(CHOICE)]
         return [(name, str(value)) for name in names for value in self._sent_back.getlist(name)]
 
     @property
     def sent_files(self) -> list[str]:
-        """Labels of the fields with a file, which no page can send again."""
+        """Labels of the file fields, whose files no page can send again."""
         return [str(self[name].label) for name in self.fields if self.add_prefix(name) in self.files]
 
     @property
@@ -174,7 +174,7 @@ class RecordForm(forms.ModelForm):  # type: ignore[type-arg]
 
 
 def _locked(instance: Model) -> Model:
-    """The present record, locked until the transaction ends.
+    """The current record, locked until the transaction ends.
 
     Raises:
         Http404: it no longer exists.
@@ -186,7 +186,7 @@ def _locked(instance: Model) -> Model:
 
 
 def _sent(field: forms.Field, value: Any) -> _Sent:
-    """A value as a browser sends it, with uniform line ends and without spaces around."""
+    """A value as a browser sends it, with uniform line endings and without surrounding spaces."""
     value = field.prepare_value(value)
     if isinstance(value, list | tuple):
         return tuple(sorted(map(str, value)))
@@ -199,7 +199,7 @@ def _sent(field: forms.Field, value: Any) -> _Sent:
 
 
 def _words(field: forms.Field, sent: _Sent) -> str:
-    """A sent value as text for a page."""
+    """A submitted value as text for a page."""
     if isinstance(field.widget, forms.CheckboxInput):
         return "yes" if sent else "no"
     choices = {str(value): str(label) for value, label in getattr(field, "choices", ())}
@@ -219,7 +219,7 @@ def _digest(sent: _Sent) -> str:
 
 
 def _read_version(text: str) -> dict[str, str]:
-    """Name of a field → digest of its shown value. Empty if the page sent none."""
+    """Name of a field → digest of its shown value. Empty if the page sent no version."""
     try:
         read = json.loads(text)
     except ValueError:

@@ -1,4 +1,4 @@
-"""The form that describes a rig: its pairs of cameras, its board, and the measured size of the print.
+"""Form that describes a rig: its pairs of cameras, its board, and the measured size of the print.
 
 It stores the tables of a session.toml, from the form or a file. `capture.sessions.manifest_text` writes them for every
 session of the rig.
@@ -23,7 +23,7 @@ _FILE_BYTES = 100_000  # a session.toml has a few kB
 _TABLES = ("rig", "target", "intrinsics")
 PAIRS = 8
 """Largest number of rows for pairs in the form. A file may have more."""
-_MOST_SQUARES = 60  # in a row: 2 mm squares on a page of A4's width
+_MOST_SQUARES = 60  # largest number of squares in a row: 2 mm squares on the width of an A4 page
 _SQUARES = {"charuco": "ChArUco: squares with markers", "chessboard": "Chessboard: plain squares"}
 _AS_IT_IS = "as-it-is"
 _DICTIONARIES = tuple(
@@ -31,10 +31,9 @@ _DICTIONARIES = tuple(
 )  # OpenCV's names of its own dictionaries
 _MOUNTINGS = {"upright": "upright", "upside-down": "upside down", "left": "turned to the left", "right": "to the right"}
 _PRINT_APART = 0.02
-"""Relative difference between print and design above which the form asks. Printers err by up to 0.5 %; a miscount by
-one square of 14 is 7 %.
-"""
-_DECIMALS = 4  # of the edge that is kept, mm
+"""Relative difference between print and design above which the form asks for confirmation. Printers err by up to 0.5 %.
+Counting one square of 14 too many gives 7 %."""
+_DECIMALS = 4  # stored decimals of the edge, mm
 
 
 def _number(step: str = "any", **most: str) -> forms.NumberInput:
@@ -42,7 +41,7 @@ def _number(step: str = "any", **most: str) -> forms.NumberInput:
 
 
 class RigForm(RecordForm):
-    """A rig: described here, or by a session.toml."""
+    """A rig, described in the form or by a session.toml."""
 
     mounting = forms.ChoiceField(label="The cameras’ tops point, seen from behind", required=False)
     board = forms.ChoiceField(label="Board", required=False)
@@ -90,7 +89,7 @@ class RigForm(RecordForm):
 
     def __init__(self, data: Any = None, files: Any = None, *args: Any, **kwargs: Any) -> None:
         rig: Rig | None = kwargs.get("instance")
-        if data is not None and rig is not None:  # as `RecordForm` locks it, so that nothing is described in between
+        if data is not None and rig is not None:  # locked as by `RecordForm`, so that it cannot change in between
             kwargs["instance"] = rig = Rig.objects.select_for_update().get(pk=rig.pk)
         self._before: dict[str, Any] = {} if rig is None else copy.deepcopy(rig.definition)
         described = _described(self._before)
@@ -120,7 +119,7 @@ class RigForm(RecordForm):
 
     @property
     def shown_rows(self) -> int:
-        """Rows that are shown at once: the filled ones and one more, four at least."""
+        """Number of rows shown at first: the filled ones and one more, at least four."""
         filled = [k for k, row in enumerate(self.pair_rows) if any(field.value() for field in row)]
         return min(PAIRS, max([4, *(k + 2 for k in filled)]))
 
@@ -130,7 +129,7 @@ class RigForm(RecordForm):
         return self._definition != self._before
 
     def clean_described_by(self) -> dict[str, Any] | None:
-        """Tables of the file. None without one."""
+        """Tables of the file. None if there is no file."""
         file = self.cleaned_data["described_by"]
         if file is None:
             return None
@@ -150,7 +149,7 @@ class RigForm(RecordForm):
         return kept
 
     def clean(self) -> dict[str, Any]:
-        """Make the description from a file or from the form."""
+        """Make the description from the file or from the form's fields."""
         values: dict[str, Any] = super().clean() or self.cleaned_data
         if self.errors:
             return values
@@ -178,7 +177,7 @@ class RigForm(RecordForm):
         return values
 
     def save(self, commit: bool = True) -> Rig:
-        """Keep the description with the rig."""
+        """Save the description with the rig."""
         self.instance.definition = self._definition
         rig: Rig = super().save(commit)
         return rig
@@ -215,7 +214,7 @@ class RigForm(RecordForm):
         table |= self._print(values, board)
 
     def _print(self, values: Mapping[str, Any], board: Target) -> dict[str, float]:
-        """The edge of the board, from the measured length."""
+        """The board's edge, from the measured length."""
         names = ("measured_squares", "measured_mm", "measured_std_mm")
         squares, length_mm, std_mm = (values[name] for name in names)
         if squares is None and length_mm is None and std_mm is None:
@@ -262,11 +261,11 @@ def _pair_fields() -> dict[str, forms.Field]:
 RigForm.base_fields.update(_pair_fields())
 _OTHERS = ("name", "note", "active", "described_by", "record_version")
 _DESCRIPTION = tuple(name for name in RigForm.base_fields if name not in _OTHERS)
-"""Fields with values of the description."""
+"""Fields that are part of the description."""
 
 
 def _described(definition: Mapping[str, Any]) -> dict[str, Any]:
-    """Initial values of the form from a description, or of a default board."""
+    """Initial values of the form, from a description or for a default board."""
     rig, target = definition.get("rig", {}), definition.get("target", {})
     mounting = rig.get("mounting", "upright")
     shown: dict[str, Any] = {
@@ -302,7 +301,7 @@ def _board_table(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _require_rig(definition: Mapping[str, Any]) -> None:
-    """Check the description as a session would.
+    """Check the description in the same way as a session does.
 
     Raises:
         SessionError: the description is invalid.
@@ -313,7 +312,7 @@ def _require_rig(definition: Mapping[str, Any]) -> None:
 
 
 def _plain(sentence: str) -> str:
-    """Remove the name of session.toml from a sentence, because the user filled in a form."""
+    """Remove the name of session.toml from a sentence, because the user filled in a form instead."""
     return sentence.replace("session.toml: ", "").replace(" in session.toml", "").replace("[target] ", "")
 
 
@@ -327,10 +326,10 @@ def board_of(typed: Mapping[str, str]) -> Target:
     """The board that is being entered in the form.
 
     Args:
-        typed: `board`, `columns`, `rows`, `square_mm`, `marker_mm`, `dictionary`.
+        typed: values of `board`, `columns`, `rows`, `square_mm`, `marker_mm`, `dictionary`.
 
     Raises:
-        SessionError: it is no board yet.
+        SessionError: the values do not describe a board yet.
     """
     form = RigForm({**typed, "name": "board"})
     values = {name: form.fields[name] for name in ("board", "columns", "rows", "square_mm", "marker_mm", "dictionary")}
@@ -351,7 +350,7 @@ def board_svg(target: Target) -> str:
     """A printed target with its white border, as SVG in millimetres.
 
     Raises:
-        SessionError: no marker dictionary of the target's name.
+        SessionError: there is no marker dictionary of the target's name.
     """
     sheet = target.sheet()
     (left, top), (right, bottom) = sheet.extent_mm

@@ -1,4 +1,4 @@
-"""Rigs: calibrations and checks from the database, and whether a rig may be used today."""
+"""A rig's calibrations and checks from the database, and whether the rig may be used today."""
 
 from __future__ import annotations
 
@@ -20,21 +20,22 @@ from mammometry.study.acceptance.tables import PastTest
 
 Answer: TypeAlias = Literal["yes", "care", "no"]
 _OLD_DAYS = 90
-"""Days after which a calibration is reported as old: screws settle and rooms change. Not measured; the daily check
+"""Age in days above which a calibration is reported as old: screws settle and rooms change. Not measured; the daily
+check
 finds moved cameras.
 """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Today:
-    """Readiness of a rig today."""
+    """Whether a rig is ready today."""
 
     verdict: Answer
-    """``care``: yes, but read the reasons."""
+    """``care``: the rig may be used, but the reasons should be read."""
     sentence: str
     reasons: tuple[str, ...] = ()
     remedy: str = ""
-    """What to do first; empty if nothing."""
+    """What to do first. Empty if nothing."""
 
     def as_table(self) -> dict[str, Any]:
         """The verdict as JSON."""
@@ -45,11 +46,11 @@ class Today:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Calibrated:
-    """The calibration that is in use."""
+    """The calibration in use."""
 
     on: datetime.date
     verdict: str | None
-    """``pass`` or ``warn``; None for cameras that were calibrated elsewhere."""
+    """``pass`` or ``warn``. None for cameras that were calibrated elsewhere."""
     reasons: tuple[str, ...] = ()
 
 
@@ -67,8 +68,8 @@ def judge(day: datetime.date, calibrated: Calibrated | None, checked: LatestChec
 
     Args:
         day: today in the clinic's time zone.
-        calibrated: the calibration in use; None: there is none.
-        checked: the newest check against it; None: there was none.
+        calibrated: the calibration in use; None if there is none.
+        checked: the newest check against it; None if there is none.
     """
     if calibrated is None:
         return Today(
@@ -92,7 +93,7 @@ def judge(day: datetime.date, calibrated: Calibrated | None, checked: LatestChec
         )
     reasons: list[str] = []
     remedy = "Calibrate the rig again when there is time."
-    fresh = calibrated.on == day  # a calibration is a check of its own day
+    fresh = calibrated.on == day  # a calibration also serves as the check of its day
     if not fresh and (checked is None or checked.on != day or result is None):
         last = "was never checked" if checked is None else f"was last checked on {checked.on.isoformat()}"
         if checked is not None and result is None:
@@ -123,13 +124,13 @@ def judge(day: datetime.date, calibrated: Calibrated | None, checked: LatestChec
 
 
 def with_acceptance(answer: Today, day: datetime.date, last: PastTest | None, every_days: int) -> Today:
-    """Add what the acceptance tests say about a rig.
+    """Add the results of acceptance tests to a rig's readiness.
 
     Args:
-        answer: without them.
+        answer: readiness without them.
         day: today in the clinic's time zone.
-        last: the newest test; None: there was none.
-        every_days: days after which a new one is due; 0: never.
+        last: the newest test; None if there is none.
+        every_days: days after which a new test is due; 0: never.
     """
     reasons = []
     if last is not None and last.decision == "reject":
@@ -153,12 +154,12 @@ def with_acceptance(answer: Today, day: datetime.date, last: PastTest | None, ev
 
 
 def acceptance_tests(rig: Rig) -> list[PastTest]:
-    """Acceptance tests in the clinic's folder whose device has the rig's name, the oldest first."""
+    """Acceptance tests in the clinic's folder whose device has the rig's name, oldest first."""
     return device_tests(the_clinic().folder / "acceptance", rig.name)
 
 
-_OF_A_DAY = 20  # newest checks among which those of one day are
-_SHOWN = 60  # newest checks of the chart: two months of days
+_OF_A_DAY = 20  # number of newest checks that are searched for those of one day
+_SHOWN = 60  # number of newest checks on the chart: two months of daily checks
 
 
 def current(rig: Rig) -> Calibration | None:
@@ -167,7 +168,7 @@ def current(rig: Rig) -> Calibration | None:
 
 
 def today(rig: Rig) -> Today:
-    """May we measure with this rig today?"""
+    """Whether a rig may be used today."""
     last = next(reversed(acceptance_tests(rig)), None)
     return with_acceptance(_by_checks(rig), timezone.localdate(), last, the_clinic().rigs.acceptance_days)
 
@@ -184,7 +185,7 @@ def _by_checks(rig: Rig) -> Today:
     checked = None
     if newest is not None:
         on = timezone.localdate(newest.taken_at)
-        # A camera that missed the board in one photograph may have seen it in another of the same day.
+        # A camera that did not see the board in one photograph may have seen it in another one of the same day.
         others = rig.checks.filter(calibration=calibration).exclude(figures={}).exclude(pk=newest.pk)[:_OF_A_DAY]
         same_day = [other.result for other in others if timezone.localdate(other.taken_at) == on]
         seen = {name for one in same_day if one is not None and one.verdict != "refuse" for name in one.cameras}
@@ -198,7 +199,7 @@ def _by_checks(rig: Rig) -> Today:
 def photographed_at(calibration: Calibration) -> datetime.datetime:
     """Upload time of the oldest photograph of a calibration.
 
-    Photographs of an earlier calibration keep their time when sent again.
+    If photographs of an earlier calibration are sent again, they keep their time.
     """
     own = calibration.uploads.filter(state=Upload.State.PLACED).exclude(sha256="").values("sha256")
     first = Upload.objects.filter(sha256__in=own).aggregate(first=Min("created"))["first"]
@@ -225,7 +226,7 @@ def drift_rows(rig: Rig) -> Iterator[dict[str, Any]]:
 
 
 def new_calibration(rig: Rig, by: Any) -> Calibration:
-    """A calibration without photographs yet, and its folder."""
+    """Create a calibration without photographs, and its folder."""
     made = Calibration(rig=rig, taken_at=timezone.now(), created_by=by)
     made.folder = f"rigs/{rig.pk}/calibrations/{made.pk}"
     make_session(the_clinic().folder / made.folder, manifest_text(rig.definition, "torso"))
@@ -234,7 +235,7 @@ def new_calibration(rig: Rig, by: Any) -> Calibration:
 
 
 def new_check(rig: Rig, by: Any) -> DailyCheck | None:
-    """A daily check without photographs yet. None if the rig is not calibrated."""
+    """Create a daily check without photographs. None if the rig is not calibrated."""
     calibration = current(rig)
     if calibration is None:
         return None
@@ -245,9 +246,9 @@ def new_check(rig: Rig, by: Any) -> DailyCheck | None:
 
 
 def may_queue(target: Visit | Calibration | DailyCheck | Comparison, *, anyway: bool = False) -> str | None:
-    """Reason why something cannot be computed now, one sentence. None if it can.
+    """Reason why something cannot be computed now, in one sentence. None if it can be.
 
-    A visit uses its rig's current calibration when it is first queued, and keeps it.
+    A visit uses the calibration that was current when it was first queued, and keeps it.
     """
     from mammometry.clinic.intake.uploads import state_of
     from mammometry.clinic.records.comparing import may_compare
@@ -258,7 +259,7 @@ def may_queue(target: Visit | Calibration | DailyCheck | Comparison, *, anyway: 
         ready = may_compare(target.before, target.after)
         return None if ready else "One of the visits has unmeasured changes. Measure it first."
     if Job.objects.filter(_about(target), state__in=(Job.State.QUEUED, Job.State.RUNNING)).exists():
-        return None  # the one that is open is answered
+        return None  # the response is the job that is already open
     if isinstance(target, Visit) and target.is_scan:
         return None if is_scan(target.folder) else "This visit has no scan. Start a new visit."
     if isinstance(target, Visit) and target.rig is not None:

@@ -1,4 +1,4 @@
-"""Results of calibrations and daily checks, as rows of the database store them."""
+"""Results of calibrations and daily checks, as stored in the database."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class CalibrationResult:
     """``pass`` or ``warn``. None: the cameras were calibrated elsewhere."""
     reasons: tuple[str, ...] = ()
     doubts: tuple[CalibrationDoubt, ...] = ()
-    """The worst first."""
+    """Worst first."""
     cameras: Mapping[str, KnownCamera] = field(default_factory=dict)
 
     @classmethod
@@ -61,14 +61,14 @@ class CheckResult:
     verdict: str
     """``unmoved``, ``moved`` or ``refuse``."""
     effect_mm: float = 0.0
-    """RMS displacement of the worst pair's points."""
+    """RMS displacement of the points that the worst pair measures."""
     reasons: tuple[str, ...] = ()
     unseen: tuple[str, ...] = ()
     """Cameras that did not see the board."""
     exchanged: tuple[str, ...] = ()
-    """The two cameras whose photographs are exchanged, so that the check shows no movements. Empty: none are."""
+    """The two cameras whose photographs are swapped, so that the check shows no motion. Empty if none are."""
     calibration: str = ""
-    """Digest of the cameras of the calibration."""
+    """Digest of the calibration's cameras."""
     cameras: Mapping[str, CameraDrift] = field(default_factory=dict)
 
     @classmethod
@@ -93,10 +93,10 @@ class CheckResult:
 def check_table(
     entry: DriftEntry, *, image_set: str, unseen: list[str], exchanged: list[str], limit_mm: float
 ) -> dict[str, Any]:
-    """Row of a check.
+    """Database row of a check.
 
     Args:
-        entry: of the rig's history.
+        entry: entry in the rig's history.
         image_set: name of its photographs' folder.
         unseen: cameras that did not see the board.
         exchanged: the two cameras whose photographs are exchanged.

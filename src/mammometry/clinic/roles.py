@@ -24,6 +24,6 @@ RIGS = frozenset({Role.TECHNICIAN, Role.ADMINISTRATOR})
 STUDY = frozenset({Role.RESEARCHER, Role.CLINICIAN})
 ADMINISTRATOR = frozenset({Role.ADMINISTRATOR})
 EVERYBODY = frozenset(Role)
-"""Everybody with a login."""
+"""Everybody who can log in."""
 ANYONE: frozenset[Role] | None = None
-"""No login needed: pages before the login."""
+"""Also people who are not logged in."""

@@ -1,4 +1,4 @@
-"""Django's settings, from a clinic's. A process opens one clinic."""
+"""Django's settings, derived from a clinic's. A process can open only one clinic."""
 
 import logging
 import os
@@ -14,9 +14,9 @@ _CONNECTED_S = 60
 
 
 def configure(config: ClinicConfig) -> None:
-    """Configure this process for the clinic. Models can be imported afterwards.
+    """Configure this process for the clinic. Its models can be imported afterwards.
 
-    Later changes of clinic.toml need a new process.
+    Later changes of clinic.toml have no effect on this process.
 
     Raises:
         ClinicError: the process has already opened another clinic.
@@ -84,7 +84,7 @@ def database(config: ClinicConfig) -> dict[str, Any]:
     """Django's settings of the clinic's database.
 
     Raises:
-        ClinicError: the address is of no database that we know.
+        ClinicError: the address is of an unknown kind of database.
     """
     if config.database == "sqlite":
         return {
@@ -93,8 +93,8 @@ def database(config: ClinicConfig) -> dict[str, Any]:
             "CONN_MAX_AGE": _CONNECTED_S,
             "OPTIONS": {
                 "timeout": 20,  # seconds that a writer waits for another
-                "transaction_mode": "IMMEDIATE",  # a transaction that reads first would fail when it writes
-                # Erased data are overwritten; commits are on the disk; deletions by REPLACE have triggers.
+                "transaction_mode": "IMMEDIATE",  # otherwise a transaction that reads first could fail when it writes
+                # Erased data are overwritten. Commits are written to the disk. Deletions by REPLACE fire triggers.
                 "init_command": "PRAGMA journal_mode=WAL; PRAGMA synchronous=FULL; PRAGMA secure_delete=ON; "
                 "PRAGMA recursive_triggers=ON;",
             },
@@ -121,7 +121,7 @@ def database(config: ClinicConfig) -> dict[str, Any]:
         "ENGINE": "django.db.backends.postgresql",
         **django_names,
         "CONN_MAX_AGE": _CONNECTED_S,
-        "CONN_HEALTH_CHECKS": True,  # the server may have been restarted
+        "CONN_HEALTH_CHECKS": True,  # the database server may have been restarted
         "OPTIONS": {key: value for key, value in parts.items() if key not in named},
     }
 
@@ -198,7 +198,7 @@ def _cookies(config: ClinicConfig, tls: bool) -> dict[str, Any]:
 
 def _uploads(config: ClinicConfig) -> dict[str, Any]:
     return {
-        "DATA_UPLOAD_MAX_MEMORY_SIZE": 64 * 1024 * 1024,  # the route's own limit is met first
+        "DATA_UPLOAD_MAX_MEMORY_SIZE": 64 * 1024 * 1024,  # the route's own limit is smaller
         "DATA_UPLOAD_MAX_NUMBER_FIELDS": 500,
         "DATA_UPLOAD_MAX_NUMBER_FILES": 20,
         "FILE_UPLOAD_PERMISSIONS": 0o600,
@@ -224,8 +224,8 @@ def _logins(config: ClinicConfig) -> dict[str, Any]:
                 "OPTIONS": {"user_attributes": ("username", "full_name", "email")},
             },
         ],
-        "PASSWORD_RESET_TIMEOUT": 3 * 24 * 3600,  # an invitation's
-        "EMAIL_BACKEND": "django.core.mail.backends.dummy.EmailBackend",  # an invitation is handed over in person
+        "PASSWORD_RESET_TIMEOUT": 3 * 24 * 3600,  # validity of an invitation
+        "EMAIL_BACKEND": "django.core.mail.backends.dummy.EmailBackend",  # invitations are handed over in person
         "ACCOUNT_ADAPTER": f"{_PACKAGE}.accounts.Accounts",
         "ACCOUNT_FORMS": {
             "login": f"{_PACKAGE}.accounts.LoginForm",
@@ -242,7 +242,7 @@ def _logins(config: ClinicConfig) -> dict[str, Any]:
         "ACCOUNT_LOGIN_ON_PASSWORD_RESET": False,
         "ACCOUNT_LOGOUT_ON_PASSWORD_CHANGE": True,
         "ACCOUNT_REAUTHENTICATION_TIMEOUT": 600,
-        # axes counts wrong passwords by name and address; by name alone, anybody could lock out others.
+        # axes counts wrong passwords by name and address. By name alone, anybody could lock out others.
         "ACCOUNT_RATE_LIMITS": {"login_failed": "30/m/ip"},
         "MFA_ADAPTER": f"{_PACKAGE}.accounts.SecondFactor",
         "MFA_FORMS": {
@@ -270,7 +270,7 @@ def _logins(config: ClinicConfig) -> dict[str, Any]:
 
 
 def hospital_login(openid: OpenId, secret: str) -> dict[str, Any]:
-    """Allauth's settings of the hospital's own login."""
+    """Allauth's settings for the hospital's own login."""
     app = {
         "provider_id": "hospital",
         "name": openid.name,
@@ -304,14 +304,15 @@ def _logging(config: ClinicConfig) -> dict[str, Any]:
     }
 
 
-_INVITATION = re.compile(r"(/invitation/).+")  # what follows sets a password
+_INVITATION = re.compile(r"(/invitation/).+")  # the rest of the path allows to set a password
 
 
 class Plain(logging.Formatter):
     """Log format: time, level, origin and message.
 
-    Of an exception only its class and the lines of code are written, because its message may contain typed text, as
-    PostgreSQL's do. Of a request only the path is written, which has random keys and no search words.
+    Of an exception only its class and the lines of code are written, because its message may contain text that a user
+    has typed (those of PostgreSQL do). Of a request only the path is written, which has random keys and no search
+    words.
     """
 
     def format(self, record: logging.LogRecord) -> str:

@@ -1,4 +1,4 @@
-"""A sender's announcement of a photograph or video, before its bytes come in."""
+"""A sender's announcement of a photograph or video, before the data are sent."""
 
 import re
 from dataclasses import dataclass
@@ -20,28 +20,29 @@ class Announced:
     """A file that a sender is about to send."""
 
     name: str
-    """The sender's file name. Only a camera's name in it, or a name given by a camera (IMG_0001.JPG), is stored."""
+    """The sender's file name. It is stored only if a camera gave it (IMG_0001.JPG). Of others, only a rig's camera
+    is."""
     camera: str | None = None
-    """The camera to file it under. None: from its name or EXIF."""
+    """Camera that took it. None: its name or EXIF data show the camera."""
     pose: str = ""
-    """Of a calibration's photograph."""
+    """Pose, for a calibration's photograph."""
     size_bytes: int
     sha256: str
-    """Hexadecimal. Empty: not known."""
+    """Hexadecimal digest. Empty: unknown."""
 
     @property
     def is_video(self) -> bool:
-        """Whether its name is that of a video. Its content decides when it has arrived."""
+        """Whether its name is that of a video. When it has arrived, its content decides."""
         return PurePath(self.name).suffix.lower() in VIDEO_EXTENSIONS
 
     @property
     def camera_file(self) -> str | None:
-        """The file's name, if a camera gave it. Any other may be a patient's, and is not stored."""
+        """The file's name if a camera gave it. Other names may contain a patient's and are not stored."""
         return self.name if _BY_A_CAMERA.fullmatch(self.name) else None
 
 
 def check_announced(file: Announced, *, video: bool = False) -> None:
-    """Refuse an impossible digest or size.
+    """Refuse an invalid digest or size.
 
     Args:
         file: the announcement.

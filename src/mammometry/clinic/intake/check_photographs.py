@@ -1,4 +1,4 @@
-"""Checks that a daily check's photograph is new: a new file, new pixels, a later time."""
+"""Tests that a daily check's photograph is new: a new file, new pixels, a later time."""
 
 import datetime
 from collections.abc import Iterator
@@ -14,10 +14,10 @@ _ARRIVED = (Upload.State.PLACED, Upload.State.SET_ASIDE)
 
 
 def known_photograph(upload: Upload, check: DailyCheck, pixels: str, taken_s: float | None) -> list[Finding]:
-    """Refuse a photograph that was sent before, or is older than its camera's last.
+    """Refuse a photograph that was sent before, or that is older than the last one of its camera.
 
     Args:
-        upload: with its digest and, if known, its camera.
+        upload: its digest and, if known, its camera are set.
         check: the daily check.
         pixels: digest of its pixels.
         taken_s: time on its camera's own clock; None: unknown.
@@ -34,10 +34,10 @@ def known_photograph(upload: Upload, check: DailyCheck, pixels: str, taken_s: fl
 
 
 def _counts(other: Upload, check: DailyCheck) -> bool:
-    """Whether an earlier use of a photograph forbids it for a check.
+    """Whether an earlier use of a photograph excludes it from a check.
 
-    A check that was never evaluated does not. Nor does a check of the same day against another calibration, so that
-    nothing must be photographed again after calibrating without a poor picture.
+    A check that was never evaluated does not count. Nor does a check of the same day against another calibration: after
+    calibrating again without a poor picture, nothing must be photographed again.
     """
     earlier = other.check_of_day
     if earlier is None:
@@ -68,7 +68,7 @@ def _age(upload: Upload, check: DailyCheck, others: QuerySet[Upload], taken_s: f
 
 
 def _described(upload: Upload) -> str:
-    """Use of a photograph. Of a visit only its day, because people who check rigs may not see patients."""
+    """Where a photograph is used. Of a visit only the day: people who check rigs may not see patients."""
     camera = upload.camera.replace("_", " ")
     if upload.calibration is not None:
         pose = upload.name.split("/")[1]

@@ -1,7 +1,7 @@
-"""Photographs of the board that disagree, and calibration without some of them.
+"""Photographs of the board that contradict others, and calibration without them.
 
 The calibration in use is never changed, because visits were measured with it. A new one is made from the same
-photographs without those left out, which are set aside. The former one can be used again.
+photographs, except those left out, which are set aside. The former one can be used again.
 """
 
 import re
@@ -33,13 +33,13 @@ class BoardPhotograph:
 
     @property
     def key(self) -> str:
-        """Pose and camera, as in forms and addresses."""
+        """Pose and camera, as used in forms and addresses."""
         return f"{self.pose}/{self.camera}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotographWarning:
-    """A warning of a calibration, and the photographs that it names."""
+    """A calibration's warning, and the photographs that it concerns."""
 
     sentence: str
     photographs: Sequence[BoardPhotograph]
@@ -71,7 +71,7 @@ def doubts_of(calibration: Calibration) -> list[PhotographWarning]:
 
 
 def _named_in_1_0(words: str, photographs: Iterable[BoardPhotograph]) -> list[BoardPhotograph]:
-    """Photographs named in a warning that version 1.0 stored as a sentence."""
+    """Photographs mentioned in a warning that version 1.0 stored as a sentence."""
 
     def names(word: str) -> bool:
         return re.search(rf"(?<![\w.-]){re.escape(word)}(?![\w-])", words, re.IGNORECASE) is not None
@@ -104,7 +104,7 @@ def calibrate_without(calibration: Calibration, left_out: Collection[str], by: P
     folder = the_clinic().folder
     with transaction.atomic():
         made = new_calibration(calibration.rig, by)
-        made.taken_at = calibration.taken_at  # its photographs are no newer
+        made.taken_at = calibration.taken_at  # its photographs are not newer
         made.save(update_fields=["taken_at"])
         share_calibration(folder / calibration.folder, folder / made.folder)
         known = {

@@ -1,4 +1,4 @@
-"""Incoming photographs: their checks, smaller pictures, cameras, and those set aside."""
+"""Incoming photographs: their checks, reduced pictures, cameras, and photographs set aside."""
 
 import io
 import json
@@ -36,12 +36,12 @@ from mammometry.io.photographs.tags import read_exposure
 from mammometry.io.write import disk_errors, sync_folder
 from mammometry.job.stages import calibrate
 
-_LONGEST_PX, _QUALITY = 480, 75  # of a picture of about 20 kB; appearance only
-_SCREEN_PX, _SCREEN_QUALITY = 1600, 85  # of a picture that fills a screen, about 200 kB; appearance only
+_LONGEST_PX, _QUALITY = 480, 75  # thumbnails of about 20 kB; affects their appearance only
+_SCREEN_PX, _SCREEN_QUALITY = 1600, 85  # screen-filling pictures of about 200 kB; affects their appearance only
 
 
 def thumbnail_path(upload: Upload) -> Path:
-    """Place of the small picture of an upload."""
+    """Path of an upload's thumbnail."""
     return upload.path.with_suffix(".webp")
 
 
@@ -51,12 +51,12 @@ def files_of(upload: Upload) -> list[Path]:
 
 
 def write_thumbnail(upload: Upload, photograph: Photograph) -> None:
-    """Write the small picture of an upload."""
+    """Write an upload's thumbnail."""
     small_picture(_roughly(photograph, _LONGEST_PX), thumbnail_path(upload))
 
 
 def screen_picture(photograph: Photograph) -> bytes:
-    """WebP that fills a screen."""
+    """The photograph as a WebP that fills a screen."""
     picture = _roughly(photograph, _SCREEN_PX)
     picture.thumbnail((_SCREEN_PX, _SCREEN_PX))
     buffer = io.BytesIO()
@@ -65,7 +65,7 @@ def screen_picture(photograph: Photograph) -> bytes:
 
 
 def _roughly(photograph: Photograph, longest_px: int) -> Image.Image:
-    """A picture of at least twice that size, 8 bit, for Pillow to reduce further."""
+    """A picture of at least twice that size, with 8 bits, which Pillow then reduces further."""
     pixels = photograph.pixels
     shift = 8 * (pixels.dtype.itemsize - 1)
     step = max(1, max(photograph.size_wh) // (2 * longest_px))
@@ -73,14 +73,14 @@ def _roughly(photograph: Photograph, longest_px: int) -> Image.Image:
 
 
 def small_picture(picture: Image.Image, path: Path) -> None:
-    """Write a picture that Pillow has opened. A JPEG is decoded only as far as needed."""
+    """Write a thumbnail of a picture opened by Pillow. A JPEG is decoded only as far as needed."""
     picture.draft("RGB", (_LONGEST_PX, _LONGEST_PX))
     picture.thumbnail((_LONGEST_PX, _LONGEST_PX))
     small = picture if picture.mode in ("L", "RGB") else picture.convert("RGB")
     small.save(path, format="WEBP", quality=_QUALITY)
 
 
-_KEPT = 64  # photographs with cached features, half a megabyte each: those of visits being entered
+_KEPT = 64  # photographs with cached features, 0.5 MB each: those of visits that are being entered
 _features: dict[str, Keypoints] = {}
 
 
@@ -92,24 +92,24 @@ def note(sha256: str, photograph: Photograph) -> None:
 
 
 Placed = tuple[tuple[str, str, Path], ...]
-"""Camera, digest and place of each photograph."""
+"""Camera, digest and path of each photograph."""
 
 
 @dataclass(frozen=True, slots=True)
 class NamesChecked:
-    """Findings of all photographs together on their cameras."""
+    """Result of comparing all photographs with their cameras."""
 
     findings: tuple[Finding, ...] = ()
     exchanged: Mapping[str, str] = field(default_factory=dict)
-    """Camera → camera under which its photograph is filed."""
+    """Camera → camera under which its photograph was stored."""
 
 
 def check(visit: Visit, photographs: Placed) -> NamesChecked:
-    """Find photographs that are exchanged, or do not belong to the others.
+    """Find photographs that are swapped or do not belong to the others.
 
     Args:
-        visit: with its calibration, if it has one.
-        photographs: those in place.
+        visit: with its calibration, if any.
+        photographs: those with a camera.
     """
     calibration = visit.calibration
     if calibration is None or not calibration.figures:
@@ -122,7 +122,7 @@ def _checked(calibration: str, photographs: Placed) -> NamesChecked:
     try:
         rig = _rig(calibration)
         seen = {camera: _seen(sha256, path) for camera, sha256, path in photographs if camera in rig.cameras}
-    except MammometryError:  # the job reports faults of the calibration or a photograph
+    except MammometryError:  # the job reports faults of the calibration or of a photograph
         return NamesChecked()
     names = check_names(rig, seen)
     wrong = wrong_photographs(names, rig.pair_names)
@@ -137,15 +137,15 @@ def _checked(calibration: str, photographs: Placed) -> NamesChecked:
 
 
 def cameras_by_geometry(visit: Visit, placed: Placed, unnamed: Placed) -> dict[str, str]:
-    """Digest of each photograph of an unknown camera → the camera that took it, by the calibration.
+    """Digest of each photograph of an unknown camera → the camera that took it, from the calibration.
 
     Args:
-        visit: with its calibration, if it has one.
-        placed: photographs in place.
-        unnamed: photographs without a camera, for the cameras without a photograph.
+        visit: with its calibration, if any.
+        placed: photographs with a camera.
+        unnamed: photographs without a camera, for the cameras that have none.
 
     Returns:
-        Empty if any of them is undecided.
+        Empty if the camera of any photograph cannot be determined.
     """
     calibration = visit.calibration
     if calibration is None or not calibration.figures or not unnamed:
@@ -164,7 +164,7 @@ def _by_geometry(calibration: str, placed: Placed, unnamed: Placed) -> tuple[tup
         return ()
     moves = check_names(rig, seen).exchanged
     if set(moves) & {camera for camera, *_ in placed}:
-        return ()  # one that is in place seems to be wrong
+        return ()  # a photograph with a camera seems to be wrong
     right = {camera: moves.get(camera, camera) for camera in rig.cameras}
     after = check_names(rig, {camera: seen[source] for camera, source in right.items()})
     without_names = {camera for camera, *_ in unnamed}
@@ -178,7 +178,7 @@ def _by_geometry(calibration: str, placed: Placed, unnamed: Placed) -> tuple[tup
 @lru_cache(maxsize=8)
 def _rig(calibration: str) -> Rig:
     job = open_session(calibration, the_clinic().measuring())
-    if not job.store.has(job.plan[calibrate.cameras].key):  # made again by a job, not while a page waits
+    if not job.store.has(job.plan[calibrate.cameras].key):  # computed by a job, not while a page waits
         raise CalibrationError(
             calibration, found="no result that is current", expected="one", remedy="Calibrate the rig again"
         )
@@ -192,7 +192,7 @@ def _seen(sha256: str, path: Path) -> Keypoints:
 
 
 def look(upload: Upload, target: Target) -> tuple[list[Finding], dict[str, Any]]:
-    """All checks of one photograph, and its stored EXIF data."""
+    """Run all checks of one photograph. Returns the findings and the EXIF data to store."""
     other = not_only_a_photograph(upload.path)
     if other is not None:
         what = "no photograph" if other is NO_PHOTOGRAPH else f"{other} as well as a photograph"
@@ -232,18 +232,18 @@ def look(upload: Upload, target: Target) -> tuple[list[Finding], dict[str, Any]]
 
 
 def known_cameras(target: Target) -> Mapping[str, KnownCamera]:
-    """Cameras known from the calibration of a target. None for a new calibration."""
+    """Cameras as known from the calibration of a target. Empty for a new calibration."""
     if isinstance(target, Calibration):
         return {}
     return target.calibration.result.cameras if target.calibration is not None else {}
 
 
 def poses_needed(definition: Mapping[str, Any], cameras: Sequence[str], photographs: Iterable[tuple[str, str]]) -> str:
-    """Sentence on the poses of the board still needed. Empty: it can be calibrated.
+    """Sentence on the poses of the board that are still needed. Empty if the rig can be calibrated.
 
     Args:
-        definition: of the rig.
-        cameras: of the rig.
+        definition: description of the rig.
+        cameras: names of the rig's cameras.
         photographs: pose and camera of each.
     """
     table = definition.get("target")
@@ -260,12 +260,12 @@ FOLDER = "set-aside"
 
 
 def set_aside(upload: Upload, folder: Path, *, kept_name: str = "") -> None:
-    """Set a placed photograph aside, under a unique name.
+    """Set aside a photograph that has a camera, under a unique file name.
 
     Args:
-        upload: placed.
-        folder: the visit's, calibration's or check's.
-        kept_name: file that the next photograph will replace, which is not moved.
+        upload: has a camera.
+        folder: folder of the visit, calibration or check.
+        kept_name: file that the next photograph will replace. It is not moved.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -282,16 +282,16 @@ def set_aside(upload: Upload, folder: Path, *, kept_name: str = "") -> None:
 
 
 def clear_place(others: Sequence[Upload], upload: Upload, folder: Path, goal: Path) -> bool:
-    """Set aside the photograph in a place, and delete incomplete uploads for it.
+    """Set aside the photograph that a new one replaces, and delete incomplete uploads for the same camera.
 
     Args:
-        others: the place's other uploads.
+        others: other uploads for the same camera and pose.
         upload: the new one.
-        folder: the visit's, calibration's or check's.
+        folder: folder of the visit, calibration or check.
         goal: its final file.
 
     Returns:
-        Whether the place had another photograph, or none.
+        False if the same photograph was there already.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -311,21 +311,21 @@ def clear_place(others: Sequence[Upload], upload: Upload, folder: Path, goal: Pa
 
 
 def fired_files(folder: Path) -> dict[str, str]:
-    """Digest → permanent file, below the visit's folder, of every captured picture."""
+    """Digest of every captured picture → its permanent file, below the visit's folder."""
     names: dict[str, str] = {}
     for path in sorted((folder / "shots").glob("[0-9]*/shot.json")):
         try:
             cameras = json.loads(path.read_text(encoding="utf-8"))["cameras"]
             names |= {about["sha256"]: f"shots/{path.parent.name}/{about['file']}" for about in cameras.values()}
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
-            continue  # from a failed firing
+            continue  # from a failed capture
     return names
 
 
 def put_back(upload: Upload, folder: Path, goal: Path) -> None:
-    """Put the file of a photograph that was set aside back into its place.
+    """Restore the file of a photograph that was set aside.
 
-    The set-aside file remains until the row is updated.
+    The set-aside file remains until the database row is updated.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -344,5 +344,5 @@ def _copy(source: Path, goal: Path) -> None:
         except OSError:
             shutil.copy2(source, part)
         part.replace(goal)
-        part.unlink(missing_ok=True)  # if both were already links to one file
+        part.unlink(missing_ok=True)  # rename does nothing if both are links to one file
         sync_folder(goal.parent)

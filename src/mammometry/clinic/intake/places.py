@@ -1,4 +1,4 @@
-"""Places of photographs: the record of each, and its path below the record's folder."""
+"""Where photographs are stored: the record of each, and its path below the record's folder."""
 
 import re
 from pathlib import Path
@@ -18,7 +18,7 @@ class UploadError(MammometryError):
 
     Args:
         sentence: the reason and the remedy.
-        status: of the HTTP answer.
+        status: status of the HTTP response.
     """
 
     exit_code = 4
@@ -33,7 +33,7 @@ def require_open(target: Target) -> None:
     """Refuse changes during a computation.
 
     Raises:
-        UploadError: a job of it is open.
+        UploadError: a job for the record is waiting or running.
     """
     if Job.objects.filter(**{field_of(target): target}, state__in=Job.OPEN).exists():
         raise UploadError("This is being measured. Wait until it is done, or cancel it first.")
@@ -47,7 +47,7 @@ def target_of(upload: Upload) -> Target:
 
 
 def rig_of(target: Target) -> Rig:
-    """The rig whose cameras photograph.
+    """The rig that takes the record's photographs.
 
     Raises:
         UploadError: the visit has a scan of another device or a telephone's photographs, and no cameras.
@@ -60,7 +60,7 @@ def rig_of(target: Target) -> Rig:
 
 
 def folder_of(target: Target) -> Path:
-    """Folder in which the photographs' places are."""
+    """Folder that contains a record's photographs."""
     return target.folder if isinstance(target, Visit) else the_clinic().folder / target.folder
 
 
@@ -70,12 +70,12 @@ def uploads_of(target: Target) -> QuerySet[Upload]:
 
 
 def field_of(target: Target) -> str:
-    """Name of the uploads' and jobs' column that points to a record."""
+    """Name of the column, in uploads and jobs, that refers to a record of this kind."""
     return {Visit: "visit", Calibration: "calibration", DailyCheck: "check_of_day"}[type(target)]
 
 
 def place_of(target: Target, pose: str, camera: str) -> str:
-    """Path of a camera's photograph below its target's folder, without the suffix.
+    """Path of a camera's photograph below its record's folder, without suffix.
 
     Raises:
         UploadError: a calibration's photograph without a valid pose.
@@ -90,6 +90,6 @@ def place_of(target: Target, pose: str, camera: str) -> str:
 
 
 def pose_of(upload: Upload) -> str:
-    """Pose of a calibration's photograph, empty for others."""
+    """Pose of a calibration's photograph. Empty for others."""
     parts = upload.name.split("/")
     return parts[1] if len(parts) == 3 else ""

@@ -1,4 +1,4 @@
-"""Assigning photographs to other cameras: correcting exchanged ones, and changed choices."""
+"""Assign photographs to other cameras: correct swapped ones, and change the user's choices."""
 
 import os
 import shutil
@@ -23,13 +23,13 @@ def reassign(target: Target, sources: Mapping[str, str], why: str, pose: str = "
 
     Args:
         target: their visit, calibration or check.
-        sources: camera → camera under which its photograph is filed now.
+        sources: camera → camera under which its photograph is stored now.
         why: new sentence for the photographs' checks.
-        pose: of a calibration.
+        pose: pose, for a calibration.
 
     Raises:
-        UploadError: a photograph is missing, was taken by another camera by its serial number, or has another size than
-            the calibration's.
+        UploadError: a photograph is missing, is from another camera by its serial number, or differs in size from those
+        of the calibration.
         StorageError: the disk is full or refuses.
     """
     folder = folder_of(target)
@@ -73,10 +73,10 @@ def _checks(row: Upload, why: str) -> list[dict[str, Any]]:
 
 
 def _move_files(goals: Mapping[Path, Path]) -> None:
-    """Exchange files.
+    """Swap files.
 
-    Each has a second name before the first one is replaced. An interruption leaves one photograph in two places, which
-    is refused and named.
+    Each file has a second name before the first one is replaced. After an interruption, one photograph may be stored
+    twice, which is refused and reported.
     """
     parts = {goal: goal.with_name(f".{goal.name}.part") for goal in goals.values()}
     for source, goal in goals.items():
@@ -84,7 +84,7 @@ def _move_files(goals: Mapping[Path, Path]) -> None:
             parts[goal].unlink(missing_ok=True)
             try:
                 os.link(source, parts[goal])
-            except OSError:  # a disk without links
+            except OSError:  # a disk without hard links
                 shutil.copy2(source, parts[goal])
     for goal, part in parts.items():
         with disk_errors(goal):
@@ -97,7 +97,7 @@ def _move_files(goals: Mapping[Path, Path]) -> None:
 
 
 def exchange_of_check(check: DailyCheck) -> list[tuple[Upload, Upload]]:
-    """Present and correct photograph of each exchanged camera of a check."""
+    """Present and correct photograph of each camera of a check whose photographs are swapped."""
     cameras = check.result.exchanged if check.result else ()
     placed = {row.camera: row for row in uploads_of(check).filter(state=Upload.State.PLACED)}
     if len(cameras) != 2 or not set(cameras) <= set(placed):
@@ -108,10 +108,10 @@ def exchange_of_check(check: DailyCheck) -> list[tuple[Upload, Upload]]:
 
 @transaction.atomic
 def put_check_right(check: DailyCheck) -> None:
-    """Exchange the photographs of a check that were found exchanged. It must then be evaluated again.
+    """Swap back a check's photographs that were found swapped. It must then be evaluated again.
 
     Raises:
-        UploadError: nothing is exchanged any more.
+        UploadError: no photographs are swapped any more.
         StorageError: the disk is full or refuses.
     """
     locked = DailyCheck.objects.select_for_update().get(pk=check.pk)

@@ -1,8 +1,8 @@
-"""Scans of other devices as they come in.
+"""Incoming scans of other devices.
 
-A mesh with its material and pictures, or all of them as a ZIP.
+A scan is a mesh with its material and pictures, or a ZIP of all of them.
 
-What was sent is looked at in a folder of its own. Nothing of it is kept but what `io.meshes.scans` makes of it.
+Received files are read in a separate folder. Only what `io.meshes.scans` makes of them is kept.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from mammometry.io.write import disk_errors
 
 _PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 _KINDS = (*SUFFIXES, ".mtl", *_PICTURES)
-_MOST_FILES = 40  # of one scan: a mesh, its material, at most sixteen pictures, and what devices add
-_CHUNK = 1 << 20  # bytes that are unpacked at once
+_MOST_FILES = 40  # files of one scan: a mesh, its material, at most sixteen pictures, and files that devices add
+_CHUNK = 1 << 20  # bytes unpacked at a time
 _AT_ONCE = threading.BoundedSemaphore(1)  # reading a scan of 200 MB takes about 2 GB
 _MB = 10**6  # bytes
 
@@ -42,13 +42,13 @@ def taken_in(
     texture: bool,
     second: Sequence[UploadedFile[Any]] = (),
 ) -> dict[str, bytes]:
-    """Read the sent files, and return the files of a scan's folder.
+    """Read the received files, and return the files of a scan's folder.
 
     Args:
         files: the mesh and its files, or one ZIP.
-        second: another scan of the same visit to be merged, likewise.
+        second: another scan of the same visit to be merged with it, in the same form.
         about: scanner, axes and pseudonym.
-        units: of the mesh. None: its file states it.
+        units: unit of the mesh. None: its file states it.
         texture: whether pictures are imported.
 
     Raises:
@@ -71,7 +71,7 @@ def taken_in(
 
 
 def _put(files: Sequence[UploadedFile[Any]], folder: Path, most: int) -> Path:
-    """Put the files of one scan into a new folder, and return its mesh."""
+    """Write the files of one scan into a new folder, and return its mesh."""
     folder.mkdir()
     if len(files) == 1 and _suffix(files[0].name) == ".zip":
         _unpack(files[0], folder, most)
@@ -86,7 +86,7 @@ def _put(files: Sequence[UploadedFile[Any]], folder: Path, most: int) -> Path:
 
 
 def _unpack(packed: UploadedFile[Any], folder: Path, most: int) -> None:
-    """Unpack the files of known kinds. Sizes that a ZIP states are not trusted."""
+    """Unpack the files of known kinds. The sizes stated in a ZIP are not trusted."""
     left = most
     try:
         with zipfile.ZipFile(packed) as archive:
@@ -113,7 +113,7 @@ def _is_wanted(member: zipfile.ZipInfo) -> bool:
 
 
 def _new(folder: Path, name: str) -> Path:
-    """Place of a file by its own name, without folders, because an OBJ names its material and pictures."""
+    """Path for a file under its own name, by which an OBJ refers to its material and pictures."""
     plain = PurePosixPath(name.replace("\\", "/")).name
     if _suffix(plain) not in _KINDS or len(plain.encode()) > 200 or not plain.isprintable():
         ending = _suffix(plain)[:10] or "a file without an ending"

@@ -1,8 +1,8 @@
-"""Resumable uploads. A photograph is sent in pieces, each appended to the last.
+"""Resumable uploads. A photograph is sent in pieces, each appended to the previous one.
 
-The length of the file in ``uploads/`` is the received part, so nothing is sent twice after a lost connection, a restart
-or a kill. The complete file is checked against the sender's digest, examined, and then moved into the session in one
-step: a session never contains a partial or refused photograph.
+The length of the file in ``uploads/`` shows what has been received, so nothing is sent twice after a lost connection, a
+restart or a kill. The complete file is compared with the sender's digest, checked, and then moved into the session in
+one step: a session never contains a partial or refused photograph.
 """
 
 import threading
@@ -49,20 +49,20 @@ from mammometry.clinic.site import the_clinic
 from mammometry.io.write import disk_errors, file_digest, sync_folder
 
 CHUNK_BYTES = 4 << 20
-"""Largest piece: a second on a slow line, and little enough to hold in memory."""
+"""Largest piece: one second on a slow line, and small enough to hold in memory."""
 _ENDINGS = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png", b"II*\x00": ".tif", b"MM\x00*": ".tif"}
-_LOCK_S = 5.0  # for a piece to wait for another of the same photograph
-_DECODED_AT_ONCE = threading.BoundedSemaphore(2)  # examining a photograph of 250 megapixels takes 750 MB
+_LOCK_S = 5.0  # time that a piece waits for another piece of the same photograph
+_DECODED_AT_ONCE = threading.BoundedSemaphore(2)  # checking a photograph of 250 megapixels takes 750 MB
 
 
 class OccupiedError(UploadError):
-    """Another photograph has the place, and replacing was not allowed."""
+    """There is another photograph of this camera, and replacing it was not allowed."""
 
     code = "place-occupied"
 
 
 def begin(target: Target, by: Person | None, file: Announced, *, replace: bool = False) -> Upload:
-    """Start an upload, or find the interrupted one.
+    """Start an upload, or find an interrupted one.
 
     Args:
         target: visit, calibration or check.
@@ -71,8 +71,8 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
         replace: whether it replaces another photograph, which is set aside.
 
     Raises:
-        OccupiedError: another photograph has the place.
-        UploadError: it is too large, for an unknown camera, or for a visit that is being measured.
+        OccupiedError: there is another photograph of this camera.
+        UploadError: the file is too large, its camera unknown, or the visit is being measured.
     """
     if walks.is_walk(target):
         return walks.begin(target, by, file)
@@ -114,17 +114,17 @@ def begin(target: Target, by: Person | None, file: Announced, *, replace: bool =
 
 
 def _has_photograph(target: Target, pose: str, camera: str) -> bool:
-    """Whether a camera's place is taken, or an upload for it is running."""
+    """Whether a camera has a photograph, or an upload for it is running."""
     uploads = uploads_of(target).filter(camera=camera, state__in=(Upload.State.PLACED, Upload.State.RECEIVING))
     of_pose = pose if isinstance(target, Calibration) else ""
     return any(pose_of(upload) == of_pose for upload in uploads)
 
 
 def append(upload: Upload, offset: int, data: bytes) -> Upload:
-    """Append a piece. After the last one, check the photograph and put it into its place.
+    """Append a piece. After the last one, check the photograph and store it for its camera.
 
     Raises:
-        UploadError: the piece does not begin where the last one ended, or is longer than the file.
+        UploadError: the piece does not start where the previous one ended, or exceeds the file's size.
         StorageError: the disk is full or refuses.
     """
     if upload.state != Upload.State.RECEIVING:
@@ -142,7 +142,7 @@ def append(upload: Upload, offset: int, data: bytes) -> Upload:
             Upload.objects.filter(pk=upload.pk).update(received_bytes=arrived_bytes)
             if arrived_bytes == upload.size_bytes:
                 _finish(upload)
-                # The upload has ended: later pieces are refused by its state.
+                # The upload is complete: later pieces are refused because of its state.
                 Path(f"{upload.path}.lock").unlink(missing_ok=True)
     except Timeout:
         raise UploadError("Another piece of this photograph is arriving. Ask again where to continue.") from None
@@ -151,14 +151,14 @@ def append(upload: Upload, offset: int, data: bytes) -> Upload:
 
 
 def arrived(upload: Upload) -> int:
-    """Stored bytes: where the next piece starts."""
+    """Number of stored bytes, at which the next piece starts."""
     if upload.state != Upload.State.RECEIVING:
         return upload.size_bytes
     return upload.path.stat().st_size if upload.path.exists() else 0
 
 
 def resumed(upload: Upload) -> Upload:
-    """The state of an upload. If the server was killed after its last byte, it is finished now."""
+    """State of an upload. If the server was killed after the last byte, the upload is completed now."""
     if upload.state == Upload.State.RECEIVING and arrived(upload) == upload.size_bytes:
         return append(upload, upload.size_bytes, b"")
     return upload
@@ -167,10 +167,10 @@ def resumed(upload: Upload) -> Upload:
 def place(upload: Upload, camera: str) -> Upload:
     """Choose or change a photograph's camera by hand.
 
-    A photograph that already has this camera gets the former camera.
+    If this camera already has a photograph, the two photographs swap cameras.
 
     Raises:
-        UploadError: it has not arrived, the rig has no such camera, or it cannot be from this camera.
+        UploadError: the photograph has not arrived, the rig has no such camera, or the photograph cannot be from it.
         StorageError: the disk is full or refuses.
     """
     target = target_of(upload)
@@ -193,14 +193,14 @@ def place(upload: Upload, camera: str) -> Upload:
 
 
 def put_right(visit: Visit, exchanged: Mapping[str, str]) -> None:
-    """Assign exchanged photographs to the right cameras, by the calibration.
+    """Assign swapped photographs to the right cameras, as found by comparison with the calibration.
 
     Args:
-        visit: of the photographs.
-        exchanged: camera → camera under which its photograph is filed, as shown on the page.
+        visit: visit with the photographs.
+        exchanged: camera → camera under which its photograph is stored, as shown on the page.
 
     Raises:
-        UploadError: the visit is being measured, or something else is exchanged now.
+        UploadError: the visit is being measured, or other photographs are swapped now.
         StorageError: the disk is full or refuses.
     """
     require_open(visit)
@@ -214,7 +214,7 @@ def remove(upload: Upload) -> None:
     """Set a photograph aside, or delete an incomplete upload.
 
     Raises:
-        UploadError: the visit is being measured, or it is already set aside.
+        UploadError: the visit is being measured, or the photograph is already set aside.
         StorageError: the disk is full or refuses.
     """
     target = target_of(upload)
@@ -235,10 +235,10 @@ def remove(upload: Upload) -> None:
 
 
 def bring_back(upload: Upload) -> None:
-    """Put a photograph that was set aside back. Its replacement is set aside.
+    """Restore a photograph that was set aside. The one that replaced it is set aside.
 
     Raises:
-        UploadError: it is not set aside, or the visit is being measured.
+        UploadError: the photograph is not set aside, or the visit is being measured.
         StorageError: the disk is full or refuses.
     """
     target = target_of(upload)
@@ -277,13 +277,13 @@ def table_of(upload: Upload) -> dict[str, Any]:
 
 
 def _shot(upload: Upload, beside_others: Finding | None) -> dict[str, Any]:
-    """A telephone's photograph or video as JSON, with why it will be left out."""
+    """A telephone's photograph or video as JSON, with the reason if it will be left out."""
     table = {**table_of(upload), "by_hand": False}
     return table if beside_others is None else {**table, "checks": [*table["checks"], beside_others.as_table()]}
 
 
 def state_of(target: Target) -> dict[str, Any]:
-    """Every camera's photograph, missing ones, and findings on all together."""
+    """Every camera's photograph, including missing ones, and findings about all of them together."""
     if walks.is_walk(target):
         out = walks.findings_together(target)
         shots = [_shot(upload, out.get(upload.pk)) for upload in walks.photographs_of(target)]
@@ -330,7 +330,7 @@ def state_of(target: Target) -> dict[str, Any]:
     }
 
 
-# --- when a photograph is complete ---
+# --- for a complete photograph ---
 
 
 def _finish(upload: Upload) -> None:
@@ -374,12 +374,12 @@ def _judge_and_place(upload: Upload) -> None:
     if isinstance(target, Visit):
         ready_folder(target)
     with transaction.atomic():
-        # One at a time per target, so that file and row agree. SQLite has one writer anyway.
+        # One photograph of a target at a time, so that file and row agree. SQLite allows only one writer anyway.
         type(target)._default_manager.select_for_update().get(pk=target.pk)
         changed = _clear_place(upload, target, goal)
         with disk_errors(goal):
             goal.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            upload.path.replace(goal)  # from here on it is in the session; the row follows
+            upload.path.replace(goal)  # from here on, it is in the session; the row follows
             sync_folder(goal.parent)
         upload.name = goal.relative_to(folder).as_posix()
         upload.save()
@@ -396,7 +396,7 @@ def _clear_place(upload: Upload, target: Target, goal: Path) -> bool:
 def ready_folder(visit: Visit) -> None:
     """Make a visit's session folder, whose manifest names the patient by pseudonym.
 
-    Raises:
+    SessionError: the rig's description is invalid.
         SessionError: the rig's definition is not one.
         StorageError: the disk is full or refuses.
     """
@@ -430,14 +430,14 @@ def _shots(visit: Visit, placed: Iterable[Upload]) -> photographs.Placed:
 
 
 def _exchanged(visit: Visit) -> dict[str, str]:
-    """Camera → camera under which its photograph is filed, by the calibration."""
+    """Camera → camera under which its photograph is stored, by comparison with the calibration."""
     placed = uploads_of(visit).filter(state=Upload.State.PLACED)
     newest = {upload.camera: upload for upload in placed if upload.camera}
     return dict(photographs.check(visit, _shots(visit, newest.values())).exchanged)
 
 
 def _by_geometry(visit: Visit, placed: Iterable[Upload], missing: Sequence[str]) -> dict[str, str]:
-    """Upload without a camera → its camera by the calibration. Empty if any is undecided."""
+    """Upload without a camera → its camera, from the calibration. Empty if any cannot be determined."""
     unnamed = list(uploads_of(visit).filter(state=Upload.State.CHECKED, camera=""))
     if len(unnamed) != len(missing):
         return {}
@@ -447,7 +447,7 @@ def _by_geometry(visit: Visit, placed: Iterable[Upload], missing: Sequence[str])
 
 
 def _facts(upload: Upload) -> tuple[str, dict[str, Any]]:
-    """A photograph's camera, and the stored data of its file."""
+    """A photograph's camera, and the stored data about its file."""
     return upload.camera, upload.checks[0] if upload.checks else {}
 
 
@@ -472,7 +472,7 @@ def note_ready(target: Target, *, changed: bool = False) -> None:
 
 
 def remove_stale_locks() -> int:
-    """Remove locks of inactive uploads. Returns their number."""
+    """Remove lock files of inactive uploads. Return their number."""
     receiving = {str(key) for key in Upload.objects.filter(state=Upload.State.RECEIVING).values_list("pk", flat=True)}
     stale = [path for path in (the_clinic().folder / "uploads").glob("*.lock") if path.stem not in receiving]
     for path in stale:

@@ -1,1 +1,1 @@
-"""Jobs. One queue in the database for all work in the background, and a runner that does it."""
+"""Jobs: one queue in the database for all background work, and a runner that does it."""

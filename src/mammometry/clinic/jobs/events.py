@@ -1,6 +1,6 @@
-"""Jobs as they change, as server-sent events (HTML Standard, section 9.2).
+"""Changes of jobs as server-sent events (HTML Standard, section 9.2).
 
-One poll of the database serves all listeners: any process may change the rows.
+One poll of the database serves all listeners, because any process may change the rows.
 """
 
 import asyncio
@@ -19,11 +19,11 @@ from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Job
 
 _LOOK_S = 0.5  # between two polls
-_STILL_S = 15.0  # without an event, after which a line keeps the connection open
-_ENDED_S = 60.0  # for so long an ended job is still sent
+_STILL_S = 15.0  # without an event for this long, a line is sent to keep the connection open
+_ENDED_S = 60.0  # time for which a finished job is still sent
 OF_PATIENTS = ("visit", "comparison")
-"""Subject of a job that concerns a patient."""
-_RETRY_MS = 2000  # a browser that lost the connection waits this long
+"""Subjects of jobs that concern a patient."""
+_RETRY_MS = 2000  # time until a browser that lost the connection reconnects
 
 
 def table_of(job: Job, place: int | None = None) -> dict[str, Any]:
@@ -59,7 +59,7 @@ def tables(jobs: list[Job]) -> list[dict[str, Any]]:
 
 
 def newest() -> dict[str, dict[str, Any]]:
-    """Key → JSON of open and just ended jobs, oldest first."""
+    """Key → JSON of unfinished and recently finished jobs, oldest first."""
     since = timezone.now() - timedelta(seconds=_ENDED_S)
     jobs = (
         queue.computations()
@@ -71,7 +71,7 @@ def newest() -> dict[str, dict[str, Any]]:
 
 
 class JobNews:
-    """News of the jobs for listeners. One for each event loop."""
+    """Distributes changes of jobs to listeners. There is one for each event loop."""
 
     def __init__(self) -> None:
         self.jobs: dict[str, dict[str, Any]] = {}
@@ -80,7 +80,7 @@ class JobNews:
         self._poller: asyncio.Task[None] | None = None
 
     async def listen(self) -> AsyncIterator[Mapping[str, dict[str, Any]]]:
-        """The jobs now, and again after each change, or after a while without news."""
+        """Yield the jobs now, after each change, and after a while without changes."""
         self._listeners += 1
         try:
             if self._poller is None or self._poller.done():
@@ -114,7 +114,7 @@ _boards: dict[int, JobNews] = {}
 
 
 def board() -> JobNews:
-    """The board of this event loop."""
+    """The `JobNews` of this event loop."""
     loop = asyncio.get_running_loop()
     if (known := _boards.get(id(loop))) is None:
         _boards.clear()  # a closed loop has no listeners
@@ -123,7 +123,7 @@ def board() -> JobNews:
 
 
 async def stream(about: Mapping[str, str], *, visits: bool = True) -> AsyncIterator[bytes]:
-    """Events of jobs, until the last of them has ended. Of all open jobs, or of those about one object.
+    """Yield events of jobs until the last one has finished: of all unfinished jobs, or of those about one object.
 
     Args:
         about: field of a job's JSON → the value that it must have; empty: all.

@@ -1,6 +1,6 @@
-"""What a runner does in its own process.
+"""Jobs that a runner does in its own process.
 
-Deliveries, backups and restore tests, and the chain of the audit.
+These are deliveries, backups, restore tests, and chaining the audit.
 """
 
 from collections.abc import Callable, Mapping
@@ -18,13 +18,13 @@ from mammometry.clinic.models import Job
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lane:
-    """Kinds of jobs that are done one after another, and how."""
+    """Kinds of jobs that are done one after another, and the functions that do them."""
 
     name: str
     work: Mapping[str, Callable[[ClinicConfig, Job], Mapping[str, Any]]]
-    """Kind → function that does a job and returns what `results.enter` takes."""
+    """Kind → function that does a job and returns the argument of `results.enter`."""
     plan: Callable[[ClinicConfig], object] = lambda _: None
-    """What is due by the clock. Called every few seconds while no job waits."""
+    """Queues scheduled jobs. Called every few seconds while no job waits."""
 
 
 def backup(config: ClinicConfig, _: Job) -> dict[str, Any]:
@@ -38,10 +38,10 @@ def backup(config: ClinicConfig, _: Job) -> dict[str, Any]:
 
 
 def restore_test(config: ClinicConfig, _: Job) -> dict[str, Any]:
-    """Test a restore in a process of its own, since a process opens one clinic.
+    """Test a restore in a separate process, since a process can open only one clinic.
 
     Raises:
-        ClinicError: it failed.
+        ClinicError: the test failed.
     """
     with ChildProcess() as child:
         answer = child.answer(Call(function=run_restore_test, arguments=(config,)))

@@ -1,10 +1,10 @@
 """The queue: rows in the database, claimed by runners with leases.
 
-All work in the background is a job: computations, deliveries to archives, backups and restore tests.
+All background work is done by jobs: computations, deliveries to archives, backups and restore tests.
 
-A job belongs to the runner that changed its row from queued to running; the database lets one do so. The runner
-renews its lease while it lives. When it dies, the lease ends, and the job is queued again. The result of a job is
-entered in the same transaction that ends it, and only by the runner that still holds it.
+A job belongs to the runner that changed its row from queued to running; the database allows only one to do so. The
+runner renews its lease while it is alive. When it dies, the lease expires, and the job is queued again. A job's result
+is stored in the transaction that ends the job, and only by the runner that still holds it.
 """
 
 import datetime
@@ -30,9 +30,9 @@ from mammometry.clinic.site import the_clinic
 from mammometry.io.subject import rename_subject
 
 LEASE_S = 45.0
-"""Without a renewal for this long, a runner is considered dead. It renews every third of it."""
-_GAVE_UP_DAYS = 30  # an administrator is shown jobs that gave up so recently
-_STOPPED_S = 10.0  # time for stopping a cancelled job's process
+"""Time without a renewal after which a runner is considered dead. It renews its leases three times as often."""
+_GAVE_UP_DAYS = 30  # jobs that failed for good are shown to administrators for this long
+_STOPPED_S = 10.0  # time for stopping the process of a cancelled job
 _KINDS: Mapping[type, tuple[str, str]] = {
     Visit: (Job.Kind.MEASURE, "visit"),
     Calibration: (Job.Kind.CALIBRATE, "calibration"),
@@ -46,28 +46,28 @@ COMPUTED = (Job.Kind.MEASURE, Job.Kind.CALIBRATE, Job.Kind.CHECK, Job.Kind.COMPA
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Retries:
-    """How often a job is tried, and when it is tried again."""
+    """How often a job is attempted, and when it is attempted again."""
 
     most: int = 3
-    """Times that a job is begun, before it gives up."""
+    """Most attempts."""
     first_wait: datetime.timedelta | None = None
-    """After the first failure; it doubles with each. None: an error is final, only a dead runner is not."""
+    """Wait after the first failure, doubled after each further one. None: errors are final, unless the runner died."""
     longest_wait: datetime.timedelta = datetime.timedelta(hours=1)
 
     def wait(self, attempt: int) -> datetime.timedelta:
-        """Wait after so many attempts."""
+        """Wait after this number of attempts."""
         return min((self.first_wait or datetime.timedelta()) * 2 ** (attempt - 1), self.longest_wait)
 
 
 _RETRIES = {
-    Job.Kind.SEND: Retries(most=8, first_wait=datetime.timedelta(minutes=1)),  # for three hours
-    Job.Kind.BACKUP: Retries(first_wait=datetime.timedelta(minutes=10)),  # a disk that is full or away for a moment
+    Job.Kind.SEND: Retries(most=8, first_wait=datetime.timedelta(minutes=1)),  # retried for three hours
+    Job.Kind.BACKUP: Retries(first_wait=datetime.timedelta(minutes=10)),  # the disk may be full or missing for a moment
 }
 _AN_ERROR_IS_FINAL = Retries()
 _AGAIN: dict[str, Any] = {
     "state": Job.State.QUEUED, "lease_owner": "", "lease_until": None, "stage": "", "fraction": 0.0,
 }  # fmt: skip
-"""A job that waits again."""
+"""Values of a job that is queued again."""
 _WORDS = {
     "": "Waiting",
     "wait": "Waiting for a free place",
@@ -85,31 +85,31 @@ _WORDS = {
 
 
 def stage_words(stage: str) -> str:
-    """Name of a stage on pages."""
+    """Name of a stage, as shown on pages."""
     return _WORDS.get(stage, stage)
 
 
 def target_of(job: Job) -> Target:
-    """The record that a computation is about."""
+    """The record that a computation belongs to."""
     target = job.visit or job.calibration or job.check_of_day or job.comparison
     assert target is not None
     return target
 
 
 def _about(job: Job) -> Target | Delivery | None:
-    """The record of a job. None for a backup or a restore test."""
+    """The record that a job belongs to. None for a backup or a restore test."""
     return target_of(job) if job.kind in COMPUTED else job.delivery
 
 
 def retries_of(job: Job) -> Retries:
-    """How often a job of its kind is tried."""
+    """How often jobs of this kind are attempted."""
     return _RETRIES.get(Job.Kind(job.kind), _AN_ERROR_IS_FINAL)
 
 
 def enqueue(target: Target | Delivery, by: Person | None) -> Job:
     """Queue a computation for a visit, calibration, daily check or comparison, or a delivery.
 
-    An open one is returned.
+    If one is already waiting or running, it is returned.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -127,30 +127,30 @@ def enqueue(target: Target | Delivery, by: Person | None) -> Job:
         with transaction.atomic():
             job = Job.objects.create(**about, kind=kind, created_by=by)
             results.queued(target)
-    except IntegrityError:  # queued by somebody else at the same time
+    except IntegrityError:  # another process queued it at the same time
         return Job.objects.get(**about, state__in=Job.OPEN)
     return job
 
 
 def enqueue_upkeep(kind: Job.Kind, by: Person | None, *, once: str = "") -> None:
-    """Queue a backup or a restore test, unless one of its kind is open. That one is due now.
+    """Queue a backup or a restore test, unless one is open. One that waits for later becomes due now.
 
     Args:
-        kind: of the job.
-        by: who asked for it.
-        once: a name under which it is queued one time, however often this is called; "": each time.
+        kind: kind of the job.
+        by: person who requested it.
+        once: key under which it is queued only once, however often this is called. Empty: no limit.
     """
     key = uuid5(NAMESPACE_OID, once) if once else uuid4()
     if not once:
         Job.objects.filter(kind=kind, state=Job.State.QUEUED, due__gt=timezone.now()).update(due=timezone.now())
     if Job.objects.filter(Q(pk=key) | Q(kind=kind, state__in=Job.OPEN)).exists():
         return
-    with suppress(IntegrityError), transaction.atomic():  # another process queued it at this moment
+    with suppress(IntegrityError), transaction.atomic():  # another process queued it at the same time
         Job.objects.create(pk=key, kind=kind, created_by=by)
 
 
 def compare(before: Visit, after: Visit, by: Person | None) -> None:
-    """Queue the comparison of two visits if there is none of their newest measurements."""
+    """Queue the comparison of two visits, unless their newest measurements have one."""
     if not comparing.may_compare(before, after):
         return
     comparison, _ = Comparison.objects.get_or_create(before=before, after=after)
@@ -190,7 +190,7 @@ def computations() -> QuerySet[Job]:
 
 
 def of_visits_in_use() -> QuerySet[Job]:
-    """Jobs as pages show them: computations, none of a visit in the bin."""
+    """Jobs as shown on pages: computations, without those of visits in the bin."""
     return computations().filter(
         visit__binned_at=None, comparison__before__binned_at=None, comparison__after__binned_at=None
     )
@@ -205,9 +205,9 @@ def place(job: Job) -> int | None:
 
 
 def gave_up() -> list[Job]:
-    """Jobs of the last days that were tried as often as they may be, the newest first.
+    """Jobs of the last days that failed after all attempts, newest first.
 
-    Not those of which a later job is about the same.
+    Jobs that a later job has replaced are left out.
     """
     since = timezone.now() - datetime.timedelta(days=_GAVE_UP_DAYS)
     failed = Job.objects.filter(state=Job.State.FAILED, ended__gt=since).order_by("-ended")
@@ -224,26 +224,26 @@ def gave_up() -> list[Job]:
 
 
 def anything() -> bool:
-    """Whether any computation waits in the queue."""
+    """Whether any computation is queued."""
     return _due(COMPUTED).exists()
 
 
 def is_busy(*kinds: Job.Kind) -> bool:
-    """Whether a job of these kinds runs or is due. One that is tried again later is neither."""
+    """Whether a job of these kinds is running or due. Jobs that wait for another attempt do not count."""
     return _due(kinds).exists() or Job.objects.filter(kind__in=kinds, state=Job.State.RUNNING).exists()
 
 
 def _due(kinds: Collection[str]) -> QuerySet[Job]:
-    """Jobs that may be begun. A delivery of a visit in the bin may not."""
+    """Jobs that may be started. Deliveries of visits in the bin may not."""
     return Job.objects.filter(
         state=Job.State.QUEUED, kind__in=kinds, due__lte=timezone.now(), delivery__visit__binned_at=None
     )
 
 
 def claim(owner: str, room: int, kinds: Collection[str] = COMPUTED) -> list[Job]:
-    """Take up to so many jobs of these kinds. No other runner has them.
+    """Take up to `room` jobs of these kinds, which no other runner then gets.
 
-    The one that has been due longest is the first.
+    Those that have been due longest come first.
     """
     now = timezone.now()
     taken: list[Job] = []
@@ -273,9 +273,9 @@ def renew(owner: str) -> None:
 
 
 def requeue_abandoned() -> int:
-    """Queue the jobs of dead runners again.
+    """Queue the jobs of dead runners again. Return their number.
 
-    Jobs whose runner died too often fail. Returns how many there were.
+    Jobs whose runners died too often fail.
     """
     now = timezone.now()
     abandoned = [
@@ -289,7 +289,7 @@ def requeue_abandoned() -> int:
 
 
 def abandon(owner: str, kinds: Collection[str]) -> None:
-    """Treat what a runner holds of these kinds as if it had died: it could not enter the result."""
+    """Treat a runner's jobs of these kinds as if it had died, because it could not store a result."""
     for job in Job.objects.filter(lease_owner=owner, state=Job.State.RUNNING, kind__in=kinds):
         _abandon(job)
 
@@ -311,9 +311,9 @@ def _abandon(job: Job) -> None:
 
 
 def release(owner: str, key: UUID | None = None, kinds: Collection[str] = tuple(Job.Kind)) -> int:
-    """Queue again what a runner holds, or one job of it, and return their number.
+    """Queue a runner's jobs again, or one of them. Return their number.
 
-    Does not count as an attempt.
+    This does not count as an attempt.
     """
     held = Job.objects.filter(lease_owner=owner, state=Job.State.RUNNING, kind__in=kinds)
     return (held if key is None else held.filter(pk=key)).update(**_AGAIN, attempt=F("attempt") - 1)
@@ -322,11 +322,11 @@ def release(owner: str, key: UUID | None = None, kinds: Collection[str] = tuple(
 def progressed(key: UUID, owner: str, stage: str, fraction: float) -> None:
     """Store a job's progress, which never decreases."""
     held = Job.objects.filter(pk=key, lease_owner=owner, state=Job.State.RUNNING)
-    held.update(stage=stage[:60], fraction=Greatest(F("fraction"), fraction))  # one statement: never a stage without it
+    held.update(stage=stage[:60], fraction=Greatest(F("fraction"), fraction))  # one statement: both stay in step
 
 
 def done(key: UUID, owner: str, answer: Mapping[str, Any]) -> bool:
-    """Enter the result of a job. Say whether it was still this runner's."""
+    """Store the result of a job. Return whether the job was still this runner's."""
     with transaction.atomic():
         held = Job.objects.filter(pk=key, lease_owner=owner, state=Job.State.RUNNING)
         if not held.update(
@@ -343,7 +343,7 @@ def done(key: UUID, owner: str, answer: Mapping[str, Any]) -> bool:
 
 
 def failed(key: UUID, owner: str, message: str, exit_code: int) -> bool:
-    """Enter why a job failed: it is tried again, or ends. Say whether it was still this runner's."""
+    """Store why a job failed. It is retried or ends. Return whether it was still this runner's."""
     with transaction.atomic():
         held = Job.objects.filter(pk=key, lease_owner=owner, state=Job.State.RUNNING)
         job = held.first()
@@ -365,7 +365,7 @@ def failed(key: UUID, owner: str, message: str, exit_code: int) -> bool:
 def _compare_after(job: Job) -> None:
     """Queue the comparisons that are due after a job.
 
-    A comparison is due again if one of its visits was measured while it was made.
+    A comparison is due again if one of its visits was measured while the comparison ran.
     """
     pairs = [(job.comparison.before, job.comparison.after)] if job.comparison is not None else []
     if job.visit is not None:
@@ -375,7 +375,7 @@ def _compare_after(job: Job) -> None:
 
 
 def unwanted(owner: str) -> list[str]:
-    """Keys of a runner's recently cancelled jobs."""
+    """Keys of a runner's jobs that were cancelled recently."""
     since = timezone.now() - datetime.timedelta(seconds=_STOPPED_S)
     cancelled = Job.objects.filter(lease_owner=owner, state=Job.State.CANCELLED, ended__gt=since)
     return [str(key) for key in cancelled.values_list("pk", flat=True)]

@@ -1,8 +1,8 @@
-"""Changes that jobs make besides their own row.
+"""Changes by jobs to rows other than their own.
 
-States of visits, calibrations, comparisons and deliveries; measurements.
+These are states of visits, calibrations, comparisons and deliveries, and measurements.
 
-Called within the transaction that changes the job's row.
+They are made in the transaction that changes the job's row.
 """
 
 import datetime
@@ -20,7 +20,7 @@ from mammometry.clinic.records.results import add_volumes
 from mammometry.clinic.rig_results import CheckResult
 
 Target = Visit | Calibration | DailyCheck | Comparison
-"""Records of which something is computed."""
+"""Records that computations belong to."""
 
 _VERDICTS = {
     "unmoved": "No camera has moved.",
@@ -56,7 +56,7 @@ def begun(target: Target | Delivery | None) -> None:
 
 
 def cancelled(target: Target) -> None:
-    """Reset a cancelled job's target."""
+    """Reset the target of a cancelled job."""
     if isinstance(target, Visit):
         discard_prepared(target)
         target.state = settled_state(target)
@@ -69,7 +69,7 @@ def cancelled(target: Target) -> None:
 
 
 def failed(target: Target | Delivery | None, message: str) -> None:
-    """Note at a job's target that the job failed and is not tried again, and why."""
+    """Record at a job's target that the job failed for good, and why."""
     if isinstance(target, Visit):
         discard_prepared(target)
         target.state = Visit.State.CHANGED if target.has_unmeasured_drawing else Visit.State.REFUSED
@@ -88,7 +88,7 @@ def failed(target: Target | Delivery | None, message: str) -> None:
 
 
 def enter(job: Job, answer: Mapping[str, Any]) -> None:
-    """Enter the result of a job."""
+    """Store the result of a job."""
     if job.visit is not None:
         discard_prepared(job.visit)
         _measured(job, job.visit, answer)
@@ -116,8 +116,8 @@ def _refuse(comparison: Comparison, digests: str, message: str) -> None:
 
 
 def _measured(job: Job, visit: Visit, answer: Mapping[str, Any]) -> None:
-    """Add a measurement, unless the visit's newest one is equal, whose confirmation then remains."""
-    Visit.objects.select_for_update().get(pk=visit.pk)  # a drawing at this moment is seen, or sees this
+    """Add a measurement, unless the visit's newest one is equal, whose confirmation then stays valid."""
+    Visit.objects.select_for_update().get(pk=visit.pk)  # waits for a drawing that is being saved, or makes it wait
     newest = visit.measurements.order_by("-made_at").first()
     if newest is None or newest.digest != answer["digest"]:
         made_at = datetime.datetime.fromisoformat(answer["made_at"]) if answer.get("made_at") else timezone.now()
@@ -126,7 +126,7 @@ def _measured(job: Job, visit: Visit, answer: Mapping[str, Any]) -> None:
             curves=answer.get("curves", {}), how=answer.get("how", {}), quantities=answer.get("quantities", []),
         )  # fmt: skip
         add_volumes(measurement, [Volume(**row) for row in answer["volumes"]])
-    elif not newest.how and answer.get("how"):  # of a version that did not record it
+    elif not newest.how and answer.get("how"):  # from a version that did not record it
         newest.how = answer["how"]
         newest.save(update_fields=["how"])
     visit.state = settled_state(visit)

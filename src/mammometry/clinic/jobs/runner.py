@@ -1,6 +1,6 @@
-"""The runner takes jobs from the queue and does them.
+"""The runner takes jobs from the queue and runs them.
 
-Dask's workers compute, and lanes do the rest in threads of this process.
+Computations run on Dask workers, other jobs in threads of this process.
 """
 
 import json
@@ -24,13 +24,14 @@ from mammometry.clinic.jobs.lanes import Lane
 from mammometry.clinic.models import Job, Visit
 from mammometry.clinic.records.comparing import comparison_folder
 
-_LOOK_S = 1.0  # between two checks of an empty queue
-_LANE_LOOK_S = 5.0  # between two looks for deliveries, and for backups
-_AGAIN_S = 5.0  # until an unavailable cluster is tried again
-_LOOKED_BACK = 40  # newest visits used to estimate memory
+_LOOK_S = 1.0  # time between two checks of an empty queue
+_LANE_LOOK_S = 5.0  # time between two checks for jobs of a lane, and for scheduled ones
+_AGAIN_S = 5.0  # time until the next attempt to reach the cluster
+_LOOKED_BACK = 40  # number of newest visits from which a job's memory is estimated
 _SHARES = {"prepare": 0.02, "calibrate": 0.05, "match": 0.3, "surface": 0.7, "measure": 0.92, "report": 1.0}
-"""Stage → share of the total time at its end, approximately."""
-_BOARD, _BOARD_SHARE = "board", 0.2  # of a telephone's photographs: the share of finding the board, approximately
+"""Stage → approximate share of the total time at its end."""
+# stage of a walk in which the board is found, and its approximate share of the time
+_BOARD, _BOARD_SHARE = "board", 0.2
 _LOG = logging.getLogger(__name__)
 
 Workers = Callable[[], AbstractContextManager[Machines]]
@@ -41,8 +42,8 @@ class Runner:
 
     Args:
         config: the clinic's, with Django set up.
-        workers: connects to a cluster, or starts one; None: from the clinic's settings.
-        lanes: jobs that are done in this process besides.
+        workers: connects to a cluster, or starts one; None: according to the clinic's settings.
+        lanes: jobs that run in this process.
     """
 
     def __init__(self, config: ClinicConfig, workers: Workers | None = None, lanes: Sequence[Lane] = ()) -> None:
@@ -57,7 +58,7 @@ class Runner:
         self._stopped.set()
 
     def run(self) -> None:
-        """Serve the queue. Waits for an unavailable cluster."""
+        """Run jobs until stopped. Waits while the cluster is unavailable."""
         heart = threading.Thread(target=self._beat, daemon=True)
         heart.start()
         for lane in self._lanes:
@@ -65,7 +66,7 @@ class Runner:
         while not self._stopped.is_set():
             try:
                 queue.requeue_abandoned()
-                if not queue.anything():  # workers are started only when there is work
+                if not queue.anything():  # workers are started only if there is work
                     self._stopped.wait(_LOOK_S)
                     continue
                 with self._workers() as workers:
@@ -77,7 +78,7 @@ class Runner:
             finally:
                 self._give_back(queue.COMPUTED)
         heart.join()
-        self._give_back(tuple(Job.Kind))  # a lane at work ends with this process
+        self._give_back(tuple(Job.Kind))  # a running lane ends with this process
 
     def _give_back(self, kinds: Collection[str]) -> None:
         try:
@@ -86,17 +87,17 @@ class Runner:
             close_old_connections()
 
     def _beat(self) -> None:
-        """Renew the leases, and recover those of dead runners."""
+        """Renew the leases, and queue the jobs of dead runners again."""
         while not self._stopped.wait(queue.LEASE_S / 3):
             try:
                 queue.renew(self.owner)
                 queue.requeue_abandoned()
             except DatabaseError:
                 close_old_connections()
-        connections.close_all()  # the thread's own
+        connections.close_all()  # those of this thread
 
     def _serve_lane(self, lane: Lane) -> None:
-        """Do a lane's jobs. A database or a disk that is gone is waited for."""
+        """Run a lane's jobs. Waits while the database or the disk is unavailable."""
         while not self._stopped.is_set():
             try:
                 queue.abandon(self.owner, lane.work)
@@ -110,14 +111,14 @@ class Runner:
                 _LOG.exception("The %s wait", lane.name)
             close_old_connections()
             self._stopped.wait(_LANE_LOOK_S)
-        connections.close_all()  # the thread's own
+        connections.close_all()  # those of this thread
 
     def _do(self, job: Job, lane: Lane) -> None:
         try:
             answer = lane.work[job.kind](self._config, job)
         except MammometryError as error:
             queue.failed(job.pk, self.owner, _words(error, self._config), error.exit_code)
-        except Exception as error:  # from a library or the system
+        except Exception as error:  # from a library or the operating system
             _LOG.exception("A job failed: %s", job)
             why = f"An unknown reason ({type(error).__name__}), which is in the clinic's log."
             queue.failed(job.pk, self.owner, why, 1)
@@ -142,7 +143,7 @@ class Runner:
     def _end(self, key: UUID, event: Ended) -> None:
         if not event.failed:
             held = queue.done(key, self.owner, event.value)
-        elif event.code == BusyError.code:  # a former process of this clinic is still running in the session
+        elif event.code == BusyError.code:  # a former process of this clinic is still using the session
             queue.release(self.owner, key)
             return
         else:
@@ -192,12 +193,12 @@ class Runner:
 
 
 def _words(reason: object, config: ClinicConfig) -> str:
-    """A reason without paths of this machine."""
+    """A reason without paths on this machine."""
     return str(reason).replace(f"{config.folder}/", "")
 
 
 def whole(stage: str, fraction: float) -> float:
-    """Share of a whole measurement at a fraction of a stage."""
+    """Share of a complete measurement, from the fraction of a stage."""
     if stage == _BOARD:
         return _BOARD_SHARE * min(max(fraction, 0.0), 1.0)
     names = list(_SHARES)
@@ -212,5 +213,5 @@ def _megapixels(visit: Visit) -> float | None:
 
     try:
         return megapixels_of(visit.folder / "capture")
-    except (OSError, MammometryError):  # its own task will report the fault
+    except (OSError, MammometryError):  # its own job will report the fault
         return None

@@ -1,9 +1,9 @@
-"""The work of a job, in the worker's process.
+"""The computation of a job, in the worker's process.
 
-It runs in a process of its own. It uses neither the database nor names.
+It runs in a separate process, and uses neither the database nor names.
 
-All results are in the session's folder under keys of their content. A job that is started twice, because a machine
-died, finds its first results and gives the same answer.
+All results are in the session's folder, under keys derived from their content. If a job is started again because a
+machine failed, it finds its earlier results and returns the same answer.
 """
 
 from __future__ import annotations
@@ -51,13 +51,13 @@ if TYPE_CHECKING:
     from mammometry.measure.volume.measurement import VolumeMeasurement
 
 RESULTS = "results"
-"""Folder of the results in a visit's folder."""
+"""Folder of the results below a visit's folder."""
 _WHOLE = "closed solid"
-"""Definition of a cast's volume: the only one."""
+"""Definition of a cast's volume. There is only one."""
 _CHANGE_NO_NUMBER = ("compare", "limits")
-"""Tables of the settings that do not affect a visit's numbers."""
+"""Tables of settings that do not affect a visit's numbers."""
 _REFUSED = "any"
-"""Definition for a side without any volume."""
+"""Definition stored for a side without any volume."""
 
 
 def measure(progress: StageProgress, session: str, calibration: str, settings: str) -> dict[str, Any]:
@@ -87,12 +87,12 @@ def measure(progress: StageProgress, session: str, calibration: str, settings: s
 def measure_walk(progress: StageProgress, session: str, about: str, settings: str) -> dict[str, Any]:
     """Measure photographs by one telephone and a printed board.
 
-    The session is made from them once. Later jobs use it, and not the photographs, which are then deleted.
+    The session is made from them once. Later jobs use the session instead of the photographs, which are then deleted.
 
     Args:
         progress: called with stage and fraction.
-        session: the visit's folder. It need not exist.
-        about: JSON of ``files`` in the photographs' order, the ``board`` as of board.toml, ``subject``, ``scratch``.
+        session: the visit's folder, which may not exist yet.
+        about: JSON with ``files`` in the photographs' order, ``board`` as in board.toml, ``subject`` and ``scratch``.
         settings: TOML.
 
     Returns:
@@ -115,8 +115,8 @@ def measure_walk(progress: StageProgress, session: str, about: str, settings: st
 
 @contextmanager
 def _numbered(files: Sequence[str], board: Mapping[str, Any], scratch: Path) -> Iterator[Path]:
-    """A folder with photographs by number, "01.jpg", or video.mp4, and board.toml. It exists as long as needed."""
-    shutil.rmtree(scratch, ignore_errors=True)  # of a killed job
+    """A temporary folder with the photographs by number ("01.jpg"), or video.mp4, and board.toml."""
+    shutil.rmtree(scratch, ignore_errors=True)  # left by a killed job
     with disk_errors(scratch):
         scratch.mkdir(mode=0o700)
         try:
@@ -133,12 +133,12 @@ def _numbered(files: Sequence[str], board: Mapping[str, Any], scratch: Path) -> 
 def _link(source: Path, goal: Path) -> None:
     try:
         os.link(source, goal)
-    except OSError:  # a disk without links
+    except OSError:  # a disk without hard links
         shutil.copy2(source, goal)
 
 
 def _measured(progress: StageProgress, session: str, settings: str) -> dict[str, Any]:
-    """Measure a visit's session, whose cameras are known."""
+    """Measure a visit's session with known cameras."""
     chosen = Settings.from_toml(settings)
     measured = measure_entry(progress, BatchEntry(address=session), settings)
     job = open_session(session, chosen)
@@ -159,7 +159,7 @@ def measure_scan(progress: StageProgress, folder: str, settings: str) -> dict[st
 
     Args:
         progress: called with stage and fraction.
-        folder: the visit's, made by `mammometry.io.meshes.scans`.
+        folder: the visit's folder, made by `mammometry.io.meshes.scans`.
         settings: TOML.
 
     Returns:
@@ -215,7 +215,7 @@ def _flat(table: Mapping[str, Any], before: str = "") -> dict[str, Any]:
 def volume_rows(measured: Mapping[str, VolumeMeasurement], no_breast: Mapping[str, str]) -> list[dict[str, Any]]:
     """Volumes of a measured session or scan.
 
-    One row per side and definition, and one for each side without a volume.
+    One row per side and definition, and one row for each side without a volume.
     """
     rows = []
     for side, measurement in measured.items():
@@ -279,7 +279,7 @@ def calibrate(progress: StageProgress, session: str, settings: str) -> dict[str,
 
 
 def known_cameras(session: Path) -> dict[str, KnownCamera]:
-    """Cameras from a calibration's photographs."""
+    """Cameras as known from a calibration's photographs."""
     files = {
         (path.parent.name, path.stem): path
         for path in sorted((session / "calibration").glob("*/*"))
@@ -302,7 +302,7 @@ def known_cameras(session: Path) -> dict[str, KnownCamera]:
 
 
 def check(progress: StageProgress, calibration: str, folder: str, settings: str) -> dict[str, Any]:
-    """Check with a later photograph whether a rig has moved.
+    """Check with later photographs whether a rig has moved.
 
     An exposure that was already checked against this calibration is not added to the rig's history again.
 
@@ -386,7 +386,7 @@ def _digest(value: object) -> str:
 
 
 def _finite(value: Any) -> Any:
-    """JSON-ready values, without infinite numbers and NaN, which the database cannot store."""
+    """Values for JSON, without infinity and NaN, which the database cannot store."""
     if isinstance(value, Mapping):
         return {str(name): _finite(item) for name, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -1,4 +1,4 @@
-"""Backups: making and keeping them, their schedule, and the outcome of the last."""
+"""Backups: making and keeping them, their schedule, and the result of the last one."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
 _PATTERN = "clinic-????????-??????.tar"
 _LOCK = ".lock"
 _OUTCOMES = "outcomes.json"
-"""Outcome of the last backup and restore test, in the folder of backups."""
+"""File in the folder of backups with the results of the last backup and restore test."""
 _ELSEWHERE = "elsewhere.json"
-"""Paths of backups outside the folder of backups: each is a copy of every patient."""
-_CLOCK = datetime.timedelta(hours=1)  # possible lead of a file server's clock over ours
-_MARGIN = 1.2  # expected growth of a new backup over the last one, at most
+"""File with the paths of backups outside the folder of backups. Each is a copy of all patients' data."""
+_CLOCK = datetime.timedelta(hours=1)  # how far a file server's clock may be ahead of ours
+_MARGIN = 1.2  # largest expected growth from one backup to the next
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,16 +49,16 @@ class BackupFile:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BackupResult:
-    """Outcome of a backup or of a restore test."""
+    """Result of a backup or of a restore test."""
 
     at: str
-    """When it ended, ISO 8601."""
+    """Time at which it ended, ISO 8601."""
     passed: bool
     sentence: str
 
     @property
     def moment(self) -> datetime.datetime:
-        """Time at which the backup or test ended."""
+        """Time at which it ended."""
         return datetime.datetime.fromisoformat(self.at)
 
 
@@ -69,13 +69,13 @@ class BackupState:
     files: list[BackupFile]
     """Newest first."""
     backup: BackupResult | None
-    """Of the last backup; None: none was tried."""
+    """Result of the last backup. None: none was attempted."""
     restore: BackupResult | None
-    """Of the last restore test."""
+    """Result of the last restore test."""
     at_work: bool
-    """Whether a backup or a test is being made now."""
+    """Whether a backup or a test is running."""
     next_at: datetime.datetime | None
-    """Time of the next automatic backup; None: there is none."""
+    """Time of the next automatic backup. None: there is none."""
 
     @property
     def newest(self) -> BackupFile | None:
@@ -84,12 +84,12 @@ class BackupState:
 
     @property
     def age_days(self) -> int | None:
-        """Whole days since the newest was made."""
+        """Whole days since the newest backup."""
         return None if self.newest is None else (datetime.datetime.now(datetime.UTC) - self.newest.made_at).days
 
 
 def state_of(config: ClinicConfig) -> BackupState:
-    """Present state of the backups: the list, the next one, outcome of the last."""
+    """Current state of the backups: the list, the next one, and the result of the last one."""
     outcomes = _outcomes(config)
     files = backup_files(config)
     return BackupState(
@@ -115,10 +115,10 @@ def backup_files(config: ClinicConfig) -> list[BackupFile]:
 def make_kept_backup(config: ClinicConfig) -> Path:
     """Make a backup in the folder of backups, and delete the oldest ones.
 
-    The outcome is stored for the page.
+    The result is stored for the page.
 
     Raises:
-        ClinicError: one is being made, the disk is too full, or the backup cannot be written.
+        ClinicError: a backup is running, the disk is too full, or the backup cannot be written.
     """
     with exclusive(config):
         try:
@@ -136,7 +136,7 @@ def make_kept_backup(config: ClinicConfig) -> Path:
 
 
 def note(config: ClinicConfig, kind: str, *, passed: bool, sentence: str) -> None:
-    """Store the outcome of a backup or a restore test for the page."""
+    """Store the result of a backup or a restore test for the page."""
     outcome = BackupResult(at=datetime.datetime.now(datetime.UTC).isoformat(), passed=passed, sentence=sentence)
     table = {key: asdict(value) for key, value in {**_outcomes(config), kind: outcome}.items()}
     write_private(config.backups / _OUTCOMES, json.dumps(table, indent=1))
@@ -166,7 +166,7 @@ def exclusive(config: ClinicConfig) -> Iterator[None]:
 
 
 def remove_leftovers(config: ClinicConfig) -> bool:
-    """Delete leftovers of killed backups and restore tests, which contain names. False if one is running."""
+    """Delete what killed backups and restore tests left, which contains names. False if one is running."""
     try:
         with exclusive(config):
             return True
@@ -204,7 +204,7 @@ def _note_elsewhere(config: ClinicConfig, target: Path) -> None:
 
 
 def plan_daily(config: ClinicConfig) -> None:
-    """Queue the day's backup when it is due. It is queued once, however many runners call this."""
+    """Queue the day's backup when it is due. It is queued only once, however many runners call this."""
     from mammometry.clinic.jobs import queue
     from mammometry.clinic.models import Job
 
@@ -214,7 +214,7 @@ def plan_daily(config: ClinicConfig) -> None:
 
 
 def is_due(config: ClinicConfig, now: datetime.datetime) -> bool:
-    """Whether the last scheduled time has passed without a backup or an attempt."""
+    """Whether the last scheduled time has passed without a backup or an attempt since."""
     last = _scheduled(config, now, after=False)
     if last is None:
         return False
@@ -239,7 +239,7 @@ def _scheduled(config: ClinicConfig, now: datetime.datetime, *, after: bool) -> 
 
 
 def _require_room(config: ClinicConfig) -> None:
-    """Refuse if the disk has not enough space."""
+    """Refuse if the disk has too little space."""
     config.backups.mkdir(mode=0o700, parents=True, exist_ok=True)
     newest = next(iter(backup_files(config)), None)
     free = shutil.disk_usage(config.backups).free
@@ -271,7 +271,7 @@ FORMAT = 1
 DATABASE = "database.jsonl"
 """The rows, one per line."""
 MANIFEST = "manifest.json"
-"""Format, version, time, migrations, and the SHA-256 of each file; the archive's last entry."""
+"""Format, version, time, migrations, and the SHA-256 of each file. It is the archive's last entry."""
 
 
 KEPT_FOLDERS = ("sessions", "rigs", "acceptance", "uploads")
@@ -281,18 +281,18 @@ SCRATCH = "restore-test-"
 """Prefix of the folder for a restore test."""
 _RIG_FILE = "rig.toml"
 _NOT_KEPT = re.compile(r"\.(sqlite3(-\w+)?|tar|part|lock|new)$")
-"""Files in a clinic's folder that are not in backups: the database's, archives, and unfinished ones."""
+"""Files in a clinic's folder that are not in backups: the database, archives, and unfinished files."""
 
 
 def make_backup(config: ClinicConfig, target: Path | None = None) -> Path:
-    """Write a backup. The clinic may be in use. Returns its file, which only its owner can read.
+    """Write a backup. The clinic may be in use. Returns the file, which only its owner can read.
 
     Args:
-        config: the open clinic.
-        target: the archive to make; by default in the folder of backups, named by the time.
+        config: settings of the open clinic.
+        target: the archive to write. None: in the folder of backups, named by the time.
 
     Raises:
-        ClinicError: there is such a file already.
+        ClinicError: the file exists already.
     """
     now = datetime.datetime.now(datetime.UTC)
     target = target or config.backups / f"clinic-{now:%Y%m%d-%H%M%S}.tar"
@@ -336,7 +336,7 @@ def make_backup(config: ClinicConfig, target: Path | None = None) -> Path:
 
 
 def chain_of_newest(config: ClinicConfig) -> ChainEnd | None:
-    """End of the audit's chain in the newest backup. None: unknown, or no backup."""
+    """End of the audit's chain in the newest backup. None if there is no backup, or it is unknown."""
     newest = next(iter(backup_files(config)), None)
     if newest is None:
         return None
@@ -356,7 +356,7 @@ def chain_in(manifest: dict[str, Any]) -> ChainEnd | None:
 
 
 def measures_with(config: ClinicConfig) -> dict[str, str]:
-    """SHA-256 of each file other than photographs that affects a number, empty if missing.
+    """SHA-256 of each file, apart from photographs, that affects a number. Empty if the file is missing.
 
     These are the clinic's settings and the rig.toml of each connected rig.
     """
@@ -368,7 +368,7 @@ def measures_with(config: ClinicConfig) -> dict[str, str]:
 
 
 def _outside(config: ClinicConfig) -> dict[str, str]:
-    """Rig whose rig.toml is outside the clinic's folder → its name in the archive."""
+    """Rig whose rig.toml is outside the clinic's folder → the file's name in the archive."""
     rigs = sorted(rig for rig, name in config.cameras.items() if not _is_inside(config, config.folder / name))
     return {rig: f"cameras/{number}-{_RIG_FILE}" for number, rig in enumerate(rigs, start=1)}
 
@@ -380,7 +380,7 @@ def _is_inside(config: ClinicConfig, path: Path) -> bool:
 def _files(config: ClinicConfig) -> Iterator[tuple[str, Path]]:
     """Name in the archive and path of each file to store.
 
-    These are all files of the clinic's folder except archives and the database, whose rows are stored.
+    These are all files of the clinic's folder except archives and the database, whose rows are stored instead.
     """
     folder, outside = config.folder, _outside(config)
     named = {path: path.name for path in folder.iterdir() if path.is_file() and not _NOT_KEPT.search(path.name)}
@@ -389,7 +389,8 @@ def _files(config: ClinicConfig) -> Iterator[tuple[str, Path]]:
         if path.is_file():
             named[path] = outside.get(rig) or path.resolve().relative_to(folder.resolve()).as_posix()
     for kept in KEPT_FOLDERS:
-        for path in (folder / kept).glob("*" if kept == "uploads" else "**/*"):  # below it are working files of jobs
+        # subfolders contain jobs' temporary files
+        for path in (folder / kept).glob("*" if kept == "uploads" else "**/*"):
             if path.is_file() and not path.is_symlink():
                 named[path] = path.relative_to(folder).as_posix()
     once = {name: path for path, name in named.items()}
@@ -397,7 +398,7 @@ def _files(config: ClinicConfig) -> Iterator[tuple[str, Path]]:
 
 
 def _add(tar: tarfile.TarFile, name: str, file: BinaryIO, digests: dict[str, str]) -> None:
-    """Add the bytes that the file has now. An upload may be growing."""
+    """Add the file's current content. An upload may be growing."""
     entry = tarfile.TarInfo(name)
     start = file.tell()
     entry.size = file.seek(0, os.SEEK_END) - start

@@ -15,9 +15,9 @@ from mammometry.clinic.config import KEY_FILE, ClinicConfig
 from mammometry.clinic.maintenance.backups import backup_files
 
 RATE_DAYS = 30
-"""Days for computing the rate; fewer for a new clinic."""
+"""Days over which the growth is averaged; fewer for a new clinic."""
 _DAY_S = 86400.0  # seconds in a day
-_CACHED_S = 600  # seconds; a walk over some hundred thousand files takes seconds
+_CACHED_S = 600  # seconds; counting some hundred thousand files takes seconds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,17 +31,17 @@ class DiskUsage:
     database: int
     free: int
     total: int
-    """Of the disk of the clinic's folder."""
+    """Capacity of the disk that contains the clinic's folder."""
     per_day: float
-    """New photographs and results a day, at the rate of the last days."""
+    """Bytes of new photographs and results per day, averaged over the last days."""
     rate_days: int
-    """Number of days of that rate."""
+    """Number of days of that average."""
     at: datetime.datetime
     """Time of the count."""
 
     @property
     def days_left(self) -> int | None:
-        """Days until the disk is full at this rate, or None without new data."""
+        """Days until the disk is full at this rate. None without new data."""
         return None if self.per_day <= 0 else int(self.free / self.per_day)
 
     @property
@@ -61,7 +61,7 @@ class DiskUsage:
 
 
 def cached_usage(config: ClinicConfig) -> DiskUsage:
-    """Use of the disk, counted at most ten minutes ago."""
+    """Disk use, counted at most ten minutes ago."""
     usage: DiskUsage | None = cache.get("disk-usage")
     if usage is None:
         usage = measure_usage(config)
@@ -101,12 +101,12 @@ def measure_usage(config: ClinicConfig) -> DiskUsage:
 
 
 def folder_bytes(folder: Path) -> int:
-    """Bytes of all files below a folder, 0 if there is no folder."""
+    """Bytes of all files below a folder. 0 if there is no such folder."""
     return sum(status.st_size for _, status in _files(folder))
 
 
 def _files(root: Path) -> Iterator[tuple[str, os.stat_result]]:
-    """Path and status of each file below a folder, without those that disappear."""
+    """Path and status of each file below a folder. Files that disappear meanwhile are left out."""
     waiting = [str(root)]
     while waiting:
         try:

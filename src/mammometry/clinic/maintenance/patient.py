@@ -1,4 +1,4 @@
-"""One patient's data: found, exported, erased."""
+"""Find, export and erase one patient's data."""
 
 import io
 import json
@@ -44,9 +44,9 @@ from mammometry.clinic.models import (
 
 
 def find_patient(word: str) -> Patient:
-    """The patient with this pseudonym or record number, including the bin.
+    """The patient with this pseudonym or record number, also if in the bin.
 
-    A merged record gives the one with its visits.
+    For a merged record, the one that now has its visits.
 
     Raises:
         ClinicError: there is none.
@@ -60,7 +60,7 @@ def find_patient(word: str) -> Patient:
 
 
 def rows_of(patient: Patient) -> list[Model]:
-    """All rows about a patient, each after the rows it refers to."""
+    """All rows about a patient. Each comes after the rows that it refers to."""
     visits = list(Visit.everything.filter(patient=patient).order_by("taken_at"))
     records = [patient, *Patient.everything.filter(merged_into=patient)]
     queries: list[Any] = [
@@ -85,13 +85,13 @@ def rows_of(patient: Patient) -> list[Model]:
 
 
 def export_patient(config: ClinicConfig, patient: Patient, target: Path) -> int:
-    """Write one patient's data as a private ZIP. Rows, session folders and audit.
+    """Write one patient's data (rows, session folders, audit) as a ZIP that only its owner can read.
 
     Returns:
-        Number of files in it.
+        Number of files in the ZIP.
 
     Raises:
-        ClinicError: there is such a file already.
+        ClinicError: the file exists already.
     """
     if target.exists():
         raise ClinicError(str(target), found="a file", expected="none", remedy="Name another file with --to")
@@ -101,7 +101,7 @@ def export_patient(config: ClinicConfig, patient: Patient, target: Path) -> int:
         new_private(part) as stream,
         zipfile.ZipFile(
             stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1, strict_timestamps=False
-        ) as archive,  # a file dated before 1980 gets that year, the earliest in a ZIP
+        ) as archive,  # files dated before 1980 get that year, the earliest in a ZIP
     ):
         plain = json.loads(serializers.serialize("json", rows, cls=RowEncoder))
         archive.writestr("patient.json", json.dumps(plain, indent=1, ensure_ascii=False))
@@ -118,14 +118,14 @@ def export_patient(config: ClinicConfig, patient: Patient, target: Path) -> int:
 
 
 def erase_patient(config: ClinicConfig, patient: Patient, by: Person | None = None) -> int:
-    """Erase one patient: files, then rows.
+    """Erase one patient: first the files, then the rows.
 
-    After a kill, the same command continues. The audit's entries with the pseudonym, and earlier backups, remain.
+    After a kill, the same command continues. Audit entries with the pseudonym, and earlier backups, remain.
 
     Args:
-        config: the open clinic.
-        patient: to be erased.
-        by: user of the page; None: a command.
+        config: settings of the open clinic.
+        patient: the patient to erase.
+        by: user of the page; None for a command.
 
     Returns:
         Number of visits erased.
@@ -143,7 +143,7 @@ def erase_patient(config: ClinicConfig, patient: Patient, by: Person | None = No
 
 
 def erase_bin(patient: Patient) -> int:
-    """Erase a patient's visits in the bin, as `erase_patient` does.
+    """Erase a patient's visits in the bin, in the same way as `erase_patient`.
 
     Returns:
         Number of visits erased.
@@ -160,7 +160,7 @@ def erase_bin(patient: Patient) -> int:
 def copies(config: ClinicConfig, patient: Patient) -> list[str]:
     """Copies of a patient's data outside the clinic's rows and files, one sentence each.
 
-    They are backups, including unfinished ones and those written elsewhere by a command; results sent to archives;
+    These are backups (also unfinished ones, and those that a command wrote elsewhere), results sent to archives, and
     exports for the patient. Later copies of these files are unknown to the clinic.
     """
     backups = sorted(path.name for path in config.backups.glob("*.tar"))
@@ -208,7 +208,7 @@ def _overwrite() -> None:
             for model in (Patient, Visit):
                 cursor.execute(f"VACUUM FULL {connection.ops.quote_name(model._meta.db_table)}")
         else:
-            cursor.execute("PRAGMA wal_checkpoint(TRUNCATE)")  # freed pages are overwritten: secure_delete
+            cursor.execute("PRAGMA wal_checkpoint(TRUNCATE)")  # freed pages are overwritten because of secure_delete
 
 
 def _audit_of(rows: list[Model]) -> str:

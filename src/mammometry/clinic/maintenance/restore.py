@@ -1,4 +1,4 @@
-"""Restoring a clinic from a backup, atomically, and testing it."""
+"""Restore a clinic from a backup, atomically, and test a restore."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ def unpack(archive: Path, folder: Path, database: str | None = None) -> tuple[Cl
     """Unpack a backup next to the new folder, without opening it.
 
     Args:
-        archive: from `backup`.
+        archive: file written by `backup`.
         folder: the new clinic's folder, which must be missing or empty.
-        database: to replace the one in the backup's settings.
+        database: replaces the one in the backup's settings.
 
     Returns:
         Settings of the clinic in its temporary folder ``<folder>.restoring``, and the archive's manifest.
 
     Raises:
-        ClinicError: not a backup, a damaged one, or the folder is not empty.
+        ClinicError: the archive is not a backup or is damaged, or the folder is not empty.
     """
     if folder.exists() and any(folder.iterdir()):
         raise ClinicError(str(folder), found="files", expected="a new or empty folder", remedy="Name another folder")
     staging = folder.with_name(folder.name + ".restoring")
     if staging.exists():
-        shutil.rmtree(staging)  # of a restore that was killed
+        shutil.rmtree(staging)  # left by a restore that was killed
     staging.mkdir(mode=0o700, parents=True)
     try:
         with tarfile.open(archive, "r:") as tar:
@@ -77,7 +77,7 @@ def _extract(tar: tarfile.TarFile, folder: Path) -> None:
     """Write a backup's files. Debian 12's Python has no ``extractall(filter=…)``.
 
     Raises:
-        TarError: it contains other things than plain files, or a file outside the folder.
+        TarError: it contains something other than plain files, or a file outside the folder.
     """
     for entry in tar:
         path, source = folder / entry.name, tar.extractfile(entry) if entry.isfile() else None
@@ -91,10 +91,10 @@ def _extract(tar: tarfile.TarFile, folder: Path) -> None:
 
 
 def fill(config: ClinicConfig, manifest: dict[str, Any], folder: Path) -> int:
-    """Fill an unpacked clinic's database and move it to its place. Returns the number of its people.
+    """Fill an unpacked clinic's database and move the clinic to its place. Returns how many people it has.
 
     Raises:
-        ClinicError: the backup is of a later version, or the database is not empty.
+        ClinicError: the backup is from a later version, or the database is not empty.
     """
     from django.db import connections
 
@@ -108,7 +108,7 @@ def fill(config: ClinicConfig, manifest: dict[str, Any], folder: Path) -> int:
     (config.folder / DATABASE).unlink()
     (config.folder / MANIFEST).unlink()
     if folder.exists():
-        folder.rmdir()  # checked to be empty
+        folder.rmdir()  # it has been checked to be empty
     config.folder.rename(folder)
     return number
 
@@ -131,7 +131,7 @@ def _digest(path: Path) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RestoreTest:
-    """Result of restoring a backup and comparing it."""
+    """Result of restoring a backup and comparing it with the archive."""
 
     backup: str
     """Name of the archive."""
@@ -141,19 +141,19 @@ class RestoreTest:
 
     @property
     def sentence(self) -> str:
-        """The outcome of the restore test in one sentence."""
+        """The result in one sentence."""
         return (
             f"{self.backup}: {self.rows} rows and {self.files} files were restored unchanged, in {self.seconds:.0f} s."
         )
 
 
 def run_restore_test(config: ClinicConfig) -> RestoreTest:
-    """Restore the newest backup into a temporary folder and database, and compare rows and files with it.
+    """Restore the newest backup into a temporary folder and database, and compare its rows and files.
 
-    The process opens the restored clinic, so it must not have opened another. The outcome is stored for the page.
+    This process opens the restored clinic, so it must not have opened another one. The result is stored for the page.
 
     Raises:
-        ClinicError: there is no backup, it is damaged, or the restored clinic differs.
+        ClinicError: there is no backup, it is damaged, or the restored clinic differs from it.
     """
     with backups.exclusive(config):
         try:
@@ -183,15 +183,15 @@ def _tested(config: ClinicConfig) -> RestoreTest:
         return RestoreTest(
             backup=newest.path.name,
             rows=rows,
-            files=len(manifest["sha256"]) - 1,  # the rows are one of its files
+            files=len(manifest["sha256"]) - 1,  # the rows are also a file
             seconds=time.monotonic() - begun,
         )
 
 
 def _require_measures_the_same(config: ClinicConfig, restored: ClinicConfig, manifest: dict[str, Any]) -> None:
-    """Refuse a backup with which a clinic would use different settings or rigs.
+    """Refuse a backup from which a clinic would be restored with other settings or rigs.
 
-    Backups of 1.0 do not record them, and are compared with the present clinic.
+    Backups of version 1.0 do not record them, and are compared with the present clinic.
     """
     expected = manifest.get("measures_with", backups.measures_with(config))
     found = backups.measures_with(restored)

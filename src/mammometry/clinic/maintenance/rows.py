@@ -1,4 +1,4 @@
-"""Rows of a clinic's database as text, one per line: written, loaded into another database, compared.
+"""Rows of a clinic's database as text, one per line: write, load into another database, compare.
 
 The rows of an earlier version's backup are loaded into that version's tables, which are then migrated.
 """
@@ -28,24 +28,24 @@ from django.db.models import Model
 from mammometry.clinic.config import ClinicError
 
 _LEFT_OUT = ("sessions", "contenttypes", "axes")
-"""Applications whose rows belong to the running server: logins, wrong passwords."""
+"""Applications whose rows belong to the running server, such as logins and wrong passwords."""
 _TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?(Z|[+-]\d\d:\d\d)")
 _NATURAL = ("natural_key", "get_username", "USERNAME_FIELD")
-"""Natural keys of people and tables in rows."""
+"""Attributes of models that Django uses for natural keys, by which rows refer to people and tables."""
 _READ_AT_ONCE = 500  # rows
-_SHOWN_ROWS = 3  # number of different rows named in the refusal
+_SHOWN_ROWS = 3  # number of different rows that the error lists
 
 
 class RowEncoder(DjangoJSONEncoder):
-    """Values of a row as JSON. Times keep their microseconds, which Django's own encoder cuts off."""
+    """Encodes a row's values as JSON. Unlike Django's own encoder, it keeps microseconds."""
 
     def default(self, o: Any) -> Any:
-        """Encode what JSON has no type for."""
+        """Encode types that JSON does not have."""
         return o.isoformat() if isinstance(o, datetime.datetime | datetime.time) else super().default(o)
 
 
 def known_migrations() -> list[str]:
-    """All migrations of this version, which make the tables for a backup's rows."""
+    """All migrations of this version, which create the tables for a backup's rows."""
     return sorted(f"{app} {name}" for app, name in MigrationLoader(None).disk_migrations)
 
 
@@ -60,18 +60,18 @@ def write_database(file: BinaryIO, tables: Apps = current) -> None:
 
 
 def load_database(lines: Iterable[bytes], migrations: list[str], software: str) -> Apps:
-    """Load written rows into an empty database, with the tables of the version that wrote them.
+    """Load rows into an empty database, with the tables of the version that wrote them.
 
     Args:
-        lines: from `write_database`, of this version or an earlier one.
-        migrations: known to that version; `known_migrations`.
-        software: that version.
+        lines: rows written by `write_database`, of this version or an earlier one.
+        migrations: those that version knew (`known_migrations`).
+        software: name of that version.
 
     Returns:
-        Its tables, for `write_database`. This version's follow by `web.server.migrate`.
+        The tables of that version, for `write_database`. `web.server.migrate` then upgrades them to this version.
 
     Raises:
-        ClinicError: the rows are of a later version, or the database is not empty.
+        ClinicError: the rows are from a later version, or the database is not empty.
     """
     if later := sorted(set(migrations) - set(known_migrations())):
         raise ClinicError(
@@ -84,7 +84,7 @@ def load_database(lines: Iterable[bytes], migrations: list[str], software: str) 
     # The readers of natural keys look for them.
     for config in current.get_app_configs():
         create_contenttypes(config, verbosity=0, interactive=False)
-    with transaction.atomic():  # references are checked at its end
+    with transaction.atomic():  # references are checked when it ends
         late = []
         for row in _Reader(map(json.loads, lines), tables):
             row.save(force_insert=True)
@@ -110,11 +110,11 @@ def digests_of(lines: Iterable[bytes]) -> dict[str, dict[str, bytes]]:
 
 
 def require_same(expected: Mapping[str, Mapping[str, bytes]], restored: Mapping[str, Mapping[str, bytes]]) -> None:
-    """Refuse rows that differ from the backup's.
+    """Refuse rows that differ from those of the backup.
 
     Args:
-        expected: the backup's, by `digests_of`.
-        restored: the restored ones.
+        expected: rows of the backup, from `digests_of`.
+        restored: restored rows, from `digests_of`.
 
     Raises:
         ClinicError: names the first table that differs and some of its rows.
@@ -147,7 +147,7 @@ class _Reader(Deserializer):
 
 
 def _tables_of(migrations: list[str]) -> Apps:
-    """Make the tables of some migrations. Returns their models."""
+    """Create the tables of some migrations. Return their models."""
     executor = MigrationExecutor(connection)
     wanted = {(app, name) for app, _, name in (word.partition(" ") for word in migrations)}
     if set(executor.loader.applied_migrations) - wanted:
@@ -161,7 +161,7 @@ def _tables_of(migrations: list[str]) -> Apps:
     state = executor.migrate(last)
     if wanted == set(nodes):
         return current
-    for model in state.apps.get_models():  # of migrations: without the methods for natural keys
+    for model in state.apps.get_models():  # models of migrations have no methods for natural keys
         ours = current.get_model(model._meta.label) if _is_known(model) else None
         for name in _NATURAL if ours is not None else ():
             if hasattr(ours, name):
@@ -187,7 +187,7 @@ def _kept_models(tables: Apps) -> list[type[Model]]:
 
 
 def _same_time(value: Any) -> Any:
-    """A time in one form. Backups of earlier versions say 12:00:00.000Z for 12:00:00+00:00."""
+    """A time in one format. Backups of earlier versions have 12:00:00.000Z for 12:00:00+00:00."""
     if isinstance(value, str) and _TIME.fullmatch(value):
         return datetime.datetime.fromisoformat(value).astimezone(datetime.UTC).isoformat()
     return value

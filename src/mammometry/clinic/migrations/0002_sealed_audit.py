@@ -1,4 +1,4 @@
-"""Entries can only be added to the audit's table: triggers refuse changes (`audit.seal`)."""
+"""Entries of the audit's table cannot be changed: triggers refuse it (`audit.seal`)."""
 
 from django.apps.registry import Apps
 from django.db import migrations

@@ -5,7 +5,7 @@ from typing import Any
 
 
 def queue_deliveries(apps: Any, _: object) -> None:
-    """A delivery that was on its way becomes a job, with the tries that it has had."""
+    """Turn each unfinished delivery into a job, with its number of attempts."""
     jobs = apps.get_model('clinic', 'Job').objects
     for delivery in apps.get_model('clinic', 'Delivery').objects.filter(state__in=('queued', 'sending')):
         jobs.create(

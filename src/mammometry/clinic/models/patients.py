@@ -1,4 +1,4 @@
-"""Tables of patients, with their names, which are only here, and of their visits and photographs."""
+"""Tables of patients, of their visits and of photographs. Only they contain patients' names."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from mammometry.clinic.records.search_words import words_of
 from mammometry.clinic.site import the_clinic
 
 TELEPHONE = "Telephone"
-"""Name of the device of a walk."""
+"""Shown as the device of a visit with a telephone."""
 ALPHABET = "ACDEFGHJKLMNPQRTUVWXY34679"
-"""Letters and digits that are not confused: no B and 8, I and 1, O and 0, S and 5, Z and 2."""
+"""Letters and digits that cannot be confused: without B and 8, I and 1, O and 0, S and 5, Z and 2."""
 
 
 def new_pseudonym() -> str:
-    """P- and six random letters. 26^6 = 309 million, drawn again if taken."""
+    """P- and six random characters: 26^6 = 309 million values. Drawn again if taken."""
     while True:
         drawn = "P-" + "".join(secrets.choice(ALPHABET) for _ in range(6))
         if not Patient.everything.filter(pseudonym=drawn).exists():
@@ -38,7 +38,7 @@ class PatientsInUse(InUse["Patient"]):
         return super().get_queryset().filter(merged_into=None)
 
     def bulk_create(self, objs: Iterable[Patient], *args: Any, **options: Any) -> list[Patient]:
-        """Add many, each with its search words."""
+        """Add many patients, each with its search words."""
         patients = list(objs)
         for patient in patients:
             patient.search_words = words_of(patient.own_words)
@@ -57,16 +57,16 @@ class Patient(Keyed):
     """The patient's identifier outside this table."""
     note = models.TextField(max_length=2000, blank=True)
     search_words = models.TextField(default="", blank=True, editable=False)
-    """Normalised names and numbers for the search, including merged records: `search_words.words_of`."""
+    """Normalised names and numbers for the search, including those of merged records (`search_words.words_of`)."""
     merged_into = models.ForeignKey("self", null=True, on_delete=models.CASCADE, related_name="merged", editable=False)
-    """The record with this patient's visits after a merge. None: this one."""
+    """The record that has this patient's visits after a merge. None: this one."""
     binned_at = models.DateTimeField(null=True, editable=False)
     """Time when it was put into the bin. None: it is in use."""
     created = models.DateTimeField(auto_now_add=True)
 
     objects = PatientsInUse()
     everything = models.Manager()
-    """Those in the bin and merged ones, too."""
+    """Including merged records and those in the bin."""
 
     class Meta:
         ordering = ("family_name", "given_name", "record_number")
@@ -75,7 +75,7 @@ class Patient(Keyed):
         return self.pseudonym
 
     def save(self, *args: Any, **options: Any) -> None:
-        """Save, with the search words."""
+        """Save with updated search words."""
         texts = list(self.own_words)
         if not self._state.adding:
             texts += [word for other in Patient.everything.filter(merged_into=self) for word in other.own_words]
@@ -108,7 +108,7 @@ class Consent(Keyed):
     purpose = models.CharField(max_length=10, choices=Purpose.choices)
     given_on = models.DateField()
     withdrawn_on = models.DateField(null=True, blank=True)
-    """None: it holds."""
+    """None: the consent is valid."""
     note = models.CharField(max_length=300, blank=True)
     entered_at = models.DateTimeField(auto_now_add=True)
     entered_by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
@@ -149,9 +149,9 @@ class Operation(Keyed):
     side = models.CharField(max_length=5, choices=Side.choices)
     day = models.DateField()
     volume_cc = models.FloatField(null=True, blank=True)
-    """Of the implant, the expander's total filling, or the injected fat, each side."""
+    """Volume of the implant, of the expander's total filling, or of the injected fat, on each side."""
     resected_g = models.FloatField(null=True, blank=True)
-    """Weight of the removed tissue, each side."""
+    """Weight of the removed tissue on each side."""
     words = models.CharField(max_length=300, blank=True)
     """Free text: the flap, the implant's type, description of "other"."""
     entered_at = models.DateTimeField(auto_now_add=True)
@@ -164,7 +164,7 @@ class Operation(Keyed):
         return f"{self.patient.pseudonym}, {self.kind}"
 
     def is_after(self, visit: Visit) -> bool:
-        """Whether a visit was before this operation.
+        """Whether this operation was done after a visit.
 
         On the same day, the visit's occasion decides.
         """
@@ -173,17 +173,17 @@ class Operation(Keyed):
 
 
 class Visit(Keyed):
-    """One patient photographed on one day."""
+    """One patient, photographed on one day."""
 
     class State(models.TextChoices):
-        """How far it is."""
+        """State of a visit."""
 
         NEW = "new"
         UPLOADING = "uploading"
         READY = "ready"
         QUEUED = "queued"
         CHANGED = "changed"
-        """A boundary or landmark has changed and is not measured yet."""
+        """A boundary or landmark has changed since the last measurement."""
         MEASURED = "measured"
         REFUSED = "refused"
         CONFIRMED = "confirmed"
@@ -225,7 +225,7 @@ class Visit(Keyed):
     posture = models.CharField(max_length=10, choices=Posture.choices, blank=True, default="")
     """Empty: unknown."""
     repeat_of = models.ForeignKey("self", null=True, blank=True, on_delete=models.SET_NULL, related_name="repeats")
-    """The visit that this one repeats, to study agreement. None: it is not a repeat."""
+    """The visit that this one repeats, for studies of agreement. None: it is not a repeat."""
     note = models.TextField(max_length=2000, blank=True)
     binned_at = models.DateTimeField(null=True, editable=False)
     """Time when it was put into the bin. None: it is in use."""
@@ -269,7 +269,7 @@ class Visit(Keyed):
 
     @property
     def is_changed(self) -> bool:
-        """Whether its numbers are from an earlier drawing or earlier photographs."""
+        """Whether its numbers are from an earlier drawing or from earlier photographs."""
         return self.state == Visit.State.CHANGED or (self.state == Visit.State.QUEUED and self.has_unmeasured)
 
     @property
@@ -309,13 +309,13 @@ class Visit(Keyed):
 
 
 class NoteChange(Keyed):
-    """A note about a patient before and after a change.
+    """A note about a patient, before and after a change.
 
-    The audit's entry has author and time, but no text. Erased with the patient.
+    The audit's entry has author and time, but not the text. Rows are erased with the patient.
     """
 
     patient = models.ForeignKey(Patient, null=True, on_delete=models.CASCADE, related_name="note_changes")
-    """None: of a visit, which may be moved to another patient."""
+    """None: the note is about a visit, which may be moved to another patient."""
     visit = models.ForeignKey(Visit, null=True, on_delete=models.CASCADE, related_name="note_changes")
     entry = models.BigIntegerField(db_index=True)
     """Key of the audit's entry."""
@@ -337,34 +337,34 @@ class Scan(Keyed):
     scanner = models.CharField(max_length=100)
     """Name of the device, as entered."""
     units = models.CharField(max_length=40)
-    """Unit of the device's file, and its source."""
+    """Unit of the device's file, and where it was stated."""
     textured = models.BooleanField(default=False)
     """Whether it has pictures."""
     sha256 = models.CharField(max_length=64)
-    """Of the device's own mesh file."""
+    """Digest of the device's own mesh file."""
 
     def __str__(self) -> str:
         return f"scan of {self.visit}"
 
 
 class Walk(Keyed):
-    """Printed board of a visit that one telephone photographed."""
+    """Printed board of a visit that was photographed with one telephone."""
 
     visit = models.OneToOneField(Visit, on_delete=models.CASCADE, related_name="walk")
     edge_mm = models.FloatField(null=True, blank=True)
     """Measured length of the eleven columns of the printed board, mm. None: not measured."""
     edge_std_mm = models.FloatField(null=True, blank=True)
-    """Its standard uncertainty, mm."""
+    """Standard uncertainty of that length, mm."""
 
     def __str__(self) -> str:
         return f"walk of {self.visit}"
 
 
 class Upload(Keyed):
-    """One uploaded photograph, complete or in pieces."""
+    """One uploaded photograph, complete or in part."""
 
     class State(models.TextChoices):
-        """How far it is."""
+        """State of an upload."""
 
         RECEIVING = "receiving"
         CHECKED = "checked"
@@ -373,20 +373,20 @@ class Upload(Keyed):
         SET_ASIDE = "set aside"
         """Its file is kept but not measured, and can be restored."""
         PREPARED = "prepared"
-        """The session of its walk has what is measured of it. Its file is deleted."""
+        """Its file was deleted after the walk's session, which contains what is measured, was prepared."""
 
     visit = models.ForeignKey(Visit, null=True, on_delete=models.CASCADE, related_name="uploads")
     calibration = models.ForeignKey(Calibration, null=True, on_delete=models.CASCADE, related_name="uploads")
     check_of_day = models.ForeignKey(DailyCheck, null=True, on_delete=models.CASCADE, related_name="uploads")
     camera = models.CharField(max_length=100)
     name = models.CharField(max_length=100, blank=True)
-    """Its name in the folder, chosen by us; the sender's name is not stored."""
+    """File name in the folder, chosen by us. The sender's name is not stored."""
     size_bytes = models.BigIntegerField()
     received_bytes = models.BigIntegerField(default=0)
     sha256 = models.CharField(max_length=64, blank=True, db_index=True)
     state = models.CharField(max_length=12, choices=State.choices, default=State.RECEIVING)
     checks = models.JSONField(default=list, blank=True)
-    """Checks: {check, ok, sentence} each."""
+    """Results of checks: {check, ok, sentence} each."""
     created = models.DateTimeField(auto_now_add=True)
     created_by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
 
@@ -398,5 +398,5 @@ class Upload(Keyed):
 
     @property
     def path(self) -> Path:
-        """File of the incoming bytes, named by this row's key."""
+        """File with the received bytes, named by this row's key."""
         return the_clinic().folder / "uploads" / str(self.id)

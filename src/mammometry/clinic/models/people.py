@@ -28,7 +28,7 @@ class Keyed(models.Model):
 class InUse(models.Manager[Row]):
     """Rows that are not in the bin.
 
-    It is the default, so that pages do not show the bin. Backup, export, erasure and corrections use ``everything``.
+    This is the default, so that pages do not show the bin. Backup, export, erasure and corrections use ``everything``.
     """
 
     def get_queryset(self) -> models.QuerySet[Row]:
@@ -37,14 +37,14 @@ class InUse(models.Manager[Row]):
 
 
 def require_roles(value: Any) -> None:
-    """Require a list of different roles."""
+    """Require a list of roles without duplicates."""
     known = {role.value for role in Role}
     if not isinstance(value, list) or not set(value) <= known or len(set(value)) != len(value):
         raise ValidationError("Roles are some of " + ", ".join(sorted(known)) + ".")
 
 
 class Person(AbstractUser):
-    """A person who logs in. Never deleted, because the audit refers to them: set inactive instead."""
+    """A person who logs in. People are never deleted, because the audit refers to them, but made inactive."""
 
     id = models.UUIDField(primary_key=True, default=uuid.uuid4, editable=False)
     full_name = models.CharField(max_length=200, blank=True)
@@ -68,7 +68,7 @@ class Person(AbstractUser):
 
     @property
     def waits_for_password(self) -> bool:
-        """Whether this person has not set a password yet and never logged in otherwise."""
+        """Whether this person has not set a password yet and has never logged in otherwise."""
         return not self.has_usable_password() and self.last_login is None
 
     def lacks_second_factor(self, request: HttpRequest) -> bool:
@@ -104,7 +104,7 @@ class Calibration(Keyed):
     """One calibration of a rig."""
 
     class State(models.TextChoices):
-        """How far it is."""
+        """State of a calibration."""
 
         UPLOADING = "uploading"
         QUEUED = "queued"
@@ -120,7 +120,7 @@ class Calibration(Keyed):
     figures = models.JSONField(default=dict, blank=True)
     """Figures, with units in the names: rms_px, worst_pair_mm, …"""
     verdict = models.CharField(max_length=500, blank=True)
-    """One sentence: may be used, or why not."""
+    """One sentence: the calibration may be used, or why not."""
     current = models.BooleanField(default=False)
     """Whether it is used for new visits."""
     created_by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
@@ -136,7 +136,7 @@ class Calibration(Keyed):
 
     @property
     def result(self) -> CalibrationResult:
-        """The calibration's result. Without a verdict before the calibration is done."""
+        """The calibration's result. It has no verdict before the calibration has finished."""
         return CalibrationResult.from_table(self.figures)
 
 
@@ -149,9 +149,9 @@ class DailyCheck(Keyed):
     folder = models.CharField(max_length=200, blank=True)
     """Folder of its photographs, relative to the clinic's folder."""
     figures = models.JSONField(default=dict, blank=True)
-    """Drift by camera, mm and px."""
+    """Drift of each camera, mm and px."""
     verdict = models.CharField(max_length=500, blank=True)
-    """One sentence: may we measure today?"""
+    """One sentence: whether the rig may be used today."""
     passed = models.BooleanField(null=True)
     """None: not evaluated yet."""
     by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
@@ -172,7 +172,7 @@ class AuditLink(models.Model):
     """One entry of the audit in the chain of digests (`clinic.audit_chain`). It is never changed."""
 
     place = models.BigIntegerField(primary_key=True)
-    """1 for the first."""
+    """Position in the chain, from 1."""
     entry = models.BigIntegerField(unique=True)
     """Key of the audit's entry. Not a foreign key, so that removing an entry changes nothing here."""
     digest = models.CharField(max_length=64)
@@ -192,7 +192,7 @@ class FormToken(models.Model):
     token = models.UUIDField()
     at = models.DateTimeField(auto_now_add=True, db_index=True)
     answer = models.JSONField(default=dict)
-    """Address after the form, or status and JSON. Empty: not answered yet."""
+    """Address to which the form redirects, or status and JSON. Empty: not answered yet."""
 
     class Meta:
         constraints = (models.UniqueConstraint(fields=("person", "token"), name="one_form_a_token"),)

@@ -21,12 +21,12 @@ class Comparison(Keyed):
     before = models.ForeignKey(Visit, on_delete=models.CASCADE, related_name="comparisons_as_before")
     after = models.ForeignKey(Visit, on_delete=models.CASCADE, related_name="comparisons")
     of = models.CharField(max_length=200, blank=True)
-    """Digests of both measurements. If they have changed, the comparison is stale."""
+    """Digests of both measurements. If they change, the comparison is out of date."""
     state = models.CharField(max_length=10, choices=State.choices, default=State.QUEUED)
     table = models.JSONField(default=dict)
     """Content of compare.json."""
     message = models.CharField(max_length=1500, blank=True)
-    """Reason why the two cannot be compared."""
+    """Reason why the two visits cannot be compared."""
     made_at = models.DateTimeField(null=True)
 
     class Meta:
@@ -38,7 +38,7 @@ class Comparison(Keyed):
 
 
 class Job(Keyed):
-    """One piece of work in the background."""
+    """One piece of background work."""
 
     class Kind(models.TextChoices):
         """Kind of work."""
@@ -61,7 +61,7 @@ class Job(Keyed):
         CANCELLED = "cancelled"
 
     OPEN = (State.QUEUED, State.RUNNING)
-    """States of a job that has not ended."""
+    """States of a job that has not finished."""
 
     visit = models.ForeignKey(Visit, null=True, on_delete=models.CASCADE, related_name="jobs")
     calibration = models.ForeignKey(Calibration, null=True, on_delete=models.CASCADE, related_name="jobs")
@@ -72,17 +72,17 @@ class Job(Keyed):
     state = models.CharField(max_length=10, choices=State.choices, default=State.QUEUED, db_index=True)
     attempt = models.PositiveIntegerField(default=0)
     due = models.DateTimeField(default=timezone.now)
-    """No runner takes it earlier."""
+    """Time before which no runner takes it."""
     stage = models.CharField(max_length=60, blank=True)
     fraction = models.FloatField(default=0.0)
     """Progress, 0 to 1."""
     message = models.CharField(max_length=1500, blank=True)
-    """Message of a failure, without a patient's name."""
+    """Error message, without a patient's name."""
     exit_code = models.IntegerField(null=True)
     lease_owner = models.CharField(max_length=100, blank=True)
     lease_until = models.DateTimeField(null=True)
     digest = models.CharField(max_length=64, blank=True)
-    """Of its results."""
+    """Digest of its results."""
     created = models.DateTimeField(auto_now_add=True)
     started = models.DateTimeField(null=True)
     ended = models.DateTimeField(null=True)
@@ -118,7 +118,7 @@ class Measurement(Keyed):
     software = models.CharField(max_length=40)
     """Version of mammometry."""
     curves = models.JSONField(default=dict)
-    """Breast → digest of the boundary that was measured (`measure.volume.attribution.curve_digest`)."""
+    """Breast → digest of the measured boundary (`measure.volume.attribution.curve_digest`)."""
     how = models.JSONField(default=dict, blank=True)
     """Data for `records.comparability`: settings, and for each breast the wall and the origin of its boundary."""
     quantities = models.JSONField(default=list)
@@ -154,7 +154,7 @@ class Volume(Keyed):
     refused = models.CharField(max_length=1500, blank=True)
     """Reason for having no volume; empty: there is one."""
     leads = models.BooleanField(default=False)
-    """Its definition comes first on the page for its side (`clinic.records.results.add_volumes`)."""
+    """Whether the page of the visit shows this definition first for its side (`clinic.records.results.add_volumes`)."""
 
     class Meta:
         ordering = ("definition", "side")
@@ -172,10 +172,10 @@ class Volume(Keyed):
 
 
 class Drawing(Keyed):
-    """Author or confirmation of a boundary or landmark. The curve is in the session folder."""
+    """Who drew, changed or confirmed a boundary or landmark. The curve itself is in the session folder."""
 
     class Action(models.TextChoices):
-        """Action of a person."""
+        """What the person did."""
 
         DRAWN = "drawn"
         CONFIRMED = "confirmed"
@@ -198,7 +198,7 @@ class Drawing(Keyed):
 
 
 class Confirmation(Keyed):
-    """Confirmation of a measured result after a visual check. It changes no number."""
+    """Confirmation of a measured result after a visual check. It does not change numbers."""
 
     measurement = models.ForeignKey(Measurement, on_delete=models.CASCADE, related_name="confirmations")
     curves = models.JSONField(default=dict)
@@ -218,7 +218,7 @@ class Conclusion(Keyed):
 
     visit = models.ForeignKey(Visit, on_delete=models.CASCADE, related_name="conclusions")
     measurement = models.ForeignKey(Measurement, null=True, on_delete=models.SET_NULL, related_name="conclusions")
-    """The concluded result."""
+    """The result that it is about."""
     text = models.TextField(max_length=4000)
     at = models.DateTimeField(auto_now_add=True)
     by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
@@ -231,7 +231,7 @@ class Conclusion(Keyed):
 
 
 class Correction(Keyed):
-    """One change of a record, with its reason. It can be undone for 30 days."""
+    """One correction of a record, with its reason. It can be undone for 30 days."""
 
     class Kind(models.TextChoices):
         """Kind of a correction."""
@@ -246,7 +246,7 @@ class Correction(Keyed):
     patient = models.ForeignKey(Patient, null=True, on_delete=models.CASCADE, related_name="corrections")
     """The patient who was merged or put into the bin, or whose visit was moved."""
     before = models.JSONField(default=dict)
-    """The previous values, with patients by their keys. Not in the audit, because notes may contain names."""
+    """The previous values, with patients by their keys. They are not in the audit, because notes may contain names."""
     after = models.JSONField(default=dict)
     reason = models.CharField(max_length=500)
     at = models.DateTimeField(auto_now_add=True)
@@ -262,7 +262,7 @@ class Correction(Keyed):
 
 
 class Destination(Keyed):
-    """An archive."""
+    """An archive that results are sent to."""
 
     class Kind(models.TextChoices):
         """Protocol of a destination."""
@@ -274,19 +274,19 @@ class Destination(Keyed):
     name = models.CharField(max_length=100, unique=True)
     kind = models.CharField(max_length=8, choices=Kind.choices, default=Kind.DICOM)
     address = models.CharField(max_length=200)
-    """``AE@host:port``, or an address of the web."""
+    """``AE@host:port``, or a web address."""
     own_title = models.CharField(max_length=16, default="MAMMOMETRY")
     encrypted = models.BooleanField(default=False)
     authorities = models.CharField(max_length=300, blank=True)
-    """File with the archive's certificate authorities. Empty: those that the system trusts."""
+    """File with the certificates that the archive's must be signed by. Empty: those that the system trusts."""
     certificate = models.CharField(max_length=300, blank=True, default="")
     """File with our own certificate, if the archive requires one."""
     key = models.CharField(max_length=300, blank=True, default="")
     """File with its key. Empty: in the certificate's file."""
     commitment = models.BooleanField(default=False)
-    """Whether to wait for its storage commitment."""
+    """Whether to wait for the archive's storage commitment."""
     promise_port = models.PositiveIntegerField(null=True, blank=True)
-    """Port for the storage commitment. None: on the same connection."""
+    """Port on which the storage commitment is received. None: on the same connection."""
     active = models.BooleanField(default=True)
 
     class Meta:
@@ -297,7 +297,7 @@ class Destination(Keyed):
 
 
 class VisitOrder(Keyed):
-    """Order of a visit, from the worklist."""
+    """A visit's order from the worklist."""
 
     visit = models.OneToOneField(Visit, on_delete=models.CASCADE, related_name="order")
     accession = models.CharField(max_length=64, blank=True)
@@ -328,7 +328,7 @@ class Delivery(Keyed):
     sent = models.PositiveIntegerField(default=0)
     """Number of sent objects, over all attempts."""
     kept = models.BooleanField(null=True)
-    """Whether the archive committed to store all. None: not asked, or no answer."""
+    """Whether the archive committed to store all objects. None: not requested, or no answer."""
     created = models.DateTimeField(auto_now_add=True)
     ended = models.DateTimeField(null=True)
     created_by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")

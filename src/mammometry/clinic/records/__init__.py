@@ -1,1 +1,1 @@
-"""Finding and correcting records: search, near duplicates, corrections with undo, the bin."""
+"""Find and correct records: search, possible duplicates, corrections with undo, the bin."""

@@ -21,7 +21,7 @@ _VOLUMES = {
     Operation.Kind.EXPANDER: "filled with {} cc",
     Operation.Kind.FILLING: "{} cc in all",
 }
-"""Kind → text of its volume. Others: "300 cc"."""
+"""Kind → how its volume is worded. Others: "300 cc"."""
 _EARLIER = "(Written before the visit was measured again.)"
 
 
@@ -47,9 +47,9 @@ def clinical_of(visit: Visit) -> Clinical:
 
 
 def operations_before(visit: Visit) -> QuerySet[Operation]:
-    """Operations that the visit's pictures can show, newest first.
+    """Operations whose effect a visit's pictures show, newest first.
 
-    One on the day of the visit counts, unless the visit is before the operation.
+    An operation on the day of the visit is included, unless the visit was before it.
     """
     day = timezone.localtime(visit.taken_at).date()
     rows = Operation.objects.filter(patient=visit.patient_id)
@@ -63,7 +63,7 @@ def operation_words(operation: Operation) -> str:
 
 
 def operation_details(operation: Operation) -> tuple[str, ...]:
-    """Volume, resected weight and free text of an operation, as far as they were entered."""
+    """Volume, resected weight and free text of an operation, if entered."""
     each_side = " each side" if operation.side == Operation.Side.BOTH else ""
     details = []
     if operation.volume_cc is not None:

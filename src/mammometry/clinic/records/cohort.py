@@ -1,6 +1,6 @@
 """The study's cohort by pseudonym: one row for each breast and visit, and statistics of all rows.
 
-The database gives plain values, without creating objects for 90 000 volumes.
+Plain values are read from the database. Creating objects for 90 000 volumes would be slow.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from mammometry.geometry.arrays import Array, Float64, Int64
 
 _Values: TypeAlias = tuple[Any, ...]
 _OF_REPEATS = ("measurements__volumes", "repeat_of__measurements__volumes", "patient__operations")
-_VISITS_AT_ONCE = 250  # whose volumes are read together
-_YEARS_OF_DAYS = 4_000_000  # more than any day's ordinal
+_VISITS_AT_ONCE = 250  # visits whose volumes are read together
+_YEARS_OF_DAYS = 4_000_000  # larger than any day's ordinal
 
 
 def _text(column: str) -> Cast:
-    """A key or a time as text, to avoid creating objects."""
+    """SQL expression for a key or a time as text, to avoid creating objects."""
     return Cast(column, CharField())
 
 
@@ -43,12 +43,12 @@ _SIDE_ORDER = {side: number for number, side in enumerate(SIDES)}
 
 @dataclass(frozen=True, slots=True)
 class CohortRow:
-    """One breast at one visit, without a name."""
+    """One breast at one visit, without the patient's name."""
 
     pseudonym: str
     day: datetime.date
     years: int | None
-    """Of age."""
+    """Age in years."""
     side: str
     definition: str
     volume_cc: float | None
@@ -56,7 +56,7 @@ class CohortRow:
     high_cc: float | None
     refused: str
     state: str
-    """State of the visit. With an unmeasured change of a boundary or landmark there is no number."""
+    """State of the visit. There is no number if a boundary or landmark has changed since the measurement."""
     confirmed: bool
     confirmed_on: datetime.date | None
     """None: not confirmed."""
@@ -70,14 +70,14 @@ class CohortRow:
     boundary: str
     """Origin of the boundary, a key of `comparability.BOUNDARIES`."""
     apart: str
-    """Reason why the volume is not comparable with most of the study. Empty: it is."""
+    """Reason why the volume is not comparable with most of the study's. Empty: it is comparable."""
     repeat_of: datetime.date | None
     """Day of the visit that this one repeats."""
 
 
 @dataclass(frozen=True, slots=True)
 class RepeatedVolume:
-    """A breast that was measured twice, at two visits of which one was declared to repeat the other."""
+    """A breast that was measured at two visits, of which one was declared a repeat of the other."""
 
     pseudonym: str
     side: str
@@ -90,9 +90,9 @@ class Repeats:
     """Volumes of declared repeats."""
 
     pairs: tuple[RepeatedVolume, ...]
-    """By pseudonym: those of one patient are not independent."""
+    """Sorted by pseudonym: those of one patient are not independent."""
     left_out: tuple[tuple[str, str], ...]
-    """Pseudonym and reason of each breast that gives no pair."""
+    """Pseudonym and reason, for each breast without a pair."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -104,42 +104,42 @@ class Pooled:
     breasts: tuple[tuple[str, str], ...]
     """Side and definition."""
     patient: Int64[Array, " n"]
-    """Number of the patient, from 0, in the order of the pseudonyms."""
+    """Index of the patient, in the order of the pseudonyms."""
     breast: Int64[Array, " n"]
     """Index in `breasts`."""
     day: Int64[Array, " n"]
-    """Ordinal."""
+    """Ordinal of the day."""
     volume_cc: Float64[Array, " n"]
-    """Volume, cc. NaN where there is none."""
+    """Volume, cc. NaN if there is none."""
     bases: tuple[Basis, ...]
-    """How volumes were measured, each way once."""
+    """All different bases of the volumes, each once."""
     basis: Int64[Array, " n"]
     """Index in `bases`."""
 
     @property
     def patients(self) -> int:
-        """Number of patients who have a row."""
+        """Number of patients with a row."""
         return len(np.unique(self.patient))
 
     @property
     def visits(self) -> int:
-        """Number of days on which patients were measured."""
+        """Number of different patients and days with a row."""
         return len(np.unique(self.patient * _YEARS_OF_DAYS + self.day))
 
     @property
     def volumes_cc(self) -> Float64[Array, " m"]:
-        """The volumes that there are."""
+        """All volumes that exist."""
         return self.volume_cc[~np.isnan(self.volume_cc)]
 
     @property
     def reference(self) -> Basis | None:
-        """Basis of most volumes. None: there is none."""
+        """Basis of most volumes. None without volumes."""
         measured = self.basis[~np.isnan(self.volume_cc)]
         return self.bases[int(np.bincount(measured).argmax())] if len(measured) else None
 
     @property
     def comparable_cc(self) -> Float64[Array, " m"]:
-        """The volumes that may be pooled: those that are comparable with most of them."""
+        """Volumes that may be pooled because they are comparable with most of them."""
         reference = self.reference
         if reference is None:
             return self.volumes_cc
@@ -150,7 +150,7 @@ class Pooled:
 def repeats(visits: QuerySet[Visit]) -> Repeats:
     """Volumes of visits that were declared to be repeats.
 
-    A breast is left out where both volumes are not comparable or it was operated on between both visits.
+    A breast is left out if its two volumes are not comparable, or if it was operated on between the visits.
     """
     declared = visits.filter(research_consent(), repeat_of__in=visits, repeat_of__patient=F("patient"))
     rows = declared.select_related("patient", "repeat_of").prefetch_related(*_OF_REPEATS)
@@ -208,7 +208,8 @@ def study_rows(visits: QuerySet[Visit], reference: Basis | None = None) -> Itera
 
     Args:
         visits: to read.
-        reference: basis of most volumes (`Pooled.reference`); others have the reason for being separate.
+        reference: basis of most volumes (`Pooled.reference`). Rows with another basis get the reason for being
+            separate.
     """
     columns = (
         *("state", "patient__pseudonym", "patient__born", "taken_at", "rig__name", "scan__scanner", "walk__pk"),
@@ -245,7 +246,7 @@ def study_rows(visits: QuerySet[Visit], reference: Basis | None = None) -> Itera
 
 def pooled(visits: QuerySet[Visit]) -> Pooled:
     """Columns of all rows of `study_rows`, in its order."""
-    number_of: dict[str, int] = {}  # of the newest measurement
+    number_of: dict[str, int] = {}  # key: the newest measurement
     patient_of: dict[str, int] = {}
     breast_of: dict[tuple[str, str], int] = {}
     by_visit, keys = [], []
@@ -299,18 +300,18 @@ def pooled(visits: QuerySet[Visit]) -> Pooled:
 
 
 def _with_newest(visits: QuerySet[Visit], *columns: str | Combinable) -> Iterator[_Values]:
-    """Newest measurement of each visit, whether it is of an earlier state, and the visit's columns."""
+    """Newest measurement of each visit, whether it is out of date, and columns of the visit."""
     queued = visits.filter(state=Visit.State.QUEUED)
     changed = Q(state=Visit.State.CHANGED) | Q(pk__in=[visit.pk for visit in queued if visit.is_changed])
     is_old = Case(When(changed, then=Value(1)), default=Value(0), output_field=IntegerField())
     by_age = Measurement.objects.order_by("made_at").values_list(_text("visit_id"), _text("pk"))
-    newest = dict(by_age.iterator())  # the last of a visit stays; a subquery for each visit takes twice the time
+    newest = dict(by_age.iterator())  # the last of a visit remains; a subquery for each takes twice as long
     read = visits.filter(research_consent()).values_list(_text("pk"), is_old, *columns)
     return ((newest[visit], *values) for visit, *values in read.iterator() if visit in newest)
 
 
 def _leading_volumes(measurements: list[str]) -> dict[tuple[str, str], _Values]:
-    """Measurement and side → the volume that leads: definition, volume, low, high (cc), why there is none."""
+    """Measurement and side → leading volume: definition, volume, low, high (cc), reason for having none."""
     columns = ("definition", "volume_cc", "low_cc", "high_cc", "refused")
     rows = _leading().filter(measurement_id__in=measurements).values_list(*_VOLUME[:2], *columns)
     return {(key, side): tuple(volume) for key, side, *volume in rows}
@@ -322,7 +323,7 @@ def _leading() -> QuerySet[Volume]:
 
 
 def _confirmed_at(measurements: list[str]) -> dict[str, datetime.datetime]:
-    """Measurement → when the boundaries that were measured were confirmed last."""
+    """Measurement → time of the last confirmation of the measured boundaries."""
     rows = Confirmation.objects.filter(measurement_id__in=measurements).order_by("at")
     columns = rows.values_list(_text("measurement_id"), "curves", "measurement__curves", "at")
     return {key: at for key, curves, measured, at in columns if curves == measured}

@@ -26,18 +26,18 @@ _NO_SETTINGS = "not recorded"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Basis:
-    """Properties of a volume that must be equal for a comparison."""
+    """Properties that two volumes must share to be comparable."""
 
     definition: str
     """Definition of the breast."""
     posture: str
     """A value of `Visit.Posture`. Empty: not entered."""
     settings: str
-    """Settings that differ from the recommended ones, as JSON. Empty: not recorded, as by versions before 1.1."""
+    """Settings that differ from the defaults, as JSON. Empty: not recorded (versions before 1.1)."""
     wall: str
     """Name of the wall that closed the breast. Empty: not recorded."""
     boundary: str
-    """How its boundary was made, a key of `BOUNDARIES`. Empty: not recorded."""
+    """Origin of the boundary, a key of `BOUNDARIES`. Empty: not recorded."""
 
 
 def basis_of(visit: Visit, measurement: Measurement, side: str, definition: str) -> Basis:
@@ -46,13 +46,13 @@ def basis_of(visit: Visit, measurement: Measurement, side: str, definition: str)
 
 
 def basis(posture: str, how: Mapping[str, Any], side: str, definition: str) -> Basis:
-    """As `basis_of`, from plain values of the database.
+    """The same as `basis_of`, from plain values of the database.
 
     Args:
-        posture: of the visit.
-        how: of the measurement, as `clinic.jobs.work` recorded it.
+        posture: posture of the visit.
+        how: basis of the measurement, as recorded by `clinic.jobs.work`.
         side: left, right or model.
-        definition: meaning of the word "breast".
+        definition: definition of the breast.
     """
     return Basis(
         definition=definition,
@@ -64,13 +64,13 @@ def basis(posture: str, how: Mapping[str, Any], side: str, definition: str) -> B
 
 
 def why_apart(one: Basis, other: Basis, *, measured_alike: bool = False) -> str:
-    """Reason why two volumes must not be compared, without a full stop. Empty: they may be compared.
+    """Reason why two volumes must not be compared, without a full stop. Empty if they may be compared.
 
     Args:
-        one: of the volume in question.
-        other: of the volume to compare with.
+        one: basis of the volume in question.
+        other: basis of the volume to compare it with.
         measured_alike: whether both are measured again with the same settings, as in a comparison of two surfaces. Then
-            only the posture counts.
+            only the posture must be the same.
     """
     reasons = [_posture_apart(one.posture, other.posture)]
     if not measured_alike:
@@ -83,7 +83,7 @@ def why_apart(one: Basis, other: Basis, *, measured_alike: bool = False) -> str:
 
 
 def posture_apart(before: Visit, after: Visit) -> str:
-    """Reason why the surfaces of two visits must not be compared. Empty: they may be."""
+    """Reason why the surfaces of two visits must not be compared. Empty if they may be compared."""
     bases = [
         Basis(definition="", posture=visit.posture, settings="", wall="", boundary="") for visit in (before, after)
     ]

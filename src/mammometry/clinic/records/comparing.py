@@ -1,4 +1,4 @@
-"""Comparison of two visits of one patient, and its verdict as text."""
+"""Comparison of two visits of one patient, and its verdict in words."""
 
 import itertools
 from collections.abc import Iterable
@@ -21,32 +21,32 @@ _BREASTS = ("left", "right")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ComparisonVerdict:
-    """A comparison as pages show it."""
+    """A comparison as shown on pages."""
 
     before: Visit
     after: Visit
     state: str
-    """``done``, ``busy``, ``refused``, ``waiting`` (one of both is not measured as it is drawn) or ``apart`` (they are
-    not comparable)."""
+    """``done``, ``busy``, ``refused``, ``waiting`` (a visit has changes that are not measured yet) or ``apart`` (the
+    visits are not comparable)."""
     sentences: tuple[str, ...]
-    """One per breast if it is done, otherwise the reason."""
+    """One sentence per breast if it is done, otherwise the reason."""
     cautions: tuple[str, ...] = ()
     """Cautions for the reader."""
 
 
 def comparison_folder(before: Visit, after: Visit) -> Path:
-    """Folder of a comparison's files."""
+    """Folder for the files of a comparison."""
     return after.folder / "results" / "compare" / str(before.pk)
 
 
 def comparable(visits: Iterable[Visit]) -> list[Visit]:
-    """Visits whose newest measurement has a breast's volume, earliest first."""
+    """Visits whose newest measurement has a volume, earliest first."""
     chosen = [visit for visit in visits if visit.binned_at is None and _has_volume(_newest(visit))]
     return sorted(chosen, key=lambda visit: (visit.taken_at, visit.created))
 
 
 def neighbours(visit: Visit) -> list[tuple[Visit, Visit]]:
-    """Pairs of a visit with the comparable visit before it, and with the one after it."""
+    """Pairs of a visit and the comparable visits before and after it."""
     visits = comparable(Visit.objects.filter(patient=visit.patient_id).prefetch_related("measurements__volumes"))
     return [pair for pair in itertools.pairwise(visits) if visit in pair]
 
@@ -63,7 +63,7 @@ def refusal_of(digests: str) -> str:
 
 
 def is_current(comparison: Comparison) -> bool:
-    """Whether a comparison is of both visits' newest measurements."""
+    """Whether a comparison uses the newest measurements of both visits."""
     digests = measured_digests(comparison.before, comparison.after)
     if comparison.state == Comparison.State.DONE:
         return comparison.of == digests
@@ -71,7 +71,7 @@ def is_current(comparison: Comparison) -> bool:
 
 
 def may_compare(before: Visit, after: Visit) -> bool:
-    """Whether both measurements are current and in one posture."""
+    """Whether both measurements are current and have the same posture."""
     return all(visit.state in _MEASURED for visit in (before, after)) and not _apart(before, after)
 
 
@@ -81,7 +81,7 @@ def verdict(before: Visit, after: Visit) -> ComparisonVerdict:
 
 
 def changes(visits: Iterable[Visit]) -> list[ComparisonVerdict]:
-    """Verdicts from each comparable visit of a patient to the next, newest first."""
+    """Verdicts on the changes between successive comparable visits of a patient, newest first."""
     pairs = list(itertools.pairwise(comparable(visits)))
     rows = {(row.before_id, row.after_id): row for row in Comparison.objects.filter(after__in=[b for _, b in pairs])}
     return [_verdict(before, after, rows.get((before.pk, after.pk))) for before, after in reversed(pairs)]
@@ -112,9 +112,9 @@ def _verdict(before: Visit, after: Visit, row: Comparison | None) -> ComparisonV
 
 
 def verdicts(visit: Visit) -> tuple[str, ...]:
-    """The verdict on the change since the previous visit: one sentence per breast, then cautions.
+    """Verdict on the change since the previous visit: one sentence per breast, then cautions.
 
-    Empty: no previous visit.
+    Empty if there is no previous visit.
     """
     pair = next((pair for pair in neighbours(visit) if pair[1] == visit), None)
     if pair is None:
@@ -152,7 +152,7 @@ def _posture_cautions(before: Visit, after: Visit) -> tuple[str, ...]:
 
 
 def _apart(before: Visit, after: Visit) -> str:
-    """Reason why the clinic does not compare two visits. Empty: it does."""
+    """Reason why the clinic does not compare two visits. Empty if it does."""
     apart = posture_apart(after, before)
     return "" if apart and the_clinic().measuring().compare.other_posture else apart
 

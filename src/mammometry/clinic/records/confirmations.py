@@ -9,7 +9,7 @@ from mammometry.clinic.models import Confirmation, Drawing, Job, Measurement, Pe
 from mammometry.clinic.roles import Role
 
 CHANGED = "changed, not yet measured"
-"""Text for pages, tables and exports of a visit with unmeasured changes."""
+"""Text on pages, in tables and in exports for a visit with changes that are not measured yet."""
 CHANGED_SENTENCE = "A boundary, landmark or photograph of this visit has changed and is not measured yet. Measure it."
 
 
@@ -19,13 +19,13 @@ def confirmation_of(measurement: Measurement) -> Confirmation | None:
 
 
 def valid_confirmation(visit: Visit) -> Confirmation | None:
-    """Confirmation of the visit's newest measurement, if nothing was changed since."""
+    """Confirmation of the visit's newest measurement, if nothing has changed since."""
     measurement = visit.measurements.first()
     return None if measurement is None or visit.is_changed else confirmation_of(measurement)
 
 
 def settled_state(visit: Visit) -> Visit.State:
-    """State of a visit without a waiting measurement."""
+    """State of a visit that does not wait for a measurement."""
     measurement = visit.measurements.first()
     if visit.has_unmeasured:
         return Visit.State.CHANGED
@@ -35,7 +35,7 @@ def settled_state(visit: Visit) -> Visit.State:
 
 
 def refusal(visit: Visit, curves: Mapping[str, str]) -> str | None:
-    """Reason why a visit's boundaries cannot be confirmed, one sentence. None: they can be."""
+    """Reason why a visit's boundaries cannot be confirmed, in one sentence. None if they can be."""
     measurement = visit.measurements.first()
     if visit.is_changed:
         return CHANGED_SENTENCE
@@ -49,9 +49,9 @@ def refusal(visit: Visit, curves: Mapping[str, str]) -> str | None:
 
 
 def confirm(visit: Visit, by: Person) -> Confirmation:
-    """Store a confirmation of the newest measurement, once."""
+    """Store a confirmation of the newest measurement, unless there is one."""
     measurement = visit.measurements.first()
-    assert measurement is not None  # refused by `refusal`
+    assert measurement is not None  # `refusal` refuses visits without one
     confirmation = confirmation_of(measurement)
     if confirmation is None:
         confirmation = Confirmation.objects.create(measurement=measurement, curves=measurement.curves, by=by)
@@ -63,7 +63,7 @@ def confirm(visit: Visit, by: Person) -> Confirmation:
 
 
 def next_to_confirm(after: Visit) -> Visit | None:
-    """The visit that has waited longest for its confirmation, except this one."""
+    """The visit that has waited longest for confirmation, except this one."""
     waiting = Visit.objects.filter(state=Visit.State.MEASURED, binned_at=None, patient__binned_at=None)
     return waiting.exclude(pk=after.pk).order_by("taken_at").first()
 
@@ -82,25 +82,25 @@ class NextStep:
 
 
 def next_step(visit: Visit, job: Job | None, measurement: Measurement | None, person: Person) -> NextStep | None:
-    """Choose the next step with a visit. None: the page itself shows it.
+    """Choose the next step of a visit. None if the page shows it already.
 
     Args:
-        visit: any.
-        job: its newest.
-        measurement: its newest.
-        person: viewing the page.
+        visit: any visit.
+        job: the visit's newest job.
+        measurement: the visit's newest measurement.
+        person: person who views the page.
     """
     if job is not None and job.state in Job.OPEN:
         return None
     if job is not None and job.state in (Job.State.FAILED, Job.State.CANCELLED):
-        return None  # the page has the reason and a button to retry
+        return None  # the page shows the reason and a button to retry
     measure = reverse("visit-measure", args=[visit.pk])
     if visit.state == Visit.State.CHANGED:
         words = "A boundary, landmark or photograph has changed. There are no numbers until it is measured."
         return NextStep(words=words, button="Measure", address=measure, starts_job=True)
     if measurement is None:
         if not visit.is_scan:
-            return None  # the photographs have the button
+            return None  # the button is next to the photographs
         return NextStep(words="The scan is here.", button="Measure", address=measure, starts_job=True)
     return _judgement(visit, measurement, clinician=person.has_role(Role.CLINICIAN))
 

@@ -1,8 +1,8 @@
-"""Corrections of records, each with its reason, and their undoing.
+"""Corrections of records, each with a reason, and undoing them.
 
-A visit is moved to another patient or gets another day, two records of one patient are merged, a visit or a record
-without visits is put into the bin. Nothing is destroyed. A visit whose patient or day changed is measured again, so
-that no report has another patient's pseudonym.
+A visit can be moved to another patient or get another day. Two records of one patient can be merged. A visit, or a
+record without visits, can be put into the bin. Nothing is deleted. A visit whose patient or day has changed is measured
+again, so that no report contains another patient's pseudonym.
 """
 
 import datetime
@@ -26,7 +26,7 @@ _ORDER = ("accession", "study_uid", "referring", "procedure_id", "procedure")
 
 
 class CorrectionError(MammometryError):
-    """A correction is refused, with the reason in one sentence."""
+    """A correction is refused. The message has the reason in one sentence."""
 
     exit_code = 4
     code = "correction"
@@ -42,7 +42,7 @@ def move(visit: Visit, to: Patient, reason: str, by: Person | None) -> Correctio
     An order from the hospital's worklist belongs to the former patient and is not moved.
 
     Raises:
-        CorrectionError: it is already this patient's, or is being measured.
+        CorrectionError: the visit is already this patient's, or is being measured.
         StorageError: the disk is full or refuses.
     """
     _require_idle(visit)
@@ -65,7 +65,7 @@ def redate(visit: Visit, taken_at: datetime.datetime, note: str, reason: str, by
     """Correct a visit's day, time and note.
 
     Raises:
-        CorrectionError: nothing is changed, or it is being measured.
+        CorrectionError: nothing has changed, or the visit is being measured.
         StorageError: the disk is full or refuses.
     """
     _require_idle(visit)
@@ -84,10 +84,10 @@ def merge(kept: Patient, other: Patient, number_of: Patient, reason: str, by: Pe
     """Merge two records of one patient.
 
     Args:
-        kept: keeps name, birthday and pseudonym, and gets the other's visits, operations and consents.
+        kept: keeps its name, birthday and pseudonym, and gets the other's visits, operations and consents.
         other: redirects to `kept` from then on.
-        number_of: the record whose number stays in use.
-        reason: of the merge.
+        number_of: the record whose number remains in use.
+        reason: reason for the merge.
         by: the user.
 
     Raises:
@@ -96,7 +96,7 @@ def merge(kept: Patient, other: Patient, number_of: Patient, reason: str, by: Pe
     """
     if kept.pk == other.pk:
         raise CorrectionError("This is the same record. Choose another one.")
-    for record in sorted((kept, other), key=lambda record: record.pk):  # both are saved completely, so read them now
+    for record in sorted((kept, other), key=lambda record: record.pk):  # all fields are saved, so read again
         record.refresh_from_db(from_queryset=Patient.everything.select_for_update())
     rows: dict[str, list[Any]] = {
         "visits": list(Visit.everything.filter(patient=other)),
@@ -147,7 +147,7 @@ def undo(correction: Correction, by: Person | None) -> None:
     """Undo a correction.
 
     Raises:
-        CorrectionError: it was undone, is too old, or the record was changed again since.
+        CorrectionError: it was already undone, is too old, or the record was changed again since.
         StorageError: the disk is full or refuses.
     """
     row = Correction.objects.select_for_update().get(pk=correction.pk)
@@ -163,19 +163,19 @@ def undo(correction: Correction, by: Person | None) -> None:
 
 
 def newest() -> QuerySet[Correction]:
-    """Corrections that can be undone or were undone, newest first."""
+    """Corrections that can be undone or have been undone, newest first."""
     related = ("visit__patient", "patient__merged_into", "by", "undone_by")
     return Correction.objects.filter(at__gte=oldest()).select_related(*related)
 
 
 def left_in_bin() -> list[Visit | Patient]:
-    """Records that have been in the bin for too long to be restored."""
+    """Records that have been in the bin too long to be restored."""
     visits = Visit.everything.filter(binned_at__lt=oldest()).select_related("patient")
     return [*visits.order_by("binned_at"), *Patient.everything.filter(binned_at__lt=oldest()).order_by("binned_at")]
 
 
 def oldest() -> datetime.datetime:
-    """Earliest time of corrections that can be undone."""
+    """Time before which corrections can no longer be undone."""
     return timezone.now() - datetime.timedelta(days=DAYS)
 
 
@@ -245,7 +245,7 @@ def _date(visit: Visit, values: dict[str, str], by: Person | None) -> None:
 
 
 def _remake(visit: Visit, by: Person | None) -> None:
-    """Make the report again, with the visit's pseudonym and day."""
+    """Make the report again with the visit's current pseudonym and day."""
     queue.carry_subject(visit)
     if not visit.measurements.exists():
         return
@@ -255,7 +255,7 @@ def _remake(visit: Visit, by: Person | None) -> None:
 
 
 def _forget_comparisons(visit: Visit) -> None:
-    """Drop comparisons with the visits of one patient. They are made again when needed."""
+    """Delete comparisons with visits of one patient. They are made again when needed."""
     for other in Visit.everything.filter(patient=visit.patient_id).exclude(pk=visit.pk):
         for pair in ((visit, other), (other, visit)):
             shutil.rmtree(comparison_folder(*pair), ignore_errors=True)
@@ -264,7 +264,7 @@ def _forget_comparisons(visit: Visit) -> None:
 
 
 def _number(kept: Patient, other: Patient, numbers: list[str]) -> None:
-    """Set the numbers of two records, which are unique at any time."""
+    """Set the numbers of two records, which must never be equal."""
     if [kept.record_number, other.record_number] == numbers:
         return
     _set(other, record_number=str(other.pk))
@@ -273,7 +273,7 @@ def _number(kept: Patient, other: Patient, numbers: list[str]) -> None:
 
 
 def _set(row: Model | None, **values: Any) -> None:
-    """Change a row by its own save, so that the audit records it."""
+    """Change a row with its own `save`, so that the audit records it."""
     assert row is not None
     for name, value in values.items():
         setattr(row, name, value)

@@ -1,6 +1,6 @@
-"""Earlier texts of notes about a patient, for people who may read notes.
+"""Earlier versions of notes about a patient, for people who may read notes.
 
-The audit itself has no text.
+The audit itself does not contain the text.
 """
 
 import datetime
@@ -20,7 +20,7 @@ class NoteLine:
     """Subject of the note: the patient, a visit, a consent or an operation."""
     at: datetime.datetime
     who: str
-    """Empty: a command."""
+    """Author. Empty: a command."""
     before: str
     after: str
 
@@ -45,7 +45,7 @@ def history(patient: Patient) -> list[NoteLine]:
 
 
 def texts_of(entry: LogEntry) -> dict[str, tuple[str, str]]:
-    """Text before and after, by field, of an audit entry about a note.
+    """Text before and after a change, by field, for an audit entry about a note.
 
     Only for people who may read notes.
     """

@@ -1,4 +1,4 @@
-"""Operations of a patient on the time line, and fat graft retention."""
+"""A patient's operations on the time line, and retention of injected fat."""
 
 import datetime
 import math
@@ -29,7 +29,7 @@ _PHASES = {
 
 
 def phase_of(visit: Visit, operations: Sequence[Operation]) -> str:
-    """Time of a visit relative to operations: "after the second filling".
+    """Time of a visit relative to operations, such as "after the second filling".
 
     Empty without operations.
     """
@@ -64,7 +64,7 @@ def _short(operation: Operation) -> str:
 
 
 def sides_of(operations: Sequence[Operation], day: datetime.date) -> str:
-    """Sides of surgery until a day, as text. Empty if none is entered."""
+    """Sides that were operated on until a day, as text. Empty if no operation is entered."""
     sides = {operation.side for operation in operations if operation.day <= day}
     if Operation.Side.BOTH in sides or {"left", "right"} <= sides:
         return "both sides"
@@ -72,12 +72,12 @@ def sides_of(operations: Sequence[Operation], day: datetime.date) -> str:
 
 
 _COMPARED = ("measured wall", "named wall", "closed solid")
-"""Definitions of the breast that may be subtracted, because they contain nothing of the unseen chest."""
+"""Definitions of the breast whose volumes may be subtracted, because they include no invisible part of the chest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Retention:
-    """Share of the injected fat that remains at a visit, or the reason for having no figure."""
+    """Share of injected fat that remains at a visit, or the reason for having no figure."""
 
     operation: Operation
     side: str
@@ -86,14 +86,14 @@ class Retention:
     interval_percent: tuple[float, float] | None = None
     """95 % interval, without the uncertainty of the injected volume."""
     why: str = ""
-    """Reason for having no figure, one sentence. Empty: there is one."""
+    """Reason for having no figure, in one sentence. Empty: there is a figure."""
 
 
 def retentions(operations: Sequence[Operation], results: Sequence[VisitResult]) -> list[Retention]:
     """Retention of each fat graft, newest first, by side and visit.
 
     Args:
-        operations: all of one patient.
+        operations: all operations of one patient.
         results: newest measurements of the patient's visits.
     """
     rows = sorted(results, key=lambda result: result.visit.taken_at)
@@ -112,7 +112,7 @@ def retentions(operations: Sequence[Operation], results: Sequence[VisitResult]) 
 def _of_side(
     graft: Operation, side: str, operations: Sequence[Operation], results: Sequence[VisitResult]
 ) -> list[Retention]:
-    """One side of one graft: at each visit until the side is operated on again."""
+    """Retention of one graft on one side, at each visit until that side is operated on again."""
     if not graft.volume_cc:
         return [Retention(operation=graft, side=side, why="The injected volume is not entered.")]
     others = [
@@ -155,11 +155,11 @@ def _retained(
 
 
 def _comparison(before: Visit, after: Visit, side: str) -> tuple[float, tuple[float, float] | None] | None:
-    """Change between two visits and its interval, cc. None if their newest results were not compared."""
+    """Change between two visits and its interval, cc. None if their newest results have no comparison."""
     row = Comparison.objects.filter(before=before, after=after, state=Comparison.State.DONE).first()
     if row is None:
         return None
-    row.before, row.after = before, after  # with their measurements, which are read already
+    row.before, row.after = before, after  # with their measurements, which have been read already
     if not is_current(row):
         return None
     breast = row.table.get("breasts", {}).get(side)
@@ -182,7 +182,7 @@ def _difference(was: SideResult, now: SideResult) -> tuple[float, tuple[float, f
 
 
 def _volume(result: VisitResult, side: str) -> SideResult | None:
-    """One breast in the first definition that may be subtracted. None: it has no such volume."""
+    """One breast's result in the first definition that may be subtracted. None if there is none."""
     rows = [row for breast in result.sides if breast.side == side for row in (breast, *breast.others)]
     ranked = [row for name in _COMPARED for row in rows if row.definition == name and row.volume_cc is not None]
     return ranked[0] if ranked else None

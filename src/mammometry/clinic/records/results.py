@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 Interval = tuple[float, float]
 SIDES = ("left", "right", "model")
 LEADING = ("measured wall", "flat chest", "named wall", "muscle", "closed solid", "any")
-"""Definitions of the breast in the order of preference for a page (docs/decisions/0029)."""
+"""Definitions of the breast, in the order of preference for a page (docs/decisions/0029)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,11 +46,11 @@ class SideResult:
     basis: Basis
     """Basis of the volume."""
     others: tuple[SideResult, ...] = ()
-    """The same breast in the other definitions."""
+    """Results for the same breast with the other definitions."""
 
     @property
     def meaning(self) -> str:
-        """The measured definition of the breast, as text."""
+        """The definition that was measured, in words."""
         return MEANINGS.get(self.definition, self.definition)
 
 
@@ -68,14 +68,14 @@ def latest(visits: Iterable[Visit]) -> list[VisitResult]:
     """Newest measurement of each visit, in the visits' order. Visits without one are left out."""
     results = []
     for visit in visits:
-        measurement = next(iter(visit.measurements.all()), None)  # the newest first
+        measurement = next(iter(visit.measurements.all()), None)  # the newest comes first
         if measurement is not None:
             results.append(visit_result(visit, measurement))
     return results
 
 
 def add_volumes(measurement: Measurement, volumes: Iterable[Volume]) -> None:
-    """Store the volumes of a measurement, and the leading one of each side."""
+    """Store the volumes of a measurement, and mark the leading one of each side."""
     leaders: dict[str, Volume] = {}
     ordered = sorted(volumes, key=lambda volume: (_rank(volume), volume.definition))
     for volume in ordered:
@@ -85,7 +85,7 @@ def add_volumes(measurement: Measurement, volumes: Iterable[Volume]) -> None:
 
 
 def visit_result(visit: Visit, measurement: Measurement) -> VisitResult:
-    """One measurement for pages.
+    """One measurement as shown on pages.
 
     Without numbers if a boundary or landmark has changed since.
     """
@@ -106,7 +106,8 @@ def visit_result(visit: Visit, measurement: Measurement) -> VisitResult:
 def readings(results: Iterable[VisitResult]) -> list[ChartReading]:
     """Volumes for the time line.
 
-    One that is not comparable with the newest of its side is separate, with the reason, and not joined to the others.
+    A volume that is not comparable with the newest one of its side is shown separately, with the reason, and not joined
+    to the others.
     """
     ordered = sorted(results, key=lambda result: result.visit.taken_at)
     measured = [(result.visit, side) for result in ordered for side in result.sides if side.volume_cc is not None]
@@ -129,7 +130,7 @@ def readings(results: Iterable[VisitResult]) -> list[ChartReading]:
 
 
 def age(born: datetime.date | None, at: datetime.date) -> int | None:
-    """Age at a day, in full years."""
+    """Age on a day, in full years."""
     if born is None:
         return None
     return at.year - born.year - ((at.month, at.day) < (born.month, born.day))
@@ -154,13 +155,13 @@ def _side(volume: Volume, rests_on: Basis) -> SideResult:
     )  # fmt: skip
 
 
-_UNKNOWN = TEXTS["sentence"]  # a code of a later version concerns the volumes
-_LARGEST = 64 << 20  # bytes of a report; ours have a few MB
+_UNKNOWN = TEXTS["sentence"]  # codes of a later version are shown with the volumes
+_LARGEST = 64 << 20  # largest report that is read, bytes; ours have a few MB
 
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """Warnings and notes for the volumes."""
+    """Warnings and notes about the volumes."""
 
     warnings: tuple[str, ...]
     """Notices about the numbers."""
@@ -195,13 +196,13 @@ def refusal_picture(visit: Visit, name: str) -> bytes | None:
 
 
 def facts(visit: Visit) -> Facts:
-    """Warnings of the report, without those shown by the visit's state."""
+    """Warnings of the report, without those that the visit's state already shows."""
     path = report_file(visit, "warnings.json")
     try:
         table = {} if path is None else json.loads(path.read_text(encoding="utf-8"))
-        warnings = table if isinstance(table, list) else table["warnings"]  # a list until version 1.0
+        warnings = table if isinstance(table, list) else table["warnings"]  # a list in version 1.0
         sentences = [str(warning) for warning in warnings]
-        notices = table.get("notices") if isinstance(table, dict) else None  # none until version 1.0
+        notices = table.get("notices") if isinstance(table, dict) else None  # not in version 1.0
         codes = list(map(code_of_1_0, sentences)) if notices is None else [str(notice["code"]) for notice in notices]
         lines = list(zip(codes, sentences, strict=True))
     except (OSError, ValueError, TypeError, KeyError):
@@ -214,7 +215,7 @@ def facts(visit: Visit) -> Facts:
 
 
 def sides_doubtful(visit: Visit) -> bool:
-    """Whether left and right of a visit's scan may be exchanged and have not been checked."""
+    """Whether left and right of a visit's scan may be swapped, and nobody has checked it."""
     return visit.is_scan and "sides-doubtful" in facts(visit).codes
 
 
@@ -226,7 +227,7 @@ def scene_of(visit: Visit) -> str | None:
 
 
 def measured_job(visit: Visit) -> Job:
-    """Open a visit whose newest boundaries and landmarks are measured.
+    """Open a visit if its newest boundaries and landmarks have been measured.
 
     Raises:
         SessionError: it has changed since, or must be measured again.
@@ -247,9 +248,9 @@ def measured_job(visit: Visit) -> Job:
 
 
 def rendered_report(visit: Visit) -> RenderedReport:
-    """The report with names, operations, confirmation and conclusions.
+    """The report with the patient's name, operations, confirmation and conclusions.
 
     Raises:
-        MammometryError: as of `measured_job`.
+        MammometryError: as for `measured_job`.
     """
     return measured_job(visit).rendered(clinical_of(visit))

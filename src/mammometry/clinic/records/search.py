@@ -1,4 +1,4 @@
-"""The search for patients, and for existing records."""
+"""Search for patients, and for records that exist already."""
 
 import datetime
 import re
@@ -13,9 +13,9 @@ from mammometry.clinic.models import Patient, Rig, Upload, Visit
 from mammometry.clinic.records.search_words import plain, plain_name, read_query
 
 MANY = 50
-"""Rows that a search shows; more are not read."""
+"""Most rows that a search shows. No more are read."""
 _YEAR = re.compile(r"(?:19|20)\d\d")
-_NEWEST = 8  # patients that are offered before anything is typed
+_NEWEST = 8  # number of patients shown before anything is typed
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +30,8 @@ class PatientMatch:
 def search(text: str) -> QuerySet[Patient]:
     """Patients who match every typed word and date.
 
-    Words are parts of names, record numbers and pseudonyms, in any order. Case, accents and hyphens do not matter. A
-    day, or a year, finds patients born or photographed then.
+    Words may be parts of names, record numbers and pseudonyms, in any order. Case, accents and hyphens are ignored. A
+    day or a year finds patients who were born or photographed then.
     """
     query = read_query(text)
     patients = Patient.objects.all()
@@ -50,7 +50,7 @@ def search(text: str) -> QuerySet[Patient]:
 
 
 def matches(text: str, *, leave_out: Patient | None = None) -> list[PatientMatch]:
-    """The first matches by name, at most one more than `MANY`.
+    """The first matches in order of names, at most one more than `MANY`.
 
     Args:
         text: the search.
@@ -60,7 +60,7 @@ def matches(text: str, *, leave_out: Patient | None = None) -> list[PatientMatch
 
 
 def newest(*, leave_out: Patient | None = None) -> list[PatientMatch]:
-    """The patients who were entered last, shown before a search."""
+    """The patients who were entered last, shown before anything is typed."""
     return _with_visits(_without(Patient.objects.order_by("-created"), leave_out)[:_NEWEST])
 
 
@@ -86,7 +86,7 @@ def _on(days: Iterable[datetime.date]) -> Q:
     return within
 
 
-_CLOCK = datetime.timedelta(minutes=10)  # by which the clock of a browser's computer may be ahead
+_CLOCK = datetime.timedelta(minutes=10)  # how far the clock of a browser's computer may be ahead
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,9 +94,9 @@ class Duplicates:
     """Records that may be of the same patient."""
 
     same_number: Patient | None
-    """The record with this number, apart from case, hyphens and blanks. Numbers are unique."""
+    """The record with this number. Case, hyphens and spaces are ignored. Numbers are unique."""
     same_person: tuple[Patient, ...]
-    """Records with this name, and this birthday or none."""
+    """Records with this name, and with this birthday or without one."""
 
     def __bool__(self) -> bool:
         """Whether there are any duplicates."""
@@ -104,7 +104,7 @@ class Duplicates:
 
 
 def duplicates(patient: Patient) -> Duplicates:
-    """Records that may be of the same patient, including the bin and merged ones."""
+    """Records that may be of the same patient, including merged ones and those in the bin."""
     others = Patient.everything.exclude(pk=patient.pk)
     return Duplicates(
         same_number=next(
@@ -119,9 +119,9 @@ def duplicates(patient: Patient) -> Duplicates:
 
 
 def of_number(record_number: str) -> list[Patient]:
-    """Patients with a record number, apart from case, hyphens and blanks.
+    """Patients with a record number. Case, hyphens and spaces are ignored.
 
-    A merged record gives the one with its visits.
+    For a merged record, the one that has its visits now.
     """
     number = plain(record_number)
     rows = Patient.everything.filter(search_words__contains=number).select_related("merged_into") if number else ()
@@ -129,7 +129,7 @@ def of_number(record_number: str) -> list[Patient]:
 
 
 def same_photographs(visit: Visit) -> list[tuple[Visit, list[str]]]:
-    """Other visits with the same files, with the cameras of this one."""
+    """Other visits that contain the same files, with the cameras of this visit."""
     used = (Upload.State.PLACED, Upload.State.PREPARED)
     own = {row.sha256: row.camera for row in visit.uploads.filter(state__in=used).exclude(sha256="")}
     rows = Upload.objects.filter(sha256__in=own, state__in=used, visit__binned_at=None)
@@ -141,14 +141,14 @@ def same_photographs(visit: Visit) -> list[tuple[Visit, list[str]]]:
 
 
 def elsewhere(other: Visit, cameras: Sequence[str]) -> str:
-    """Sentence on photographs that are also in another visit."""
+    """Sentence about photographs that another visit contains, too."""
     names = ", ".join(sorted({camera.replace("_", " ") for camera in cameras}))
     which = f"the visit of {_day(other.taken_at)} of {isolated(other.patient.name)}"
     return f"The same photograph{'s are' if len(cameras) > 1 else ' is'} also in {which}: {names}."
 
 
 def date_questions(taken_at: datetime.datetime, rig: Rig | None) -> list[str]:
-    """Questions on an unusual day of a visit."""
+    """Questions to ask about a visit on an unusual day."""
     now = timezone.now()
     if taken_at > now + _CLOCK:
         return [f"This visit is in the future: today is {_day(now)}. Is the day right?"]
@@ -168,5 +168,5 @@ def _born(born: datetime.date | None) -> Q:
 
 
 def _names(patient: Patient) -> frozenset[str]:
-    """Both names, whichever stands first."""
+    """Both names, regardless of their order."""
     return frozenset({plain_name(patient.family_name), plain_name(patient.given_name)})

@@ -1,4 +1,4 @@
-"""Normalising names, numbers and days for the search."""
+"""Normalise names, numbers and days for the search."""
 
 import datetime
 import re
@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 _PLAIN = str.maketrans({"ø": "o", "ł": "l", "đ": "d", "ð": "d", "þ": "th", "æ": "ae", "œ": "oe", "ı": "i", "ħ": "h"})
-"""Letters that Unicode does not split into a letter and its accent."""
+"""Letters that Unicode does not decompose into a letter and its accent."""
 _SPELT_OUT = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "å": "aa", "ø": "oe"})
 _MONTHS = {
     name: number
@@ -36,25 +36,25 @@ _DATES = tuple(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Query:
-    """A search, split into words and days."""
+    """A search, separated into words and days."""
 
     days: tuple[tuple[frozenset[datetime.date], str], ...]
-    """Days with all their meanings (a year of two digits has two), and as they may occur in a number."""
+    """Days with all their meanings (a year of two digits has two), and their digits as they may occur in a number."""
     words: tuple[str, ...]
 
 
 def plain(text: str) -> str:
-    """Only letters and digits, without case and accents."""
+    """Only the letters and digits, without case and accents."""
     return "".join(filter(str.isalnum, _without_accents(text)))
 
 
 def plain_name(name: str) -> str:
-    """A name in which umlauts equal their spellings: Müller, Mueller."""
+    """A name in which umlauts and their spellings are the same: Müller, Mueller."""
     return re.sub("(?<=[aou])e", "", plain(name.casefold().translate(_SPELT_OUT)))
 
 
 def words_of(texts: Iterable[str]) -> str:
-    """All search words of a record, separated by blanks.
+    """All search words of a record, separated by spaces.
 
     Args:
         texts: names and numbers.
@@ -68,7 +68,7 @@ def words_of(texts: Iterable[str]) -> str:
 
 
 def read_query(text: str) -> Query:
-    """Separate days and words of a search."""
+    """Separate the days and words of a search."""
     days: list[tuple[frozenset[datetime.date], str]] = []
     for form in _DATES:
         for match in form.finditer(text):
@@ -84,7 +84,7 @@ def _meanings(day: str, month: str, year: str) -> frozenset[datetime.date]:
     years = [int(year)] if len(year) == 4 else [1900 + int(year), 2000 + int(year)]
     days = set()
     for full_year in years:
-        for month_number, other in ((number, int(day)), (int(day), number)):  # 05/14/1979 has its month first
+        for month_number, other in ((number, int(day)), (int(day), number)):  # in 05/14/1979 the month comes first
             try:
                 days.add(datetime.date(full_year, month_number, other))
                 break

@@ -1,4 +1,4 @@
-"""Filters and tags of the clinic's pages: navigation, banner, numbers and verdicts as text."""
+"""Filters and tags for the clinic's pages: navigation, banner, numbers and verdicts as text."""
 
 import datetime
 import re
@@ -36,8 +36,8 @@ register = template.Library()
 
 @register.inclusion_tag("clinic/banner.html")
 def banner(patient: Patient, visit: Visit | None = None) -> dict[str, Any]:
-    """The patient's banner, with the visit's photographs in small."""
-    by_rig = visit is not None and visit.rig_id is not None  # those of a telephone are deleted when they are prepared
+    """The patient's banner, with thumbnails of the visit's photographs."""
+    by_rig = visit is not None and visit.rig_id is not None  # telephone photographs are deleted when they are prepared
     shots = () if visit is None or not by_rig else visit.uploads.filter(state=Upload.State.PLACED).order_by("camera")
     return {
         **patient_facts(patient),
@@ -48,7 +48,7 @@ def banner(patient: Patient, visit: Visit | None = None) -> dict[str, Any]:
 
 @register.inclusion_tag("clinic/patient_facts.html")
 def patient_facts(patient: Patient) -> dict[str, Any]:
-    """Birthday, numbers and sides of surgery of a patient."""
+    """Birthday, numbers and operated sides of a patient."""
     today = timezone.localdate()
     surgery = sides_of(list(patient.operations.all()), today)
     return {"patient": patient, "age": age(patient.born, today), "surgery": surgery}
@@ -56,49 +56,49 @@ def patient_facts(patient: Patient) -> dict[str, Any]:
 
 @register.filter
 def camera_words(camera: str) -> str:
-    """Name of a camera as a title: "Front left"."""
+    """Name of a camera as a title, such as "Front left"."""
     return camera.replace("_", " ").capitalize()
 
 
 @register.filter
 def isolated(person: object) -> str:
-    """A person's name within a line, isolated so that a right-to-left name does not reorder the rest."""
+    """A person's name, isolated so that a right-to-left name does not reorder the line around it."""
     return letters.isolated(str(person))
 
 
 @register.filter
 def length_mm(value: Length | None) -> str:
-    """A length in mm with its interval: "212.3 ± 4.1"."""
+    """A length in mm with its interval, such as "212.3 ± 4.1"."""
     return _breaking_once(length_words(value))
 
 
 @register.filter
 def signed_length_mm(value: Length | None) -> str:
-    """A difference of lengths: "+4.2 ± 2.8"."""
+    """A difference of lengths, such as "+4.2 ± 2.8"."""
     return _breaking_once(length_words(value, sign=True))
 
 
 def _breaking_once(words: str) -> str:
-    """On a phone the line breaks before the sign, not after it."""
+    """Let a line on a phone break before the sign, not after it."""
     return words.replace("± ", "±\u00a0")
 
 
 @register.filter
 def whole_percent(value: float) -> str:
-    """A percentage without decimals: "62 %"."""
+    """A percentage without decimals, such as "62 %"."""
     return f"{value:.0f} %".replace("-", "−")
 
 
 @register.simple_tag
 def change_since_the_visit_before(visit: Visit) -> ComparisonVerdict | None:
-    """The verdict against the previous visit. None: there is none."""
+    """Verdict on the change since the previous visit. None if there is none."""
     pair = next((pair for pair in comparing.neighbours(visit) if pair[1] == visit), None)
     return None if pair is None else queued(comparing.verdict(*pair))
 
 
 @register.simple_tag
 def changes_of(patient: Patient) -> list[ComparisonVerdict]:
-    """The verdicts from visit to visit, newest first."""
+    """Verdicts on the changes between visits, newest first."""
     visits = Visit.objects.filter(patient=patient).prefetch_related("measurements__volumes")
     return [queued(verdict) for verdict in comparing.changes(visits)]
 
@@ -117,7 +117,7 @@ def length_alone(length: dict[str, Any], date: str) -> str:
 
 
 def queued(verdict: ComparisonVerdict) -> ComparisonVerdict:
-    """Queue a verdict's comparison if it is due, and return the verdict."""
+    """Queue the comparison of a verdict if it is due. Return the verdict."""
     if verdict.state != "busy":
         return verdict
     queue.compare(verdict.before, verdict.after, None)
@@ -149,7 +149,7 @@ _INSTEAD = (
 
 @register.filter(is_safe=True)
 def on_pages(sentence: str) -> str:
-    """A message for the clinic's users, with pages and fields instead of commands and options.
+    """A message for the clinic's users: pages and fields instead of commands and options.
 
     >>> on_pages("front_left.jpg: found a truncated image, expected the whole file. Copy it again.")
     'front_left.jpg: a truncated image. Expected: the whole file. Copy it again.'
@@ -167,7 +167,7 @@ _MENU = {
     Role.RESEARCHER: ("study",),
     Role.ADMINISTRATOR: ("administration", "rigs"),
 }
-"""Role → names of its pages in the menu, most used first. A person with several roles sees each once."""
+"""Role → names of its pages in the menu, most used first. A person with several roles sees each page once."""
 _TITLES = {
     "home": "Today", "patients": "Patients", "worklist": "Worklist", "rigs": "Rigs", "jobs-page": "Jobs",
     "study": "Study", "administration": "Administration", "corrections": "Corrections", "help": "Help",
@@ -183,7 +183,7 @@ _ADMINISTRATION = (
     ("erase", "Erase"),
     ("settings", "Settings"),
 )
-"""Name → title of the administrators' pages, which are tabs."""
+"""Name → title of the administrators' pages, which are shown as tabs."""
 _CHIPS = {
     "new": ("", "photographs missing"),
     "uploading": ("", "photographs missing"),
@@ -215,7 +215,7 @@ class Place:
 
 @register.simple_tag(takes_context=True)
 def ways(context: Any) -> list[Place]:
-    """The pages that this person may open, the role's most used first."""
+    """Menu entries of the pages that this person may open, most used first."""
     request: HttpRequest = context["request"]
     person: Any = request.user
     names = dict.fromkeys(name for role, pages in _MENU.items() if person.has_role(role) for name in pages)
@@ -228,13 +228,13 @@ def ways(context: Any) -> list[Place]:
 
 @register.simple_tag(takes_context=True)
 def administration_ways(context: Any) -> list[Place]:
-    """The administrators' pages."""
+    """Tabs of the administrators' pages."""
     return _places(context["request"], _ADMINISTRATION)
 
 
 @register.simple_tag(takes_context=True)
 def may(context: Any, name: str, *parameters: Any) -> bool:
-    """Whether this person may open a page. Links to others are not shown."""
+    """Whether this person may open a page. Links to other pages are not shown."""
     return allowed(context["request"], reverse(name, args=parameters))
 
 
@@ -246,7 +246,7 @@ def software() -> str:
 
 @register.inclusion_tag("clinic/chip.html")
 def chip(state: str) -> dict[str, str]:
-    """A state as a word and a colour."""
+    """A state as a word with a colour."""
     kind, words = _CHIPS.get(str(state), ("", str(state)))
     return {"kind": kind, "words": words}
 
@@ -265,7 +265,7 @@ def signed_cc(value: float | None) -> str:
 
 @register.simple_tag
 def rounding_note(result: VisitResult) -> str:
-    """Reason why the printed difference differs from that of the printed volumes. Empty: it does not."""
+    """Reason why a printed difference differs from that of the printed volumes. Empty if it does not."""
     values = [side.volume_cc for side in (*result.sides, result.difference) if side is not None]
     if len(values) != 3 or None in values:
         return ""
@@ -312,7 +312,7 @@ def role_names(values: list[str]) -> str:
 
 @register.filter
 def day(at: datetime.datetime | datetime.date | None) -> str:
-    """An unambiguous date: 3 Nov 2026."""
+    """An unambiguous date, such as 3 Nov 2026."""
     if at is None:
         return "–"
     local = timezone.localtime(at) if isinstance(at, datetime.datetime) else at
@@ -327,7 +327,7 @@ def moment(at: datetime.datetime | None) -> str:
 
 @register.inclusion_tag("clinic/time_line.html")
 def volumes_over_time(readings: list[ChartReading], events: list[ChartEvent], words: str) -> dict[str, Any]:
-    """Volumes with their intervals over dates, for narrow and for wide screens."""
+    """Chart of volumes with their intervals over dates, for narrow and wide screens."""
     charts = [
         ("narrow", time_line(readings, width=340, height=250, events=events)),
         ("broad", time_line(readings, width=760, height=300, events=events)),
@@ -345,9 +345,9 @@ def allowed(request: HttpRequest, address: str) -> bool:
     return access.roles is None or not access.roles.isdisjoint(getattr(request.user, "roles", ()))
 
 
-@lru_cache(maxsize=1000)  # each page asks for every entry of its menu
+@lru_cache(maxsize=1000)  # each page checks every entry of its menu
 def _access(address: str) -> Access | None:
-    """Who may open an address. None if no view of the clinic's own is there."""
+    """Who may open an address. None if the clinic has no view for it."""
     found: Access | None = getattr(resolve(address).func, "access", None)
     return found
 

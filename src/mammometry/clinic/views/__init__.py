@@ -1,1 +1,1 @@
-"""Pages and their requests."""
+"""Views of the clinic: its pages and their requests."""

@@ -1,4 +1,4 @@
-"""Administrators' pages: overview, people, the audit, backups, the disk, erasure."""
+"""Administrators' pages: overview, people, audit, backups, disk, erasure."""
 
 import datetime
 import uuid
@@ -32,7 +32,7 @@ from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.responses import download, person_of
 from mammometry.clinic.views.today import first_day_of
 
-_DAYS = 7  # of failed logins and refused pages
+_DAYS = 7  # number of days of failed logins and refused pages
 
 
 def overview(request: HttpRequest) -> HttpResponse:
@@ -73,7 +73,7 @@ class AuditForm(forms.Form):
     until = forms.DateField(label="Until", required=False, widget=forms.DateInput(attrs={"type": "date"}))
 
     def chosen(self) -> AuditFilter:
-        """Return the filter. An invalid form filters nothing."""
+        """The filter. An invalid form filters nothing."""
         values: dict[str, Any] = self.cleaned_data if self.is_valid() else {}
         person = values.get("person")
         return AuditFilter(
@@ -86,7 +86,7 @@ class AuditForm(forms.Form):
 
 
 def _within(day: datetime.date | None) -> datetime.date | None:
-    """A day within a clinic's possible dates."""
+    """Limit a day to a clinic's possible dates."""
     last = timezone.localdate() + datetime.timedelta(days=1)
     return None if day is None else min(max(day, FIRST_DAY), last)
 
@@ -123,11 +123,11 @@ def audit_entry(request: HttpRequest, entry: int) -> HttpResponse:
 
 
 def _is_number(text: str) -> bool:
-    return text.isascii() and text.isdigit() and len(text) < 19  # a 64-bit key has at most 19 digits
+    return text.isascii() and text.isdigit() and len(text) < 19  # 64-bit keys have at most 19 digits
 
 
 def erase(request: HttpRequest) -> HttpResponse:
-    """Ask for a pseudonym, show what will be deleted, and erase it when the pseudonym is typed again."""
+    """Ask for a pseudonym, show what would be deleted, and erase it when the pseudonym is typed again."""
     typed = (request.POST if request.method == "POST" else request.GET).get("pseudonym", "").strip().upper()
     patient = Patient.everything.filter(pseudonym=typed, merged_into=None).first() if typed else None
     context: dict[str, Any] = {"typed": typed}
@@ -149,7 +149,7 @@ def erase(request: HttpRequest) -> HttpResponse:
 
 
 def what_goes(patient: Patient) -> dict[str, Any]:
-    """Deleted and remaining data of a patient."""
+    """Data of a patient that erasing deletes, and data that remain."""
     remove_leftovers(the_clinic())
     rows = rows_of(patient)
     visits = [row for row in rows if isinstance(row, Visit)]
@@ -163,11 +163,11 @@ def what_goes(patient: Patient) -> dict[str, Any]:
     }
 
 
-_LINK = "invitation"  # session key of a link until it is shown
+_LINK = "invitation"  # session key of a link that has not been shown yet
 
 
 def people(request: HttpRequest) -> HttpResponse:
-    """All people, those who may log in first."""
+    """All people, first those who may log in."""
     with_factor = set(Authenticator.objects.filter(type=Authenticator.Type.TOTP).values_list("user_id", flat=True))
     rows = [(person, person.pk in with_factor) for person in Person.objects.order_by("-is_active", "username")]
     return render(request, "clinic/people.html", {"rows": rows})
@@ -195,7 +195,7 @@ def person_edit(request: HttpRequest, person: uuid.UUID) -> HttpResponse:
     waiting = request.session.pop(_LINK, {})
     context = {
         "form": form,
-        "person": get_object_or_404(Person, pk=person),  # as saved, because the form changes its own
+        "person": get_object_or_404(Person, pk=person),  # as saved, because the form changes its own instance
         "link": waiting.get("link") if waiting.get("person") == str(shown.pk) else None,
         "second_factor": Authenticator.objects.filter(user=shown, type=Authenticator.Type.TOTP).exists(),
     }
@@ -219,7 +219,7 @@ def reset_second_factor(request: HttpRequest, person: uuid.UUID) -> HttpResponse
 
 @require_POST
 def let_in(request: HttpRequest, person: uuid.UUID) -> HttpResponse:
-    """Remove the lock after wrong passwords."""
+    """Remove a lock after wrong passwords."""
     shown = get_object_or_404(Person, pk=person)
     reset(username=shown.username)
     messages.success(request, f"{shown} may try again.")
@@ -233,7 +233,7 @@ def _with_link(request: HttpRequest, person: Person) -> HttpResponse:
 
 
 def settings(request: HttpRequest) -> HttpResponse:
-    """Settings from clinic.toml, without secrets."""
+    """Settings of clinic.toml, without secrets."""
     database = "SQLite, in the clinic's folder" if the_clinic().database == "sqlite" else "PostgreSQL"
     return render(request, "clinic/settings.html", {"clinic": the_clinic(), "database": database})
 
@@ -271,5 +271,5 @@ def _begun(request: HttpRequest, kind: Job.Kind, sentence: str) -> HttpResponse:
 
 
 def _is_busy() -> bool:
-    """Whether a backup or a restore test is at work, also one that a command began, or is due."""
+    """Whether a backup or restore test is due or running, also if a command started it."""
     return state_of(the_clinic()).at_work or queue.is_busy(Job.Kind.BACKUP, Job.Kind.RESTORE)

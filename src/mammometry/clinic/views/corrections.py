@@ -1,4 +1,4 @@
-"""Pages for correcting records, and for undoing it."""
+"""Pages for correcting records and undoing corrections."""
 
 import uuid
 from collections.abc import Callable
@@ -26,7 +26,7 @@ _NOTHING_LOST = f"Nothing is lost: you can undo this for {records.DAYS} days und
 
 
 class ReasonForm(forms.Form):
-    """Reason of a correction."""
+    """Reason for a correction."""
 
     reason = forms.CharField(
         label="Reason", max_length=500, widget=forms.Textarea(attrs={"rows": 2}),
@@ -35,7 +35,7 @@ class ReasonForm(forms.Form):
 
 
 class VisitReasonForm(RecordForm, ReasonForm):
-    """Reason for moving a visit or putting it into the bin, with the version seen."""
+    """Reason for moving a visit or putting it into the bin, with the version that the user saw."""
 
     watched = ("patient", "taken_at")
 
@@ -45,7 +45,7 @@ class VisitReasonForm(RecordForm, ReasonForm):
 
 
 class PatientReasonForm(RecordForm, ReasonForm):
-    """Reason for putting a patient's record into the bin, with the version seen."""
+    """Reason for putting a patient's record into the bin, with the version that the user saw."""
 
     watched = ("family_name", "given_name", "born", "record_number")
 
@@ -55,7 +55,7 @@ class PatientReasonForm(RecordForm, ReasonForm):
 
 
 class DateForm(RecordForm, ReasonForm):
-    """The right day, time and note of a visit."""
+    """Correct day, time and note of a visit."""
 
     questions: tuple[str, ...] = ()
     field_order = ("taken_at", "note", "reason")
@@ -67,7 +67,7 @@ class DateForm(RecordForm, ReasonForm):
         widgets = {"taken_at": DAY_AND_TIME, "note": forms.Textarea(attrs={"rows": 3})}  # noqa: RUF012
 
     def clean(self) -> dict[str, Any]:
-        """Ask about an unusual day."""
+        """Ask the user to confirm an unusual day."""
         values: dict[str, Any] = super().clean() or {}
         ask_about_day(self, self.instance.rig)
         return values
@@ -121,7 +121,7 @@ def visit_move(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 def visit_date(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     """Correct a visit's day, time and note."""
     form = DateForm(request.POST or None, instance=visit_or_404(visit))
-    unchanged = visit_or_404(visit)  # read after the form has locked the row and changed it in memory
+    unchanged = visit_or_404(visit)  # the form changes the locked row in memory, so it is read again
     facts = ["If the day changes, the report is made again. The numbers do not change.", _NOTHING_LOST]
     context = {**_of_visit(unchanged), "heading": "Correct date and note", "facts": facts, "act": "Save"}
 
@@ -195,7 +195,7 @@ def patient_bin(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
 
 
 def corrections(request: HttpRequest) -> HttpResponse:
-    """Recent corrections that can be undone, and for administrators older contents of the bin."""
+    """Recent corrections that can be undone. Administrators also see older contents of the bin."""
     person = person_of(request)
     context: dict[str, Any] = {"days": records.DAYS}
     if person.has_role(*CARE):
@@ -222,11 +222,11 @@ def correction_undo(request: HttpRequest, correction: uuid.UUID) -> HttpResponse
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """A correction as the page shows it."""
+    """A correction as shown on the page."""
 
     correction: Correction
     words: str
-    """Subject, and value before and after."""
+    """Subject, and values before and after."""
 
 
 def _lines(rows: list[Correction]) -> list[_Line]:
@@ -257,7 +257,7 @@ def _carried_out(
     done: str,
     goes_on: str,
 ) -> HttpResponse:
-    """Show a form, and make the correction when it is filled in."""
+    """Show a form. When it is submitted and valid, make the correction."""
     if request.method == "POST" and form.is_valid():
         try:
             act()

@@ -1,4 +1,4 @@
-"""The hospital's systems: deliveries to archives, and the worklist."""
+"""Connections to the hospital's systems: deliveries to archives, and the worklist."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from mammometry.hospital.dicom.worklist import Worklist, WorklistEntry
 
 
-_SHOWN = 100  # newest deliveries
+_SHOWN = 100  # number of newest deliveries on the page
 
 
 class DestinationForm(RecordForm):
@@ -90,7 +90,7 @@ class DestinationForm(RecordForm):
 
 
 def destinations(request: HttpRequest) -> HttpResponse:
-    """Page of all archives."""
+    """All archives."""
     return render(request, "clinic/destinations.html", {"destinations": Destination.objects.all()})
 
 
@@ -167,7 +167,7 @@ def _key(text: str) -> uuid.UUID:
 
 @dataclass(frozen=True, slots=True)
 class WorklistLine:
-    """One entry as the page shows it."""
+    """A worklist entry as shown on the page."""
 
     worklist: Destination
     entry: WorklistEntry
@@ -176,7 +176,7 @@ class WorklistLine:
 
 
 def worklist(request: HttpRequest) -> HttpResponse:
-    """Today's entries of all worklists, or a visit from one."""
+    """Show today's entries of all worklists, or start a visit from one."""
     if request.method == "POST":
         return _begun(request)
     lines = []
@@ -194,7 +194,7 @@ def worklist(request: HttpRequest) -> HttpResponse:
 
 
 def _begun(request: HttpRequest) -> HttpResponse:
-    """Start a visit from an entry, which is queried again. Nothing of it is taken from the page."""
+    """Start a visit from an entry, which is queried again, so that nothing is taken from the page."""
     source = get_object_or_404(_sources(), pk=_key(request.POST.get("worklist", "")))
     rig = get_object_or_404(Rig.objects.filter(active=True), pk=_key(request.POST.get("rig", "")))
     accession, number = request.POST.get("accession", ""), request.POST.get("patient", "")
@@ -260,13 +260,13 @@ def _patient(entry: WorklistEntry) -> Patient:
 
 
 def _is_same(known: Patient, listed: Patient) -> bool:
-    """Whether this record number has the same name and birthday in the clinic."""
+    """Whether the clinic's record with this number has the same name and birthday."""
     same_day = None in (known.born, listed.born) or known.born == listed.born
     return same_day and plain_name(known.family_name) == plain_name(listed.family_name)
 
 
 def _names(entry: WorklistEntry) -> tuple[str, str]:
-    group = next(filter(None, entry.patient.name.split("=")), "")  # the others write the same name in other letters
+    group = next(filter(None, entry.patient.name.split("=")), "")  # other groups write the same name in other scripts
     family, _, others = group.partition("^")
     return family.strip(), others.partition("^")[0].strip()
 

@@ -1,4 +1,4 @@
-"""Jobs: queue, cancel, retry and follow them."""
+"""Requests about jobs: queue, cancel, retry and follow them."""
 
 from collections.abc import AsyncIterator
 from uuid import UUID
@@ -14,7 +14,7 @@ from mammometry.clinic.roles import CARE
 from mammometry.clinic.views.responses import json_body, json_view, require_care, visit_or_404
 from mammometry.web.replies import Refused
 
-_MOST = 200  # jobs on one page
+_MOST = 200  # most jobs in one answer
 
 
 @json_view("POST")
@@ -37,7 +37,7 @@ def check(request: HttpRequest, check: UUID) -> HttpResponseBase:
 
 @json_view("GET")
 def many(request: HttpRequest) -> HttpResponseBase:
-    """The newest jobs, or all that are open."""
+    """The newest jobs, or all unfinished ones."""
     rows = (
         queue.of_visits_in_use()
         .select_related("visit__patient", "comparison__after__patient", "calibration", "check_of_day")
@@ -75,7 +75,7 @@ def retry(request: HttpRequest, job: UUID) -> HttpResponseBase:
 
 
 async def stream(request: HttpRequest) -> HttpResponseBase:
-    """Jobs as they change, as server-sent events."""
+    """Changes of jobs, as server-sent events."""
     about = {}
     for name, field in (("visit", "target"), ("calibration", "target"), ("check", "target"), ("job", "id")):
         if text := request.GET.get(name):

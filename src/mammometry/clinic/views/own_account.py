@@ -1,4 +1,4 @@
-"""Pages of one's own account that replace those of the login library."""
+"""Pages about the user's own account that replace those of the login library."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from mammometry.clinic.views.responses import person_of
 
 
 def enter_code(request: HttpRequest) -> HttpResponseBase:
-    """Ask for the second factor's code at the login.
+    """Ask for the second factor's code at login.
 
     If the factor was reset in the meantime, the login starts again with the password. The library's page would redirect
-    to the login page and back for ever.
+    to the login page and back forever.
     """
     stage = LoginStageController.enter(request, AuthenticateStage.key)
     if stage is not None and not is_mfa_enabled(stage.login.user):
@@ -28,7 +28,7 @@ def enter_code(request: HttpRequest) -> HttpResponseBase:
 
 
 def change_password(request: HttpRequest) -> HttpResponse:
-    """Change one's own password, unless the hospital's own login keeps it."""
+    """Change the user's own password, unless the hospital's login manages it."""
     if not person_of(request).has_usable_password():
         about = {"title": "No password here", "sentence": "You log in with the hospital’s own login. Change it there."}
         return render(request, "clinic/refusal.html", about)

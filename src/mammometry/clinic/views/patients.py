@@ -1,4 +1,4 @@
-"""Patients: search, identity, visits, and clinical entries."""
+"""Pages of patients: search, identity, visits, and clinical data."""
 
 import uuid
 from collections.abc import Callable
@@ -19,7 +19,7 @@ from mammometry.clinic.views.responses import form_page, person_of
 
 
 def is_part(request: HttpRequest) -> bool:
-    """Whether the page's script asks only for its rows."""
+    """Whether the page's script requests only the rows."""
     return request.headers.get("HX-Request") == "true"
 
 
@@ -27,8 +27,8 @@ def search_context(request: HttpRequest, *, choosing: bool = False, leave_out: P
     """Context of ``patient_search.html``. The audit records the shown patients.
 
     Args:
-        request: with the search ``q``.
-        choosing: whether a row returns to this page with the patient; otherwise it opens the patient's page.
+        request: its parameter ``q`` is the search.
+        choosing: whether a row returns to this page with the patient. Otherwise it opens the patient's page.
         leave_out: a patient to exclude.
     """
     text = " ".join(request.GET.get("q", "")[:100].split())
@@ -44,7 +44,7 @@ def search_context(request: HttpRequest, *, choosing: bool = False, leave_out: P
 
 
 def chosen_patient(request: HttpRequest, *, leave_out: Patient | None = None) -> Patient | None:
-    """The chosen patient. None: not chosen yet.
+    """The chosen patient. None if none is chosen yet.
 
     Raises:
         Http404: there is no such patient.
@@ -62,7 +62,7 @@ def chosen_patient(request: HttpRequest, *, leave_out: Patient | None = None) ->
 
 
 def leads_on(view: Callable[..., HttpResponseBase]) -> Callable[..., HttpResponseBase]:
-    """A page of a patient that redirects from a merged record."""
+    """Decorate a page of a patient, so that it redirects from merged records."""
 
     @wraps(view)
     def lead(request: HttpRequest, *args: Any, **kwargs: Any) -> HttpResponseBase:
@@ -79,7 +79,7 @@ def leads_on(view: Callable[..., HttpResponseBase]) -> Callable[..., HttpRespons
 
 
 def patients(request: HttpRequest) -> HttpResponse:
-    """All patients, or those found by a search."""
+    """All patients, or those who match a search."""
     page = "clinic/patients_rows.html" if is_part(request) else "clinic/patients.html"
     return render(request, page, search_context(request))
 
@@ -147,7 +147,7 @@ def operation_edit(request: HttpRequest, operation: uuid.UUID) -> HttpResponse:
 
 
 def operation_remove(request: HttpRequest, operation: uuid.UUID) -> HttpResponse:
-    """Remove an operation that was entered by mistake. The audit keeps it."""
+    """Remove an operation that was entered by mistake. It remains in the audit."""
     row = get_object_or_404(Operation, pk=operation)
     patient = row.patient_id
     if request.method == "POST" and OperationRemovalForm(request.POST, instance=row).is_valid():
@@ -166,7 +166,7 @@ def consent_new(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
 
 
 def consent_edit(request: HttpRequest, consent: uuid.UUID) -> HttpResponse:
-    """Enter that a consent was withdrawn, or correct it."""
+    """Enter the withdrawal of a consent, or correct it."""
     row = get_object_or_404(Consent.objects.select_related("patient"), pk=consent)
     form = WithdrawalForm(request.POST or None, instance=row)
     heading = f"Consent: {row.get_purpose_display().lower()}"

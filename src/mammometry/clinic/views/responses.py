@@ -1,4 +1,4 @@
-"""Shared helpers of views: the person, JSON for programs, pages for errors."""
+"""Functions shared by views: the logged-in person, JSON for scripts, error pages."""
 
 import errno
 import json
@@ -33,7 +33,7 @@ from mammometry.web.replies import Refused
 
 
 def json_view(*methods: str) -> Callable[[Callable[..., HttpResponseBase]], Callable[..., HttpResponseBase]]:
-    """A view of the given methods, with errors as JSON."""
+    """Decorate a view that allows the given methods and answers errors as JSON."""
 
     def wrapped(view: Callable[..., HttpResponseBase]) -> Callable[..., HttpResponseBase]:
         @wraps(view)
@@ -55,7 +55,7 @@ def json_view(*methods: str) -> Callable[[Callable[..., HttpResponseBase]], Call
 
 
 def json_body(request: HttpRequest) -> dict[str, Any]:
-    """The request's JSON. Empty if it has none.
+    """The request's JSON object. Empty if there is none.
 
     Raises:
         Refused: it is not a JSON object.
@@ -72,10 +72,10 @@ def json_body(request: HttpRequest) -> dict[str, Any]:
 
 
 def text_of(table: dict[str, Any], name: str, *, most: int = 200) -> str:
-    """A text of the request. Empty if there is none.
+    """A text value of the request. Empty if it is missing.
 
     Raises:
-        Refused: it is not a text, or too long.
+        Refused: it is not a text, or is too long.
     """
     value = table.get(name)
     if value is None:
@@ -86,11 +86,11 @@ def text_of(table: dict[str, Any], name: str, *, most: int = 200) -> str:
 
 
 def require_care(request: HttpRequest, target: object) -> None:
-    """Refuse patients' data to people who only manage rigs, and the bin to everybody.
+    """Refuse patients' data to people who only manage rigs, and visits in the bin to everybody.
 
     Raises:
-        PermissionDenied: it is a visit or a comparison, and this person may not see patients.
-        Http404: it is a visit in the bin.
+        PermissionDenied: the target is a visit or a comparison, and this person may not see patients.
+        Http404: the target is a visit in the bin.
     """
     if isinstance(target, Visit | Comparison) and not request.user.has_role(*CARE):  # type: ignore[union-attr]  # logged in
         raise PermissionDenied
@@ -99,11 +99,11 @@ def require_care(request: HttpRequest, target: object) -> None:
 
 
 def require_photographer(request: HttpRequest, target: object) -> None:
-    """Refuse changes of the board's photographs without the role, and as `require_care` does.
+    """Refuse changes of a board's photographs to people without the role. Includes `require_care`.
 
     Raises:
-        PermissionDenied: it is of a calibration or daily check, and this person does not manage rigs.
-        Http404: it is a visit in the bin.
+        PermissionDenied: the target is a calibration or daily check, and this person does not manage rigs.
+        Http404: the target is a visit in the bin.
     """
     require_care(request, target)
     if isinstance(target, Calibration | DailyCheck) and not request.user.has_role(*RIGS):  # type: ignore[union-attr]  # logged in
@@ -119,7 +119,7 @@ def visit_or_404(key: UUID) -> Visit:
 def form_page(
     request: HttpRequest, template: str, form: Any, done: str, goes_on: Callable[[Any], HttpResponse], **context: object
 ) -> HttpResponse:
-    """A page with the form of one row. A valid form is saved and redirects."""
+    """A page with the form of one row. A valid form is saved, and the page redirects."""
     if request.method == "POST" and form.is_valid():
         row = form.save()
         messages.success(request, done)
@@ -128,7 +128,7 @@ def form_page(
 
 
 def stale_page(request: HttpRequest, form: RecordForm) -> HttpResponse:
-    """Answer 409: somebody else changed the record. Shows both versions, field by field."""
+    """Answer 409: another person changed the record. Shows both versions, field by field."""
     row: Any = form.instance
     row = getattr(row, "visit", row)  # of a conclusion
     about = {
@@ -145,14 +145,14 @@ def download(content: bytes | str, name: str, content_type: str) -> HttpResponse
 
 
 def sealed_page(page: bytes) -> HttpResponse:
-    """A report's page, sandboxed from the clinic's."""
+    """A report's page, isolated from the clinic's by a sandbox."""
     headers = {"Content-Security-Policy": report_policy(page)}
     return HttpResponse(page, content_type="text/html; charset=utf-8", headers=headers)
 
 
 _LOG = logging.getLogger(__name__)
 _DISK_FULL = "53100"
-"""PostgreSQL's SQLSTATE of a full disk. Its messages are in the server's language."""
+"""PostgreSQL's SQLSTATE for a full disk. Its messages are in the server's language."""
 
 
 def _page(request: HttpRequest, status: int, title: str, sentence: str) -> HttpResponse:
@@ -162,19 +162,19 @@ def _page(request: HttpRequest, status: int, title: str, sentence: str) -> HttpR
 
 
 def bad_request(request: HttpRequest, exception: Exception | None = None) -> HttpResponse:
-    """Page for 400: the request cannot be read."""
+    """Answer 400: the request is malformed."""
     return _page(request, 400, "This request cannot be read", "Go back and try again.")
 
 
 def forbidden(request: HttpRequest, exception: Exception | None = None) -> HttpResponse:
-    """403: logged in, without the role. Recorded in the audit."""
+    """Answer 403: the person is logged in, without the required role. Recorded in the audit."""
     record_refusal(request)
     sentence = "Your role does not open this page. Ask the clinic's administrator if it should."
     return _page(request, 403, "Not for your role", sentence)
 
 
 def missing(request: HttpRequest, exception: Exception | None = None) -> HttpResponse:
-    """Page for 404: the address is unknown, or its record is in the bin."""
+    """Answer 404: the address is unknown, or its record is in the bin."""
     if _is_in_bin(request):
         sentence = "This is in the bin. For 30 days it can be taken out again, under Corrections and bin."
         return _page(request, 404, "In the bin", sentence)
@@ -182,7 +182,7 @@ def missing(request: HttpRequest, exception: Exception | None = None) -> HttpRes
 
 
 def _is_in_bin(request: HttpRequest) -> bool:
-    """Whether the address is of a visit or patient in the bin, and this person may know it."""
+    """Whether the address is of a visit or patient in the bin, and this person may know about it."""
     match = request.resolver_match
     if match is None or not request.user.is_authenticated or not request.user.has_role(*CARE):
         return False
@@ -194,7 +194,7 @@ def _is_in_bin(request: HttpRequest) -> bool:
 
 
 def not_now(request: HttpRequest, error: MammometryError) -> HttpResponse:
-    """409: the visit's state does not allow it, or 503: the disk refuses."""
+    """Answer 409 if the visit's state does not allow the request, or 503 if the disk refuses."""
     if _is_of_disk(error):
         _LOG.error("%s", error)
     words = on_pages(str(error).replace(f"{the_clinic().folder}/", ""))
@@ -202,17 +202,17 @@ def not_now(request: HttpRequest, error: MammometryError) -> HttpResponse:
 
 
 def _is_of_disk(error: MammometryError) -> bool:
-    """Whether the disk refuses. A session with another run is only busy."""
+    """Whether the error is the disk's. A session that another run is using is only busy."""
     return isinstance(error, StorageError) and not isinstance(error, BusyError)
 
 
 def not_installed(request: HttpRequest, error: MissingLibraryError) -> HttpResponse:
-    """501: the server lacks a library that this page needs."""
+    """Answer 501: the server lacks a library that this page needs."""
     return _page(request, 501, "Not installed", str(error))
 
 
 def broken(request: HttpRequest) -> HttpResponse:
-    """Answer 500: a defect of the program, or no database.
+    """Answer 500: a defect of the program, or the database is unavailable. 507 if the disk is full.
 
     The page makes no query, not even for the user who is logged in.
 
@@ -230,7 +230,7 @@ def broken(request: HttpRequest) -> HttpResponse:
 
 
 def _is_full(error: BaseException | None) -> bool:
-    """Whether an error is one of a full disk: the system's, SQLite's or PostgreSQL's."""
+    """Whether an error is due to a full disk: an error of the system, of SQLite or of PostgreSQL."""
     while error is not None:
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
             return True
@@ -243,9 +243,9 @@ def _is_full(error: BaseException | None) -> bool:
 
 
 def forged(request: HttpRequest, reason: str = "") -> HttpResponse:
-    """403: a form without a valid token.
+    """Answer 403: the form has no valid token.
 
-    It is from another site or from before the last login. A script gets a new token (`account-token`) and repeats.
+    It is from another site, or from before the last login. A script gets a new token (`account-token`) and tries again.
     """
     sentence = "Reload the page and repeat your entry."
     if is_program(request):
@@ -254,7 +254,7 @@ def forged(request: HttpRequest, reason: str = "") -> HttpResponse:
 
 
 def locked_out(request: HttpRequest, response: Any = None, credentials: Any = None, *_: Any) -> HttpResponse:
-    """429: too many wrong passwords."""
+    """Answer 429: too many wrong passwords."""
     minutes = the_clinic().limits.wait_minutes
     sentence = (
         f"Too many wrong passwords for this name. Wait {minutes} minutes, or ask the administrator to unlock you."
@@ -269,6 +269,6 @@ def person_of(request: HttpRequest) -> Person:
 
 
 def token(request: HttpRequest) -> JsonResponse:
-    """Token for the next request of a page's script, and who is logged in: None after the session's end."""
+    """Token for a script's next request, and the logged-in person: None after the session has ended."""
     person = request.user.get_username() if request.user.is_authenticated else None
     return JsonResponse({"token": get_token(request), "person": person})

@@ -61,14 +61,14 @@ class FinishMessage(EditorMessage):
 
 
 class _Desks:
-    """Cache of the last few drawing surfaces. A new measurement makes a new one."""
+    """Cache of recently used drawing surfaces. A new measurement replaces the visit's surface."""
 
     def __init__(self) -> None:
         self._held: OrderedDict[tuple[uuid.UUID, str], EditorPage] = OrderedDict()
         self._lock = Lock()
 
     def of(self, visit: Visit) -> EditorPage:
-        """The visit's surface to draw on, opened once.
+        """The visit's surface for drawing. It is opened once.
 
         Raises:
             MammometryError: the session cannot be opened, or has nothing to draw on.
@@ -92,7 +92,7 @@ def _opened(visit: Visit) -> Measuring:
 
 
 def report(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """The report with names, confirmation and conclusion, sandboxed from the clinic's pages."""
+    """The report with names, confirmation and conclusion, isolated from the clinic's pages by a sandbox."""
     try:
         return sealed_page(rendered_report(_measured(visit)).html)
     except MammometryError as error:
@@ -118,7 +118,7 @@ def scene(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 
 def draw(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """The page for drawing boundaries and landmarks. Not available while a visit is measured."""
+    """The page for drawing boundaries and landmarks. Not available while the visit is being measured."""
     shown = visit_or_404(visit)
     if shown.jobs.filter(state__in=Job.OPEN).exists() or not shown.measurements.exists():
         busy = shown.state == Visit.State.QUEUED
@@ -132,7 +132,7 @@ def draw(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 
 def drawing(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
-    """Everything the page needs."""
+    """All data that the page needs."""
     return _session_response(visit, lambda shown, page, job: _with_visit(shown, page.drawing(str(request.user)), job))
 
 
@@ -142,15 +142,15 @@ def items(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
 
 
 def measure(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
-    """Volumes of the present drawing, not stored."""
+    """Volumes for the present drawing. They are not stored."""
     return _session_response(visit, lambda shown, page, job: page.measure(request.body))
 
 
 def save(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
-    """Save the drawing, with name and time, and measure it."""
+    """Save the drawing with the person's name and the time, and measure it."""
 
     def saved(shown: Visit, page: EditorPage, _: Job | None) -> dict[str, Any]:
-        # A measurement that ends at this moment waits, and then finds that the drawing has changed.
+        # A measurement that ends now waits for the lock, and then finds that the drawing has changed.
         locked = Visit.objects.select_for_update().get(pk=shown.pk)
         sent, changed = page.save(request.body, str(request.user))
         if changed:
@@ -163,7 +163,7 @@ def save(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
                 try:
                     queue.enqueue(locked, person_of(request))
                     _set_state(locked, Visit.State.QUEUED)
-                except StorageError as error:  # it is saved and can be measured later
+                except StorageError as error:  # the drawing is saved and can be measured later
                     _LOG.error("%s", error)
         return {"saved": len(changed), **_with_visit(locked, page.items(), _newest_job(locked))}
 
@@ -213,7 +213,7 @@ def _with_visit(visit: Visit, state: dict[str, Any], job: Job | None) -> dict[st
     """A page's state with its measurement and confirmation.
 
     ``visit`` has the visit's state, whether its newest drawing is not measured yet (``changed``), and the digests of
-    the measured boundaries (``curves``); ``job`` is its newest one, as it was before the state was read.
+    the measured boundaries (``curves``). ``job`` is its newest job, read before the state.
     """
     measurement = visit.measurements.first()
     confirmation = Confirmation.objects.filter(measurement__visit=visit).select_related("by").first()
@@ -250,14 +250,14 @@ def _digest(path: Path) -> str:
 def _session_response(
     visit: uuid.UUID, answer: Callable[[Visit, EditorPage, Job | None], dict[str, Any]]
 ) -> HttpResponseBase:
-    """Answer as JSON. The sentence of a refusal is passed on."""
+    """Answer as JSON. The message of a refusal is included."""
     shown = visit_or_404(visit)
     job = _newest_job(shown)  # read the job first, then its numbers
     try:
         return JsonResponse(answer(shown, _DESKS.of(shown), job))
     except (MammometryError, ValidationError) as error:
         status, words = refusal(error)
-        words["error"] = words["error"].replace(f"{the_clinic().folder}/", "")  # do not reveal its path
+        words["error"] = words["error"].replace(f"{the_clinic().folder}/", "")  # the path must not be revealed
         return JsonResponse(words, status=status)
 
 
@@ -301,13 +301,13 @@ def compare(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
     if request.headers.get("HX-Request") == "true":
         response = render(request, "clinic/compare_busy.html", context)
         if not busy:
-            response["HX-Refresh"] = "true"  # the viewer comes with the page
+            response["HX-Refresh"] = "true"  # the 3D viewer is loaded with the page
         return response
     return render(request, "clinic/compare.html", context)
 
 
 def photographs(before: Visit, after: Visit) -> list[tuple[str, Pair]]:
-    """Camera → its photographs at both dates, for cameras with at least one."""
+    """Camera → its photographs at both dates, for cameras with at least one photograph."""
     of_visits = [
         {upload.camera: upload for upload in visit.uploads.filter(state=Upload.State.PLACED)}
         for visit in (before, after)
@@ -325,7 +325,7 @@ def compare_scene(request: HttpRequest, patient: uuid.UUID, before: uuid.UUID, a
     """Both aligned surfaces for the 3D view."""
     page = _page(patient, before, after)
     path = readable(page.with_name(SCENE))
-    # Version 1.0 wrote the scene into the page alone.
+    # Version 1.0 stored the scene only inside the page.
     scene = json_in_page(page.read_text(encoding="utf-8")) if path is None else path.read_bytes()
     if scene is None:
         raise Http404

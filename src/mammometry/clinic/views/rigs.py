@@ -1,4 +1,4 @@
-"""Pages of rigs: readiness, calibrations and their history, drift, the daily check."""
+"""Pages of rigs: readiness, calibrations, drift, and the daily check."""
 
 import uuid
 from types import MappingProxyType
@@ -32,13 +32,13 @@ from mammometry.web.replies import Refused
 
 
 def rigs(request: HttpRequest) -> HttpResponse:
-    """All rigs with the verdict of today."""
+    """All rigs with today's readiness."""
     rows = [(rig, verdict_of(rig) if rig.active else None) for rig in Rig.objects.all()]
     return render(request, "clinic/rigs.html", {"rows": rows})
 
 
 def rig(request: HttpRequest, rig: uuid.UUID) -> HttpResponse:
-    """One rig: verdict, calibrations, checks, drift."""
+    """One rig: readiness, calibrations, checks, drift."""
     shown = get_object_or_404(Rig, pk=rig)
     context = {
         "rig": shown,
@@ -60,7 +60,7 @@ _CHIPS = MappingProxyType({"accept": ("good", "✓"), "reject": ("bad", "✕"), 
 
 
 def _tests(rig: Rig) -> list[dict[str, Any]]:
-    """The rig's acceptance tests, the newest first, with their worst errors."""
+    """The rig's acceptance tests with their largest errors, newest first."""
     return [
         {
             "date": test.date,
@@ -73,7 +73,7 @@ def _tests(rig: Rig) -> list[dict[str, Any]]:
 
 
 def _doubted(rig: Rig) -> Calibration | None:
-    """The calibration in use, with photographs that disagree."""
+    """The calibration in use, if some of its photographs contradict others."""
     calibration = rig_history.current(rig)
     return calibration if calibration is not None and left_out.doubts_of(calibration) else None
 
@@ -101,7 +101,7 @@ def board(request: HttpRequest) -> HttpResponse:
 
 
 def session_toml(request: HttpRequest, rig: uuid.UUID) -> HttpResponse:
-    """The rig's description as a session.toml, which the commands open."""
+    """The rig's description as a session.toml, for the command line."""
     shown = get_object_or_404(Rig, pk=rig)
     try:
         return download(manifest_text(shown.definition, "torso", posture="unknown"), MANIFEST, "application/toml")
@@ -127,7 +127,7 @@ def calibration(request: HttpRequest, calibration: uuid.UUID) -> HttpResponse:
 
 
 def leave_out(request: HttpRequest, calibration: uuid.UUID) -> HttpResponse:
-    """Calibrate again without the photographs that are ticked."""
+    """Calibrate again without the selected photographs."""
     shown = get_object_or_404(Calibration.objects.select_related("rig"), pk=calibration)
     if request.method != "POST":
         return redirect("calibration", calibration=shown.pk)
@@ -184,7 +184,7 @@ def check(request: HttpRequest, check: uuid.UUID) -> HttpResponse:
 
 
 def check_put_right(request: HttpRequest, check: uuid.UUID) -> HttpResponse:
-    """Correct the exchanged photographs of a check, and evaluate it again."""
+    """Swap back the photographs of a check, and evaluate it again."""
     shown = get_object_or_404(DailyCheck.objects.select_related("rig", "calibration"), pk=check)
     if request.method == "POST" and shown.jobs.filter(state__in=Job.OPEN).exists():
         messages.error(request, "This is being evaluated. Wait until it is done.")
@@ -234,7 +234,7 @@ def _figures(figures: dict[str, Any]) -> dict[str, Any]:
 
 @json_view("GET")
 def today(request: HttpRequest, rig: UUID) -> HttpResponseBase:
-    """Whether a rig may be measured with today, as JSON."""
+    """Whether a rig may be used today, as JSON."""
     return JsonResponse(rig_history.today(get_object_or_404(Rig, pk=rig)).as_table())
 
 
@@ -252,7 +252,7 @@ def drift(request: HttpRequest, rig: UUID) -> HttpResponseBase:
 
 @json_view("POST")
 def new_calibration(request: HttpRequest, rig: UUID) -> HttpResponseBase:
-    """A calibration to upload to."""
+    """Create a calibration to upload photographs to."""
     made = rig_history.new_calibration(get_object_or_404(Rig, pk=rig), request.user)
     return JsonResponse(
         {"id": str(made.pk), "url": reverse("calibration-uploads", kwargs={"calibration": made.pk})}, status=201
@@ -261,7 +261,7 @@ def new_calibration(request: HttpRequest, rig: UUID) -> HttpResponseBase:
 
 @json_view("POST")
 def new_check(request: HttpRequest, rig: UUID) -> HttpResponseBase:
-    """A daily check to upload to."""
+    """Create a daily check to upload photographs to."""
     made = rig_history.new_check(get_object_or_404(Rig, pk=rig), request.user)
     if made is None:
         raise Refused("This rig is not calibrated. Calibrate it first.")
@@ -269,7 +269,7 @@ def new_check(request: HttpRequest, rig: UUID) -> HttpResponseBase:
 
 
 _MEASURED = ("edge_mm", "edge_std_mm", "flatness_mm")
-"""Keys of a description about an earlier print. The board is drawn in its nominal size."""
+"""Keys of a description that concern an earlier print. The board is drawn at its nominal size."""
 
 
 def target(request: HttpRequest, rig: uuid.UUID) -> HttpResponse:
@@ -290,7 +290,7 @@ def target(request: HttpRequest, rig: uuid.UUID) -> HttpResponse:
 
 
 def _on_smallest_page(target: Target) -> bytes:
-    """The board on the smallest usual page that fits, or on a page of its own size."""
+    """The board on the smallest usual page on which it fits, or else on a page of its own size."""
     from mammometry.calibration.targets.pdf import target_pdf
 
     for page in ("A4", "A3", "A2", "A1", "A0"):

@@ -28,8 +28,8 @@ from mammometry.io.meshes.scans import ABOUT, AXES, MTL, ScanFacts, confirm_side
 from mammometry.io.outputs import write_outputs
 
 BODY_BYTES = 520 * 10**6
-"""Largest request: the largest possible `scan_mb`, and the form."""
-_SCRATCH = re.compile(r"uploads/scan-[^/]+/(?:first|second)/")  # into which the sent files are unpacked
+"""Largest request: the largest possible `scan_mb` plus the form."""
+_SCRATCH = re.compile(r"uploads/scan-[^/]+/(?:first|second)/")  # folders into which received files are unpacked
 _AXIS_WORDS = {axis: f"{'minus ' if axis.startswith('-') else ''}{axis.strip('-').upper()}" for axis in AXES}
 
 
@@ -95,14 +95,14 @@ class ScanForm(RecordForm):
         name_empty_choices(self.fields)
 
     def clean(self) -> dict[str, Any]:
-        """Ask whether a day in the future is right."""
+        """Ask the user to confirm a day in the future."""
         values: dict[str, Any] = super().clean() or self.cleaned_data
         ask_about_day(self, None)
         return values
 
 
 def scan_new(request: HttpRequest) -> HttpResponse:
-    """Start a visit with a scan of a chosen patient, and measure it."""
+    """Start a visit of a chosen patient with a scan, and measure it."""
     patient = chosen_patient(request)
     if patient is None:
         page = "clinic/patients_rows.html" if is_part(request) else "clinic/scan_new.html"
@@ -149,7 +149,7 @@ def _entered(request: HttpRequest, form: ScanForm, about: ScanFacts) -> Visit:
     visit: Visit = form.save(commit=False)
     visit.created_by, visit.state = person_of(request), Visit.State.READY
     visit.folder.mkdir(mode=0o700, parents=True)
-    write_outputs(visit.folder, made, command="import mesh")  # files first, so that no row is without them
+    write_outputs(visit.folder, made, command="import mesh")  # files first, so that no row is without its files
     facts = read_scan(visit.folder)
     with transaction.atomic():
         visit.save()

@@ -60,12 +60,12 @@ _COLUMNS = (
 
 
 def study(request: HttpRequest) -> HttpResponse:
-    """Page of the cohort and of the agreement between repeated visits."""
+    """Page of the cohort, and of the agreement between repeated visits."""
     visits = _asked(request)
     everything = pooled(visits)
     repeated = repeats(visits)
     figures = None
-    patients = tuple(pair.pseudonym for pair in repeated.pairs)  # both breasts of one patient are not independent
+    patients = tuple(pair.pseudonym for pair in repeated.pairs)  # both breasts of a patient are not independent
     if len(set(patients)) >= LEAST_SUBJECTS:
         figures = agreement(
             PairedMeasurements(
@@ -103,7 +103,7 @@ def study(request: HttpRequest) -> HttpResponse:
 
 
 def study_csv(request: HttpRequest) -> HttpResponse:
-    """The cohort as a table. Pseudonyms only."""
+    """The cohort as a table, with pseudonyms only."""
     response = download("", f"cohort_{timezone.localdate():%Y-%m-%d}.csv", "text/csv; charset=utf-8")
     writer = CsvWriter(response)
     writer.row(_COLUMNS)
@@ -119,7 +119,7 @@ def _asked(request: HttpRequest) -> QuerySet[Visit]:
 
 
 def _cell(value: object) -> object:
-    """Numbers with one decimal."""
+    """Round numbers to one decimal."""
     return f"{value:.1f}" if isinstance(value, float) else value
 
 
@@ -128,16 +128,16 @@ def _day(text: str) -> datetime.date | None:
         day = datetime.date.fromisoformat(text)
     except ValueError:
         return None
-    return min(max(day, FIRST_DAY), timezone.localdate() + datetime.timedelta(days=1))  # others have no visits
+    return min(max(day, FIRST_DAY), timezone.localdate() + datetime.timedelta(days=1))  # no visits on other days
 
 
 _RELEASES: Mapping[str, Release] = {"r4": "R4", "r5": "R5"}
 _LEFT_OUT, _ZIP = "left-out.csv", "application/zip"
-_ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest time of a zip, so that the same results are the same bytes
+_ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest time in a ZIP; a fixed one gives the same bytes for the same results
 
 
 def visit_dicom(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """The visit's DICOM objects as a zip. ``?deidentify`` makes them for others."""
+    """The visit's DICOM objects as a ZIP. ``?deidentify`` makes them for recipients outside the clinic."""
     deidentify = "deidentify" in request.GET
     shown = _measured(visit)
     try:
@@ -147,7 +147,7 @@ def visit_dicom(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     except MammometryError as error:
         messages.error(request, str(error))
         return redirect("visit-send", visit=visit)
-    # File names for others contain neither pseudonym nor day.
+    # Names of deidentified files contain neither pseudonym nor day.
     return download(_zipped(made), "dicom-deidentified.zip" if deidentify else _named(shown, "dicom.zip"), _ZIP)
 
 
@@ -178,14 +178,14 @@ def study_redcap(request: HttpRequest) -> HttpResponse:
 
 
 def study_table(request: HttpRequest) -> HttpResponse:
-    """Every number of the study with a codebook, by pseudonym."""
+    """All numbers of the study with a codebook, by pseudonym."""
     from mammometry.hospital import tables
 
     return _study(request, tables.tables, "table")
 
 
 def _study(request: HttpRequest, tables: Callable[[Any], dict[str, bytes]], kind: str) -> HttpResponse:
-    """Numbers of the requested visits, and those left out with the reason."""
+    """Numbers of the requested visits, and the visits left out with the reasons."""
     config, sessions, omitted = the_clinic(), [], []
     visits = _asked(request)
     apart = {(row.pseudonym, row.day, row.side): row.apart for row in study_rows(visits, pooled(visits).reference)}
@@ -221,7 +221,7 @@ def _named(visit: Visit, ending: str) -> str:
 
 
 def _zipped(files: Mapping[str, bytes]) -> bytes:
-    """Files as one zip, uncompressed, because pictures and models hardly shrink."""
+    """Files as one ZIP, uncompressed, because pictures and models can hardly be compressed."""
     made = io.BytesIO()
     with zipfile.ZipFile(made, "w") as archive:
         for name, content in sorted(files.items()):

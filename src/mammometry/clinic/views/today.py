@@ -1,4 +1,4 @@
-"""The first page: today's work, the first day of a new clinic, help."""
+"""First page: today's work, the first steps of a new clinic, and help."""
 
 import datetime
 from dataclasses import dataclass
@@ -19,25 +19,25 @@ from mammometry.clinic.views.responses import person_of
 
 
 class Step(NamedTuple):
-    """One step of the first day."""
+    """One of the first steps."""
 
     title: str
     sentence: str
     done: bool
     button: str
     address: str
-    """Target of the button."""
+    """Address that the button opens."""
     roles: frozenset[Role]
-    """Role for the step."""
+    """Roles that may do the step."""
 
     @property
     def role_words(self) -> str:
-        """Role for the step, as text."""
+        """These roles as text."""
         return " or ".join(role.label.lower() for role in Role if role in self.roles)
 
 
 def steps() -> list[Step]:
-    """Return the steps, or an empty list when all are done."""
+    """Return the steps. Empty when all are done."""
     rig = Rig.objects.filter(active=True).order_by("created").first()
     calibrated = Calibration.objects.filter(current=True).exists()
     has_patient = Patient.objects.exists()
@@ -73,7 +73,7 @@ def steps() -> list[Step]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FirstDay:
-    """The steps for one person."""
+    """The first steps as shown to one person."""
 
     steps: list[Step]
     next_step: Step
@@ -82,7 +82,7 @@ class FirstDay:
 
 
 def first_day_of(person: Person) -> FirstDay | None:
-    """Return the first day for this person, or None when it is over."""
+    """First steps for this person. None when all are done."""
     all_steps = steps()
     waiting = [step for step in all_steps if not step.done]
     if not waiting:
@@ -90,13 +90,13 @@ def first_day_of(person: Person) -> FirstDay | None:
     return FirstDay(steps=all_steps, next_step=waiting[0], may_do=person.has_role(*waiting[0].roles))
 
 
-_MANY = 50  # rows of a page before it becomes a search
+_MANY = 50  # rows of a page above which it becomes a search
 
 
 def today(request: HttpRequest) -> HttpResponse:
-    """Rigs, today's visits, and waiting ones, with those to confirm first for clinicians.
+    """Rigs, today's visits, and waiting visits. For clinicians, those to confirm come first.
 
-    People who see no patients get their own first page.
+    People who may not see patients get a page of their own.
     """
     person = person_of(request)
     if CARE.isdisjoint(person.roles):

@@ -1,4 +1,4 @@
-"""Uploads: start, continue, assign, set aside, restore, view."""
+"""Requests about uploads: start, continue, assign, set aside, restore, view."""
 
 from typing import Any
 from uuid import UUID
@@ -30,7 +30,7 @@ _TARGETS: dict[str, Any] = {"visit": Visit, "calibration": Calibration, "check":
 
 
 def as_json(table: dict[str, Any]) -> dict[str, Any]:
-    """An upload with its addresses."""
+    """An upload with its addresses, for JSON."""
     key = table["id"]
     picture = reverse("upload-thumbnail", kwargs={"upload": key}) if table["has_thumbnail"] else None
     shown = {name: value for name, value in table.items() if name != "has_thumbnail"}
@@ -74,9 +74,9 @@ def new(request: HttpRequest) -> HttpResponseBase:
 
 @json_view("GET", "PATCH", "DELETE")
 def one(request: HttpRequest, upload: UUID) -> HttpResponseBase:
-    """Get the offset, send the next piece, or set the upload aside.
+    """Return the offset, receive the next piece, or set the upload aside.
 
-    The last piece of a file that cannot be used is answered with 422 and the reason.
+    If a complete file cannot be used, the answer to its last piece is 422 with the reason.
     """
     row = _find(request, upload)
     if request.method == "DELETE":
@@ -108,7 +108,7 @@ def place(request: HttpRequest, upload: UUID) -> HttpResponseBase:
 
 @json_view("POST")
 def put_right(request: HttpRequest, visit: UUID) -> HttpResponseBase:
-    """Assign exchanged photographs to the right cameras."""
+    """Assign swapped photographs to the right cameras."""
     row = visit_or_404(visit)
     exchanged = json_body(request).get("exchanged")
     if not isinstance(exchanged, dict):
@@ -127,7 +127,7 @@ def back(request: HttpRequest, upload: UUID) -> HttpResponseBase:
 
 @json_view("GET")
 def thumbnail(request: HttpRequest, upload: UUID) -> HttpResponseBase:
-    """A small picture of an uploaded photograph."""
+    """Thumbnail of an uploaded photograph."""
     path = thumbnail_path(_find(request, upload))
     if not path.is_file():
         raise Http404
@@ -136,7 +136,7 @@ def thumbnail(request: HttpRequest, upload: UUID) -> HttpResponseBase:
 
 @json_view("GET")
 def screen(request: HttpRequest, upload: UUID) -> HttpResponseBase:
-    """A picture of a visit's photograph that fills a screen."""
+    """A visit's photograph, large enough for the screen."""
     row = _find(request, upload)
     if row.visit is None or row.state != Upload.State.PLACED:
         raise Http404

@@ -1,4 +1,4 @@
-"""Visits: starting, photographing with the rig's cameras, and viewing."""
+"""Pages of visits: start, photograph with the rig's cameras, and view."""
 
 import uuid
 from typing import Any
@@ -72,14 +72,14 @@ def visit_page(
     circumstances: CircumstancesForm | None = None,
     board: BoardForm | None = None,
 ) -> HttpResponse:
-    """One visit by its state: photographs, progress or result.
+    """One visit: photographs, progress or result, depending on its state.
 
     Args:
-        request: the page's.
-        visit: its key.
-        conclusion: one that could not be signed, to show again.
-        circumstances: those that could not be saved, to show again.
-        board: a board that could not be saved, to show again.
+        request: the request.
+        visit: key of the visit.
+        conclusion: form that could not be signed, to show again.
+        circumstances: form that could not be saved, to show again.
+        board: form that could not be saved, to show again.
     """
     shown = visit_or_404(visit)
     job = shown.jobs.order_by("-created").first()
@@ -88,7 +88,7 @@ def visit_page(
     person = person_of(request)
     failed = job if job is not None and job.state in ("failed", "cancelled") and not busy else None
     if failed is not None and shown.is_walk and not shown.uploads.filter(created__lte=failed.created).exists():
-        failed = None  # its photographs were deleted, to send others
+        failed = None  # its photographs have been deleted, so that others can be sent
     conclusions = list(shown.conclusions.select_related("by"))
     walk = facts_of(shown) if shown.is_walk else None
     context = {
@@ -154,10 +154,10 @@ def circumstances(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 
 def conclude(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """Sign a conclusion on the newest result of a visit. A refused one is shown again."""
+    """Sign a conclusion on the newest result of a visit. If it is refused, the form is shown again."""
     if request.method != "POST":
         return redirect("visit", visit=visit)
-    shown = get_object_or_404(Visit.objects.select_for_update(), pk=visit)  # two people sign one after the other
+    shown = get_object_or_404(Visit.objects.select_for_update(), pk=visit)  # two people sign in turn
     measurement, newest = shown.measurements.first(), shown.conclusions.first()
     form = _conclusion_form(request.POST, shown, newest)
     if measurement is None:
@@ -179,12 +179,12 @@ def conclude(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 
 def _conclusion_form(data: Any, visit: Visit, newest: Conclusion | None) -> ConclusionForm:
-    """A conclusion that amends the newest one, if there is one."""
+    """Form for a conclusion, which amends the newest one if there is one."""
     return ConclusionForm(data, instance=newest or Conclusion(visit=visit), auto_id="conclusion_%s")
 
 
 def jobs(request: HttpRequest) -> HttpResponse:
-    """Page of running, waiting and recently ended jobs."""
+    """Page of running, waiting and recently finished jobs."""
     all_jobs = queue.of_visits_in_use().select_related(
         "visit__patient", "comparison__before", "comparison__after__patient", "calibration__rig", "check_of_day__rig"
     )
@@ -196,13 +196,13 @@ def jobs(request: HttpRequest) -> HttpResponse:
 
 
 def take_in(visit: Visit, fired: CaptureResult, by: Person | None) -> None:
-    """Store an accepted firing as the visit's photographs.
+    """Add the photographs of an accepted capture to a visit.
 
-    Those of an earlier firing are set aside.
+    Those of an earlier capture are set aside.
 
     Args:
-        visit: with the session folder of the firing.
-        fired: accepted.
+        visit: the capture is in its session folder.
+        fired: the accepted capture.
         by: the user.
     """
     record: dict[str, Any] = last_record(visit.folder) or {}
@@ -236,7 +236,7 @@ def take_in(visit: Visit, fired: CaptureResult, by: Person | None) -> None:
 def _checks(fired: CaptureResult, camera: str, about: dict[str, Any]) -> list[dict[str, Any]]:
     own = [finding for who, finding in fired.verdict.findings if who == camera]
     fact = Finding("camera", "ok", "Taken by the rig, from this page.")
-    # Times are checked by the verdict, whose clocks are better than EXIF's.
+    # Times were checked when the capture was accepted, with better clocks than EXIF's.
     shared = {"serial": about["serial"], "taken_s": None, "named": None}
     return [{**finding.as_table(), **shared} for finding in (fact, *own)]
 
@@ -252,7 +252,7 @@ def visit_capture(request: HttpRequest, visit: UUID) -> HttpResponse:
 
 @json_view("GET")
 def visit_state(request: HttpRequest, visit: UUID) -> HttpResponseBase:
-    """State of the rig before firing."""
+    """State of the rig before a capture."""
     row = visit_or_404(visit)
     rig = rig_of(row)
     return JsonResponse(cameras.service_of(rig, row.calibration).state(rig.name, row.folder))
@@ -260,7 +260,7 @@ def visit_state(request: HttpRequest, visit: UUID) -> HttpResponseBase:
 
 @json_view("POST")
 def visit_look(request: HttpRequest, visit: UUID) -> HttpResponseBase:
-    """A live picture of every camera, with its aids."""
+    """Live picture of every camera, with drawn aids."""
     row = visit_or_404(visit)
     service = cameras.service_of(rig_of(row), row.calibration)
     return JsonResponse(service.look(request.body, subject_kind=row.subject_kind))
@@ -268,7 +268,7 @@ def visit_look(request: HttpRequest, visit: UUID) -> HttpResponseBase:
 
 @json_view("POST")
 def visit_fire(request: HttpRequest, visit: UUID) -> HttpResponseBase:
-    """Fire. Pictures that may be measured are added to the visit."""
+    """Capture pictures. Those that may be measured are added to the visit."""
     row = visit_or_404(visit)
     require_open(row)
     service = cameras.service_of(rig_of(row), row.calibration)

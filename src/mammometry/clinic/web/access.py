@@ -1,8 +1,8 @@
 """Access to pages. A view is mounted with its roles, or not at all.
 
-`guarded` wraps a view: it checks the role and the second factor, makes each change and its audit entry one transaction,
-processes a form once even if it is sent twice, answers a form whose record has changed, and records in the audit who
-saw the page of which patient, visit or rig.
+`guarded` wraps a view. It checks the role and the second factor, makes each change and its audit entry one transaction,
+processes a form only once even if it is sent twice, answers a form whose record has changed, and records in the audit
+who saw which patient's, visit's or rig's page.
 """
 
 from collections.abc import Awaitable, Callable
@@ -19,21 +19,22 @@ from django.urls import URLPattern, path, re_path, reverse
 from mammometry.clinic.roles import Role
 
 BODY_BYTES = 256 * 1024
-"""Default for the largest body of a request."""
+"""Default limit for the body of a request, bytes."""
 _SAFE = ("GET", "HEAD", "OPTIONS")
 View = Callable[..., HttpResponseBase] | Callable[..., Awaitable[HttpResponseBase]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Access:
-    """A route's conditions and grants."""
+    """Who may use a route, and its limits."""
 
     roles: frozenset[Role] | None
     """Allowed roles; None: anyone, logged in or not."""
     body_bytes: int = BODY_BYTES
     """Largest body of a request, bytes."""
     atomic: bool = True
-    """Whether a change is one transaction with its audit entry. False for long bodies, which would hold the lock."""
+    """Whether a change and its audit entry are one transaction. False for long bodies, which would hold the lock too
+    long."""
     audited: bool = True
     """Whether opening it is recorded in the audit."""
     first_factor: bool = False
@@ -41,15 +42,15 @@ class Access:
 
 
 def route(where: str, view: View, name: str, roles: frozenset[Role] | None, **others: Any) -> URLPattern:
-    """A line of the table of routes.
+    """Return a line of the table of routes.
 
     Args:
         where: path in Django's notation, such as ``visits/<uuid:visit>/``; with a leading ``^`` a regular expression.
-            Parameters named patient, visit, rig, calibration, check, job, upload, measurement or person are what the
-            audit's entry is about.
+            Parameters named patient, visit, rig, calibration, check, job, upload, measurement or person determine the
+                subject of the audit's entry.
         view: function or coroutine function.
         name: for ``reverse``.
-        roles: who may open it; None for anyone, logged in or not.
+        roles: who may open it; None: anyone, logged in or not.
         others: the other fields of `Access`.
     """
     mount: Any = re_path if where.startswith("^") else path
@@ -58,7 +59,7 @@ def route(where: str, view: View, name: str, roles: frozenset[Role] | None, **ot
 
 
 def guarded(view: View, access: Access) -> View:
-    """A view that checks access, which is in ``view.access``."""
+    """Wrap a view so that access is checked. The rule is in its attribute ``access``."""
     from mammometry.clinic.audit import record_view
     from mammometry.clinic.record_form import StaleRecord
     from mammometry.clinic.views.responses import stale_page
@@ -91,7 +92,7 @@ def guarded(view: View, access: Access) -> View:
         else:
             try:
                 response = once(request, lambda: act(request, *args, **kwargs), atomic=access.atomic)
-            except StaleRecord as stale:  # nothing was saved, because it has left the transaction
+            except StaleRecord as stale:  # nothing was saved: the exception has ended the transaction
                 response = stale_page(request, stale.form)
         if access.audited:
             record_view(request, response, kwargs)
@@ -102,7 +103,7 @@ def guarded(view: View, access: Access) -> View:
 
 
 def refused(request: HttpRequest, access: Access) -> HttpResponseBase | None:
-    """Answer without access: a login page, the second factor's page, 401 for a program.
+    """Answer for a person without access: the login page, the second factor's page, or 401 for a script.
 
     Raises:
         PermissionDenied: logged in, without the role.
@@ -124,7 +125,7 @@ def refused(request: HttpRequest, access: Access) -> HttpResponseBase | None:
 
 
 def is_program(request: HttpRequest) -> bool:
-    """Whether a page's script asks, which is answered in JSON, never by a page or the login.
+    """Whether a script sent the request. It is answered with JSON, never with a page or the login.
 
     All scripts send this header (``viewer/src/clinic/request.ts``).
     """

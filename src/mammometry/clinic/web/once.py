@@ -1,8 +1,8 @@
-"""Processing a form once, even if it is sent twice.
+"""Process a form only once, even if it is sent twice.
 
-Each form has a random token (`form_token` of the pages' tags). The first request with it is processed, and its answer
-stored; all others get the same answer. Two at the same time wait for each other. If the form is shown again because of
-an error, the token can be sent again.
+Each form has a random token (`form_token` of the pages' tags). The first request with a token is processed, and its
+answer is stored. All others get the same answer. If two arrive at the same time, one waits for the other. If the form
+is shown again because of an error, its token can be sent again.
 """
 
 import time
@@ -22,19 +22,19 @@ FIELD, HEADER = "form_token", "Form-Token"
 """Names of the token in pages and scripts."""
 ACCEPTED = "accepted_forms"
 """Session key of the newest accepted tokens, so that pages delete their drafts."""
-_ACCEPTED_MOST = 20  # forms of one session whose drafts may still be in a tab
-_KEPT = timedelta(days=2)  # longer than any session lasts
-_CLEARED = 200  # old tokens per request, so that none waits long
-_WAIT_S, _LOOK_S = 30.0, 0.2  # for an answer that another request is making
-_ABANDONED = timedelta(minutes=15)  # a request without an answer for this long has died
+_ACCEPTED_MOST = 20  # most forms of a session whose drafts may still be in a tab
+_KEPT = timedelta(days=2)  # longer than any login session
+_CLEARED = 200  # old tokens that each request deletes: few, so that it is not slow
+_WAIT_S, _LOOK_S = 30.0, 0.2  # wait for another request's answer to the same form, and time between two looks
+_ABANDONED = timedelta(minutes=15)  # age of a request without an answer that must have died
 
 
 def once(request: HttpRequest, act: Callable[[], HttpResponseBase], *, atomic: bool) -> HttpResponseBase:
     """Process a request, or repeat the first answer to the same form.
 
     Args:
-        request: one that changes data, with or without login.
-        act: processes it.
+        request: a request that changes data, with or without login.
+        act: processes the request.
         atomic: whether token and change are one transaction. Otherwise the token is stored first.
     """
     token = _token_of(request)
@@ -90,18 +90,18 @@ def _token_of(request: HttpRequest) -> UUID | None:
 
 
 def _take(request: HttpRequest, token: UUID) -> FormToken | None:
-    """The token's row. None: another request has it, or had it."""
+    """Create the token's row. None if another request has or had the token."""
     old = FormToken.objects.filter(at__lt=timezone.now() - _KEPT).select_for_update(skip_locked=True)
     try:
         with transaction.atomic():
             FormToken.objects.filter(pk__in=list(old.values_list("pk", flat=True)[:_CLEARED])).delete()
-            return FormToken.objects.create(person_id=str(request.user.pk), token=token)  # waits for another request's
+            return FormToken.objects.create(person_id=str(request.user.pk), token=token)  # waits for another request
     except IntegrityError:
         return None
 
 
 def _keep(request: HttpRequest, row: FormToken, response: HttpResponseBase) -> None:
-    """Store an answer for repetition. If it shows the form again, the token is released."""
+    """Store an answer so that it can be repeated. If it shows the form again, the token is released."""
     if isinstance(response, HttpResponseRedirect):
         row.answer = {"location": response.url}
     elif isinstance(response, JsonResponse) and response.status_code < 300:
@@ -110,7 +110,7 @@ def _keep(request: HttpRequest, row: FormToken, response: HttpResponseBase) -> N
         row.delete()
         return
     row.save(update_fields=["answer"])
-    if not request.user.is_authenticated:  # it has logged the person out
+    if not request.user.is_authenticated:  # the request has logged the person out
         return
     accepted: list[str] = request.session.get(ACCEPTED, [])
     request.session[ACCEPTED] = [*accepted, str(row.token)][-_ACCEPTED_MOST:]

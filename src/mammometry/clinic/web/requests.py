@@ -1,4 +1,4 @@
-"""Requests: how many and how large by address and login, and the thread in which each is answered."""
+"""Limits on the number and size of requests, by address and login, and the threads that answer them."""
 
 import asyncio
 import time
@@ -23,20 +23,20 @@ from mammometry.clinic.web.access import BODY_BYTES
 from mammometry.web.limits import Limited
 from mammometry.web.replies import Application, Receive, Refused, Scope, Send
 
-_BURST_S = 10.0  # seconds' worth of requests that may come at once
-_ADDRESSES = 10_000  # remembered at most
-_ANYBODYS_BYTES = 8 << 20  # more than a piece of a photograph, which only logged-in people may send
+_BURST_S = 10.0  # longest burst, in seconds' worth of requests
+_ADDRESSES = 10_000  # largest number of addresses that are remembered
+_ANYBODYS_BYTES = 8 << 20  # largest body without login: larger than a piece of a photograph
 _PROXY_HEADERS = (b"x-forwarded-for", b"x-forwarded-port", b"x-forwarded-host", b"forwarded")
-"""Headers that anybody can send. The server has already put those of a trusted proxy into the scope."""
+"""Headers that anybody can send. The server has already moved those of a trusted proxy into the scope."""
 
 
 class ClinicLimited(Limited):
-    """An ASGI application behind the clinic's limits.
+    """An ASGI application with the clinic's limits on requests.
 
     Args:
-        application: the limited one.
-        limits: the clinic's.
-        clock: seconds.
+        application: the application to protect.
+        limits: the clinic's limits.
+        clock: current time, s.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class ClinicLimited(Limited):
         """Largest body of a request, bytes.
 
         Raises:
-            Refused: its address sends too many.
+            Refused: too many requests came from the address.
         """
         scope["headers"] = [(name, value) for name, value in scope["headers"] if name not in _PROXY_HEADERS]
         if not self._may_ask((scope.get("client") or ("",))[0]):
@@ -62,7 +62,7 @@ class ClinicLimited(Limited):
         return most
 
     def _may_ask(self, address: str) -> bool:
-        """Whether an address may send a request now, by a token bucket."""
+        """Whether an address may send a request now (token bucket)."""
         now = self._clock()
         if len(self._spent) > _ADDRESSES:
             self._spent = {key: spent for key, spent in self._spent.items() if now - spent[1] < _BURST_S}
@@ -82,7 +82,7 @@ def _granted(path: str) -> int:
 
 
 def _is_logged_in(headers: Any) -> bool:
-    """Whether a request has a login session. Its rights are checked later."""
+    """Whether a request belongs to a login session. Its rights are checked later."""
     held = parse_cookie(dict(headers).get(b"cookie", b"").decode("latin-1")).get(settings.SESSION_COOKIE_NAME)
     if held is None:
         return False
@@ -94,13 +94,13 @@ def _is_logged_in(headers: Any) -> bool:
 
 
 _THREADS = 16
-"""Number of requests answered in parallel: each may wait for a disk or hold a photograph, and they share the
+"""Number of requests answered in parallel. Each may wait for a disk or hold a photograph, and they share the
 interpreter.
 """
 
 
 class Threaded(ASGIHandler):
-    """Runs synchronous views in permanent threads."""
+    """Runs synchronous views in a fixed set of threads."""
 
     def __init__(self) -> None:
         BaseHandler.__init__(self)
@@ -108,7 +108,7 @@ class Threaded(ASGIHandler):
         self._threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="clinic")
 
     async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request. Its body is read first, so that a slow line blocks no thread."""
+        """Answer one request. Its body is read first, so that a slow connection does not block a thread."""
         try:
             body = await self.read_body(receive)
         except RequestAborted:  # the browser has disconnected
@@ -133,7 +133,7 @@ class Threaded(ASGIHandler):
         if isinstance(response, FileResponse):
             response.block_size = self.chunk_size
         if not response.streaming:
-            response.close()  # its content remains; the database is released before a slow line has received it
+            response.close()  # keeps the content, and frees the database before a slow client has received it
         return response
 
     async def _parts(self, content: Iterator[bytes]) -> AsyncIterator[bytes]:
@@ -150,7 +150,7 @@ class Dispatcher:
     def __init__(self) -> None:
         self._threaded = Threaded()
         self._asynchronous = ASGIHandler()
-        # Its threads end with their requests, and would leak their connections.
+        # Their threads end with the requests, and would leave connections open.
         signals.request_finished.connect(_close_all, sender=ASGIHandler)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

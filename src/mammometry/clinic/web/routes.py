@@ -1,4 +1,4 @@
-"""The table of routes, with the roles that may open each: `access.route`."""
+"""Table of routes, with the roles that may open each (`access.route`)."""
 
 from allauth.account import views as account
 from allauth.mfa.base import views as mfa
@@ -29,7 +29,7 @@ from mammometry.clinic.views import (
 from mammometry.clinic.views.patients import leads_on
 from mammometry.clinic.web.access import route
 
-_EDITOR_BYTES = 1 << 20  # of a drawing with all its points
+_EDITOR_BYTES = 1 << 20  # a drawing with all its points
 _SEES_RIGS = RIGS | CLINICIAN
 
 PAGES = [
@@ -184,7 +184,7 @@ ACCOUNTS = [
 HOME = [route("alive/", today.alive, "alive", ANYONE)]
 
 PHOTOGRAPHS = CARE | RIGS
-"""Roles that send photographs, of patients or of a board."""
+"""Roles that may send photographs, of patients or of a board."""
 WORK = [
     route("uploads/", uploads.new, "upload-new", PHOTOGRAPHS),
     route(

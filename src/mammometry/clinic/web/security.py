@@ -13,11 +13,11 @@ from mammometry.clinic.site import the_clinic
 from mammometry.clinic.web.once import ACCEPTED
 from mammometry.web.replies import HEADERS, inline_policy
 
-_STAMP_S = 60  # how often a session's time of last use is written
+_STAMP_S = 60  # least time between two updates of a session's time of last use
 
 
 def page_policy() -> str:
-    """Content security policy of our own pages: nothing inline, nothing from elsewhere."""
+    """Content security policy of our own pages: nothing inline, nothing from other servers."""
     openid = the_clinic().openid
     leave = ""
     if openid is not None:
@@ -31,19 +31,19 @@ def page_policy() -> str:
 
 
 def report_policy(page: bytes) -> str:
-    """Policy of a report. It is one file with its own scripts, which are allowed by their digests.
+    """Content security policy of a report: one file, whose own scripts are allowed by their digests.
 
-    It is sandboxed: it has no cookies and cannot call the clinic.
+    The report is sandboxed: it has no cookies and cannot send requests to the clinic.
     """
     others = "connect-src data: blob:; frame-ancestors 'self'; sandbox allow-scripts allow-downloads"
     return inline_policy(page, others)
 
 
 class Headers(MiddlewareMixin):
-    """Headers of every answer. Views that answer with a report set their own Content-Security-Policy."""
+    """Adds security headers to every answer. Views that answer with a report set their own policy."""
 
     def process_response(self, request: HttpRequest, response: HttpResponseBase) -> HttpResponseBase:
-        """Add those that the answer lacks."""
+        """Add headers that the answer does not have yet."""
         own = {"Content-Security-Policy": page_policy(), "X-Frame-Options": "SAMEORIGIN"}
         for name, value in {**own, **HEADERS}.items():
             response.headers.setdefault(name, value)
@@ -54,7 +54,7 @@ class Expiry(MiddlewareMixin):
     """Ends sessions that are idle or too old."""
 
     def process_request(self, request: HttpRequest) -> None:
-        """Log out before the request is answered, or note that the session is in use."""
+        """Log the person out if the session has expired, or else update its time of last use."""
         if request.user.is_authenticated:
             limits, now = the_clinic().limits, int(time.time())
             begun = request.session.setdefault("begun_s", now)
@@ -69,10 +69,10 @@ class DeniedByDefault(MiddlewareMixin):
     """Refuses views without an access rule."""
 
     def process_view(self, request: HttpRequest, view: Any, args: Any, kwargs: Any) -> None:
-        """Refuse a view without its roles.
+        """Refuse a view that has no roles.
 
         Raises:
-            PermissionDenied: the view has none.
+            PermissionDenied: the view has no roles.
         """
         if not hasattr(view, "access"):
             raise PermissionDenied

@@ -1,4 +1,4 @@
-"""The server's process, with uvicorn and the application, and the runner's process."""
+"""The server's process, which runs uvicorn and the application, and the runner's process."""
 
 import errno
 import logging
@@ -18,15 +18,15 @@ from mammometry.clinic.site import application
 from mammometry.hospital.peers import is_loopback
 from mammometry.web.server import server
 
-_AGAIN_S = 5.0  # until a helper process that has ended is restarted
-_END_S = 15.0  # for a runner to return its jobs
+_AGAIN_S = 5.0  # pause before a helper process that has ended is started again
+_END_S = 15.0  # time for a runner to return its jobs to the queue
 _LOG = logging.getLogger(__name__)
 
 
 def migrate(config: ClinicConfig) -> list[str]:
-    """Upgrade the database's tables to this version. Returns the applied migrations.
+    """Upgrade the database's tables to this version. Return the applied migrations.
 
-    Each migration is one transaction, so a killed one leaves nothing, and the same command continues.
+    Each migration is one transaction, so a killed one has no effect, and the same command continues.
     """
     from django.core.management import call_command
     from django.db import connection
@@ -51,10 +51,10 @@ def migrate(config: ClinicConfig) -> list[str]:
 
 
 def require_current(config: ClinicConfig) -> None:
-    """Refuse a database of another version, or one whose audit can be changed.
+    """Refuse a database of another version, or one whose audit could be changed.
 
     Raises:
-        ClinicError: migrations are waiting, the database is newer, or the audit's triggers are gone.
+        ClinicError: migrations are missing, the database is newer, or the audit's triggers are missing.
     """
     from django.db import OperationalError, connection
     from django.db.migrations.executor import MigrationExecutor
@@ -93,10 +93,10 @@ def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
 
     Args:
         config: the clinic's.
-        jobs: whether to measure, too, in a second process.
+        jobs: whether to run jobs, too, in a second process.
 
     Raises:
-        ClinicError: other machines could reach it without encryption, or a certificate's file is missing.
+        ClinicError: other machines could reach it without encryption, or a file of the certificate is missing.
     """
     from django.core.management import call_command
 
@@ -110,7 +110,7 @@ def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
         if not Path(name).is_file():
             raise ClinicError(name, found="no file", expected="a PEM file", remedy="Correct [tls] in clinic.toml")
     require_current(config)
-    call_command("clearsessions")  # those that have ended
+    call_command("clearsessions")  # deletes expired sessions
     with beside(work, config.folder) if jobs else nullcontext(), suppress(KeyboardInterrupt):
         server(
             application(config),
@@ -125,7 +125,7 @@ def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
 
 
 def work(folder: Path) -> None:
-    """Serve a clinic's queue in this process until a signal ends it."""
+    """Run the queue of a clinic in this process until a signal ends it."""
     from mammometry.clinic.site import configure
 
     config = read_config(folder)
@@ -145,12 +145,12 @@ def work(folder: Path) -> None:
 
 @contextmanager
 def beside(task: Callable[[Path], None], folder: Path, *, again: bool = True) -> Iterator[None]:
-    """Run a process in parallel with the server.
+    """Run another process while the server runs.
 
     Args:
-        task: of the process.
-        folder: the clinic's, its argument.
-        again: restart it when it has ended.
+        task: function that the process runs.
+        folder: the clinic's folder, the argument of `task`.
+        again: whether to restart the process if it ends.
     """
     ended = threading.Event()
     processes: list[subprocess.Popen[bytes]] = []
@@ -173,14 +173,14 @@ def beside(task: Callable[[Path], None], folder: Path, *, again: bool = True) ->
     finally:
         ended.set()
         for process in processes:
-            process.terminate()  # a runner returns its jobs
+            process.terminate()  # a runner returns its jobs to the queue
         keeper.join(_END_S)
         for process in processes:
             process.kill()
 
 
 def require_free(address: str) -> None:
-    """Refuse an address on which the server cannot listen, before starting anything.
+    """Refuse an address on which the server cannot listen, before anything is started.
 
     Raises:
         ClinicError: another program listens there, the port is reserved, or the host is not an address of this machine.
@@ -189,7 +189,7 @@ def require_free(address: str) -> None:
     remedy = "Name another address with --address HOST:PORT, or in clinic.toml"
     try:
         if port > 65535:
-            raise OSError(errno.EADDRNOTAVAIL, "no such port")  # bind raises OverflowError
+            raise OSError(errno.EADDRNOTAVAIL, "no such port")  # bind would raise OverflowError
         family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind, protocol) as probe:
             probe.setsockopt(
