@@ -1,1 +1,1 @@
-"""The report: its text, figures and documents."""
+"""The report: its content, figures and documents."""

@@ -25,9 +25,9 @@ class ReportPicture:
     width: int
     height: int
     webp: bytes
-    """For the page."""
+    """Picture for the page."""
     jpeg: bytes = b""
-    """For the PDF. Empty if it is not in the PDF."""
+    """Picture for the PDF. Empty if it is not in the PDF."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,15 +40,15 @@ class Fact:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LargeNumber:
-    """A number of the first page."""
+    """A number on the first page."""
 
     title: str
     value: str
-    """"354 cc"."""
+    """Such as "354 cc"."""
     interval: str = ""
-    """"95 %: 300 to 410 cc"."""
+    """Such as "95 %: 300 to 410 cc"."""
     note: str = ""
-    """Meaning of the number."""
+    """What the number means."""
     colour: str = ""
     """Colour of its boundary in the pictures, #rrggbb. Empty: none."""
 
@@ -69,9 +69,9 @@ class BreastReport:
     """One measured breast, as text."""
 
     name: str
-    """model, left, right."""
+    """``model``, ``left`` or ``right``."""
     title: str
-    """Its title."""
+    """Heading of its section."""
     number: LargeNumber
     """Its volume, on the first page."""
     facts: tuple[Fact, ...]
@@ -82,7 +82,7 @@ class BreastReport:
     wall: str = ""
     """Name and definition of the wall."""
     boundary: str = ""
-    """Origin of the boundary. This, wall and interval are empty for a side that was not measured."""
+    """Origin of the boundary. Like wall and interval, it is empty for a side that was not measured."""
     boundary_remarks: tuple[BoundaryRemark, ...] = ()
     """Facts about the boundary used by the report."""
     curve: str = ""
@@ -90,7 +90,7 @@ class BreastReport:
     absence: Notice | None = None
     """Reason for having no volume. None if there is one."""
     tables: tuple[TextTable, ...] = ()
-    """Terms of the interval, and the volume with other walls."""
+    """Components of the interval, and the volume with other walls."""
 
     @property
     def rows(self) -> tuple[Fact, ...]:
@@ -107,7 +107,7 @@ class BreastReport:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StageReport:
-    """One stage, for the technician."""
+    """One stage of the computation, for the technician."""
 
     stage: str
     title: str
@@ -120,7 +120,7 @@ class ReportContent:
     """All text, pictures and models of a report."""
 
     identity: Identity
-    """Identity of the subject: the only names on the page."""
+    """Identity of the subject. The page contains no other names."""
     created: str
     """Time of the report, as text."""
     subject: str
@@ -128,22 +128,22 @@ class ReportContent:
     world: str
     """Definition of the world frame."""
     warnings: tuple[Notice, ...]
-    """Warnings about the volumes, worst first. Those of boundaries are added when the report is rendered."""
+    """Warnings about the volumes, worst first. Those about boundaries are added when the report is rendered."""
     concerns: tuple[Notice, ...] = ()
     """Warnings of calibration and matching."""
     calibration_doubts: tuple[Notice, ...] = ()
-    """Warnings about single photographs of the calibration, last. A clinic's reports omit them."""
+    """Warnings about single photographs of the calibration. They come last, and a clinic's reports omit them."""
     breasts: tuple[BreastReport, ...]
     comparison: tuple[Fact, ...]
     """Differences between both sides. Empty if neither was measured."""
     difference: LargeNumber | None = None
-    """Difference of both volumes. None without two."""
+    """Difference of the two volumes. None if there are not two."""
     meanings: tuple[Meaning, ...] = ()
-    """The volumes in every definition of the breast, the leading one first. Empty for a cast."""
+    """The volumes with every definition of the breast, the leading one first. Empty for a cast."""
     lengths: TextTable | None = None
-    """Surgical lengths. None: not measured."""
+    """Surgical lengths. None if they were not measured."""
     lengths_note: str = ""
-    """Lengths missing in the table."""
+    """Lengths that are missing in the table."""
     stages: tuple[StageReport, ...]
     timings: tuple[Fact, ...]
     changed_settings: tuple[Fact, ...]
@@ -155,7 +155,7 @@ class ReportContent:
     scene: str = ""
     """Scene of the 3D viewer, from `scene.to_json`. Empty: no viewer."""
     key: str = ""
-    """Digest of the page's content, to check later whether it is current."""
+    """Digest of the page's content, which shows later whether the page is current."""
     contains: str = "photographs of the subject, and no name except those in its heading"
     """Personal data in the report."""
 
@@ -166,9 +166,9 @@ class ReportContent:
 
 
 def sentence(text: str, *, capital: bool = True) -> str:
-    """The text with a full stop at its end.
+    """Add a full stop to a text.
 
-    Its first letter becomes a capital unless it continues a sentence.
+    Its first letter becomes a capital, unless the text continues a sentence.
     """
     text = text.strip().rstrip(".")
     return f"{text[:1].upper() if capital else text[:1]}{text[1:]}." if text else ""
@@ -176,7 +176,7 @@ def sentence(text: str, *, capital: bool = True) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Signed:
-    """A person's statement, with name and time."""
+    """A person's statement, with the person's name and the time."""
 
     by: str
     at: datetime.datetime
@@ -187,7 +187,7 @@ class Signed:
 class Clinical:
     """The patient, earlier operations, and the clinician's conclusion.
 
-    A report is rendered with it but never stored with it: names are only in the clinic's database.
+    A report is rendered with these data but never stored with them: names are only in the clinic's database.
     """
 
     patient: str = ""
@@ -198,14 +198,14 @@ class Clinical:
     taken: datetime.datetime | None = None
     """Time of the photographs or the scan, local time."""
     occasion: str = ""
-    """Occasion of the visit: "6 weeks after"."""
+    """Occasion of the visit, such as "6 weeks after"."""
     posture: str = ""
-    """ "leaning forward", "standing", "lying"; empty: unknown."""
+    """Such as "leaning forward", "standing", "lying". Empty: unknown."""
     operations: tuple[str, ...] = ()
     """One sentence each, the newest first: "Implant inserted, left, 2026-03-02, 300 cc"."""
     change: tuple[str, ...] = ()
-    """The verdict against the previous visit, one sentence per breast. Empty: none."""
+    """Verdict on the change since the previous visit, one sentence per breast. Empty if there is none."""
     confirmed: Signed | None = None
-    """Confirmation of the measured boundaries. None: not confirmed."""
+    """Confirmation of the measured boundaries. None if they are not confirmed."""
     conclusions: tuple[Signed, ...] = ()
-    """Newest first; it amends the others."""
+    """Newest first. The newest one amends the others."""

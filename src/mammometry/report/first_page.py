@@ -1,4 +1,4 @@
-"""The first page of a report, for a surgeon in thirty seconds: in the browser and in the PDF."""
+"""First page of a report, on the web page and in the PDF: what a surgeon reads in thirty seconds."""
 
 import datetime
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,7 @@ from mammometry.report.words.volumes import date_words
 
 NOT_CONFIRMED = "not confirmed"
 FIRST_PICTURES = ("front", "from_right", "from_left")
-_WITHOUT_A_BREAST = "views"  # of the surface, where nothing was measured
+_WITHOUT_A_BREAST = "views"  # name of the picture if nothing was measured: views of the surface
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,14 +26,14 @@ class FirstPage:
     who: str
     """Birth date and record number, or the session's other facts."""
     when: str
-    """Day, occasion, posture."""
+    """Date, occasion and posture."""
     operations: tuple[str, ...]
     numbers: tuple[LargeNumber, ...]
     """Both volumes and their difference."""
     cautions: tuple[str, ...]
     """Cautions about these numbers, one line each."""
     pictures: tuple[ReportPicture, ...]
-    """The front view, then both oblique ones."""
+    """The front view, then the two oblique ones."""
     change: tuple[str, ...]
     """Change since the previous visit."""
     confirmation: str
@@ -41,7 +41,7 @@ class FirstPage:
     is_confirmed: bool
     conclusion: Signed | None
     amended: str
-    """Earlier conclusion that the newest one replaces. Empty: none."""
+    """Earlier conclusion that the newest one amends. Empty if there is none."""
 
 
 def first_page(
@@ -50,7 +50,7 @@ def first_page(
     """Make the first page.
 
     Args:
-        content: of the report.
+        content: content of the report.
         attributions: breast → confirmation of its boundary.
         clinical: a clinic's data; its confirmation then applies to all boundaries.
         named: whether names and dates are included.
@@ -79,12 +79,12 @@ def first_page(
 
 
 def signature(signed: Signed) -> str:
-    """Name and time: "Dr. B, 22 November 2026, 10:30"."""
+    """Name and time, such as "Dr. B, 22 November 2026, 10:30"."""
     return _joined(isolated(signed.by), moment_words(signed.at), between=", ")
 
 
 def moment_words(moment: datetime.datetime) -> str:
-    """A time as text, to the minute: "22 November 2026, 10:30"."""
+    """A time as text, to the minute, such as "22 November 2026, 10:30"."""
     return f"{date_words(moment)}, {moment:%H:%M}"
 
 
@@ -102,7 +102,7 @@ def _confirmation(
     signed = None if clinical is None else clinical.confirmed
     if signed is not None and measured:
         return f"confirmed by {signature(signed)}", True
-    if all(breast.name == "model" for breast in measured):  # its base needs no confirmation
+    if all(breast.name == "model" for breast in measured):  # a cast's base needs no confirmation
         return "", True
     if clinical is not None:
         return NOT_CONFIRMED, False
@@ -122,13 +122,13 @@ def _confirmation(
 
 
 def _volumes(breasts: Sequence[BreastReport]) -> list[LargeNumber]:
-    """Volumes in the colours that `figures.measure` gives to the boundaries."""
+    """Volumes, in the colours of their boundaries in `figures.measure`."""
     colours = iter(CYCLE)
     return [breast.number if breast.absence else replace(breast.number, colour=next(colours)) for breast in breasts]
 
 
 def _cautions(measured: Sequence[BreastReport], notices: Sequence[Notice]) -> tuple[str, ...]:
-    """Cautions about the volumes: for all breasts, or with the breast's name."""
+    """Cautions about the volumes. Those that do not concern all breasts name the breast."""
     lines = []
     for notice in notices:
         of = [breast.number.title for breast in measured if concerns(notice, breast.name)]

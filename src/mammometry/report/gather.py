@@ -1,4 +1,4 @@
-"""Collect the report of a session's job, or of a scanner's mesh, stage by stage, to save memory."""
+"""Collect the report of a session, or of another scanner's mesh, stage by stage to save memory."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
@@ -45,7 +45,7 @@ from mammometry.report.words.mesh_facts import MeshOrigin, mesh_facts
 from mammometry.report.words.stage_facts import DrawnStages, MatchingFacts, matching_facts, surface_facts
 from mammometry.surface.texture.texture import TexturedMesh
 
-_COLOURED: tuple[Stage, ...] = ("surface", "measure")  # stages whose pictures show the surface in its colours
+_COLOURED: tuple[Stage, ...] = ("surface", "measure")  # stages whose pictures show the surface in colour
 
 
 def gather(
@@ -60,13 +60,13 @@ def gather(
 ) -> ReportContent:
     """Content of the report of a session. Missing products are computed.
 
-    Args:
-        plan: the whole job.
-        inputs: of the session; photographs are read one at a time.
+    plan: the complete plan.
+        inputs: inputs of the session; photographs are read one at a time.
+        page: content that does not come from products. All of it affects the report's key.
         page: content other than products, all of it part of the report's key.
-        shown: previews and their facts; missing ones are made here. Previews of the surface are drawn again if colours
+        shown: previews and their facts. Missing ones are made here. Previews of the surface are drawn again if colours
             are left out.
-        created: time of the report; now by default.
+        created: time of the report. None: now.
         privacy: what to leave out.
         progress: called with the fraction done.
     """
@@ -162,7 +162,7 @@ def gather(
 def whole_scene(plan: Plan) -> ViewerScene:
     """Scene of a session's own report in the 3D viewer.
 
-    Nothing is left out. It needs no previews. Missing products are computed.
+    Nothing is left out. Previews are not needed. Missing products are computed.
     """
     return _scene(plan, plan.value(measure.measurements) or (), plan[surface.mesh]().textured)
 
@@ -176,7 +176,7 @@ def _scene(plan: Plan, measurements: tuple[VolumeMeasurement, ...], textured: Te
         textured,
         measurements,
         symmetry=plan.value(measure.symmetry),
-        # If colours are left out, so are the photographs.
+        # If colours are left out, the photographs are left out, too.
         atlas=plan[surface.model]() if textured is finished.textured else None,
     )
     sizes = plan.value(measure.dimensions) if measurements else None
@@ -196,11 +196,11 @@ def gather_mesh(
     """Collect the report of a measured mesh.
 
     Args:
-        plan: of its measurement.
+        plan: plan of its measurement.
         viewer: camera of the pictures.
-        page: content other than products, all of it part of the report's key.
-        origin: facts about the mesh other than its shape.
-        drawn: waits for pictures that are drawn elsewhere, in all colours.
+        page: content that does not come from products. All of it affects the report's key.
+        origin: facts about the mesh, apart from its shape.
+        drawn: waits for pictures, in all colours, that another process draws.
         privacy: what to leave out. None: nothing.
         progress: called with the fraction done.
     """
@@ -265,10 +265,10 @@ def gather_mesh(
 def mesh_result(
     plan: Plan, viewer: Rig, textured: TexturedMesh, sources: UInt8[Array, " n"] | None = None
 ) -> MeasureResult:
-    """Result for drawing the pictures of a measured mesh.
+    """Result from which the pictures of a measured mesh are drawn.
 
     Args:
-        plan: of its measurement.
+        plan: plan of its measurement.
         viewer: camera of the pictures.
         textured: the mesh in the colours to be shown.
         sources: scans that show each vertex, as bits, if several were merged.

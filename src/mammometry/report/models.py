@@ -1,6 +1,6 @@
-"""Models of the 3D viewer from the job's products.
+"""Models for the 3D viewer, from the products of a session.
 
-They are simplified for viewing and have every layer that can be drawn.
+They are simplified for viewing, and have every layer that can be drawn.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from mammometry.surface.texture.texture_atlas import Atlas
 from mammometry.surface.texture.unmeasured import shown_colours
 
 Seen = Callable[[Float64[Array, "n 3"]], Float64[Array, "n 3"]]
-"""World frame to viewing frame."""
+"""From the world frame to the viewing frame."""
 
-_TEXTURE_PX = 2560  # longer side of the photographs on the 3D surface, px: keeps the page small; appearance only
+_TEXTURE_PX = 2560  # longer side of the photographs on the 3D surface, px: limits the size of the page; appearance only
 TRIANGLES = 200_000
-"""Most triangles of a model: more are not visible on a screen and make the page large."""
+"""Largest number of triangles of a model: more are not visible on a screen, and enlarge the page."""
 
 
 def viewer_scene(
@@ -49,7 +49,7 @@ def viewer_scene(
     atlas: Atlas | None = None,
     triangles: int = TRIANGLES,
 ) -> ViewerScene:
-    """Whole surface with boundaries and walls, and both breasts for comparison.
+    """The whole surface with boundaries and walls, and both breasts for comparison.
 
     The right breast is mirrored.
 
@@ -58,9 +58,9 @@ def viewer_scene(
         repaired: the surface, world frame, mm.
         textured: the same mesh with its colours.
         measurements: one per breast.
-        symmetry: aligns the mirrored right breast with the left one; without it, it is only mirrored.
+        symmetry: aligns the mirrored right breast with the left one. Without it, the breast is only mirrored.
         atlas: the same surface, simplified and textured with its photographs at full resolution.
-        triangles: of the whole surface at most; it is simplified only for the viewer.
+        triangles: largest number of triangles of the whole surface in the viewer.
     """
     centre = repaired.mesh.vertices.mean(axis=0)
 
@@ -92,9 +92,9 @@ def viewer_scene(
 
 
 def change_scene(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], limit_mm: float) -> ViewerScene:
-    """Two dates of one patient, aligned and side by side.
+    """One patient at two dates, side by side.
 
-    The trunks are aligned. The later one can be coloured by the change.
+    The trunks are aligned. The later surface can be coloured by the change.
 
     Args:
         frame: rows right, up and towards the viewer of the front view, world frame of the earlier date.
@@ -148,12 +148,12 @@ def _change_layer(change_mm: Float64[Array, " n"], limit_mm: float) -> Layer:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _ShownSurface:
-    """A whole surface that becomes a model."""
+    """A whole surface from which a model is made."""
 
     name: str
-    """For the program."""
+    """Name in the program."""
     title: str
-    """For the reader."""
+    """Name for the reader."""
     repaired: RepairedSurface
     """World frame."""
     textured: TexturedMesh
@@ -177,9 +177,9 @@ def _whole(
     Args:
         surface: the surface.
         seen: world frame to viewing frame.
-        own: frame of the measurements to the world frame.
+        own: from the frame of the measurements to the world frame.
         first: layers before those of every surface, one value per vertex.
-        triangles: at most.
+        triangles: largest number of triangles.
     """
     repaired, atlas, measurements = surface.repaired, surface.atlas, surface.measurements
     mesh, origin = thinned(repaired.mesh, triangles) if atlas is None else _covered(atlas, repaired.mesh)
@@ -202,7 +202,7 @@ def _whole(
 
 
 def with_lengths(scene: ViewerScene, lengths: Sequence[LinearMeasure]) -> ViewerScene:
-    """Draw lengths on the whole surface: lines with their values, and their ends as landmarks."""
+    """Draw lengths on the whole surface as lines with their values, with their ends as landmarks."""
     whole, *others = scene.models
     seen = scene.world_from_view.inverse().apply
     lines = tuple((_length_words(length), seen(np.array(length.ends_world))) for length in lengths)
@@ -212,14 +212,14 @@ def with_lengths(scene: ViewerScene, lengths: Sequence[LinearMeasure]) -> Viewer
 
 
 def _length_words(length: LinearMeasure) -> str:
-    """A length with its 95 % half-width, as its line in the view has it: to the fold along the skin."""
+    """Label of a length's line: value and 95 % half-width. The length to the fold is along the skin."""
     if length.name.startswith("N-IMF") and length.geodesic_mm is not None:
         return f"{at_95(length.geodesic_mm, length.geodesic_sigma_mm, 'mm')} along the skin"
     return at_95(length.straight_mm, length.straight_sigma_mm, "mm")
 
 
 def thinned(mesh: TriangleMesh, triangles: int) -> tuple[TriangleMesh, Array]:
-    """A simplified mesh for viewing, and each vertex's nearest original one. Quadric edge collapse."""
+    """Simplify a mesh by quadric edge collapse. Also returns the nearest original vertex of each vertex."""
     if len(mesh.faces) <= triangles:
         return mesh, np.arange(len(mesh.vertices))
     small = thinning.thinned(mesh, triangles)
@@ -227,9 +227,9 @@ def thinned(mesh: TriangleMesh, triangles: int) -> tuple[TriangleMesh, Array]:
 
 
 def _covered(atlas: Atlas, mesh: TriangleMesh) -> tuple[TriangleMesh, Array]:
-    """The atlas's mesh, and the nearest full-mesh vertex of each vertex.
+    """The atlas's mesh, and for each of its vertices the nearest vertex of the full mesh.
 
-    The mesh has one vertex for each place in its texture.
+    The atlas's mesh has one vertex for each position in its texture.
     """
     origin, faces, _ = atlas.unwelded()
     return TriangleMesh(vertices=atlas.mesh.vertices[origin], faces=faces), _nearest(mesh, atlas.mesh)[origin]
@@ -245,12 +245,12 @@ def _texture(atlas: Atlas) -> Texture:
 
 
 def _nearest(of: TriangleMesh, to: TriangleMesh) -> Array:
-    """For each vertex of `to`, index of the nearest vertex of `of`."""
+    """For each vertex of `to`, the index of the nearest vertex of `of`."""
     return np.asarray(point_tree(of.vertices).query(to.vertices)[1])
 
 
 def _layers(repaired: RepairedSurface, origin: Array) -> tuple[Layer, ...]:
-    """Origin of the surface, and how well it is known."""
+    """Layers of the surface's origin and of its uncertainty."""
     sigma_mm = repaired.sigma_mm[origin]
     known = sigma_mm[np.isfinite(sigma_mm)]
     worst_mm = max(float(np.quantile(known, 0.98)) if len(known) else 0.0, 0.01)
@@ -287,7 +287,7 @@ def _breast(
     symmetry: Symmetry | None,
     triangles: int,
 ) -> ViewedSurface:
-    """One breast's skin and wall. The left one is unchanged, the right one mirrored and aligned with it."""
+    """Skin and wall of one breast. The right breast is mirrored and aligned with the left one."""
     mirrored = measured.name == "right"
     skin, _ = thinned(measured.skin, triangles)
     origin = _nearest(repaired.mesh, skin)
@@ -314,7 +314,7 @@ def _breast(
 
 
 def _symmetry_layer(symmetry: Symmetry | None, measured: VolumeMeasurement, skin: TriangleMesh) -> tuple[Layer, ...]:
-    """Distance of this breast from the mirrored other one. Both breasts share one scale."""
+    """Distance of this breast from the other one, mirrored. Both breasts have the same scale."""
     if symmetry is None:
         return ()
     out_mm = symmetry.right_mm if measured.name == "right" else symmetry.left_mm

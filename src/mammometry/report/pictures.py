@@ -11,18 +11,18 @@ from mammometry.report.content import ReportPicture
 from mammometry.report.figures.canvas import caption_in
 from mammometry.report.figures.catalogue import is_on_paper
 
-_PAPER_PX = 1400  # longer side of a picture in the PDF: about 190 dpi over the text width of A4
-_QUALITY = 88  # of WebP and JPEG, 0 to 100: a photograph as WebP then takes a third of a JPEG; appearance only
-_WEBP_EFFORT = 2  # of its encoder, 0 to 6: half the time of 4 for 4 % more bytes
+_PAPER_PX = 1400  # longer side of a picture in the PDF: about 190 dpi at the text width of A4
+_QUALITY = 88  # quality of WebP and JPEG, 0 to 100: WebP then has a third of a JPEG's size; appearance only
+_WEBP_EFFORT = 2  # effort of its encoder, 0 to 6: takes half as long as 4, with 4 % more bytes
 _SMALL_BYTES = 60_000
-"""Lossless pictures below this size, bytes, stay lossless, because lines and text are sharper."""
+"""Size in bytes below which pictures stay lossless, because lines and text are sharper."""
 
 
 def encoded(png: bytes, *, on_paper: bool = True) -> ReportPicture:
     """Encode a PNG with its caption for the page and the PDF."""
     with Image.open(io.BytesIO(png), formats=("PNG",)) as image:
-        caption, (width, height) = caption_in(image), image.size  # the picture is read once for all
-        bare = Image.fromarray(np.asarray(image.convert("RGB")))  # without any metadata
+        caption, (width, height) = caption_in(image), image.size  # the picture is read only once
+        bare = Image.fromarray(np.asarray(image.convert("RGB")))  # without metadata
     return ReportPicture(
         title=caption.title,
         text=caption.text,
@@ -34,9 +34,9 @@ def encoded(png: bytes, *, on_paper: bool = True) -> ReportPicture:
 
 
 def all_encoded(pictures: Mapping[str, Mapping[str, bytes]]) -> dict[str, dict[str, ReportPicture]]:
-    """Stage → name → picture, from PNGs. The PDF gets those of the measurement and those meant for it.
+    """Stage → name → picture, from PNGs. The PDF gets pictures of the measurement and those meant for it.
 
-    If nothing was measured, views of the surface are on the first page.
+    If nothing was measured, the first page shows views of the surface.
     """
     first = "measure" if pictures.get("measure") else "surface"
     names = [(stage, name) for stage, drawn in pictures.items() for name in drawn]
@@ -52,8 +52,8 @@ def all_encoded(pictures: Mapping[str, Mapping[str, bytes]]) -> dict[str, dict[s
 
 
 def webp_of(image: Image.Image, png_bytes: int) -> bytes:
-    """WebP of a picture: lossless if that is small. A photograph takes a third of its JPEG size."""
-    # Lossless WebP is at best half the PNG, so larger ones are not tried.
+    """A picture as WebP: lossless if that is small. A photograph has a third of the size of its JPEG."""
+    # Lossless WebP has at best half the size of the PNG, so it is not tried for larger ones.
     data = _webp(image, lossless=True, quality=60) if png_bytes <= 2 * _SMALL_BYTES else None
     if data is None or len(data) > _SMALL_BYTES:
         data = _webp(image, quality=_QUALITY, use_sharp_yuv=True)
@@ -61,7 +61,7 @@ def webp_of(image: Image.Image, png_bytes: int) -> bytes:
 
 
 def jpeg_of(image: Image.Image) -> bytes:
-    """JPEG of a picture at printing resolution."""
+    """A picture as JPEG, at printing resolution."""
     small = image.copy()
     small.thumbnail((_PAPER_PX, _PAPER_PX))
     buffer = io.BytesIO()

@@ -1,7 +1,7 @@
-"""Choice of how much a report reveals of the subject.
+"""How much of the subject a report shows.
 
-De-identified: no name of the session, no identifier of the subject, no date, no photograph; photographic colours only
-below the sternal notch, so that no face is visible. Geometry only: no photographic colours at all.
+De-identified reports contain no name from the session, no identifier, no date and no photograph, and show photographic
+colours only below the sternal notch, so that no face is visible. With geometry only, there are no photographic colours.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from mammometry.surface.texture.texture import TexturedMesh
 
 WHOLE = "photographs of the subject, and no name except those in its heading"
 """What a full report contains."""
-_GREY = 176  # level of grey (0–255) instead of a colour; appearance only
+_GREY = 176  # grey level (0–255) that replaces a colour; appearance only
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Privacy:
-    """Choice of how much of the subject a report shows."""
+    """How much of the subject a report shows."""
 
     deidentify: bool = False
     """Whether to leave out names, the identifier, dates, photographs, and colours above the sternal notch."""
     geometry_only: bool = False
-    """Leave out all photographic colours."""
+    """Whether to leave out all photographic colours."""
 
     @property
     def guarded(self) -> bool:
@@ -41,7 +41,7 @@ class Guarded:
 
     textured: TexturedMesh
     contains: str
-    """Content of the report, as text for its reader."""
+    """What the report contains, as text for its reader."""
 
 
 def guard(
@@ -57,9 +57,9 @@ def guard(
     Args:
         textured: the surface in its photographic colours, world frame, mm.
         privacy: what to leave out.
-        subject_kind: model, torso or surface. Only above a torso there is a face.
-        up_world: towards the patient's head, unit vector, world frame.
-        landmarks: colours of a torso are shown below its ``sternal_notch``. Without that landmark none are.
+        subject_kind: ``model``, ``torso`` or ``surface``. Only a torso has a face above it.
+        up_world: direction towards the patient's head, unit vector, world frame.
+        landmarks: a torso's colours are shown below its ``sternal_notch``. Without that landmark, none are.
     """
     if privacy.geometry_only:
         return Guarded(

@@ -1,8 +1,8 @@
-"""Models of the 3D viewer, and their format inside a page.
+"""Models for the 3D viewer, and their format inside a page.
 
-They are quantised, compressed and in base64. A position is a 16-bit step of its model's extent (0.006 mm on 400 mm), a
-normal has 8 bits a component, a layer's value 16 bits of its range. The viewer's side of this format is
-``viewer/src/format.ts``.
+They are quantised, compressed and encoded in base64. The step of a position is 1/65535 of the model's extent (0.006 mm
+for 400 mm). Normals have 8 bits per component, and values of layers 16 bits over their range. The viewer's side of this
+format is ``viewer/src/format.ts``.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ import numpy as np
 from mammometry.base.value import value
 from mammometry.geometry import Array, Float32, Float64, Int32, Transform, TriangleMesh, UInt8, bounds
 
-FORMAT_VERSION = 1  # of the data that the viewer reads
+FORMAT_VERSION = 1  # version of the data that the viewer reads
 SCENE = "scene.json"
-"""Name of the file that holds a scene for programs, beside a comparison's page and in a report's content."""
+"""Name of the file with a scene for programs, next to a comparison's page and in a report's content."""
 _IN_PAGE = re.compile(r'<script type="application/json" id="mm-scene">(.*?)</script>', re.DOTALL)
-_MISSING = 65535  # code of a missing value: the largest 16 bit number
+_MISSING = 65535  # code of a missing value: the largest 16-bit number
 _STEPS = 65535  # values are stored in 16 bits
 
 
@@ -32,17 +32,17 @@ class Layer:
     """One property of the surface, drawn in colours with a legend."""
 
     name: str
-    """For the program: ``provenance``, ``error``, ``symmetry``."""
+    """Name in the program: ``provenance``, ``error``, ``symmetry``."""
     title: str
-    """For the reader."""
+    """Name for the reader."""
     help: str
-    """One sentence on how to read it."""
+    """One sentence that explains how to read it."""
     values: Float32[Array, " n"]
-    """One value per vertex: a category's number, or a value in `unit`. NaN where there is none."""
+    """One value per vertex: the number of a category, or a value in `unit`. NaN if there is none."""
     kind: Literal["category", "sequential", "diverging"]
     unit: str = ""
     limits: tuple[float, float] = (0.0, 1.0)
-    """Values at both ends of the colour scale. Those beyond are clipped."""
+    """Values at the ends of the colour scale. Values beyond are clipped."""
     categories: tuple[tuple[str, str], ...] = ()
     """Title and colour (#rrggbb) of each category."""
 
@@ -58,7 +58,7 @@ class Texture:
     """A picture on a surface."""
 
     uv: Float32[Array, "n 2"]
-    """Place of each vertex in the picture, 0…1, from its upper left corner to the right and down."""
+    """Position of each vertex in the picture, 0…1, to the right and down from its upper left corner."""
     jpeg: bytes
 
 
@@ -79,26 +79,26 @@ class ViewedSurface:
     texture: Texture | None = None
     layers: tuple[Layer, ...] = ()
     curves: tuple[tuple[str, Float64[Array, "k 3"], bool], ...] = ()
-    """Title, points, and whether closed, of each curve on the surface."""
+    """Title and points of each curve on the surface, and whether it is closed."""
     landmarks: tuple[tuple[str, Float64[Array, 3]], ...] = ()
-    """Title and place."""
+    """Title and position."""
     lengths: tuple[tuple[str, Float64[Array, "2 3"]], ...] = ()
-    """Words such as "114.8 mm" and both ends, of each length."""
+    """Label, such as "114.8 mm", and both ends of each length."""
     wall: TriangleMesh | None = None
     """The chest wall that closes it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ViewerScene:
-    """All that the viewer can show."""
+    """Everything that the viewer can show."""
 
     models: tuple[ViewedSurface, ...]
     world_from_view: Transform
-    """Viewing frame to world frame."""
+    """Transform from the viewing frame to the world frame."""
     comparisons: tuple[tuple[str, str, str], ...] = field(default=())
-    """Title, and the names of the two models shown side by side."""
+    """Title of each comparison, and the names of the two models shown side by side."""
     of_patient: bool = False
-    """Whether it shows a body. Then sides are the patient's, and the wall is a chest wall."""
+    """Whether it shows a body. If so, sides are the patient's, and the wall is a chest wall."""
 
     def __post_init__(self) -> None:
         names = [model.name for model in self.models]
@@ -110,13 +110,13 @@ class ViewerScene:
 
 
 def json_in_page(page: str) -> str | None:
-    """The scene of a report's page, as `to_json` made it. None if there is none."""
+    """The scene in a report's page, as written by `to_json`. None if there is none."""
     match = _IN_PAGE.search(page)
     return None if match is None else match[1]
 
 
 def to_json(scene: ViewerScene) -> str:
-    """The scene as the viewer reads it. Safe inside a script element of a page."""
+    """The scene in the viewer's format, safe inside a script element of a page."""
     table = {
         "version": FORMAT_VERSION,
         "worldFromView": scene.world_from_view.matrix.ravel().tolist(),
@@ -168,7 +168,7 @@ def _surface(mesh: TriangleMesh, normals: Float64[Array, "n 3"]) -> dict[str, ob
 def _differences(faces: Int32[Array, "m 3"]) -> Array:
     """Differences of successive corners, zigzag-coded.
 
-    Neighbours have near numbers, so these compress well.
+    Neighbouring corners have similar numbers, so the differences compress well.
     """
     corners = faces.ravel().astype(np.int64)
     steps = np.diff(corners, prepend=0)

@@ -1,6 +1,6 @@
 """Warnings of a report.
 
-Those about the body, which a run also shows in the terminal, are in `words.doubts`.
+Those about the body, which are also shown in the terminal, are in `words.doubts`.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ from mammometry.surface.repair.repair import Provenance, RepairedSurface
 from mammometry.walk.motion import WalkMotion
 
 _OF_PARTNER = "its partner's silhouette is not known"
-_MATCHED = 0.6  # least matched share of a silhouette without a note; oblique flanks cost up to a third
-_BLOCKED = 0.005  # hidden share of the subject in a photograph from which it is reported: less is a strap or a shadow
-_SIZE_KNOWN = 0.004  # relative uncertainty of the board's size above which it dominates most intervals
+_MATCHED = 0.6  # matched share of a silhouette below which there is a note; oblique flanks reduce it by up to a third
+_BLOCKED = 0.005  # hidden share of the subject above which a photograph is reported; less is a strap or shadow
+_SIZE_KNOWN = 0.004  # relative uncertainty of the board's size above which it contributes most to most intervals
 _HUNG_UPWARDS = -0.04
-"""Mean `inferior_shift` of both breasts below which they are fuller above. 25 virtual bodies had 0.05 to 0.6; mounds,
-which are as full above as below, have 0."""
+"""Mean `inferior_shift` of both breasts below which they are fuller above than below. 25 virtual bodies had 0.05 to
+0.6. Symmetric mounds have 0."""
 
 
 def session_warnings(plan: Plan, settings: MeasureSettings) -> tuple[Notice, ...]:
@@ -51,8 +51,8 @@ def scan_warnings(plan: Plan, notices: Sequence[Notice]) -> tuple[Notice, ...]:
     """Warnings about the volumes of another scanner's mesh, worst first.
 
     Args:
-        plan: of its measurement.
-        notices: on how the mesh was read.
+        plan: plan of its measurement.
+        notices: notices from reading the mesh.
     """
     of_file = (notice for notice in notices if notice.level == "warning")
     return (
@@ -64,16 +64,16 @@ def scan_warnings(plan: Plan, notices: Sequence[Notice]) -> tuple[Notice, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VolumeDoubts:
-    """Results of a run on which its volumes depend."""
+    """Results of a run that may make its volumes doubtful."""
 
     measurements: Sequence[VolumeMeasurement]
     """One per breast."""
     moved: Sequence[Notice] = ()
     """Warnings about motion."""
     body: BodyDirections | None = None
-    """The body frame."""
+    """Directions of the body."""
     doubtful: Sequence[str] = ()
-    """Breasts without a visible nipple."""
+    """Breasts whose nipple is not visible."""
     unseparated: Mapping[str, str] = field(default_factory=dict)
     """Camera → reason why its silhouette is not used."""
     without_outline: Mapping[str, Sequence[str]] = field(default_factory=dict)
@@ -81,7 +81,7 @@ class VolumeDoubts:
 
 
 def volume_doubts(plan: Plan, settings: MeasureSettings) -> VolumeDoubts:
-    """The doubts from the products of a session's plan, which are computed if missing."""
+    """Collect these results from the products of a session's plan. Missing products are computed."""
     measurements = plan.value(measure.measurements) or ()
     unseparated = {} if (subjects := plan.value(match.subjects)) is None else subjects.doubts
     pairs = plan[calibrate.cameras]().rig.pair_names
@@ -98,16 +98,16 @@ def volume_doubts(plan: Plan, settings: MeasureSettings) -> VolumeDoubts:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RunResults(VolumeDoubts):
-    """Results of a run that may need a warning."""
+    """Results of a run about which there may be warnings."""
 
     quality: CalibrationQuality | None
-    """Verdict on the calibration. None for imported cameras."""
+    """Assessment of the calibration. None for imported cameras."""
     calibration: Calibration | None
-    """The calibration, with the photographs left out. None for imported cameras."""
+    """The calibration, without the photographs that were left out. None for imported cameras."""
     camera_doubts: Sequence[Notice] = ()
     """Warnings about imported cameras."""
     shares: Mapping[str, float]
-    """Pair → matched share of the subject's silhouette, for pairs with silhouettes."""
+    """Pair → matched share of the subject's silhouette. Only pairs with silhouettes."""
     matching: Mapping[str, MatchQuality]
     """Pair → quality of its matching."""
     foregrounds: Mapping[str, Foreground]
@@ -115,15 +115,15 @@ class RunResults(VolumeDoubts):
     repaired: RepairedSurface
     """The surface, world frame."""
     blocked: Mapping[str, Occlusion] = field(default_factory=dict)
-    """Camera → places where something hides the subject."""
+    """Camera → where something hides the subject."""
     walk: Walk | None = None
-    """Facts about one telephone's photographs. None for a rig."""
+    """Facts about the photographs of a walk. None for a rig."""
     walk_motion: WalkMotion | None = None
-    """Motion of the body between one telephone's photographs."""
+    """Motion of the body between the photographs of a walk."""
 
 
 def captured(cameras: Iterable[str]) -> tuple[str, ...]:
-    """Names of the cameras' photographs of the subject."""
+    """File names of the cameras' photographs of the subject."""
     return tuple(f"capture/{camera}" for camera in cameras)
 
 
@@ -159,10 +159,10 @@ def run_concerns(run: RunResults) -> Iterator[Notice]:
     extent = subject_extent(float(np.ptp(run.repaired.mesh.vertices, axis=0).max()))
     if not extent.is_usual():
         yield Notice(code="size-unusual", values={"mm": extent.mm})
-    for name, judged in run.matching.items() if run.walk is None else ():  # a walk's pairs are tested by `walk.motion`
+    for name, judged in run.matching.items() if run.walk is None else ():  # `walk.motion` tests a walk's pairs
         yield from match_quality.concerns(name, judged, run.without_outline.get(name, ()))
     for name, share in run.shares.items():
-        if share < _MATCHED and run.walk is None:  # a walk's masks show where the body may be
+        if share < _MATCHED and run.walk is None:  # the masks of a walk show only where the body may be
             yield Notice(code="pair-little-matched", level="note", about=(name,), values={"percent": 100 * share})
     hidden = {name: occlusion.share for name, occlusion in run.blocked.items() if occlusion.share > _BLOCKED}
     if hidden:
@@ -199,22 +199,22 @@ def mesh_warnings(measurements: Sequence[VolumeMeasurement], body: BodyDirection
 
 
 def rig_doubts(quality: CalibrationQuality | None) -> list[Notice]:
-    """Warnings of a whole calibration."""
+    """Warnings about a calibration as a whole."""
     return [] if quality is None else [doubt for doubt in quality.doubts if not doubt.photographs]
 
 
 def photograph_doubts(quality: CalibrationQuality | None) -> tuple[Notice, ...]:
-    """Warnings of single photographs of a calibration, which a technician may leave out."""
+    """Warnings about single photographs of a calibration, which a technician can leave out."""
     doubts = () if quality is None else quality.doubts
     return tuple(replace(doubt, level="note") for doubt in doubts if doubt.photographs)
 
 
 def walk_concerns(walk: Walk, motion: WalkMotion) -> Iterator[Notice]:
-    """Notices on the board's size and on motion between the photographs.
+    """Notices about the board's size, and about motion between the photographs.
 
     Args:
         walk: facts about the photographs.
-        motion: of the body between them.
+        motion: motion of the body between them.
     """
     if walk.scale_std > _SIZE_KNOWN:
         share = 100 * COVERAGE_95 * 3 * walk.scale_std

@@ -1,4 +1,4 @@
-"""Charts of the clinic's pages: positions of points and lines, which a template draws as SVG."""
+"""Charts on the clinic's pages: positions of points and lines, drawn as SVG by a template."""
 
 import datetime
 from collections.abc import Callable, Sequence
@@ -7,13 +7,13 @@ from itertools import groupby
 
 import numpy as np
 
-_LEFT, _RIGHT, _TOP, _BOTTOM = 46.0, 14.0, 14.0, 30.0  # px around the plot, for the words at its edges
-_STEPS = (1, 2, 5)  # round numbers on axes
-_TICKS = 5  # at most, more are hard to read
-_LEAST_SPAN = 0.2  # of the value: smaller changes do not fill the picture, so that noise looks small
-_APART_PX = 5.0  # between series of one date, so that their intervals are distinguishable
-_HALF_PX = 5.0  # of a mark
-_DATE_PX = 78.0  # of a date's words
+_LEFT, _RIGHT, _TOP, _BOTTOM = 46.0, 14.0, 14.0, 30.0  # margins around the plot for its labels, px
+_STEPS = (1, 2, 5)  # steps between ticks, times a power of ten
+_TICKS = 5  # most ticks of an axis: more are hard to read
+_LEAST_SPAN = 0.2  # least range of the axis relative to the values: noise must not fill the chart
+_APART_PX = 5.0  # distance between series on one date, so that their intervals can be told apart
+_HALF_PX = 5.0  # half-size of a mark
+_DATE_PX = 78.0  # width of a date's label
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +21,7 @@ class ChartReading:
     """One number with its interval, at one date."""
 
     series: str
-    """Such as ``left``; the template's class for it."""
+    """For example ``left``. It is also the template's class for the series."""
     at: datetime.datetime
     value: float
     low: float
@@ -29,14 +29,14 @@ class ChartReading:
     words: str
     """Text for the tooltip and screen readers."""
     line: str = ""
-    """Readings of a series with the same name are joined by a line."""
+    """Readings of a series with the same `line` are joined."""
     is_apart: bool = False
-    """Whether it is not comparable with the newest of its series; the text has the reason."""
+    """Whether it is not comparable with the newest reading of its series. `words` then has the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class Spot:
-    """A reading on the chart, px."""
+    """A reading's position on the chart, px."""
 
     series: str
     x: float
@@ -49,18 +49,18 @@ class Spot:
 
     @property
     def corner_x(self) -> float:
-        """Corner of the square that marks the event, px."""
+        """Left edge of the square that marks the reading, px."""
         return self.x - _HALF_PX
 
     @property
     def corner_y(self) -> float:
-        """Corner of the square that marks the event, px."""
+        """Upper edge of the square that marks the reading, px."""
         return self.y - _HALF_PX
 
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """A word at an axis and its place, px."""
+    """A label of an axis and its position, px."""
 
     at: float
     words: str
@@ -68,7 +68,7 @@ class Tick:
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """The line through a series: points of an SVG polyline."""
+    """Line through a series: the points of an SVG polyline."""
 
     series: str
     points: str
@@ -84,7 +84,7 @@ class ChartEvent:
 
 @dataclass(frozen=True, slots=True)
 class ChartMark:
-    """An event on the chart: an upright line with a number, which a list below explains."""
+    """An event on the chart: a vertical line with a number, which a list below the chart explains."""
 
     number: int
     x: float
@@ -93,7 +93,7 @@ class ChartMark:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TimeLine:
-    """Numbers over dates."""
+    """Layout of numbers over dates."""
 
     width: float
     height: float
@@ -134,7 +134,7 @@ def time_line(
     first, last = min(reading.at for reading in readings), max(reading.at for reading in readings)
     span_s = (last - first).total_seconds()
     names = sorted({reading.series for reading in readings})
-    inner = _DATE_PX / 2  # half a date's words stay inside at either end
+    inner = _DATE_PX / 2  # labels at both ends stay inside the chart
 
     def x_of(at: datetime.datetime) -> float:
         fraction = (at - first).total_seconds() / span_s if span_s else 0.5
@@ -182,7 +182,7 @@ def time_line(
 
 
 def _line(spot: Spot) -> tuple[str, str]:
-    """Series and line of a mark. Sorting by it keeps the order of dates."""
+    """Series and line of a mark. Sorting by them keeps the order of dates."""
     return spot.series, spot.line
 
 

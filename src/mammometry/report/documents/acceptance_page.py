@@ -1,4 +1,4 @@
-"""Acceptance test on one page and as a document, and the protocol with positions to tick off."""
+"""Acceptance test as a page and as a document, and the protocol with positions to tick off."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from mammometry.study.acceptance.tables import (
 from mammometry.study.tables import TextTable
 
 PAGE, DOCUMENT, PROTOCOL = "acceptance.html", "acceptance.pdf", "protocol.html"
-_PICTURE_HEIGHT = 300  # of a picture in the document at most, points
+_PICTURE_HEIGHT = 300  # largest height of a picture in the document, points
 _RULES = (
     "After VDI/VDE 2634-3 and ISO 10360-13, with artefacts that a clinic can make. It does not replace an accredited "
     "laboratory's test.",
@@ -64,8 +64,8 @@ def acceptance_page_files(outcome: Outcome, history: Sequence[PastTest]) -> dict
     """Page, document and pictures: file name → content.
 
     Args:
-        outcome: of the test.
-        history: all tests of the device, this one among them, the oldest first.
+        outcome: result of the test.
+        history: all tests of the device, including this one, oldest first.
     """
     pictures = acceptance_pictures(outcome, history)
     worst, tables = acceptance_tables(outcome)
@@ -100,7 +100,7 @@ def acceptance_page_files(outcome: Outcome, history: Sequence[PastTest]) -> dict
 
 
 def acceptance_pictures(outcome: Outcome, history: Sequence[PastTest]) -> dict[str, bytes]:
-    """Positions and deviations of each artefact, and the control chart of several tests."""
+    """Positions and deviations of each artefact. With several tests, also the control chart."""
     pictures = {}
     for kind in kinds_of(outcome):
         results = [result for result in outcome.results if result.kind == kind]
@@ -113,12 +113,12 @@ def acceptance_pictures(outcome: Outcome, history: Sequence[PastTest]) -> dict[s
 
 
 def picture_names() -> tuple[str, ...]:
-    """Names of all pictures that a test may have."""
+    """Names of all pictures that a test can have."""
     return (*(f"{what}-{kind}.png" for what in ("positions", "deviations") for kind in KINDS), "control-chart.png")
 
 
 def protocol_page(device: str) -> bytes:
-    """Positions of all artefacts as pictures, to tick off."""
+    """Page with the positions of all artefacts as pictures, to tick off."""
     parts = [
         PageSection(
             title=f"{TITLES[kind]}: {len(POSITIONS[kind])} positions",

@@ -33,9 +33,9 @@ class BatchVolume:
     """``model``, ``left`` or ``right``."""
     volume_cc: float
     interval_cc: tuple[float, float] | None
-    """95 %."""
+    """95 % interval."""
     reference_cc: float | None = None
-    """Volume by another method."""
+    """Volume measured by another method."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +50,7 @@ class BatchLine:
     date: str = ""
     volumes: tuple[BatchVolume, ...] = ()
     no_breast: Mapping[str, str] = field(default_factory=dict)
-    """Side → reason for having no measurement."""
+    """Side → reason why it was not measured."""
     notices: tuple[Notice, ...] = ()
     failed: str = ""
     seconds: float | None = None
@@ -60,24 +60,23 @@ class BatchLine:
     page: str = ""
     """Address of its report."""
     thumbnail: str | None = None
+    """Small picture, WebP in base64."""
 
     @property
     def warnings(self) -> list[str]:
-        """The notices in words."""
+        """The notices as text."""
         return list(map(words_of, self.notices))
-
-    """WebP in base64."""
 
 
 def batch_files(title: str, lines: Sequence[BatchLine]) -> dict[str, bytes]:
     """The page and the tables: file name → content.
 
-    The Parquet table is left out if pyarrow is not installed. With references of three or more subjects, the page has
-    their agreement study.
+    The Parquet table is left out if pyarrow is not installed. If three or more subjects have references, the page
+    includes a study of agreement with them.
 
     Args:
-        title: of the page.
-        lines: one per session.
+        title: title of the page.
+        lines: one row per session.
     """
     columns = _columns(lines)
     files = {
@@ -109,7 +108,7 @@ def _page(title: str, lines: Sequence[BatchLine]) -> str:
 
 
 def counted(lines: Sequence[BatchLine]) -> str:
-    """Number of sessions, and their outcomes, as text."""
+    """Number of sessions with each outcome, as text."""
     words = {
         "measured": "measured now",
         "current": "current already",
@@ -149,7 +148,7 @@ def _shown(line: BatchLine) -> dict[str, object]:
 
 
 def _paired(lines: Sequence[BatchLine]) -> PairedMeasurements | None:
-    """Volumes with a reference. None if they are of too few subjects for a study."""
+    """Volumes with a reference. None if there are too few subjects for a study."""
     pairs = [
         (line.subject or line.session, volume)
         for line in lines
@@ -171,7 +170,7 @@ def _paired(lines: Sequence[BatchLine]) -> PairedMeasurements | None:
 
 
 def _columns(lines: Sequence[BatchLine]) -> dict[str, list[str | float | None]]:
-    """One row per volume. A session without any has one row."""
+    """One row per volume. A session without volumes has one row."""
     columns: dict[str, list[str | float | None]] = {}
     for line in lines:
         for volume in line.volumes or (None,):

@@ -40,10 +40,10 @@ class ChangeReport:
     subject: str | None = None
     """Identifier of the subject if both dates have it, otherwise None."""
     keys: tuple[str, str]
-    """For each date, digest of its report's content, to check later whether the page is current."""
+    """For each date, the digest of its report's content, which shows later whether the page is current."""
     change: Change
     dates: tuple[Dated, Dated]
-    """The earlier one first, in the earlier one's world frame."""
+    """The earlier date first. Both are in its world frame."""
     frame: Float64[Array, "3 3"]
     """Rows: right, up and towards the viewer of the front view. World frame of the earlier date."""
     notices: tuple[Notice, ...]
@@ -55,7 +55,7 @@ class ChangeReport:
     before: datetime.date | None = None
     """The earlier date, if the page may name it."""
     at_one_date: Mapping[str, str] = field(default_factory=dict)
-    """Breast → ``earlier`` or ``later``: the only date with a volume."""
+    """Breast → ``earlier`` or ``later``, if only that date has a volume."""
 
     @property
     def warnings(self) -> list[str]:
@@ -116,7 +116,7 @@ def change_files(report: ChangeReport) -> dict[str, bytes]:
 
 
 def as_table(report: ChangeReport) -> dict[str, Any]:
-    """The comparison as JSON-ready data. Lengths in mm, volumes in cc."""
+    """The comparison as data for JSON. Lengths in mm, volumes in cc."""
     change = report.change
     fit = change.fit
     return {
@@ -174,7 +174,7 @@ def as_table(report: ChangeReport) -> dict[str, Any]:
 
 
 def verdict_of(breast: BreastChange, before: datetime.date | None) -> str:
-    """A breast's change and verdict, one sentence, also used by the clinic's pages."""
+    """One breast's change and verdict in one sentence. The clinic's pages use it, too."""
     volume = breast.volume
     return change_sentence(
         breast.name, volume.difference_cc, volume.difference_interval_cc, volume.beyond_error, before
@@ -185,7 +185,7 @@ def breast_card(breast: BreastChange, before: datetime.date | None) -> BreastCar
     """Describe the change of one breast: amount, interval and verdict.
 
     Args:
-        breast: at both dates.
+        breast: one breast at both dates.
         before: the earlier date; None if it must not be named.
     """
     volume = breast.volume
@@ -211,7 +211,7 @@ def breast_card(breast: BreastChange, before: datetime.date | None) -> BreastCar
 
 
 def trunk_facts(change: Change) -> tuple[Fact, ...]:
-    """Facts on the fit of both dates' trunks."""
+    """Facts about the alignment of the two trunks."""
     fit = change.fit
     posed = {
         "same pose": "the same, judged by the trunk",
@@ -227,7 +227,7 @@ def trunk_facts(change: Change) -> tuple[Fact, ...]:
 
 
 def length_tables(lengths: Sequence[LengthChange]) -> tuple[TextTable, ...]:
-    """Lengths known at both dates. None without landmarks."""
+    """Lengths that are known at both dates. Empty without landmarks."""
     if not lengths:
         return ()
     rows = tuple(

@@ -1,6 +1,6 @@
 """The report as one self-contained page.
 
-Pictures, style and 3D viewer are embedded. It needs no network.
+Pictures, style and 3D viewer are embedded, so it needs no network.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,10 +20,10 @@ def render(content: ReportContent, first: FirstPage, photographs: Mapping[str, s
     """HTML of the report's page.
 
     Args:
-        content: of the report.
-        first: the first page.
+        content: content of the report.
+        first: content of the first page.
         photographs: ``capture/CAMERA`` and ``calibration/POSE/CAMERA`` → address of the file, for a page in the same
-            folder. Warnings that name one link to it.
+            folder. Warnings about a photograph link to it.
     """
     from markupsafe import Markup
 
@@ -46,7 +46,7 @@ def render(content: ReportContent, first: FirstPage, photographs: Mapping[str, s
 
 
 def _arranged(content: ReportContent, first: FirstPage) -> Mapping[str, object]:
-    """Pictures at their places on the page, embedded."""
+    """Embedded pictures, by their place on the page."""
     return {
         "first": _embedded(first.pictures),
         "whole": _embedded(whole_pictures(content)),

@@ -1,4 +1,4 @@
-"""Pages from templates: shared parts, places of a report's pictures, the page of a refused run."""
+"""Pages from templates: shared parts, placement of a report's pictures, and the page of a refused run."""
 
 import base64
 import re
@@ -16,7 +16,7 @@ from mammometry.report.pictures import encoded
 
 STYLE = "report.css"
 _TORN = re.compile(r"(?<=[\d±<>]) (?=%|± ?\d|\d|(?:cc|cm²|mm|px|ppm|s|CPU s)\b)")
-"""Spaces within a quantity, where lines must not break."""
+"""Spaces within a quantity, at which lines must not break."""
 _COMMAND = re.compile("`([^`]+)`")
 
 
@@ -40,8 +40,8 @@ def resource(name: str) -> str:
 def render(template: str, *, styles: tuple[str, ...] = (STYLE,), **values: Any) -> str:
     """HTML of a page from its template.
 
-    It may import macros from other templates, and has its style as ``style``. The filter ``commands`` sets text between
-    `backticks` as code.
+    The template may import macros from other templates. Its style is available as ``style``. The filter ``commands``
+    formats text between `backticks` as code.
     """
     from jinja2 import Environment, FunctionLoader, StrictUndefined
     from markupsafe import Markup, escape
@@ -63,7 +63,7 @@ def render(template: str, *, styles: tuple[str, ...] = (STYLE,), **values: Any) 
 
 
 def tied(value: object) -> object:
-    """Text with no-break spaces between numbers, signs and units. Other values unchanged."""
+    """Replace spaces between numbers, signs and units by no-break spaces. Only text is changed."""
     if type(value) is not str or value.startswith("data:"):
         return value
     return _TORN.sub("\u00a0", value)
@@ -86,10 +86,10 @@ def shown(picture: ReportPicture) -> EmbeddedPicture:
 
 
 def viewer_program() -> str:
-    """The viewer's program, safe inside a script element.
+    """The viewer's program, in a form that is safe inside a script element.
 
     Raises:
-        StorageError: the package was copied, not installed; the program is made during installation.
+        StorageError: the package was copied instead of installed. The program is built during installation.
     """
     try:
         return resource("viewer.js").replace("</", "<\\/")
@@ -105,7 +105,7 @@ _MEASURE = "measure"
 
 
 def whole_pictures(content: ReportContent) -> list[ReportPicture]:
-    """Pictures of the whole measurement, without those of the first page."""
+    """Pictures of the whole measurement, except those on the first page."""
     of_breasts = {name for breast in content.breasts for name in _of_breast(content, breast.name)}
     measure = _drawn(content, _MEASURE)
     left_out = {*of_breasts, *FIRST_PICTURES}
@@ -118,7 +118,7 @@ def breast_pictures(content: ReportContent, breast: str) -> list[ReportPicture]:
 
 
 def stage_pictures(content: ReportContent, stage: str) -> list[ReportPicture]:
-    """Pictures of one stage for the technician. Those of the measurement are with the breasts."""
+    """Pictures of one stage for the technician. Those of the measurement are shown with the breasts."""
     return [picture for _, picture in _of_stage(content, stage)]
 
 
@@ -141,12 +141,12 @@ def _drawn(content: ReportContent, stage: str) -> dict[str, ReportPicture]:
 
 
 def refusal_page(identity: Identity, error: MammometryError, pictures: Mapping[str, bytes]) -> str:
-    """The refusal's parts, and the pictures made before it.
+    """Page of a refused run: the error, and the pictures made before it.
 
     Args:
-        identity: of the subject.
-        error: the refusal.
-        pictures: name → PNG with its caption, the most useful first.
+        identity: identity of the subject.
+        error: the error.
+        pictures: name → PNG with its caption, most useful first.
     """
     return render(
         "refused.html.j2",
@@ -160,5 +160,5 @@ def refusal_page(identity: Identity, error: MammometryError, pictures: Mapping[s
 
 
 def _heading(subject: str) -> str:
-    """The subject with a capital letter, unless it is a file name."""
+    """The subject with an initial capital, unless it is a file name."""
     return subject if {"/", "."} & set(subject) else f"{subject[:1].upper()}{subject[1:]}"

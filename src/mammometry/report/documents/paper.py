@@ -1,4 +1,4 @@
-"""Parts of PDF documents: paragraphs, facts, tables, pictures on A4."""
+"""Elements of PDF documents: paragraphs, facts, tables, pictures on A4."""
 
 import io
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -14,7 +14,7 @@ from mammometry.report.content import DISCLAIMER, Fact, ReportPicture
 from mammometry.report.figures.canvas import INK
 from mammometry.study.tables import TextTable
 
-_MARGIN_MM = 14.0  # of the page; appearance only
+_MARGIN_MM = 14.0  # margin of the page; appearance only
 _FOOTER_SIZE = 6.0  # points; smaller than all text above it
 ACCENT, FAINT = "#005a8e", "#586573"
 WARN = "#8a5a00"
@@ -22,11 +22,11 @@ _LINE, _EDGE, _WARN_GROUND = "#dde2e8", "#d08700", "#fff4dc"
 
 
 def document(title: str, subject: str, story: Callable[[float], Iterable[Any]]) -> bytes:
-    """A document's bytes. The same content gives the same bytes.
+    """A document as bytes. The same content gives the same bytes.
 
     Args:
-        title: of the document, and at the foot of each page.
-        subject: of the document.
+        title: title of the document, repeated at the foot of each page.
+        subject: subject of the document.
         story: width of a page's text, points → content.
     """
     return _built(title, subject, lambda width, height: story(width))[0]
@@ -35,13 +35,13 @@ def document(title: str, subject: str, story: Callable[[float], Iterable[Any]]) 
 def fitted(
     title: str, subject: str, stories: Sequence[Callable[[float, float], Iterable[Any]]], *, most_pages: int
 ) -> bytes:
-    """First of the documents that has few enough pages, or the last one.
+    """The first of several documents that has few enough pages, or else the last one.
 
     Args:
-        title: of the document.
-        subject: of the document.
+        title: title of the document.
+        subject: subject of the document.
         stories: width and height of a page's text, points → content.
-        most_pages: number of pages.
+        most_pages: largest number of pages.
     """
     made = b""
     for story in stories:
@@ -90,12 +90,12 @@ def text(
 
     Args:
         words: its text.
-        size: of the letters.
+        size: size of the letters.
         bold: whether they are bold.
-        colour: of the letters.
+        colour: colour of the letters.
         before: space above it.
-        leading: from line to line. None: by the size.
-        square: colour of a square before the words. Empty: none.
+        leading: distance between lines. None: depends on the size.
+        square: colour of a square before the text. Empty: no square.
     """
     from reportlab.lib.styles import ParagraphStyle
 
@@ -117,7 +117,7 @@ def text(
 
 
 def _marked(words: str) -> str:
-    """Text for PDF: commands without their `backticks`."""
+    """Text for a PDF: commands without their `backticks`."""
     return words.replace("`", "")
 
 
@@ -135,13 +135,13 @@ def facts(lines: Sequence[Fact], size: float = 8.0) -> Iterator[Any]:
 
 
 def table(data: TextTable, width: float, *, size: float = 6.5, first: float | None = None) -> Any:
-    """A table with the given width, points.
+    """A table of the given width, points.
 
     Args:
         data: columns and rows.
-        width: of the table.
-        size: of its text.
-        first: share of the first column. None: all are alike.
+        width: width of the table.
+        size: size of its text.
+        first: share of the width for the first column. None: all columns have the same width.
     """
     from reportlab.lib.styles import ParagraphStyle
 
@@ -160,7 +160,7 @@ def table(data: TextTable, width: float, *, size: float = 6.5, first: float | No
 
 
 def columns(cells: Sequence[Sequence[Any]], widths: Sequence[float], *, gap: float = 0.0) -> Any:
-    """Cells of given widths in one row, without lines. `gap` points between them."""
+    """Cells of given widths in one row, without lines, with `gap` points between them."""
     apart = ("RIGHTPADDING", (0, 0), (-2, -1), gap)
     return _grid([[list(cell) for cell in cells]], list(widths), 0, apart, hAlign="LEFT")
 
@@ -183,7 +183,7 @@ def line(width: float) -> Any:
 
 
 def signature_line(width: float, room: float) -> Iterator[Any]:
-    """An empty line for a signature, with space above it, points."""
+    """An empty line for a signature, with space above it. Points."""
     from reportlab.platypus import HRFlowable, Spacer
 
     yield Spacer(0, 22 + room)
@@ -192,7 +192,7 @@ def signature_line(width: float, room: float) -> Iterator[Any]:
 
 
 def height_of(flowables: Sequence[Any], width: float) -> float:
-    """Height of these in a column, with the space around them, points."""
+    """Height of these elements in a column, including the space between them, points."""
     heights = [
         flowable.wrap(width, 1e6)[1] + flowable.getSpaceBefore() + flowable.getSpaceAfter() for flowable in flowables
     ]
@@ -206,13 +206,13 @@ def side_by_side(cells: Sequence[Sequence[Any]], width: float) -> Any:
 
 
 def box(words: Sequence[Any], width: float) -> Any:
-    """Paragraphs on a coloured background with a left edge: a warning."""
+    """A warning: paragraphs on a coloured background with a border on the left."""
     ground, edge = ("BACKGROUND", (0, 0), (-1, -1), _WARN_GROUND), ("LINEBEFORE", (0, 0), (0, -1), 3, _EDGE)
     return _grid([[list(words)]], [width], 5, ground, edge, ("LEFTPADDING", (0, 0), (-1, -1), 9))
 
 
 def pictures(shown: Sequence[ReportPicture], width: float, height: float) -> Iterator[Any]:
-    """Pictures in rows of two, each under its title."""
+    """Pictures in rows of two, each below its title."""
     half = 0.5 * width - 4
     for start in range(0, len(shown), 2):
         row = [
@@ -222,7 +222,7 @@ def pictures(shown: Sequence[ReportPicture], width: float, height: float) -> Ite
 
 
 def picture(jpeg: bytes, width: float, height: float) -> Any:
-    """A JPEG fitted into a box, points."""
+    """A JPEG scaled to fit into a box, points."""
     from reportlab.platypus import Image as Placed
 
     with Image.open(io.BytesIO(jpeg), formats=("JPEG",)) as opened:
@@ -254,14 +254,14 @@ def _footer(title: str, margin: float) -> Callable[[Any, Any], None]:
 def _prepare() -> None:
     """Register DejaVu, and store pictures as bytes instead of ASCII.
 
-    DejaVu comes with Matplotlib and has every sign we use: ± σ ² − °.
+    DejaVu is part of Matplotlib and has every sign that we use: ± σ ² − °.
     """
     from matplotlib import get_data_path
     from reportlab import rl_config
     from reportlab.pdfbase.pdfmetrics import registerFont
     from reportlab.pdfbase.ttfonts import TTFont
 
-    rl_config.useA85 = 0  # saves a fifth of the size, and most of the time
+    rl_config.useA85 = 0  # a fifth smaller, and much faster
     folder = Path(get_data_path()) / "fonts" / "ttf"
     registerFont(TTFont("DejaVu", folder / "DejaVuSans.ttf"))
     registerFont(TTFont("DejaVu-Bold", folder / "DejaVuSans-Bold.ttf"))

@@ -31,21 +31,21 @@ from mammometry.study.tables import TextTable
 
 DOCUMENT = "report.pdf"
 _MOST_PAGES = 5
-_HEIGHT = 150.0  # of a breast's pictures, points; appearance only
+_HEIGHT = 150.0  # height of a breast's pictures, points; appearance only
 _PICTURE_HEIGHTS = (120.0, 95.0)
-"""Heights of the technical pictures, points. The document takes the largest that fits `_MOST_PAGES`."""
+"""Heights of the technical pictures, points. The largest one that keeps the document within `_MOST_PAGES` is used."""
 _LEAST_PICTURES, _GAP = 200.0, 6.0  # least height of the first page's pictures, and space between them, points
-_VIEW_NAME = 12.0  # height of a view's name, points
+_VIEW_NAME = 12.0  # height of the name of a view, points
 _WRITING = 80.0  # largest space for writing a conclusion, points
-_LONGEST_CONCLUSION = 900  # characters that fit on the first page; a longer one is on the second
+_LONGEST_CONCLUSION = 900  # most characters that fit on the first page; longer conclusions are on the second
 
 
 def render(content: ReportContent, first: FirstPage) -> bytes:
-    """The document's bytes. Equal arguments give equal bytes.
+    """The document as bytes. Equal arguments give equal bytes.
 
     Args:
-        content: of the report.
-        first: of the first page.
+        content: content of the report.
+        first: content of the first page.
     """
 
     def story(technical: float, width: float, height: float) -> Iterator[Any]:
@@ -58,7 +58,7 @@ def render(content: ReportContent, first: FirstPage) -> bytes:
 
 
 def _for_the_surgeon(content: ReportContent, first: FirstPage, width: float, height: float) -> Iterator[Any]:
-    """The first page. Its pictures use the space left by the text."""
+    """The first page. Its pictures fill the space that the text leaves."""
     from reportlab.platypus import PageBreak, Spacer
 
     above, below = [*_heading(content, first, width)], [*_below(content, first, width)]
@@ -98,13 +98,13 @@ def _large(number: LargeNumber) -> list[Any]:
 
 
 def _views(first: FirstPage, width: float, height: float) -> Any:
-    """The front view, with both oblique ones stacked next to it."""
+    """The front view, and next to it the two oblique views, one above the other."""
     front, *oblique = first.pictures
     if len(oblique) != 2:
         return paper.picture(front.jpeg, width, height)
     label = _VIEW_NAME
     ratio = front.width / front.height
-    # Both columns are as wide as the page: ratio (h − label) + gap + ratio (h − 2 label − gap) / 2 = width.
+    # Both columns together are as wide as the page: ratio (h − label) + gap + ratio (h − 2 label − gap) / 2 = width.
     height = min(height, (width - _GAP + ratio * (2 * label + _GAP / 2)) / (1.5 * ratio))
     small = (height - 2 * label - _GAP) / 2
     cells: list[list[Any]] = [[], []]
@@ -149,7 +149,7 @@ def _signed(first: FirstPage) -> Iterator[Any]:
 
 
 def _in_words(content: ReportContent, first: FirstPage, width: float) -> Iterator[Any]:
-    """Definition and basis of the numbers, by breast."""
+    """Definitions and origin of the numbers, for each breast."""
     if first.conclusion is not None and len(first.conclusion.text) > _LONGEST_CONCLUSION:
         yield text("Conclusion", size=12, bold=True)
         yield from _signed(first)
@@ -176,7 +176,7 @@ def _in_words(content: ReportContent, first: FirstPage, width: float) -> Iterato
 
 
 def _for_the_technician(content: ReportContent, width: float, height: float) -> Iterator[Any]:
-    """Each stage in numbers and in one or two pictures."""
+    """Each stage as numbers and one or two pictures."""
     from reportlab.platypus import PageBreak
 
     yield PageBreak()

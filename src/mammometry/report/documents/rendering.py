@@ -1,4 +1,4 @@
-"""Render a report from stored content, the boundaries' authors and confirmations, and a clinic's data."""
+"""Render a report from its stored content, the attribution of boundaries, and a clinic's data."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,10 +16,10 @@ class RenderedReport:
     """A report as a web page and as a PDF."""
 
     html: bytes
-    """One page that needs no other file."""
+    """A single page that needs no other files."""
     pdf: bytes
     warnings: tuple[Notice, ...]
-    """Warnings to read before the numbers, worst first."""
+    """Warnings that should be read before the numbers, worst first."""
 
 
 def render(
@@ -33,10 +33,10 @@ def render(
     """Render a report. Equal arguments give equal bytes.
 
     Args:
-        content: of the report.
+        content: content of the report.
         attributions: breast → author and confirmation of its boundary.
-        clinical: a clinic's data. Its confirmation applies to all boundaries. None: the reader uses the command line.
-        named: whether names, dates and free text are included; never in a de-identified report.
+        clinical: a clinic's data. Its confirmation applies to all boundaries. None: the user works on the command line.
+        named: whether names, dates and free text are included. False for de-identified reports.
         photographs: name → address of the session's photographs, for a page in its folder.
     """
     from mammometry.report.documents import html, pdf
@@ -49,7 +49,7 @@ def render(
 
 
 def _in_posture(stages: Sequence[StageReport], posture: str) -> tuple[StageReport, ...]:
-    """The stages with the clinic's posture, which may be entered after the measurement."""
+    """The stages with the posture from the clinic, which may have been entered after the measurement."""
     known = posture_fact(posture)
     return tuple(
         replace(stage, facts=tuple(known if fact.label == known.label else fact for fact in stage.facts))
@@ -60,7 +60,7 @@ def _in_posture(stages: Sequence[StageReport], posture: str) -> tuple[StageRepor
 def attributed_content(
     content: ReportContent, attributions: Mapping[str, Attribution], clinical: Clinical | None, *, named: bool
 ) -> ReportContent:
-    """The content with the author and confirmation of each boundary, and the boundaries' warnings."""
+    """The content with the author and confirmation of each boundary, and with warnings about boundaries."""
     breasts = []
     for breast in content.breasts:
         attribution = attributions.get(breast.name, Attribution())
@@ -77,7 +77,7 @@ def attributed_content(
                 boundary_remarks=attributed_remarks(remarks, curve, attribution.confirmation),
             )
         breasts.append(breast)
-    doubts = content.calibration_doubts if clinical is None else ()  # a clinic's technician has them on the rig's page
+    doubts = content.calibration_doubts if clinical is None else ()  # a clinic shows them on the rig's page
     of_boundaries = _boundary_warnings(breasts, in_clinic=clinical is not None)
     warnings = (*content.warnings, *of_boundaries, *content.concerns, *doubts)
     posture = "" if clinical is None else clinical.posture

@@ -29,11 +29,11 @@ def agreement_files(
 
     Args:
         title: of the page.
-        data: the measurements.
-        figures: the statistics.
-        checked: published figures with the recomputed ones.
+        data: measurements.
+        figures: statistics.
+        checked: published figures and the recomputed ones.
         more: further tables.
-        remarks: sentences for the end.
+        remarks: sentences at the end of the page.
     """
     pictures = {"bland-altman.png": bland_altman(data, figures), "scatter.png": scatter(data)}
     page = render(
@@ -51,11 +51,11 @@ def agreement_files(
 
 
 def study_json(data: PairedMeasurements, figures: Agreement, checked: Sequence[CheckedFigure]) -> dict[str, Any]:
-    """All results and notices of a study of agreement, JSON-ready."""
+    """All results and notices of a study of agreement, as data for JSON."""
     return in_json(data.notices) | agreement_json(data, figures, checked)
 
 
-_SURFACES_SHOWN = 12  # pictures of surfaces on a page; appearance only
+_SURFACES_SHOWN = 12  # most surfaces whose pictures are on a page; appearance only
 _REMARKS = (
     "All volumes have the same kind of wall on the same mesh: only the curves differ.",
     "ICC(2,1) is for single measurements, and counts a constant offset as error: the observers are a sample of "
@@ -78,9 +78,9 @@ def observers_files(
 
     Args:
         title: of the page.
-        surfaces: with the curves on them.
+        surfaces: surfaces with the curves drawn on them.
         drawings: one per curve.
-        study: the statistics.
+        study: statistics.
     """
     pictures = {"volumes.png": volumes(drawings, study), "regions.png": regions(study)}
     pictures |= {

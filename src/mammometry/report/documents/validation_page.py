@@ -1,4 +1,4 @@
-"""A validation against a hospital's own truth on one self-contained page."""
+"""Validation against a hospital's own reference volumes, on one self-contained page."""
 
 import json
 
@@ -14,7 +14,7 @@ from mammometry.study.validation.tables import (
     validation_tables,
 )
 
-_MOST_PLOTS = 4  # Bland–Altman plots on a page, one a definition
+_MOST_PLOTS = 4  # most Bland–Altman plots on a page, one per definition
 
 
 def validation_names(definitions: int) -> tuple[str, ...]:

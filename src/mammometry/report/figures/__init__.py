@@ -1,1 +1,1 @@
-"""Pictures, a file a subject."""
+"""Pictures, in one file per subject."""

@@ -1,4 +1,4 @@
-"""Acceptance test in pictures: positions, deviations in colour, control chart."""
+"""Pictures of an acceptance test: positions, coloured deviations, control chart."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from mammometry.study.acceptance.evaluate import PositionResult
 from mammometry.study.acceptance.patches import ArtefactPatch, PlanePatch, SpherePatch
 from mammometry.study.acceptance.tables import QUANTITY_WORDS, PastTest, unit_of
 
-_PANEL = (190, 170)  # of one position, px; layout only
-_COLUMNS = 5  # of positions in a row
-_DEPTH = np.array([-0.32, -0.22])  # shift right and up of a millimetre towards the device, in oblique projection
-_POINTS = 6000  # of a surface that are drawn at most
+_PANEL = (190, 170)  # size of the panel of one position, px; layout only
+_COLUMNS = 5  # positions in a row
+_DEPTH = np.array([-0.32, -0.22])  # oblique projection: shift to the right and up for each mm towards the device
+_POINTS = 6000  # most points of a surface that are drawn
 _DOT = 2.2  # area of a point, points²; layout only
-_LEAST_SCALE_MM = 0.1  # end of the colours at least: the skin moved by it changes a breast of 400 cc by 2 cc
-_CHART = (330, 190)  # of one quantity's chart, px; layout only
-_ROOM = (64, 40)  # for its labels, px; layout only
+_LEAST_SCALE_MM = 0.1  # least end of the colour scale: a shift of the skin by this changes a breast of 400 cc by 2 cc
+_CHART = (330, 190)  # size of the chart of one quantity, px; layout only
+_ROOM = (64, 40)  # space for its labels, px; layout only
 
 
 def positions(kind: Kind, measured: Collection[str] = ()) -> bytes:
-    """All positions of an artefact in the working volume, those measured in green.
+    """All positions of an artefact in the working volume. Measured ones are green.
 
     Args:
-        kind: of the artefact.
-        measured: names of positions with a measurement.
+        kind: kind of the artefact.
+        measured: names of measured positions.
     """
     places = POSITIONS[kind]
     columns, rows = canvas.grid(len(places), _COLUMNS)
@@ -94,7 +94,7 @@ def deviations(kind: Kind, results: Sequence[PositionResult]) -> bytes:
 
     Args:
         kind: sphere, bar or plane.
-        results: of this artefact.
+        results: results of this artefact.
     """
     columns, rows = canvas.grid(len(results), _COLUMNS)
     sheet = PanelSheet(columns, rows, _PANEL, bars=True)
@@ -122,7 +122,7 @@ def deviations(kind: Kind, results: Sequence[PositionResult]) -> bytes:
 
 
 def _seen_from_front(patch: ArtefactPatch) -> Float64[Array, "n 2"]:
-    """Points as seen along the mean direction in which the surface faces, mm."""
+    """Points seen along the mean normal of the surface, mm."""
     match patch:
         case SpherePatch():
             towards = (patch.weights[:, None] * (patch.points - patch.fit.centre)).sum(axis=0)
@@ -139,7 +139,7 @@ def _seen_from_front(patch: ArtefactPatch) -> Float64[Array, "n 2"]:
 
 
 def control_chart(history: Sequence[PastTest]) -> bytes:
-    """Worst errors of all tests of a device, with uncertainty and limit, over the date."""
+    """Largest errors of all tests of a device over the date, with uncertainty and limit."""
     names = [
         (kind, quantity)
         for kind, quantities in QUANTITIES.items()
@@ -170,6 +170,6 @@ def control_chart(history: Sequence[PastTest]) -> bytes:
 
 
 def _date_ticks(axes: Any, dates: Sequence[datetime.date]) -> None:
-    """At most four dates, the first and the last among them."""
+    """At most four dates, including the first and the last."""
     places = sorted({round(place) for place in np.linspace(0, len(dates) - 1, min(4, len(dates)))})
     axes.set_xticks([dates[place] for place in places], [dates[place].isoformat() for place in places])

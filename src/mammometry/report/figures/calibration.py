@@ -1,4 +1,4 @@
-"""Pictures of the calibration: detections, residuals, camera positions, and a rig's drift since."""
+"""Pictures of the calibration: detections, residuals, camera positions, and the later drift of a rig."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 
 _PANEL_PX = 290  # width of a panel, px; appearance only
-_FIELD_CELLS = (9, 6)  # columns, rows: square cells on pictures of 3:2
-_LEAST_IN_CELL = 3  # points for a mean residual; appearance only
+_FIELD_CELLS = (9, 6)  # columns and rows of cells, which are square on pictures of 3:2
+_LEAST_IN_CELL = 3  # fewest points for a mean residual; appearance only
 
 
 @preview("detections", stage="calibrate", place=2, photographs=True, on_paper=True)
@@ -101,7 +101,7 @@ def residuals(result: CalibrationResult) -> bytes | None:
 
 @preview("residual-field", stage="calibrate", place=4, photographs=False, on_paper=True)
 def residual_field(result: CalibrationResult) -> bytes | None:
-    """Mean residual in cells of each camera's image. What remains here is systematic."""
+    """Mean residuals in cells of each camera's image, which show systematic errors."""
     from matplotlib.ticker import MaxNLocator
 
     calibration = result.calibration
@@ -145,7 +145,7 @@ def residual_field(result: CalibrationResult) -> bytes | None:
 
 @preview("expected-error", stage="calibrate", place=5, photographs=False)
 def expected_error(result: CalibrationResult) -> bytes | None:
-    """Each pair's expected error over the working volume, along the world's axes."""
+    """Each pair's expected error in the working volume, along the world's axes."""
     if result.calibration is None:
         return None
     expected = judge.expected_error(result.calibration)
@@ -242,7 +242,7 @@ def _worst_views(calibration: Calibration) -> dict[str, tuple[Detection, Float64
 def _field(
     calibration: Calibration, camera: str
 ) -> tuple[Float64[Array, "k 2"], Float64[Array, "k 2"], Float64[Array, "rows columns"]]:
-    """Cell centres, mean residuals in well-filled cells, and points per cell."""
+    """Cell centres, mean residuals in cells with enough points, and points per cell."""
     parts = [
         (detection.uv, residuals)
         for detection, residuals in zip(calibration.observations.detections, calibration.residuals_px, strict=True)
@@ -335,9 +335,9 @@ def _frustum(camera: Camera, length_mm: float) -> list[Float64[Array, "n 3"]]:
 
 
 def _hull(points: Float64[Array, "n 3"]) -> Array:
-    """Indices of the target's outline.
+    """Indices of the points on the target's outline.
 
-    The outline is the hull of a flat target, or of a round one seen along its axis.
+    The outline is the convex hull of a flat target, or of a round one seen along its axis.
     """
     from scipy.spatial import ConvexHull, QhullError
 
@@ -350,15 +350,15 @@ def _hull(points: Float64[Array, "n 3"]) -> Array:
 
 
 _COLOURS = {"unmoved": canvas.BLUE, "moved": canvas.ORANGE, "refuse": canvas.VERMILION}
-_MOST_LABELS = 8  # checks whose dates fit below the plot
+_MOST_LABELS = 8  # most checks whose dates fit below the plot
 
 
 def drift(entries: Sequence[DriftEntry], limit_mm: float) -> bytes:
     """Camera displacement in each check, and the resulting measurement errors.
 
     Args:
-        entries: the history, the oldest first; at least one.
-        limit_mm: displacement of measured points from which on the calibration must not be used.
+        entries: the history, oldest first, at least one entry.
+        limit_mm: displacement of measured points above which the calibration must not be used.
     """
     cameras = list(dict.fromkeys(name for entry in entries for name in entry.cameras))
     colours = [*canvas.CYCLE] * (1 + len(cameras) // len(canvas.CYCLE))
@@ -400,7 +400,7 @@ def drift(entries: Sequence[DriftEntry], limit_mm: float) -> bytes:
 
 
 def _checks(axes: Axes, entries: Sequence[DriftEntry]) -> None:
-    """An axis of checks by date, with lines at new calibrations."""
+    """Label an axis with the dates of checks, and draw lines at new calibrations."""
     every = max(1, -(-len(entries) // _MOST_LABELS))
     shown = range(0, len(entries), every)
     axes.set_xticks(list(shown), [entries[i].when[:10] for i in shown], rotation=25, ha="right")

@@ -1,4 +1,4 @@
-"""Sheet of panels in pixels, written as a PNG with caption. No text can overlap."""
+"""Sheet of panels laid out in pixels, and written as a PNG with a caption. Texts cannot overlap."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 INK = "#1d2530"
 FAINT = "#6b7683"
 MISSING = (0.86, 0.90, 0.95)
-"""Colour of missing data in maps: pale blue, which no map uses otherwise."""
+"""Colour of missing data in maps: pale blue, which no map uses for values."""
 BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, YELLOW, GREY = (
     "#0072b2",
     "#e69f00",
@@ -31,15 +31,15 @@ BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, YELLOW, GREY = (
     "#f0e442",
     "#9aa3ad",
 )
-"""Okabe and Ito's colours, which all common kinds of colour vision distinguish."""
+"""Okabe and Ito's colours, which people with the common kinds of colour blindness can distinguish."""
 CYCLE = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, SKY, "#7f6000", "#333333")
 DIVERGING = ("#08407e", "#2a78b5", "#7ab3d8", "#c9dfec", "#f4f3f0", "#f6d3ae", "#e79b56", "#c65f14", "#7f3507")
-"""Blue for below, orange for above, near white for none. As in the viewer (colours.ts)."""
+"""Blue for below, orange for above, and near white for zero. The same as in the viewer (colours.ts)."""
 DIVERGING_MISSING = "#9a9a9a"
 
-_DPI = 100  # one point of text is then 1.4 px
-_MARGIN = 14  # around a sheet, px; appearance only
-_GAP = 12  # between panels, px; appearance only
+_DPI = 100  # with this, one point of text is 1.4 px
+_MARGIN = 14  # margin around a sheet, px; appearance only
+_GAP = 12  # space between panels, px; appearance only
 _TITLE = 24  # height of a panel's title, px; appearance only
 _BAR = 84  # width of a colour bar with its labels, px; appearance only
 _TEXT_PT = 8.5  # size of text, points; appearance only
@@ -47,7 +47,7 @@ _TEXT_PT = 8.5  # size of text, points; appearance only
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Caption:
-    """Title and caption of a picture, kept inside the PNG itself."""
+    """Title and caption of a picture, stored in the PNG itself."""
 
     title: str
     text: str
@@ -57,12 +57,12 @@ class PanelSheet:
     """Panels of equal size in rows and columns, each with a title.
 
     Args:
-        columns: panels beside one another.
-        rows: panels above one another.
+        columns: panels side by side.
+        rows: panels one above the other.
         panel_wh: width and height of a panel, pixels.
-        bars: whether each row has room for a colour bar at its right.
-        axes_room: room for tick labels and axis titles at the left of and below each panel, pixels.
-        header: room at the top, pixels, for one legend.
+        bars: whether each row has space for a colour bar on the right.
+        axes_room: space for tick labels and axis titles to the left of and below each panel, pixels.
+        header: space at the top for one legend, pixels.
         bare: whether the panels fill the sheet, without a margin and without titles.
     """
 
@@ -92,9 +92,9 @@ class PanelSheet:
         self.figure: Figure = Figure(figsize=(self.width / _DPI, self.height / _DPI), dpi=_DPI, facecolor="white")
 
     def panel(self, index: int, title: str = "", *, plain: bool = True) -> Axes:
-        """Axes of a panel, counted row by row from the upper left.
+        """Axes of a panel. Panels are counted row by row from the upper left.
 
-        `plain` ones have a thin frame and no ticks.
+        With `plain`, they have a thin frame and no ticks.
         """
         row, column = divmod(index, self.columns)
         left = self._margin + column * self._step[0] + self._room[0]
@@ -111,7 +111,7 @@ class PanelSheet:
                 clip_on=False,
             )
         if plain:
-            axes.xaxis.set_visible(False)  # invisible ticks would take most of a panel's time
+            axes.xaxis.set_visible(False)  # invisible ticks would take most of the time for a panel
             axes.yaxis.set_visible(False)
             axes.set_anchor("NW")
             _frame(axes)
@@ -120,7 +120,7 @@ class PanelSheet:
         return axes
 
     def bar(self, row: int, mappable: Any, label: str, **options: Any) -> None:
-        """Draw the colour bar of a row. Its label says what and the unit."""
+        """Draw the colour bar of a row. Its label states quantity and unit."""
         top = self._margin + self._header + row * self._step[1] + self._title
         inset = min(18, self._panel[1] // 10)
         place = self._box(self.width - self._margin - _BAR + 10, top + inset, 12, self._panel[1] - 2 * inset)
@@ -132,7 +132,7 @@ class PanelSheet:
         axes.set_ylabel(label, fontsize=_TEXT_PT, color=INK)
 
     def legend(self, entries: Sequence[tuple[str, str]]) -> None:
-        """Write a legend in the header, from left to right. Each entry has a colour and its meaning."""
+        """Draw a legend in the header, from left to right. Each entry has a colour and its meaning."""
         from matplotlib.patches import Rectangle
 
         x = float(self._margin)
@@ -163,7 +163,7 @@ class PanelSheet:
     def printed(self, form: str, subject: str | None = None) -> bytes:
         """Write the sheet for print: ``pdf``, ``svg`` or ``png``.
 
-        ``pdf`` and ``svg`` have lines and text as vectors. ``png`` has 300 dpi. The subject's identifier, if there is
+        In ``pdf`` and ``svg``, lines and text are vectors. ``png`` has 300 dpi. The subject's identifier, if there is
         one, is stored in the file's metadata.
         """
         buffer = io.BytesIO()
@@ -183,7 +183,7 @@ class PanelSheet:
 
 
 def style(axes: Axes) -> None:
-    """Make an ordinary diagram: thin frame, small text, a faint grid."""
+    """Style an ordinary plot: thin frame, small text, faint grid."""
     axes.tick_params(labelsize=_TEXT_PT - 0.5, colors=INK, length=2.5, width=0.6)
     _frame(axes)
     axes.grid(True, color="#e4e8ed", linewidth=0.6)
@@ -217,7 +217,7 @@ def scale_bar(axes: Axes, extent_mm: tuple[float, float, float, float]) -> None:
 
 
 def note(axes: Axes, text: str) -> None:
-    """Write a short remark on pale ground, upper left."""
+    """Write a short remark on a pale background in the upper left."""
     axes.text(
         0.02,
         0.975,
@@ -238,7 +238,7 @@ def stroke(colour: str, width: float) -> list[Any]:
 
 
 def round_length(length: float) -> float:
-    """Largest of 1, 2, 5 × 10ⁿ that is not longer."""
+    """Largest of 1, 2, 5 × 10ⁿ that does not exceed a length."""
     power = 10.0 ** np.floor(np.log10(max(length, 1e-9)))
     return float(power * max(step for step in (1, 2, 5) if step * power <= length * (1 + 1e-9)))
 
@@ -262,13 +262,13 @@ def encode(pixels: UInt8[Array, "h w 3"], caption: Caption) -> bytes:
 
 
 def caption_of(png: bytes) -> Caption:
-    """Read the caption back from a preview. A PNG of other origin has an empty one."""
+    """Read the caption of a preview. It is empty for PNGs from other programs."""
     with Image.open(io.BytesIO(png), formats=("PNG",)) as image:
         return caption_in(image)
 
 
 def caption_in(image: Image.Image) -> Caption:
-    """The caption of an opened preview, whose picture is read for it."""
+    """The caption of an opened preview, whose pixels are read for this."""
     text = getattr(image, "text", {})
     return Caption(title=str(text.get("Title", "")), text=str(text.get("Description", "")))
 
@@ -276,7 +276,7 @@ def caption_in(image: Image.Image) -> Caption:
 def reduced(photograph: Photograph, width_px: int) -> UInt8[Array, "h w 3"]:
     """A small RGB copy of a photograph, averaged by area.
 
-    It has at least the wanted width and at most twice that.
+    It has at least the given width, and at most twice that.
     """
     pixels = photograph.pixels
     if pixels.dtype == np.uint16:
@@ -307,7 +307,7 @@ def colour_map(name: str) -> Any:
 def diverging_scale(limit: float) -> Any:
     """The viewer's diverging colours as a Matplotlib scale.
 
-    Blue below, near white at zero, orange above, grey for nothing.
+    Blue below zero, near white at zero, orange above, and grey for missing values.
     """
     import matplotlib as mpl
 
@@ -318,24 +318,24 @@ def diverging_scale(limit: float) -> Any:
 
 
 def coloured(values: Float64[Array, " n"], scale: Any) -> Float32[Array, "n 3"]:
-    """Each value in the scale's colour, 0…1. NaN in its colour for nothing."""
+    """Each value's colour on the scale, 0…1. NaN has the colour for missing values."""
     colours: Float32[Array, "n 3"] = np.asarray(scale.to_rgba(np.ma.masked_invalid(values)))[:, :3].astype(np.float32)
     return colours
 
 
 def rounded_up(value: float) -> float:
-    """Round up to a scale's end. The result is one of 1, 1.5, 2, 3, 5, 7 × 10ⁿ."""
+    """Round up to the end of a scale: 1, 1.5, 2, 3, 5 or 7 × 10ⁿ."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(next(step * power for step in (1, 1.5, 2, 3, 5, 7, 10) if step * power >= value * (1 - 1e-9)))
 
 
 def pixel_extent(size_wh: tuple[int, int]) -> tuple[float, float, float, float]:
-    """Extent of a picture in its own pixels, row 0 on top. Pixel centres are at integers."""
+    """Extent of a picture in its own pixels, row 0 at the top. Pixel centres are at integers."""
     return -0.5, size_wh[0] - 0.5, size_wh[1] - 0.5, -0.5
 
 
 def robust_range(values: Float64[Array, " n"] | Float32[Array, " n"], share: float = 0.01) -> tuple[float, float]:
-    """Limits that leave out `share` at either end. Never of zero width."""
+    """Limits that exclude `share` of the values at both ends. Never equal."""
     if not len(values):
         return 0.0, 1.0
     low, high = (float(limit) for limit in np.quantile(values, (share, 1 - share)))
@@ -345,7 +345,7 @@ def robust_range(values: Float64[Array, " n"] | Float32[Array, " n"], share: flo
 def fitting(shapes: Sequence[tuple[int, ...]], width_px: int) -> tuple[int, int]:
     """A panel size that fits pictures of these (rows, columns).
 
-    The width is given. Upright pictures have a limited height.
+    The width is given. The height is limited for upright pictures.
     """
     ratio = max((shape[0] / shape[1] for shape in shapes), default=1.0)
     if ratio <= 1.25:

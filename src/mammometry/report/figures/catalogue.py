@@ -1,7 +1,7 @@
-"""Catalogue of figures: stage previews and figures of the paper.
+"""Catalogue of figures: previews of stages, and figures of the paper.
 
-To add one, write a function in a module of this package and decorate it. Nothing else is needed: the stage writes the
-picture, and page and PDF show it.
+To add one, write a function in a module of this package and decorate it. The stage then writes the picture, and the
+page and the PDF show it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 Draw: TypeAlias = Callable[..., "bytes | None"]
 """Draws a PNG from its stage's result (`stage_results`). A figure of each breast also gets that breast's measurement.
 
-None if there is nothing to show, such as residuals of given cameras.
+Returns None if there is nothing to show, such as residuals of given cameras.
 """
 DrawPaper: TypeAlias = "Callable[[Source], PanelSheet]"
 _Figure = TypeVar("_Figure", bound=Callable[..., Any])
@@ -32,18 +32,18 @@ _Figure = TypeVar("_Figure", bound=Callable[..., Any])
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Preview:
-    """One picture of a stage's result, or one of each breast."""
+    """One picture of a stage's result, or one picture per breast."""
 
     name: str
-    """File name in ``results/<stage>/``. A figure of each breast has the name ``<name>-<breast>``."""
+    """File name in ``results/<stage>/``. If there is one per breast, the names are ``<name>-<breast>``."""
     stage: Stage
     draw: Draw
     place: int
     """Order among its stage's pictures, lowest first."""
     photographs: bool
-    """Whether it shows photographs, and so the background too. Such figures are left out of reports for others."""
+    """Whether it shows photographs, including the background. Reports for other people omit such figures."""
     on_paper: bool = False
-    """Whether the PDF's technical pages show it. The page in the browser shows all."""
+    """Whether the PDF's technical pages show it. The web page shows all."""
     per_breast: bool = False
 
     def is_called(self, name: str) -> bool:
@@ -53,13 +53,13 @@ class Preview:
 
 PREVIEWS: Registry[Preview] = Registry("preview", package=__package__)
 PAPER_FIGURES: Registry[DrawPaper] = Registry("figure of the paper", package=__package__)
-"""By the number in the paper, as text."""
+"""Number in the paper, as text → function."""
 
 
 def preview(
     name: str, *, stage: Stage, place: int, photographs: bool, on_paper: bool = False, per_breast: bool = False
 ) -> Callable[[_Figure], _Figure]:
-    """Decorate a function to enter it as a preview. The facts are those of `Preview`."""
+    """Decorate a function to register it as a preview. The parameters are those of `Preview`."""
 
     def enter(draw: _Figure) -> _Figure:
         entry = Preview(
@@ -91,7 +91,7 @@ def find_paper_figure(number: int) -> DrawPaper:
     """Return the function that draws a figure of the paper.
 
     Raises:
-        SettingsError: the paper has no such figure; lists those there are.
+        SettingsError: the paper has no such figure; the message lists the existing ones.
     """
     return PAPER_FIGURES.find(str(number), "figure", error=SettingsError)
 
@@ -116,7 +116,7 @@ def in_order(stage: str, names: Iterable[str]) -> list[str]:
 
 
 def shows_photographs(name: str) -> bool:
-    """Whether a picture shows photographs. An unknown one counts as showing them."""
+    """Whether a picture shows photographs. Unknown pictures are assumed to show them."""
     known = [preview for preview in PREVIEWS.values() if preview.is_called(name)]
     return not known or any(preview.photographs for preview in known)
 
@@ -127,4 +127,4 @@ def is_on_paper(name: str) -> bool:
 
 
 Source: TypeAlias = tuple[Plan, Inputs, Settings]
-"""A session's plan, what it brought, and the settings."""
+"""A session's plan, its inputs, and the settings."""

@@ -1,4 +1,4 @@
-"""Pictures of two dates of one patient, aligned at the trunk."""
+"""Pictures of one patient at two dates, with the trunks aligned."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from mammometry.surface.texture.unmeasured import WORDS, shown_colours
 _PANEL_PX = 330  # width of a panel, px; appearance only
 _VIEW_PX = 560  # size at which a view is rendered, px; appearance only
 _LEAST_MM = 2.0  # least end of the scale, mm; appearance only
-_TURN_DEG = 45.0  # of the oblique views; appearance only
-_ROOM_MM = 40.0  # shown around the breasts, mm; appearance only
+_TURN_DEG = 45.0  # rotation of the oblique views; appearance only
+_ROOM_MM = 40.0  # margin around the breasts, mm; appearance only
 BEFORE_LINE, AFTER_LINE = canvas.BLUE, canvas.VERMILION
 
 
 def limit_mm(change: Change) -> float:
-    """A round end for the change map's scale, mm.
+    """Round end of the change map's scale, mm.
 
     Two and a half times the breasts' RMS change, at least 2 mm.
     """
@@ -50,18 +50,18 @@ class Dated:
     measurements: Sequence[VolumeMeasurement]
     """World frame of its own date."""
     world_from_own: Transform
-    """That frame to the earlier date's."""
+    """Transform from its own world frame to that of the earlier date."""
     change_mm: Float64[Array, " n"] | None = None
-    """Per vertex of the later date: distance in front of the earlier skin, mm."""
+    """For each vertex of the later date, its distance in front of the earlier skin, mm."""
 
 
 def change_map(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], change: Change) -> bytes:
-    """Both dates in colour, and the later coloured by the change. Seen from three directions.
+    """Both dates in colour, and the later one coloured by the change, from three directions.
 
     Args:
         frame: rows right, up and towards the viewer of the front view, world frame of the earlier date.
         dates: the earlier one first.
-        change: between them.
+        change: change between the dates.
     """
     turns = {"front": 0.0, "from the patient's right": _TURN_DEG, "from the patient's left": -_TURN_DEG}
     frames = {name: _turned(angle) @ frame for name, angle in turns.items()}
@@ -101,12 +101,12 @@ def change_map(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], change:
 def change_sections(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], change: Change) -> bytes:
     """Sections through the breasts with both dates in one drawing.
 
-    One level cut goes through both breasts, and an upright one through each.
+    A horizontal section goes through both breasts, and a vertical one through each.
 
     Args:
         frame: rows right, up and towards the viewer of the front view, world frame of the earlier date.
         dates: the earlier one first.
-        change: between them.
+        change: change between the dates.
     """
     middles = {breast.name: breast.before.boundary_world.mean(axis=0) for breast in change.breasts}
     centre = np.mean(list(middles.values()), axis=0)
@@ -132,7 +132,7 @@ def change_sections(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], ch
 
 
 def _around_breasts(dates: Sequence[Dated]) -> TriangleMesh:
-    """Both dates' skin in and near the boundaries, to frame pictures."""
+    """Both dates' skin in and near the boundaries, to which views are fitted."""
     edges = np.concatenate(
         [date.world_from_own.apply(measurement.closed.vertices) for date in dates for measurement in date.measurements]
     )
@@ -142,6 +142,6 @@ def _around_breasts(dates: Sequence[Dated]) -> TriangleMesh:
 
 
 def _turned(angle_deg: float) -> Any:
-    """Turn the view's frame about its upward axis. Positive: the viewer walks to the picture's left."""
+    """Rotate the view's frame about its upward axis. A positive angle moves the viewer to the left."""
     sine, cosine = np.sin(np.deg2rad(angle_deg)), np.cos(np.deg2rad(angle_deg))
     return np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])

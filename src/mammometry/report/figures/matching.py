@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _PANEL_PX = 290  # width of a panel, px; appearance only
 _MAP_PX = 640  # longer side of a map, px: more than its panel shows
-_EPIPOLAR_LINES = 9  # in each picture; appearance only
+_EPIPOLAR_LINES = 9  # number of lines in each picture; appearance only
 
 
 @preview("foreground", stage="match", place=1, photographs=True)

@@ -1,4 +1,4 @@
-"""Pictures of the measurement: boundary, chest wall, sections of the breast, left against right."""
+"""Pictures of the measurement: boundary, chest wall, sections, comparison of left and right."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ from mammometry.surface.texture.unmeasured import WORDS, shown_colours
 _PANEL_PX = 330  # width of a panel, px; appearance only
 _OVERVIEW_PX = 470  # size of an overview's view, px; appearance only
 _FRONT_PX, _OBLIQUE_PX = 860, 560  # longer sides of the first page's pictures, px: about 190 dpi there
-_AROUND, _ABOVE = 1.6, 2.0  # picture's side over width and height of all boundaries; appearance only
-_LEAST_MM = 200.0  # side of such a picture at least; appearance only
+_AROUND, _ABOVE = 1.6, 2.0  # side of the picture, relative to width and height of all boundaries; appearance only
+_LEAST_MM = 200.0  # least side of such a picture; appearance only
 _SKIN = (0.90, 0.78, 0.70)  # colour, red green blue, 0 to 1; appearance only
 _WALL = (0.45, 0.66, 0.84)  # colour, red green blue, 0 to 1; appearance only
-_MIRRORED, _NONE = canvas.SKY, canvas.VERMILION  # a curve that was mirrored, and a place that is no breast's
+_MIRRORED, _NONE = canvas.SKY, canvas.VERMILION  # colours of a mirrored curve, and of a side without a breast
 _WALL_LINE = canvas.BLUE
 _SKIN_LINE = canvas.VERMILION
 
@@ -87,24 +87,24 @@ def overview(result: MeasureResult) -> bytes | None:
 
 @preview("front", stage="measure", place=0, photographs=False)
 def front(result: MeasureResult) -> bytes | None:
-    """Both breasts with their boundaries, from the front."""
+    """Both breasts with their boundaries from the front."""
     return _near(result, 0, _FRONT_PX)
 
 
 @preview("from_right", stage="measure", place=0, photographs=False)
 def from_right(result: MeasureResult) -> bytes | None:
-    """Both breasts with their boundaries, obliquely from the patient's right."""
+    """Both breasts with their boundaries, from the patient's front right."""
     return _near(result, 1, _OBLIQUE_PX)
 
 
 @preview("from_left", stage="measure", place=0, photographs=False)
 def from_left(result: MeasureResult) -> bytes | None:
-    """Both breasts with their boundaries, obliquely from the patient's left."""
+    """Both breasts with their boundaries, from the patient's front left."""
     return _near(result, 2, _OBLIQUE_PX)
 
 
 def _near(result: MeasureResult, index: int, size_px: int) -> bytes | None:
-    """One standard view of the breasts alone, without frame and legend."""
+    """One standard view of the breasts alone, without frame or legend."""
     if not (result.measurements or result.absent):
         return None
     view = _close_views(result)[index]
@@ -126,7 +126,7 @@ def _near(result: MeasureResult, index: int, size_px: int) -> bytes | None:
 
 
 def _close_views(result: MeasureResult) -> tuple[ViewDirection, ...]:
-    """Front and both oblique views, close to the breasts, all at one scale."""
+    """Front view and both oblique views, close to the breasts, at the same scale."""
     whole = result.views[:3]
     points = np.concatenate(
         [
@@ -143,9 +143,9 @@ def _close_views(result: MeasureResult) -> tuple[ViewDirection, ...]:
 
 @preview("closed", stage="measure", place=3, photographs=False, per_breast=True)
 def closed(result: MeasureResult, measured: VolumeMeasurement) -> bytes:
-    """The closed solid whose volume is given, in three views.
+    """The closed solid of which the volume was computed, in three views.
 
-    Skin and wall are seen from the front, obliquely and from behind.
+    Skin and wall are shown from the front, obliquely and from behind.
     """
     frame = result.frame
     turned = _turn(np.deg2rad(70.0)) @ frame
@@ -174,7 +174,7 @@ def closed(result: MeasureResult, measured: VolumeMeasurement) -> bytes:
 
 @preview("sections", stage="measure", place=4, photographs=False, per_breast=True)
 def sections(result: MeasureResult, measured: VolumeMeasurement) -> bytes:
-    """A level and an upright section of the closed breast, mm."""
+    """A horizontal and a vertical section of the closed breast, mm."""
     frame = result.frame
     point = _middle(measured)
     on_wall = wall_faces(measured)
@@ -208,7 +208,7 @@ def curve(
     size_px: int,
     width: float = 1.8,
 ) -> None:
-    """Draw a closed curve into a rendered view of that size. The curve is dashed where the mesh hides it."""
+    """Draw a closed curve into a rendered view of that size, dashed where the mesh hides it."""
     drawn = even_curve(points_world, scene.mesh)
     loop = np.concatenate([drawn, drawn[:1]])
     seen = visible(loop, view, scene.cast(view, 2 * size_px))
@@ -232,7 +232,7 @@ def _middle(measured: VolumeMeasurement) -> Float64[Array, 3]:
 
 
 def _turn(angle_rad: float) -> Float64[Array, "3 3"]:
-    """Turn the view's frame about its upward axis. The viewer walks to the picture's right."""
+    """Rotate the view's frame about its upward axis. A positive angle moves the viewer to the right."""
     sine, cosine = np.sin(angle_rad), np.cos(angle_rad)
     return np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
 
@@ -240,12 +240,12 @@ def _turn(angle_rad: float) -> Float64[Array, "3 3"]:
 _SYMMETRY_PANEL_PX = 300  # width of a panel, px; appearance only
 _VIEW_PX = 520  # size at which a view is rendered, px; appearance only
 _LEAST_DIFFERENCE_MM = 1.0  # least end of the scale, mm; appearance only
-_TURN_DEG = 50.0  # of the view from the outside; appearance only
+_TURN_DEG = 50.0  # rotation of the view from the outside; appearance only
 
 
 @preview("symmetry", stage="measure", place=2, photographs=False)
 def symmetry_map(result: MeasureResult) -> bytes | None:
-    """Left and mirrored right breast, coloured by which is fuller. Both are seen from the same directions."""
+    """Left and mirrored right breast from the same directions, coloured by which of the two is fuller."""
     symmetry = result.symmetry
     if symmetry is None:
         return None
@@ -262,7 +262,7 @@ def symmetry_map(result: MeasureResult) -> bytes | None:
         ("left breast", _skin(left), symmetry.left_mm, left.boundary_world),
         ("right breast, mirrored", _skin(right).mapped(symmetry.mirrored).turned_over(), symmetry.right_mm, edge),
     )
-    views = views_of(skins[0][1], frames, margin=1.12)  # both lie on one another: the same views for both
+    views = views_of(skins[0][1], frames, margin=1.12)  # the breasts are aligned, so the same views fit both
     sheet = PanelSheet(4, 1, picture_wh(views[0], _SYMMETRY_PANEL_PX), bars=True, header=26)
     sheet.legend(
         [
@@ -290,9 +290,9 @@ def symmetry_map(result: MeasureResult) -> bytes | None:
 
 
 def reach_mm(symmetry: Symmetry) -> float:
-    """A round end for the scale of a symmetry's map, mm.
+    """Round end of the scale of a symmetry map, mm.
 
-    98 % of both breasts are within it. At least 1 mm.
+    98 % of both breasts are within it. It is at least 1 mm.
     """
     every_mm = np.concatenate([symmetry.left_mm, symmetry.right_mm])
     known_mm = np.abs(every_mm[np.isfinite(every_mm)])
@@ -300,5 +300,5 @@ def reach_mm(symmetry: Symmetry) -> float:
 
 
 def _skin(measured: VolumeMeasurement) -> TriangleMesh:
-    """The closed solid without its wall. All its vertices stay, so that values keep their places."""
+    """The closed solid without its wall. All vertices are kept, so that values keep their indices."""
     return TriangleMesh(vertices=measured.closed.vertices, faces=measured.closed.faces[~wall_faces(measured)])

@@ -1,4 +1,4 @@
-"""The picture of several scans merged into one: which skin each of them shows."""
+"""Picture of several scans merged into one: the skin that each of them shows."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.figures.surface import show
 
 _PANEL_PX = 470  # size of a view, px; appearance only
-_BELOW_RAD = np.deg2rad(-50.0)  # of the view from below, from which a fold is seen
+_BELOW_RAD = np.deg2rad(-50.0)  # direction of the view from below, which shows the fold
 _SEVERAL = canvas.GREY
 
 
 @preview("merged", stage="measure", place=9, photographs=False)
 def merged(result: MeasureResult) -> bytes | None:
-    """Skin of each scan in its colour, from the front and from below. None of a single scan."""
+    """Skin of each scan in its own colour, from the front and from below. None for a single scan."""
     if result.sources is None:
         return None
     right, up, ahead = result.frame

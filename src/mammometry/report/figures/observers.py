@@ -1,4 +1,4 @@
-"""Pictures of studies: several persons' curves, Bland and Altman's plot, two methods."""
+"""Pictures of studies: curves by several people, Bland–Altman plots, two methods."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from mammometry.study.observers import WHOLE, Apart, DrawnSurface, ObservedCurve
 
 _VIEW_PX = 380  # longer side of a view; appearance only
 _PLOT = (560, 300)  # size of a plot, px; appearance only
-_ROOM = (70, 46)  # for its labels, px; appearance only
-_LINE = 1.0  # width of a curve among many, points; appearance only
-_BAR = 0.38  # width of a bar, of a region's place
+_ROOM = (70, 46)  # space for its labels, px; appearance only
+_LINE = 1.0  # width of a curve, points; appearance only
+_BAR = 0.38  # width of a bar, relative to the space of a region
 
 
 def curves_on(surface: DrawnSurface, observers: Sequence[str]) -> bytes:
-    """All curves on a surface, a colour a person."""
+    """All curves on a surface, in one colour per person."""
     views = [view for view in standard_views(surface.mesh, surface.frame, of_patient=True) if "below" not in view.name]
     sheet = PanelSheet(len(views), 1, picture_wh(views[0], _VIEW_PX), header=26)
     colours = _colours(observers)
@@ -42,7 +42,7 @@ def curves_on(surface: DrawnSurface, observers: Sequence[str]) -> bytes:
 
 
 def volumes(drawings: Sequence[ObservedCurve], study: ObserverStudy) -> bytes:
-    """Each drawing's volume less the mean of its breast."""
+    """Volume of each drawing, minus the mean of its breast."""
     sheet = PanelSheet(1, 1, _PLOT, axes_room=_ROOM, header=26)
     colours = _colours(study.observers)
     sheet.legend([(colours[name], name) for name in study.observers])
@@ -110,9 +110,9 @@ _PANEL = (560, 360)  # size of the plot, px; appearance only
 
 
 def bland_altman(data: PairedMeasurements, figures: Agreement) -> bytes:
-    """Bland–Altman plot: differences over means.
+    """Bland–Altman plot: differences against means.
 
-    It shows bias, limits of agreement, their 95 % intervals and the proportional bias.
+    It shows the bias, the limits of agreement, their 95 % intervals, and the proportional bias.
     """
     sheet = PanelSheet(1, 1, _PANEL, axes_room=_ROOM, header=26)
     sheet.legend(
@@ -155,7 +155,7 @@ def bland_altman(data: PairedMeasurements, figures: Agreement) -> bytes:
 
 
 def scatter(data: PairedMeasurements) -> bytes:
-    """One method against the other, with the line of equality."""
+    """One method against the other, with the line of identity."""
     sheet = PanelSheet(1, 1, (400, 400), axes_room=_ROOM, header=26)
     sheet.legend([(canvas.FAINT, "equality"), (canvas.BLUE, "pairs")])
     axes = sheet.panel(0, plain=False)
@@ -176,7 +176,7 @@ def scatter(data: PairedMeasurements) -> bytes:
 
 
 def _stretched(values: Array, share: float) -> tuple[float, float]:
-    """Range of the values with some room at either end. Never of zero width."""
+    """Range of the values with some space at both ends. Its ends are never equal."""
     low, high = float(values.min()), float(values.max())
     room = share * (high - low) or max(abs(high), 1.0) * share
     return low - room, high + room

@@ -1,6 +1,6 @@
-"""Figures 1 to 7 of the paper, from any session, for print.
+"""Figures 1 to 7 of the paper, drawn from any session, for print.
 
-Text and lines are vectors, pictures have 300 dpi.
+Text and lines are vectors. Pictures have 300 dpi.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ from mammometry.surface.ranges.range_image import RangeImage
 from mammometry.surface.ranges.visibility import Label
 
 OF_SURFACE = ("7",)
-"""Figures of the finished surface alone, which a scan has as well."""
+"""Figures that need only the finished surface, so that a scan has them, too."""
 FORMATS = (".pdf", ".svg", ".png")
 _PANEL_PX = 250  # width of a panel, px; appearance only
 _PRINT_PX = 900
 """Longer side of a picture inside a figure: 300 dpi on 75 mm."""
-_SLAB_MM = 0.6  # half thickness of the section: points nearer than this to it are shown; appearance only
+_SLAB_MM = 0.6  # half thickness of the section: points within this distance of it are drawn; appearance only
 _ARROW_MM = 40.0  # length of the arrows towards the cameras; appearance only
 
 
 def write_figure(number: int, source: Source, path: Path, subject: str | None = None) -> None:
-    """Draw one of the paper's figures from a session and write it. An earlier one of ours is replaced.
+    """Draw one of the paper's figures from a session and write it. Replaces an earlier one.
 
     Args:
         number: 1 to 7.
@@ -53,7 +53,7 @@ def write_figure(number: int, source: Source, path: Path, subject: str | None = 
     Raises:
         SettingsError: the paper has no such figure.
         SessionError: figures 3 and 5 compare two pairs, and the session has one.
-        StorageError: the file is somebody else's, or cannot be written.
+        StorageError: the existing file is not from this program, or the file cannot be written.
     """
     from mammometry.io.outputs import write_output
 
@@ -62,7 +62,7 @@ def write_figure(number: int, source: Source, path: Path, subject: str | None = 
 
 @paper_figure(1)
 def stereo_and_matching(source: Source) -> PanelSheet:
-    """Fig. 1: stereo pair, disparities, confidence and range image. One row a pair."""
+    """Fig. 1: stereo pair, disparities, confidence and range image, one row per pair."""
     plan, inputs, _ = source
     rig = plan[calibrate.cameras]().rig
     disparities = {pair: product() for pair, product in plan[match.disparity].items()}
@@ -108,7 +108,7 @@ def meshes_of_each_pair(source: Source) -> PanelSheet:
 
 @paper_figure(3)
 def depth_discontinuity(source: Source) -> PanelSheet:
-    """Fig. 3: section through two range images where they disagree.
+    """Fig. 3: section through two range images at a place where they disagree.
 
     It shows the directions to both perspective centres.
     """
@@ -176,7 +176,7 @@ def range_images(source: Source) -> PanelSheet:
 def decompositions(source: Source) -> PanelSheet:
     """Fig. 5: one range image decomposed against another.
 
-    Shown for several tolerances ε and thresholding angles.
+    It is shown for several tolerances ε and threshold angles.
     """
     from mammometry.surface.ranges.dents import dent_grid
 
@@ -186,7 +186,7 @@ def decompositions(source: Source) -> PanelSheet:
 
 @paper_figure(6)
 def first_surface(source: Source) -> PanelSheet:
-    """Fig. 6: the surface that the cubes give, before the elastic repair."""
+    """Fig. 6: the first surface, before the elastic repair."""
     plan, _, _ = source
     return _surface(plan, plan[surface.initial_surface]())
 
@@ -210,7 +210,7 @@ def _at_least_two(plan: Plan, number: int) -> list[RangeImage]:
 
 
 def _surface(plan: Plan, mesh: TriangleMesh) -> PanelSheet:
-    cameras = plan.value(calibrate.cameras) or plan[surface.corrected_cameras]()  # a scan has its viewer alone
+    cameras = plan.value(calibrate.cameras) or plan[surface.corrected_cameras]()  # a scan has only the viewer's camera
     frame = front_frame(cameras.rig)
     half = np.sqrt(0.5)
     turns = {
@@ -227,7 +227,7 @@ def _surface(plan: Plan, mesh: TriangleMesh) -> PanelSheet:
 
 
 def _side(mesh: TriangleMesh, image: RangeImage) -> ViewDirection:
-    """Look at a pair's mesh 50° off its camera's axis. There dents are visible."""
+    """View of a pair's mesh at 50° to its camera's axis, which shows dents."""
     rows = image.camera.camera_from_world.rotation
     frame = np.stack([rows[0], -rows[1], -rows[2]])
     turn = np.radians(50.0)
@@ -246,9 +246,9 @@ _MEANINGS = {
 
 
 def draw_dent_grid(grid: DentGrid) -> PanelSheet:
-    """Draw angle thresholds as rows and ε as columns (Fig. 5).
+    """Draw threshold angles as rows and ε as columns (Fig. 5).
 
-    Greys are the paper's. Removed data are black.
+    The greys are those of the paper. Removed data are black.
     """
     rows, columns = np.flatnonzero(grid.valid.any(axis=1)), np.flatnonzero(grid.valid.any(axis=0))
     window = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)) if len(rows) else (slice(None),) * 2

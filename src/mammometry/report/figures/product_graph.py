@@ -1,4 +1,4 @@
-"""The products of a session as a drawing, with their inputs, state and duration."""
+"""Drawing of a session's products, with their inputs, state and duration."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from mammometry.report.figures.canvas import INK
 
 _BOX_WH, _ROW, _COLUMN, _LEFT, _TOP = (156, 38), 58, 172, 96, 16  # px; appearance only
 _FILLS = {"current": "#dff0e4", "stale": "#fdf0c4", "damaged": "#f8d7d0", "absent": "#ffffff"}
-_WORST = tuple(reversed(_FILLS))  # a family is in the state of its worst product
+_WORST = tuple(reversed(_FILLS))  # a group of products has the state of its worst product
 _STYLE = (
     f"text{{font:12px sans-serif;fill:{INK}}}.s{{font-size:10.5px;fill:#5b6573}}.g{{font-size:14px}}"
     f"rect{{stroke:{INK};stroke-width:1}}.u{{stroke-dasharray:4 3;stroke:#7d8794}}"
@@ -26,15 +26,15 @@ class Known:
     state: str
     """current, stale, damaged or absent."""
     seconds: float | None
-    """What its making took. None if it was not made."""
+    """Time for making it, s. None if it was not made."""
 
 
 def product_graph(plan: Plan, known: Mapping[str, Known], subject: str | None = None) -> str:
-    """Draw all products of a session as SVG. A line that follows from other lines is left out.
+    """Draw all products of a session as SVG. Lines that follow from other lines are left out.
 
     Args:
-        plan: of the session.
-        known: ``stage/product`` → its state and time. Empty: the drawing shows neither.
+        plan: plan of the session.
+        known: ``stage/product`` → its state and time. Empty: they are not shown.
         subject: identifier to store in the drawing, if any.
     """
     parents = _parents(plan)
@@ -59,7 +59,7 @@ Graph = Mapping[Definition[Any], Sequence[Definition[Any]]]
 
 
 def _parents(plan: Plan) -> Graph:
-    """Definition → those from which its products are made."""
+    """Definition → those that its products are made from."""
     definitions = {product: known for known, products in plan.bound.items() for product in products.values()}
     parents: dict[Definition[Any], list[Definition[Any]]] = {}
     for definition, products in plan.bound.items():
@@ -72,7 +72,7 @@ def _parents(plan: Plan) -> Graph:
 
 
 def _reduced(parents: Graph) -> Graph:
-    """The graph without lines that follow from longer paths."""
+    """The graph without lines that follow from longer paths (transitive reduction)."""
     above: dict[Definition[Any], set[Definition[Any]]] = {}
 
     def ancestors(definition: Definition[Any]) -> set[Definition[Any]]:
@@ -87,7 +87,7 @@ def _reduced(parents: Graph) -> Graph:
 
 
 def _rows(parents: Graph) -> list[list[Definition[Any]]]:
-    """Products in rows: stage by stage, and in it by the longest path within the stage."""
+    """Products in rows: by stage, and within a stage by the longest path to them."""
     depth: dict[Definition[Any], int] = {}
     for definition in parents:
         inside = [depth[parent] for parent in parents[definition] if parent.stage == definition.stage]
@@ -99,7 +99,7 @@ def _rows(parents: Graph) -> list[list[Definition[Any]]]:
 
 
 def _places(rows: Sequence[Sequence[Definition[Any]]], parents: Graph) -> dict[Definition[Any], tuple[float, float]]:
-    """Middle of each box, px. A box stands below what it is made from, as far as the others leave room."""
+    """Centre of each box, px. Boxes are below those they are made from, as far as there is room."""
     columns = max(map(len, rows))
     places: dict[Definition[Any], tuple[float, float]] = {}
     for number, row in enumerate(rows):
@@ -110,7 +110,7 @@ def _places(rows: Sequence[Sequence[Definition[Any]]], parents: Graph) -> dict[D
         }  # fmt: skip
         taken = -1.0
         for place, definition in enumerate(sorted(row, key=lambda known: wanted[known])):
-            latest = columns - (len(row) - place)  # so that those after it have room
+            latest = columns - (len(row) - place)  # leaves room for those after it
             taken = min(max(wanted[definition], taken + 1), latest)
             places[definition] = (taken, number)
     return {
@@ -120,7 +120,7 @@ def _places(rows: Sequence[Sequence[Definition[Any]]], parents: Graph) -> dict[D
 
 
 def _bands(rows: Sequence[Sequence[Definition[Any]]], width: int) -> list[str]:
-    """A band and a name for each stage."""
+    """A coloured band and a name for each stage."""
     bands = []
     for number, stage in enumerate(STAGES):
         own = [row for row, definitions in enumerate(rows) if definitions[0].stage == stage]
@@ -132,7 +132,7 @@ def _bands(rows: Sequence[Sequence[Definition[Any]]], width: int) -> list[str]:
 
 
 def _lines(places: Mapping[Definition[Any], tuple[float, float]], parents: Graph) -> Iterator[str]:
-    """Lines from boxes down to others. One that passes rows takes the nearest way between their boxes."""
+    """Lines from boxes down to others. Lines that pass rows go through the nearest gaps between boxes."""
     taken: list[float] = []
     for child, above in parents.items():
         for parent in above:
@@ -153,7 +153,7 @@ def _lines(places: Mapping[Definition[Any], tuple[float, float]], parents: Graph
 
 
 def _way(x0: float, x1: float, boxes: Sequence[float], taken: Sequence[float]) -> float:
-    """Place at which a line may pass boxes of some rows, the least aside."""
+    """Position at which a line can pass the boxes of some rows with the least detour."""
     aside = [_BOX_WH[0] / 2 + 7 * (1 + number) for number in range(len(taken) + 1)]
     ways = [x0, x1, *(box + sign * step for box in boxes for step in aside for sign in (-1, 1))]
     free = [

@@ -1,4 +1,4 @@
-"""Pictures of what a refused run saw."""
+"""Pictures of what a refused run has found so far."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from mammometry.report.figures.surface import show
 from mammometry.surface.texture.unmeasured import WORDS, shown_colours
 
 _PHOTOGRAPH_PX = 290  # width of a panel, px; appearance only
-_TARGETS = 12  # views of the target that are shown; more are too small to see
+_TARGETS = 12  # number of views of the target that are shown; more would be too small
 _VIEW_PX = 470  # size of a view, px; appearance only
 
 
 def photographs_seen(
     photographs: Mapping[str, Photograph], blocks: Mapping[str, Bool[Array, "h w"]] | None = None
 ) -> bytes:
-    """The photographs under their cameras' names, with the outlines that were found.
+    """The photographs with their cameras' names, and the outlines that were found.
 
     Args:
         photographs: camera → photograph.
-        blocks: camera → the subject's blocks. None: it was not yet sought.
+        blocks: camera → blocks that show the subject. None: it was not searched yet.
     """
     small = {camera: canvas.reduced(photographs[camera], _PHOTOGRAPH_PX) for camera in photographs}
     columns, rows = canvas.grid(len(small))
@@ -57,14 +57,14 @@ def targets_seen(
     looked: Mapping[str, Observations],
     suspects: Collection[tuple[str, str]] = (),
 ) -> bytes:
-    """Photographs of the target with the points found on it.
+    """Photographs of the target with the points that were found on it.
 
-    Suspects if there are any, otherwise those with the fewest points first.
+    Shows suspects, if there are any, or else those with the fewest points first.
 
     Args:
         photographs: (pose, camera) → photograph. Those shown are read, one at a time.
-        looked: pose → what was found there.
-        suspects: (pose, camera) of the photographs that the others contradict.
+        looked: pose → what was found in it.
+        suspects: (pose, camera) of the photographs that contradict the others.
     """
     points = {
         (detection.pose, detection.camera): detection.uv for part in looked.values() for detection in part.detections
@@ -92,12 +92,12 @@ def targets_seen(
 def surface_seen(
     finished: FinishedSurface, frame: Float64[Array, "3 3"], boundaries: Sequence[Boundary], *, of_patient: bool
 ) -> bytes:
-    """The surface in standard views, with curves found before the refusal.
+    """The surface in standard views, with the curves found before the refusal.
 
     Args:
         finished: the repaired surface in its colours, world frame, mm.
         frame: right, up and towards the viewer of the front view, as rows, world frame.
-        boundaries: on it; none where none was found.
+        boundaries: boundaries on the surface. Empty if none was found.
         of_patient: whether the sides are a patient's own.
     """
     repaired = finished.repaired
@@ -116,11 +116,11 @@ def surface_seen(
 
 
 def directions_seen(mesh: TriangleMesh, fronts: Mapping[str, Float64[Array, "3 3"]]) -> bytes:
-    """A scan from each side that may be its front.
+    """A scan seen from each side that may be its front.
 
     Args:
         mesh: the scan, mm.
-        fronts: option that names the side → right, up and towards the viewer, as rows.
+        fronts: option that selects the side → right, up and towards the viewer, as rows.
     """
     views = views_of(mesh, dict(fronts))
     columns, rows = canvas.grid(len(views))

@@ -13,14 +13,14 @@ from mammometry.study.repeatability.design import SUBJECT, Reading
 from mammometry.study.repeatability.study import RepeatabilityStudy
 
 _PANEL = (620, 340)  # size of a plot, px; the pages' width
-_ROOM = (70, 46)  # for its labels, px
-_NAMES_ROOM = 170  # for the names of effects, px: the longest is "side × repositioning"
+_ROOM = (70, 46)  # space for its labels, px
+_NAMES_ROOM = 170  # space for the names of effects, px: the longest is "side × repositioning"
 _ROW = 34  # height of an effect, px
-_MOST_NAMES = 8  # in a legend; colours repeat after them
+_MOST_NAMES = 8  # most names in a legend; colours repeat after that
 
 
 def capture_differences(readings: Sequence[Reading], found: RepeatabilityStudy) -> bytes:
-    """Bland–Altman plot of each capture against the one before it."""
+    """Bland–Altman plot of each capture against the previous one."""
     pairs: list[tuple[str, float, float]] = []
     cells: dict[tuple[str, ...], list[Reading]] = {}
     for one in readings:
@@ -53,12 +53,12 @@ def capture_differences(readings: Sequence[Reading], found: RepeatabilityStudy) 
 
 
 def one_of(reading: Reading) -> str:
-    """Who captured or read."""
+    """Name of the person who captured or read."""
     return reading.rater or reading.reader
 
 
 def variances(found: RepeatabilityStudy) -> bytes:
-    """Standard deviation of each effect that is an error, with its interval."""
+    """Standard deviation of each effect that contributes to the error, with its interval."""
     shown = [one for one in found.components if one.name not in SUBJECT]
     sheet = PanelSheet(1, 1, (_PANEL[0] - _NAMES_ROOM, max(_ROW * len(shown), 60)), axes_room=(_NAMES_ROOM, _ROOM[1]))
     axes = sheet.panel(0, plain=False)

@@ -1,7 +1,7 @@
-"""Pictures of meshes by orthographic projection and Lambert shading.
+"""Pictures of meshes, by orthographic projection and Lambert shading.
 
-This needs no window and no graphics card. A picture's pixels are on a plane through the view's centre, in mm. So
-scale bars, curves and sections are drawn on it in millimetres.
+This needs no window and no graphics card. The picture's plane goes through the view's centre, with coordinates in mm,
+so scale bars, curves and sections are drawn in millimetres.
 """
 
 from __future__ import annotations
@@ -23,61 +23,61 @@ from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures.shading_kernels import shaded
 
 _LIGHTS = ((0.25, 0.45, 0.86, 0.72), (-0.75, 0.1, 0.65, 0.28), (0.1, -0.8, 0.6, 0.18))
-"""Directions towards three lights (right, up, towards the viewer) and their strengths. Ambient light comes on top."""
-_EVEN_MM = 6.0  # standard deviation along a curve over which it is evened out to be drawn; appearance only
+"""Directions towards three lights (right, up, towards the viewer) and their strengths. Ambient light is added."""
+_EVEN_MM = 6.0  # standard deviation along a curve with which it is smoothed for drawing; appearance only
 _STRENGTHS = np.array(
     [strength / np.linalg.norm(towards) * np.array(towards) for *towards, strength in _LIGHTS], dtype=np.float32
 )
 """Direction towards each light, times its strength."""
 _AMBIENT = 0.16  # strength of the ambient light; appearance only
 _FOOT = 0.09
-"""Height of the strip for the scale bar, relative to the mesh's."""
+"""Height of the strip for the scale bar, relative to that of the mesh."""
 _PLASTER = (0.86, 0.84, 0.80)  # colour, red green blue, 0 to 1; appearance only
 
 
 @value(eq=False)
 class ViewDirection:
-    """A direction to look from, without perspective."""
+    """Viewing direction, scale and centre, without perspective."""
 
     name: str
-    """Its name: "front"."""
+    """Name of the view, such as "front"."""
     view_from_world: Float64[Array, "3 3"]
     """Proper rotation. Rows: the picture's right, its up, and the direction to the viewer, world frame."""
     centre_world: Float64[Array, 3]
     """The world point in the middle of the picture, mm."""
     span_mm: tuple[float, float]
-    """Width and height of what is shown, mm."""
+    """Width and height of the visible area, mm."""
 
     def project(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-        """Right, up and towards the viewer, mm from the picture's middle."""
+        """Position to the right, upwards and towards the viewer, mm from the picture's centre."""
         return (points_world - self.centre_world) @ self.view_from_world.T
 
     @property
     def extent_mm(self) -> tuple[float, float, float, float]:
-        """Left, right, bottom, top of the picture, mm from its middle."""
+        """Left, right, bottom and top edge of the picture, mm from its centre."""
         width, height = self.span_mm
         return -width / 2, width / 2, -height / 2, height / 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VisibleFaces:
-    """Faces and depths that a view shows, pixel by pixel."""
+    """Faces and depths that are visible in a view, for each pixel."""
 
     faces: Int32[Array, "h w"]
-    """Index of the face seen. −1 where there is none."""
+    """Index of the visible face. −1 if there is none."""
     weights: Float32[Array, "h w 3"]
-    """Barycentric weights of the face's corners there."""
+    """Barycentric weights of the face's corners at the pixel."""
     towards_mm: Float32[Array, "h w"]
-    """Position towards the viewer, mm from the view's centre. −inf where there is nothing."""
+    """Position towards the viewer, mm from the view's centre. −inf if there is no face."""
 
     @property
     def hit(self) -> Bool[Array, "h w"]:
-        """Pixels in which a face is seen."""
+        """Pixels that show a face."""
         return self.faces >= 0
 
 
 class ShadedMesh:
-    """A mesh to be looked at from any number of views."""
+    """A mesh that can be drawn in any number of views."""
 
     def __init__(self, mesh: TriangleMesh) -> None:
         self.mesh = mesh
@@ -89,10 +89,10 @@ class ShadedMesh:
         return self.mesh.vertex_normals().astype(np.float32)
 
     def cast(self, view: ViewDirection, size_px: int) -> VisibleFaces:
-        """Find what is seen in the middle of each pixel.
+        """Find the face visible at the centre of each pixel.
 
-        The picture's longer side has `size_px` pixels. What was found is kept, so that one view can be coloured in
-        several ways.
+        The picture's longer side has `size_px` pixels. Results are cached, so that one view can be coloured in several
+        ways.
         """
         key = view, size_px
         if key not in self._casts:
@@ -119,15 +119,15 @@ class ShadedMesh:
     ) -> UInt8[Array, "h w 4"]:
         """Picture of the mesh, RGBA, transparent where there is none.
 
-        Edges are smoothed by four samples per pixel.
+        Edges are smoothed with four samples per pixel.
 
         Args:
-            view: from where.
+            view: the view.
             size_px: longer side of the picture, pixels.
-            colours: of each vertex, sRGB-encoded, uint8 or 0…1; None: plaster.
-            face_colours: of each face instead, 0…1.
-            lit: whether to shade, or how strongly, 0…1: photographs on the surface carry their own light, and a map's
-                colours must not be mistaken for shadows.
+            colours: colours of the vertices, sRGB-encoded, uint8 or 0…1; None: plaster.
+            face_colours: colours of the faces instead, 0…1.
+            lit: whether to shade, or how strongly, 0…1. Photographs on the surface already contain light and shade, and
+                the colours of a map must not look like shadows.
         """
         cast = self.cast(view, 2 * size_px)
         by_face = colours is None or face_colours is not None
@@ -151,12 +151,12 @@ def picture_wh(view: ViewDirection, size_px: int) -> tuple[int, int]:
 def standard_views(
     mesh: TriangleMesh, frame: Float64[Array, "3 3"], *, of_patient: bool = False
 ) -> tuple[ViewDirection, ...]:
-    """Four standard views: front, 45° from either side, from below. All have one scale and centre.
+    """Four standard views: front, 45° from both sides, from below. All have the same scale and centre.
 
     Args:
-        mesh: what to look at.
+        mesh: mesh to view.
         frame: rows right, up, towards the viewer of the front view, world frame: see `front_frame`.
-        of_patient: name the sides as the patient's own; the picture's left is the patient's right.
+        of_patient: whether sides are named as the patient's own: the left of the picture is the patient's right.
     """
     sides = np.sin(np.pi / 4), np.cos(np.pi / 4)
     left, right = ("patient's right", "patient's left") if of_patient else ("left", "right")
@@ -172,7 +172,7 @@ def standard_views(
 def views_of(
     mesh: TriangleMesh, frames: dict[str, Float64[Array, "3 3"]], *, margin: float = 1.06
 ) -> tuple[ViewDirection, ...]:
-    """Views of a mesh from given directions, at one scale. Below each is a strip for the scale bar."""
+    """Views of a mesh from given directions, at the same scale. Below each is a strip for the scale bar."""
     low, high = bounds(mesh.vertices)
     centre = (low + high) / 2
     placed = {}
@@ -196,11 +196,11 @@ def views_of(
 def front_frame(
     rig: Rig, *, mounting: Mapping[str, Mounting] | None = None, patient_left_world: Float64[Array, 3] | None = None
 ) -> Float64[Array, "3 3"]:
-    """Axes of the front view, from the cameras, world frame.
+    """Axes of the front view from the cameras, world frame.
 
-    Rows: right, up and towards the viewer. A torso has better axes of its own (`measure.trunk.body`). The front is the
-    cameras' mean direction, and up their mean upward direction as mounted. If the direction to the patient's left is
-    known, it is the picture's right instead.
+    Rows: right, up and towards the viewer. The front is the cameras' mean direction, and up is the mean of their upward
+    directions as mounted. If the direction to the patient's left is known, it becomes the picture's right. For a torso,
+    the body's own axes (`measure.trunk.body`) are better.
     """
     axes = np.stack([camera.axis_world for camera in rig.cameras.values()])
     towards = -_unit(axes.mean(axis=0), fallback=axes[0])
@@ -219,11 +219,11 @@ def front_frame(
 
 
 def front_of(rig: Rig, body: BodyDirections | None) -> Float64[Array, "3 3"]:
-    """Axes of the front view: the body's own, else the cameras'. Rows: right, up and towards the viewer.
+    """Axes of the front view: the body's own, or else the cameras'. Rows: right, up, towards the viewer.
 
     Args:
         rig: the cameras.
-        body: the patient's own directions; None for a cast.
+        body: directions of the patient's body; None for a cast.
     """
     return front_frame(rig) if body is None else body.frame
 
@@ -231,12 +231,12 @@ def front_of(rig: Rig, body: BodyDirections | None) -> Float64[Array, "3 3"]:
 def section(
     mesh: TriangleMesh, point_world: Float64[Array, 3], normal_world: Float64[Array, 3]
 ) -> tuple[Float64[Array, "k 2 3"], Int64[Array, " k"]]:
-    """Segments of a mesh cut by a plane, world frame, mm. Each comes with its face."""
+    """Segments in which a plane cuts a mesh, world frame, mm, and the face of each."""
     heights = (mesh.vertices - point_world) @ normal_world
     above = (heights > 0)[mesh.faces]
     crossed = np.flatnonzero(above.any(axis=1) & ~above.all(axis=1))
     corners, sides = mesh.faces[crossed], above[crossed]
-    # Each crossed face has one corner alone on its side; the segment ends on the two edges that leave it.
+    # Each cut face has one corner alone on one side. The segment ends on the two edges at this corner.
     single_above = sides.sum(axis=1) == 1
     alone = np.argmax(np.where(single_above[:, None], sides, ~sides), axis=1)
     apex = corners[np.arange(len(corners)), alone]
@@ -295,9 +295,9 @@ def _unit(vector: Float64[Array, 3], *, fallback: Float64[Array, 3]) -> Float64[
 
 
 def even_curve(points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> Float64[Array, "m 3"]:
-    """A closed curve as it is drawn: on the mesh, a point about every millimetre, evened out along itself.
+    """A closed curve for drawing: on the mesh, a point about every millimetre, smoothed along itself.
 
-    Noise of the skin and of a mesh's edges makes a boundary wave by 1 to 3 mm.
+    Without this, noise of the skin and of the mesh's edges makes a boundary wave by 1 to 3 mm.
     """
     length_mm = closed_length_mm(points_world)
     count = min(max(int(length_mm), len(points_world)), 4000)

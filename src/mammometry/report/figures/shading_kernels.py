@@ -1,6 +1,6 @@
 """Compiled kernel that shades a mesh's picture.
 
-Its plain NumPy version is in tests/unit/report/test_shading.py.
+A plain NumPy version is in tests/unit/report/test_shading.py.
 """
 
 import numpy as np
@@ -21,20 +21,20 @@ def shaded(
     lights: Float32[Array, "l 3"],
     ambient: float,
 ) -> UInt8[Array, "h2 w2 4"]:
-    """Picture of the faces that are seen, RGBA, at half the size.
+    """Picture of the visible faces, RGBA, at half the size.
 
-    Colour is the mean of what is seen of four samples.
+    A pixel's colour is the mean of those of its four samples that show a face.
 
     Args:
-        seen: face at each sample, −1 where there is none.
-        weights: of its corners there.
-        faces: of the mesh.
-        colours: of each vertex, or of each face, 0…1.
-        by_face: which of both.
+        seen: face at each sample, −1 if there is none.
+        weights: barycentric weights of its corners at the sample.
+        faces: vertex indices of the mesh's faces.
+        colours: colours of vertices or of faces, 0…1.
+        by_face: whether the colours are those of faces.
         normals: unit vertex normals, right, up and towards the viewer.
-        lit: how strongly to shade, 0…1.
+        lit: strength of the shading, 0…1.
         lights: direction towards each light, times its strength.
-        ambient: light from everywhere.
+        ambient: strength of the ambient light.
     """
     height, width = seen.shape[0] // 2, seen.shape[1] // 2
     picture = np.zeros((height, width, 4), dtype=np.uint8)
@@ -58,7 +58,7 @@ def shaded(
                     right += weight * normals[vertex, 0]
                     up += weight * normals[vertex, 1]
                     towards += weight * normals[vertex, 2]
-                # A mesh that is open at its back is seen from inside there: light it as if it were the outside.
+                # The inside of a mesh that is open at the back is visible there. It is lit like the outside.
                 length = max(np.sqrt(right * right + up * up + towards * towards), 1e-9)
                 length = -length if towards < 0 else length
                 light = ambient

@@ -1,4 +1,4 @@
-"""Inputs of a stage's previews, one value a stage, and its previews as PNG by name."""
+"""Inputs for the previews of each stage, and the previews as PNG by name."""
 
 from __future__ import annotations
 
@@ -40,19 +40,19 @@ from mammometry.surface.texture.texture import TexturedMesh
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CalibrationResult:
-    """The calibrated rig, and what it was calibrated from."""
+    """The calibrated rig, and its calibration."""
 
     stage: ClassVar[Stage] = "calibrate"
     rig: Rig
     calibration: Calibration | None = None
     """None for given cameras."""
     photographs: Mapping[tuple[str, str], Photograph] = field(default_factory=dict)
-    """(pose, camera) → photograph of the target. One per camera is read."""
+    """(pose, camera) → photograph of the target. Only one per camera is read."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MatchingResult:
-    """Photographs, foregrounds and disparities, as small as pictures need them (`thinned`)."""
+    """Photographs, foregrounds and disparities, reduced to the resolution of pictures (`thinned`)."""
 
     stage: ClassVar[Stage] = "match"
     rig: Rig
@@ -63,7 +63,7 @@ class MatchingResult:
     disparities: Mapping[str, DisparityMap]
     """By pair."""
     quality: Mapping[str, MatchQuality] = field(default_factory=dict)
-    """Pair → figures of the whole map."""
+    """Pair → quality of the complete map."""
 
     @classmethod
     def thinned(
@@ -73,7 +73,7 @@ class MatchingResult:
         foregrounds: Mapping[str, Foreground],
         disparities: Mapping[str, DisparityMap],
     ) -> MatchingResult:
-        """Thin everything for pictures. Each value is looked up once: at full size they are large."""
+        """Reduce everything to the resolution of pictures. Each value is looked up once, because it is large."""
         with ThreadPoolExecutor(2) as pool:
             small = dict(zip(foregrounds, pool.map(partial(_small, photographs), foregrounds), strict=True))
         maps, quality = thinned_maps(disparities)
@@ -98,17 +98,17 @@ class SurfaceResult:
     stage: ClassVar[Stage] = "surface"
     rig: Rig
     ranges: Sequence[ThinnedRange]
-    """As small as pictures need them, and what was kept of them."""
+    """Data reduced to the resolution of pictures, and which of them were kept."""
     first: TriangleMesh
     repaired: RepairedSurface
     textured: TexturedMesh
     """The repaired mesh with its colours."""
     mounting: Mapping[str, Mounting] = field(default_factory=dict)
-    """Camera → how it is mounted. Cameras not listed are upright."""
+    """Camera → how it is mounted. Other cameras are upright."""
 
     @cached_property
     def scene(self) -> ShadedMesh:
-        """The repaired mesh, ready to be rendered."""
+        """The repaired mesh, ready for rendering."""
         return ShadedMesh(self.repaired.mesh)
 
     @cached_property
@@ -123,28 +123,28 @@ class MeasureResult:
 
     stage: ClassVar[Stage] = "measure"
     rig: Rig
-    """For the directions to look from."""
+    """Rig from which the viewing directions are derived."""
     measurements: Sequence[VolumeMeasurement]
     """One per breast."""
     textured: TexturedMesh
     """The whole surface with its colours."""
     repaired: RepairedSurface | None = None
-    """The same surface with its provenance. Without it, nothing is marked as unmeasured."""
+    """The same surface with its provenance. Without it, no part is marked as unmeasured."""
     boundaries: Sequence[Boundary] = ()
-    """For the points that each boundary was found from. Optional."""
+    """Boundaries with the points from which they were found. May be empty."""
     symmetry: Symmetry | None = None
     body: BodyDirections | None = None
-    """The patient's own directions. None for a cast."""
+    """Directions of the patient's body. None for a cast."""
     absent: Sequence[NoBreast] = ()
     """Sides without a breast."""
     lacking: Sequence[VolumeDeficit] = ()
-    """A side's lacking volume."""
+    """Volume that a side lacks compared with the other."""
     sources: UInt8[Array, " n"] | None = None
     """Scans that show each vertex, as bits, if several were merged."""
 
     @cached_property
     def scene(self) -> ShadedMesh:
-        """The whole surface, ready to be rendered."""
+        """The whole surface, ready for rendering."""
         return ShadedMesh(self.textured.mesh)
 
     @cached_property
@@ -162,13 +162,13 @@ StageResult: TypeAlias = CalibrationResult | MatchingResult | SurfaceResult | Me
 
 
 def stage_result(stage: Stage, plan: Plan, inputs: Inputs, textured: TexturedMesh | None = None) -> StageResult:
-    """Recall what the previews of a stage are drawn from.
+    """Collect the data from which the previews of a stage are drawn.
 
     Args:
-        stage: any but the report.
-        plan: the whole job of a session.
-        inputs: what the session brought; photographs are read one at a time.
-        textured: the surface in the colours that may be shown; None for all of them.
+        stage: any stage except the report.
+        plan: the complete plan of a session.
+        inputs: inputs of the session; photographs are read one at a time.
+        textured: the surface in the colours that may be shown; None: all of them.
     """
     rig = plan[calibrate.cameras]().rig
     if stage == "calibrate":
@@ -202,12 +202,12 @@ def stage_result(stage: Stage, plan: Plan, inputs: Inputs, textured: TexturedMes
 
 
 def _small(photographs: Mapping[str, Photograph], name: str) -> Photograph:
-    """A small copy of a photograph. Photographs are large and read from disk at each look-up."""
+    """A small copy of a photograph. Photographs are large, and each look-up reads the file."""
     return Photograph(name=name, pixels=canvas.reduced(photographs[name], LARGEST_WIDTH_PX))
 
 
 def draw(result: StageResult) -> dict[str, bytes]:
-    """Draw every preview of a stage's result: name → PNG. An open surface has nothing measured to show."""
+    """Draw all previews of a stage's result: name → PNG. Empty for the measurement of an open surface."""
     measurements = result.measurements if isinstance(result, MeasureResult) else ()
     pictures: dict[str, bytes | None] = {}
     for preview in previews_of(result.stage):

@@ -1,4 +1,4 @@
-"""Pictures of the surface: range images, dents, meshes, provenance, distance from the true one."""
+"""Pictures of the surface: range images, dents, meshes, provenance, distance from the true surface."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PROVENANCE_COLOURS: Mapping[Provenance, tuple[str, str]] = {
 
 @preview("range", stage="surface", place=1, photographs=False, on_paper=True)
 def range_images(result: SurfaceResult) -> bytes:
-    """Each pair's range image in the paper's grey, darker where nearer. As in Fig. 1."""
+    """Each pair's range image in grey as in Fig. 1 of the paper, darker where nearer."""
     ranges = result.ranges
     low, high = canvas.robust_range(np.concatenate([range_image.ranges_mm for range_image in ranges]), 0.002)
     sheet = _map_sheet([range_image.size_wh[::-1] for range_image in ranges], bars=True)
@@ -55,7 +55,7 @@ def range_images(result: SurfaceResult) -> bytes:
 
 @preview("dents", stage="surface", place=2, photographs=False, on_paper=True)
 def dents(result: SurfaceResult) -> bytes:
-    """Range data that were kept, and those dropped as dented."""
+    """Range data that were kept, and those that were removed as dents."""
     sheet = _map_sheet([range_image.size_wh[::-1] for range_image in result.ranges], header=26)
     kept_colour, dropped_colour = canvas.rgb(canvas.BLUE), canvas.rgb(canvas.ORANGE)
     sheet.legend([(canvas.BLUE, "kept"), (canvas.ORANGE, "dropped"), (canvas.hexadecimal(canvas.MISSING), "no data")])
@@ -65,7 +65,7 @@ def dents(result: SurfaceResult) -> bytes:
         picture = np.full((*range_image.valid.shape, 3), 1.0)
         picture[:] = canvas.MISSING
         picture[range_image.valid] = dropped_colour
-        # The nearer to grazing, the paler: what the rule judges by shows in the picture.
+        # Data are paler the closer they are to grazing, because that is what the rule tests.
         angle = np.nan_to_num(range_image.angles_rad, nan=0.0)[..., None]
         picture = np.where(
             range_image.kept[..., None], kept_colour + (1 - kept_colour) * np.clip(angle / np.pi, 0, 0.6), picture
@@ -80,7 +80,7 @@ def dents(result: SurfaceResult) -> bytes:
 
 @preview("repair", stage="surface", place=3, photographs=False, on_paper=True)
 def repair(result: SurfaceResult) -> bytes:
-    """The first mesh above, the repaired one below, from the same views."""
+    """The first mesh (above) and the repaired one (below), from the same views."""
     views = result.views
     sheet = _view_sheet(views, rows=2)
     for row, (title, drawn) in enumerate((("first mesh", ShadedMesh(result.first)), ("repaired", result.scene))):
@@ -97,7 +97,7 @@ def repair(result: SurfaceResult) -> bytes:
 
 @preview("provenance", stage="surface", place=4, photographs=False, on_paper=True)
 def provenance(result: SurfaceResult) -> bytes:
-    """Provenance of the surface, and expected error of the measured parts."""
+    """Provenance of the surface, and the expected error of measured parts."""
     repaired, scene, views = result.repaired, result.scene, result.views
     sheet = _view_sheet(views, rows=2, bars=True, header=26)
     shares = provenance_shares(repaired)
@@ -163,7 +163,7 @@ def convergence(result: SurfaceResult) -> bytes:
 
 
 def provenance_shares(repaired: RepairedSurface) -> dict[Provenance, float]:
-    """Share of the surface's area of each origin. A face counts by thirds with its corners."""
+    """Share of the surface's area with each provenance. A third of a face counts for each of its corners."""
     areas = np.linalg.norm(repaired.mesh.face_vectors(), axis=1)
     weights = np.bincount(
         repaired.provenance[repaired.mesh.faces].ravel(), np.repeat(areas / 3, 3), minlength=len(Provenance)
@@ -172,7 +172,7 @@ def provenance_shares(repaired: RepairedSurface) -> dict[Provenance, float]:
 
 
 def show(axes: Any, picture: UInt8[Array, "h w 4"], view: ViewDirection, *, bar: bool = True) -> None:
-    """Put a rendered mesh into a panel in mm with scale bar."""
+    """Draw a rendered mesh into a panel with mm axes and a scale bar."""
     axes.set_axis_off()
     axes.imshow(picture, extent=view.extent_mm, interpolation="antialiased")
     axes.set(xlim=view.extent_mm[:2], ylim=view.extent_mm[2:])
@@ -192,7 +192,8 @@ def _map_sheet(shapes: Sequence[tuple[int, ...]], *, bars: bool = False, header:
 _ERROR_PANEL_PX = 330  # width of a panel, px; appearance only
 _VIEW_PX = 600  # size at which a view is rendered, px; appearance only
 _MAP = "RdBu_r"
-"""Diverging colours that all common kinds of colour vision distinguish (ColorBrewer): blue inside, red outside."""
+"""Diverging colours that people with common colour blindness can distinguish (ColorBrewer): blue inside, red
+outside."""
 _NOT_JUDGED = canvas.rgb("#b9b39b")
 _LEAST_MM = 0.05  # least end of the scale, mm: about the noise of the surface; appearance only
 
@@ -205,14 +206,14 @@ def error_map(
     patient_left_world: Float64[Array, 3] | None = None,
     title: str = "Distance from the true surface",
 ) -> bytes:
-    """Measured surface in four views, coloured by signed distance from the truth.
+    """The measured surface in four views, coloured by its signed distance from the true one.
 
     Args:
-        rig: for the directions to look from.
+        rig: rig from which the viewing directions are derived.
         mesh: the measured surface, world frame, mm.
-        errors: its vertices' errors.
-        patient_left_world: direction towards the patient's left, where both breasts are known.
-        title: of the picture.
+        errors: errors of its vertices.
+        patient_left_world: direction towards the patient's left, if both breasts are known.
+        title: title of the picture.
     """
     frame = front_frame(rig, patient_left_world=patient_left_world)
     views = standard_views(mesh, frame, of_patient=patient_left_world is not None)

@@ -1,4 +1,4 @@
-"""Thinned foregrounds, disparity maps and range images, and matched shares."""
+"""Foregrounds, disparity maps and range images reduced for pictures, and matched shares."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from mammometry.surface.ranges.range_image import RangeImage, thinned_camera
 
 LARGEST_WIDTH_PX = 1200
 """Largest width of a photograph in pictures of the matching, pixels."""
-_FOREGROUND_PX = 870  # width of a thinned foreground: three times its panel, for a smooth outline
-_MAP_PX = 640  # longer side of a thinned map: more than its panel shows
+_FOREGROUND_PX = 870  # width of a reduced foreground: three times its panel, for a smooth outline
+_MAP_PX = 640  # longer side of a reduced map: more than its panel shows
 _SHARE_PX = 320  # longer side of the grid on which shares are counted; appearance only
-_FAR_MM = 1000.0  # any distance: a camera at the same place projects the whole ray to one pixel
+_FAR_MM = 1000.0  # any distance works: a camera at the same place projects the whole ray to one pixel
 
 
 def thinned_foreground(known: Foreground) -> Foreground:
-    """Thin a foreground to what a picture shows of it."""
+    """Reduce a foreground to the resolution of pictures."""
     step = max(1, known.coverage.shape[1] // (_FOREGROUND_PX))
     return replace(known, coverage=np.ascontiguousarray(known.coverage[::step, ::step]))
 
 
 def thinned_map(disparity: DisparityMap) -> DisparityMap:
-    """Thin a disparity map for pictures. Its values become pixels of the rectified pair."""
+    """Reduce a disparity map for pictures. Its values become pixels of the rectified pair."""
     step = max(1, -(-max(disparity.valid.shape) // _MAP_PX))
 
     def thin(values: Array) -> Array:
@@ -50,7 +50,7 @@ def thinned_map(disparity: DisparityMap) -> DisparityMap:
 
 
 def thinned_maps(disparities: Mapping[str, DisparityMap]) -> tuple[dict[str, DisparityMap], dict[str, MatchQuality]]:
-    """Thin all pairs' maps, and judge the whole ones. Each is looked up once: at full size they are large."""
+    """Reduce the maps of all pairs, and assess the complete ones. Each map is looked up only once."""
     maps, quality = {}, {}
     for pair, disparity in disparities.items():
         maps[pair], quality[pair] = thinned_map(disparity), assess(disparity)
@@ -62,27 +62,27 @@ class ThinnedRange:
     """A range image for pictures and tables, before and after the removal of dents."""
 
     name: str
-    """The pair's."""
+    """Name of the pair."""
     size_wh: tuple[int, int]
-    """Of the whole image, pixels."""
+    """Size of the complete image, pixels."""
     ranges_mm: Float32[Array, " n"]
     """Distances of all data, in row order."""
     sigma_median_mm: float | None
-    """None without data."""
+    """None if there are no data."""
     kept_count: int
-    """Data that stayed."""
+    """Number of data that were kept."""
     range_mm: Float32[Array, "h w"]
-    """Every k-th pixel, as `valid`, `kept` and `angles_rad`. 0 where not valid."""
+    """Every k-th pixel, as for `valid`, `kept` and `angles_rad`. 0 if not valid."""
     valid: Bool[Array, "h w"]
     kept: Bool[Array, "h w"]
     angles_rad: Float32[Array, "h w"]
-    """Between the local normal and the direction to the camera. NaN if unknown."""
+    """Angle between the local normal and the direction to the camera. NaN if unknown."""
 
 
 def thinned_ranges(ranges: Mapping[str, RangeImage], valid: ValidPatches) -> tuple[ThinnedRange, ...]:
-    """Thin the range images of all pairs for pictures.
+    """Reduce the range images of all pairs for pictures.
 
-    Each is looked up once: at full size they are large.
+    Each is looked up once, because it is large.
     """
     return tuple(
         _thinned_range(ranges[kept.name], kept.valid, angles)
@@ -113,7 +113,7 @@ def matched_shares(
 ) -> dict[str, float]:
     """Pair → matched share of the subject in its left picture.
 
-    Counted on a thinned grid. It lacks pairs without silhouettes.
+    Counted on a reduced grid. Pairs without silhouettes are left out.
     """
     shares = {}
     for pair, disparity in disparities.items():
@@ -136,9 +136,9 @@ def matched_shares(
 def source_grid(
     camera: Camera, ideal: Camera, longest_px: int
 ) -> tuple[Float64[Array, "h w"], Float64[Array, "h w"], Float64[Array, "h w 2"]]:
-    """Columns and rows of a preview grid, and places in the photograph.
+    """Columns and rows of a preview's grid, and its positions in the photograph.
 
-    The grid is on the ideal camera's picture.
+    The grid is in the ideal camera's picture.
     """
     width, height = ideal.size_wh
     step = max(1.0, max(width, height) / longest_px)

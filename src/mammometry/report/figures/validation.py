@@ -1,4 +1,4 @@
-"""Picture of a validation: all definitions of the volume against the truth."""
+"""Picture of a validation: volumes by all definitions against the reference."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from mammometry.report.figures.canvas import PanelSheet
 from mammometry.study.validation.study import ValidationStudy
 
 _PANEL = (620, 420)  # size of the plot, px; the pages' width
-_ROOM = (70, 46)  # for its labels, px
-_MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")  # of the definitions, as colours alone do not suffice
-_MARGIN = 0.06  # of the range, around the points
+_ROOM = (70, 46)  # space for its labels, px
+_MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")  # of the definitions, since colours alone do not suffice
+_MARGIN = 0.06  # margin around the points, as a share of their range
 
 
 def definitions_side_by_side(found: ValidationStudy) -> bytes:
-    """Each definition's volumes over the truth, with the line of equality and Deming's lines."""
+    """Each definition's volumes against the reference, with the line of identity and Deming's lines."""
     shown = found.definitions[: len(_MARKS)]
     sheet = PanelSheet(1, 1, _PANEL, axes_room=_ROOM, header=26)
     colours = {one.definition: canvas.CYCLE[place % len(canvas.CYCLE)] for place, one in enumerate(shown)}

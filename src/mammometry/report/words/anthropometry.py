@@ -1,4 +1,4 @@
-"""Lengths, shape and asymmetry as text, and the table of surgical planning numbers."""
+"""Lengths, shape and asymmetry as text, and the table of lengths for surgical planning."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,7 +24,7 @@ _SIDES = ("left", "right")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Length:
-    """One number with half the width of its 95 % interval, mm."""
+    """A length and the half-width of its 95 % interval, mm."""
 
     value_mm: float
     half_mm: float | None = None
@@ -36,18 +36,18 @@ class LengthRow:
 
     title: str
     sides: tuple[Length | None, Length | None]
-    """Left and right. None: not measured."""
+    """Left and right. None if not measured."""
     missing: tuple[str, str] = ("", "")
-    """Reason why a side has no number; empty if it has one."""
+    """Reason why a side has no number. Empty if it has one."""
 
     @property
     def cells(self) -> tuple[tuple[str, Length | None, str], ...]:
-        """Side, number, and the reason for a missing one: left, then right."""
+        """Side, number, and reason for a missing number: left, then right."""
         return tuple(zip(_SIDES, self.sides, self.missing, strict=True))
 
     @property
     def difference(self) -> Length | None:
-        """Left minus right. None without both."""
+        """Left minus right. None unless both are known."""
         left, right = self.sides
         if left is None or right is None:
             return None
@@ -58,13 +58,13 @@ class LengthRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LengthTable:
-    """All rows in the order of an examination, and lengths without a side."""
+    """All rows in the order of an examination, and lengths that belong to no side."""
 
     rows: tuple[LengthRow, ...]
     nipples: Length | None
-    """From nipple to nipple. None: not measured."""
+    """Distance between the nipples. None if not measured."""
     has_gaps: bool
-    """Whether a number of a breast is missing because a landmark is not marked."""
+    """Whether a length is missing because a landmark is not marked."""
 
 
 _ROWS = (
@@ -76,7 +76,8 @@ _ROWS = (
     ("Projection", ("projection",), "draw the boundary"),
     ("Nipple below the fold (ptosis)", ("nipple_below_fold",), "mark the nipple"),
 )
-"""Title, codes of `hospital.exported.Quantity`, remedy if it is missing. The second code is the quantity's name in rows
+"""Title, codes of `hospital.exported.Quantity`, and remedy if it is missing. The second code is the quantity's name in
+rows
 stored by version 1.0.
 """
 _NIPPLE = ("n_midline_straight", "nipple_below_fold")
@@ -85,11 +86,11 @@ _WITH_NIPPLE = {"sn_n_straight": "mark the sternal notch", "n_imf_along_skin": "
 
 
 def length_table(quantities: Sequence[Mapping[str, Any]]) -> LengthTable | None:
-    """Lay out a measurement's quantities. None: none is a torso's length.
+    """Arrange a measurement's quantities in a table. None if none of them is a length of a torso.
 
     Args:
-        quantities: rows with the names of `hospital.exported.Quantity`: from `quantities_of`, or a clinic's stored
-            rows.
+        quantities: rows with the names of `hospital.exported.Quantity`, from `quantities_of` or as stored by a
+            clinic.
     """
     by_code = {(str(row["code"]), str(row.get("side") or "")): row for row in quantities}
     breasts = [side for side in _SIDES if ("projection", side) in by_code]
@@ -112,7 +113,7 @@ def length_table(quantities: Sequence[Mapping[str, Any]]) -> LengthTable | None:
 
 
 def quantities_of(dimensions: Dimensions) -> Iterator[dict[str, Any]]:
-    """Sizes other than volumes, with the names and values of `hospital.exported.Quantity`."""
+    """Quantities other than volumes, with the names and values of `hospital.exported.Quantity`."""
     for length in dimensions.lengths:
         name, side = _sided(length.name)
         ways = (
@@ -142,16 +143,16 @@ def quantities_of(dimensions: Dimensions) -> Iterator[dict[str, Any]]:
 
 
 def projections_of(dimensions: Dimensions) -> Iterator[dict[str, Any]]:
-    """Projection of each breast for the table, as exports have it with the volume."""
+    """Projection of each breast for the table. Exports have it with the volume."""
     for shape in dimensions.shapes:
         value, sigma = shape.projection_mm, shape.projection_sigma_mm
         yield _quantity("projection", "Projection", shape.name, value, sigma, method="plane-distance")
 
 
 def length_words(value: Length | None, *, sign: bool = False) -> str:
-    """A length in mm with its interval: "212.3 ± 4.1", a difference with its sign: "+4 ± 6".
+    """A length in mm with its interval, such as "212.3 ± 4.1"; a difference with its sign: "+4 ± 6".
 
-    A line may end before ±, not after it.
+    A line may break before ±, but not after it.
     """
     if value is None:
         return "–"
@@ -159,13 +160,13 @@ def length_words(value: Length | None, *, sign: bool = False) -> str:
 
 
 def _sided(name: str) -> tuple[str, str]:
-    """A length's name without its side, and the side. Empty: it has none."""
+    """A length's name without its side, and the side, which is empty if there is none."""
     first, _, last = name.rpartition(" ")
     return (first, last) if last in _SIDES else (name, "")
 
 
 def _without_side(title: str, side: str) -> str:
-    """A length's title for both sides: "nipple to fold"."""
+    """Title of a length for both sides, such as "nipple to fold"."""
     return title.replace(f"{side} ", "").replace(f", {side}", "") if side else title
 
 
@@ -185,7 +186,7 @@ def _length(row: Mapping[str, Any]) -> Length:
 def comparison(
     measurements: Sequence[VolumeMeasurement], *, absent: Sequence[NoBreast] = (), lacking: Sequence[VolumeDeficit] = ()
 ) -> tuple[Fact, ...]:
-    """Compare left and right: difference, ratio and deficit, each with its interval."""
+    """Compare left and right: difference, ratio and deficit of the volumes, each with its interval."""
     sides = {measured.name: measured for measured in measurements}
     facts: tuple[Fact, ...] = ()
     if {"left", "right"} <= set(sides):
@@ -204,7 +205,7 @@ def comparison(
 
 
 def difference_number(measurements: Sequence[VolumeMeasurement]) -> LargeNumber | None:
-    """Difference of both volumes for the first page. None without two."""
+    """Difference of the two volumes for the first page. None unless there are two."""
     sides = {measured.name: measured for measured in measurements}
     if not {"left", "right"} <= set(sides):
         return None
@@ -222,11 +223,11 @@ def difference_number(measurements: Sequence[VolumeMeasurement]) -> LargeNumber 
 
 
 def planning_lengths(dimensions: Dimensions | None, landmarks: Sequence[Landmark] = ()) -> tuple[TextTable | None, str]:
-    """Surgical lengths, the missing ones, and their landmarks.
+    """Surgical lengths with those that are missing, and a note about their landmarks.
 
     Args:
-        dimensions: of the measurement. None: there are no lengths.
-        landmarks: the used ones.
+        dimensions: dimensions from the measurement. None: there are no lengths.
+        landmarks: landmarks that were used.
     """
     if dimensions is None:
         return None, ""
@@ -251,7 +252,7 @@ def planning_lengths(dimensions: Dimensions | None, landmarks: Sequence[Landmark
 
 
 def _lacks(deficit: VolumeDeficit) -> Fact:
-    """Text on a side's lacking volume."""
+    """Text about the volume that a side lacks."""
     volume = measured_words(deficit.volume_cc, deficit.interval_cc)
     if deficit.volume_cc < 0:
         volume = f"nothing ({span_words(deficit.interval_cc)})"
@@ -274,7 +275,7 @@ def _both(left: VolumeMeasurement, right: VolumeMeasurement) -> tuple[Fact, ...]
 def without_nipple(
     measurements: Sequence[VolumeMeasurement], landmarks: Sequence[Landmark], settings: MeasureSettings
 ) -> tuple[str, ...]:
-    """Breasts of a torso without a reliable nipple."""
+    """Breasts of a torso whose nipple was not found reliably."""
     least = settings.nipple.least_probability
     seen = {mark.name for mark in landmarks if mark.probability >= least}
     names = [measured.name for measured in measurements if measured.name != "model"]
@@ -282,7 +283,7 @@ def without_nipple(
 
 
 def symmetry_facts(symmetry: Symmetry | None) -> tuple[Fact, ...]:
-    """Differences of the breasts in position and shape. Empty without a symmetry."""
+    """Differences between the breasts in position and shape. Empty without a symmetry."""
     if symmetry is None:
         return ()
     across, up, ahead = symmetry.shift_mm
@@ -299,7 +300,7 @@ def symmetry_facts(symmetry: Symmetry | None) -> tuple[Fact, ...]:
 
 
 def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark] = ()) -> tuple[TextTable, ...]:
-    """Lengths, shape and ptosis as tables, without empty ones."""
+    """Tables of lengths, shape and ptosis, without empty ones."""
     if dimensions is None:
         return ()
     lengths = TextTable(

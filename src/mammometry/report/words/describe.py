@@ -1,4 +1,4 @@
-"""Describe products in a report's text, numbers and tables."""
+"""Describe products as text, numbers and tables of a report."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None 
 
     Args:
         measured: one breast.
-        repaired: the whole surface, for the origin of the skin.
+        repaired: the whole surface, which has the origin of the skin.
     """
     facts = [
         Fact("Projection", f"{measured.projection_mm:.1f} mm"),
@@ -89,7 +89,7 @@ def side_title(name: str) -> str:
 
 
 def meanings(measurements: Sequence[VolumeMeasurement]) -> tuple[Meaning, ...]:
-    """The volumes in every definition of the breast."""
+    """The volumes with every definition of the breast."""
     facts: dict[str, list[Fact]] = {}
     walls: dict[str, str] = {}
     for measured in measurements:
@@ -104,7 +104,7 @@ def meanings(measurements: Sequence[VolumeMeasurement]) -> tuple[Meaning, ...]:
 
 
 def absent_report(absent: NoBreast) -> BreastReport:
-    """Content for a side without a breast, whose reason is a warning."""
+    """Content for a side without a breast. The reason is a warning."""
     seen = absent.prominence
     facts = () if seen is None else (Fact("Largest possible volume there", f"{seen.volume_cc:.0f} cc"),)
     return BreastReport(
@@ -127,7 +127,7 @@ def _without(absent: NoBreast) -> str:
 
 
 def wall_label(measured: VolumeMeasurement) -> str:
-    """Name of the surface at the back: the chest wall, or a cast's base."""
+    """Name of the surface at the back: chest wall, or base of a cast."""
     return "Chest wall" if measured.name != "model" else "Base"
 
 
@@ -154,7 +154,7 @@ def _breast_tables(measured: VolumeMeasurement) -> tuple[TextTable, ...]:
 
 
 def calibration_report(rig: Rig, calibration: Calibration | None, quality: CalibrationQuality | None) -> StageReport:
-    """The calibrate stage as text and numbers."""
+    """The calibration as text and numbers."""
     title = "Calibration"
     if calibration is None or quality is None:
         imported = Fact("Cameras", f"{len(rig.cameras)}, imported. Their errors are not known")
@@ -194,7 +194,7 @@ def calibration_report(rig: Rig, calibration: Calibration | None, quality: Calib
 def matching_report(
     foregrounds: Mapping[str, Foreground], matching: Mapping[str, MatchQuality], shares: Mapping[str, float]
 ) -> StageReport:
-    """The match stage in numbers."""
+    """The matching in numbers."""
     rows = []
     for name, judged in matching.items():
         width, height = judged.size_wh
@@ -236,7 +236,7 @@ def _shares_words(shares: Mapping[Provenance, float]) -> str:
 def surface_report(
     ranges: Sequence[ThinnedRange], repaired: RepairedSurface, stillness: str = "not compared"
 ) -> StageReport:
-    """The surface stage in numbers."""
+    """The surface in numbers."""
     mesh = repaired.mesh
     closed = mesh.is_watertight()
     shares = provenance_shares(repaired)
@@ -286,7 +286,7 @@ def posture_fact(posture: str) -> Fact:
 
 
 def measure_report(measurements: Sequence[VolumeMeasurement]) -> StageReport:
-    """The measure stage in numbers: the solids whose volumes were computed."""
+    """The measurement in numbers: the solids whose volumes were computed."""
     facts = tuple(
         Fact(
             NAMES[measured.name][:1].upper() + NAMES[measured.name][1:],
@@ -351,7 +351,7 @@ def target_words(target: Target) -> str:
 
 
 def _with_unit(name: str, value: str) -> str:
-    """``square_mm``, ``25`` → "square 25 mm"."""
+    """Separate the unit of a length: ``square_mm``, ``25`` → "square 25 mm"."""
     return f"{name.removesuffix('_mm').replace('_', ' ')} {value}{' mm' if name.endswith('_mm') else ''}"
 
 
@@ -398,16 +398,16 @@ def _value_words(value: object) -> str:
 
 
 SKIN_MEASURED = 0.8
-"""Smallest measured share of a breast's skin without a warning. It affects only the warning."""
+"""Measured share of a breast's skin below which there is a warning. It has no other effect."""
 
 
-_AROUND_MM = 10.0  # around a breast: its skin is part of the surface, at most a cube's edge from its vertices
+_AROUND_MM = 10.0  # margin around a breast within which the surface's vertices are searched
 
 
 def skin_shares(measured: VolumeMeasurement, repaired: RepairedSurface) -> dict[Provenance, float]:
-    """Share of a breast's skin of each origin.
+    """Share of a breast's skin with each provenance.
 
-    The origin is that of the nearest vertex of the whole surface.
+    The provenance is that of the nearest vertex of the whole surface.
     """
     skin = ~wall_faces(measured)
     middles = measured.closed.corners()[skin].mean(axis=1)

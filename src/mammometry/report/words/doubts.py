@@ -1,4 +1,4 @@
-"""Notices on doubtful volumes of a torso, for report, first page and terminal."""
+"""Notices about doubtful volumes of a torso, for the report, the first page and the terminal."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ def body_doubts(plan: Plan) -> tuple[Notice, ...]:
 
 
 def torso_notices(plan: Plan, posture: str | None) -> tuple[Notice, ...]:
-    """Notices on a measured torso.
+    """Notices about a measured torso.
 
     Args:
-        plan: of its measurement.
-        posture: empty if not given; None: no torso.
+        plan: plan of its measurement.
+        posture: empty if not stated; None: not a torso.
     """
     if posture is None:
         return ()

@@ -1,4 +1,4 @@
-"""Facts of another scanner's mesh, for the technician's page."""
+"""Facts about another scanner's mesh, for the technician's page."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ class MeshOrigin:
     kind: SubjectKind
     """A cast or a torso."""
     units: str
-    """The file's unit and its source."""
+    """The file's unit, and where it was stated."""
     world: str
-    """Definition of the frame, one sentence."""
+    """Definition of the frame, in one sentence."""
     scanner: str = ""
-    """Name of the device. Empty: not given."""
+    """Name of the device. Empty: not stated."""
     posture: str = ""
     """The patient's posture. Empty if unknown."""
     notices: tuple[Notice, ...] = ()
-    """Changes made to the mesh, and assumptions."""
+    """Changes to the mesh, and assumptions."""
     sides_doubtful: bool = False
-    """Whether left and right may be exchanged; the notes have the reason."""
+    """Whether left and right may be swapped. The notices have the reason."""
     sources: UInt8[Array, " n"] | None = None
     """Scans that show each vertex, as bits, if several were merged."""
     also: tuple[str, ...] = ()
@@ -37,7 +37,7 @@ class MeshOrigin:
 
 
 def mesh_facts(finished: FinishedSurface, origin: MeshOrigin) -> StageReport:
-    """A mesh's facts for the technician's page."""
+    """Facts about a mesh for the technician's page."""
     mesh = finished.repaired.mesh
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     facts = (

@@ -1,6 +1,6 @@
 """Facts of a stage for the report.
 
-They are computed with the stage's pictures, so that the large values are read once.
+They are computed together with the stage's pictures, so that large values are read once.
 """
 
 from collections.abc import Mapping
@@ -28,15 +28,15 @@ class MatchingFacts:
     """The matching in numbers."""
 
     foregrounds: Mapping[str, Foreground]
-    """Camera → its silhouette, thinned."""
+    """Camera → its silhouette, at the resolution of pictures."""
     quality: Mapping[str, MatchQuality]
-    """By pair."""
+    """Pair → quality of its matching."""
     shares: Mapping[str, float]
     """Pair → matched share of the subject."""
 
 
 Facts: TypeAlias = MatchingFacts | StageReport | None
-"""Facts of the matching, of the surface, or none."""
+"""Facts about the matching or the surface, or none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,9 +46,9 @@ class DrawnStages:
     pictures: Mapping[str, Mapping[str, bytes]]
     """Stage → its previews, name → PNG."""
     facts: Mapping[Stage, Facts] = field(default_factory=dict)
-    """Stage → result of `drawn`."""
+    """Stage → facts from `drawn`."""
     scene: ViewerScene | None = None
-    """Result of `gather.whole_scene`, for a report without omissions."""
+    """Result of `gather.whole_scene`, for a report that leaves nothing out."""
 
 
 def drawn(stage: Stage, plan: Plan, inputs: Inputs) -> tuple[dict[str, bytes], Facts]:
@@ -63,7 +63,7 @@ def drawn(stage: Stage, plan: Plan, inputs: Inputs) -> tuple[dict[str, bytes], F
 
 
 def motion_words(plan: Plan) -> str:
-    """One line about the motion of cameras and body, or of the body between a walk's photographs."""
+    """One line about motion of cameras and body, or of the body during a walk."""
     walk = plan.value(surface.walk_motion)
     return motion_detection.summary(plan[surface.stillness]()) if walk is None else walk_motion.summary(walk)
 

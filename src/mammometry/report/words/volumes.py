@@ -1,4 +1,4 @@
-"""A volume, its interval, definition, cautions and change between two dates, as text."""
+"""Volumes, intervals, definitions, cautions and changes between two dates, as text."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ import datetime
 from mammometry.base.rounding import decimals, half_width, rounded_words
 from mammometry.measure.volume.measurement import DENSITY_G_PER_CC, DefinedVolume
 
-_MIDDLE_CC = 0.05  # a volume farther from the centre of its interval has an interval cut off at zero
+_MIDDLE_CC = 0.05  # distance from the interval's centre above which the interval was cut off at zero
 
 
 def term_words(half_cc: float) -> str:
-    """Half-width of one source of error, cc."""
+    """Half-width due to one source of error, cc."""
     return "< 0.1" if half_cc < 0.05 else f"{half_cc:.{decimals(half_cc)}f}"
 
 
 def volume_words(volume_cc: float, interval_cc: tuple[float, float] | None = None) -> str:
-    """A volume alone, rounded by its interval: "284 cc"."""
+    """A volume without interval, rounded according to it, such as "284 cc"."""
     return rounded_words(volume_cc, half_width(interval_cc), "cc", alone=True)
 
 
 def measured_words(volume_cc: float, interval_cc: tuple[float, float] | None, *, sign: bool = False) -> str:
-    """A volume with its interval: "284 ± 55 cc (95 %: 230 to 339 cc)".
+    """A volume with its interval, such as "284 ± 55 cc (95 %: 230 to 339 cc)".
 
-    Without the half-width if the interval is cut off at zero.
+    The half-width is left out if the interval is cut off at zero.
 
     Args:
-        volume_cc: or a difference of volumes.
+        volume_cc: a volume, or a difference of volumes.
         interval_cc: its 95 % interval.
-        sign: whether it is a difference, with a sign for positive numbers.
+        sign: whether it is a difference, so that positive numbers have a sign.
     """
     cut_off = interval_cc is not None and abs(volume_cc - sum(interval_cc) / 2) > _MIDDLE_CC
     words = rounded_words(volume_cc, half_width(interval_cc), "cc", sign=sign, alone=cut_off)
@@ -36,7 +36,7 @@ def measured_words(volume_cc: float, interval_cc: tuple[float, float] | None, *,
 
 
 def span_words(interval_cc: tuple[float, float] | None, *, sign: bool = False) -> str:
-    """The limits of the 95 % interval as text: "95 %: 300 to 410 cc", for a difference with signs."""
+    """The 95 % interval as text, such as "95 %: 300 to 410 cc". Limits of a difference have signs."""
     if interval_cc is None:
         return "its error is not known"
     half = half_width(interval_cc)
@@ -52,7 +52,7 @@ MEANINGS = {
     "closed solid": "of the whole model",
     "any": "",
 }
-"""Definition of "the breast" (docs/decisions/0029) → a few plain words that follow a volume."""
+"""Definition of the breast (docs/decisions/0029) → a few plain words to follow a volume."""
 MEANINGS_INTRODUCTION = (
     "The back of a breast cannot be seen. Where it ends is a matter of definition, so one breast has several "
     "volumes. Compare only volumes of the same kind."
@@ -75,13 +75,13 @@ _EXPLAINED = {
 
 
 def meaning_title(meaning: str) -> str:
-    """A few plain words for one definition of the breast, as a heading."""
+    """Heading for one definition of the breast, in a few plain words."""
     words = MEANINGS.get(meaning, meaning)
     return words[:1].upper() + words[1:]
 
 
 def meaning_sentences(meaning: str, wall: str) -> str:
-    """One definition of the breast, explained to a patient.
+    """Explain one definition of the breast to a patient.
 
     Args:
         meaning: key of `MEANINGS`.
@@ -91,7 +91,7 @@ def meaning_sentences(meaning: str, wall: str) -> str:
 
 
 def definition_words(defined: DefinedVolume) -> str:
-    """One definition's volume, interval in cc and %, and weight."""
+    """Volume with one definition, with its interval in cc and %, and weight."""
     grams, half_g = defined.weight_g
     words = measured_words(defined.volume_cc, defined.interval_cc)
     return f"{words}, weight {rounded_words(grams, half_g, 'g')} at {DENSITY_G_PER_CC} g/cc"
@@ -105,7 +105,7 @@ UNKNOWN = "no verdict, because the error of the change is not known"
 
 
 def date_words(date: datetime.date) -> str:
-    """A date inside a sentence: 3 November 2026."""
+    """A date within a sentence, such as 3 November 2026."""
     return f"{date.day} {date:%B %Y}"
 
 
@@ -141,7 +141,7 @@ def change_sentence(
 
 
 def _span(interval_cc: Interval, digits: int) -> str:
-    """Both limits in the direction of the change, or each with its own if they differ."""
+    """Both limits in the order of the change's direction, or each with its own sign if the signs differ."""
     low, high = interval_cc
     if low < 0.0 < high:
         return f"{-low:.{digits}f} cc smaller to {high:.{digits}f} cc larger"

@@ -1,1 +1,1 @@
-"""Letters of all scripts in PDF: order, shapes and fonts."""
+"""Text of all scripts in PDF: order, shapes and fonts of letters."""

@@ -1,7 +1,7 @@
-"""Order of letters in text of both directions: Unicode's bidirectional algorithm.
+"""Order of letters in bidirectional text (Unicode's bidirectional algorithm).
 
-With isolates of the first strong direction, which our sentences have around names (`base/letters`). Other embeddings,
-overrides and isolates, which no name contains, are ignored.
+It supports first-strong isolates, which our sentences have around names (`base/letters`). Other embeddings, overrides
+and isolates are ignored: names do not contain them.
 """
 
 import re
@@ -34,13 +34,13 @@ MIRRORED = str.maketrans({**_BRACKETS, **{last: first for first, last in _BRACKE
 """Mirrored brackets of right-to-left text, for `str.translate`."""
 _ISOLATED = re.compile(f"{ISOLATE}([^{ISOLATE}{END}]*){END}")
 _OBJECT = "\ufffc"  # replaces isolated text, which has no direction (rule BD9)
-_DEEPEST = 63  # open brackets at most, by rule BD16
+_DEEPEST = 63  # most open brackets, rule BD16
 
 
 def is_right_to_left(text: str) -> bool:
     """Whether a text runs from right to left (rules P2 and P3).
 
-    By its first letter with a direction, outside isolates.
+    Decided by the first letter that has a direction, outside isolates.
     """
     kinds = map(unicodedata.bidirectional, _ISOLATED.sub("", text))
     return bool(next((_STRONG[kind] for kind in kinds if kind in _STRONG), 0))
@@ -50,11 +50,11 @@ def levels(line: str, base: int) -> list[int]:
     """Level of each letter: even from left to right, odd from right to left.
 
     Args:
-        line: without line breaks, in the order of reading.
+        line: text without line breaks, in reading order.
         base: level of the paragraph, 0 or 1.
     """
     found = _with_isolates(line, base)
-    is_end = True  # L1: blanks at the end of the line, and separators, have the paragraph's level
+    is_end = True  # L1: spaces at the end of the line, and separators, have the paragraph's level
     for place in range(len(line) - 1, -1, -1):
         kind = unicodedata.bidirectional(line[place])
         is_end = kind in ("S", "B") or (is_end and (kind == "WS" or kind in _ABSENT))
@@ -92,8 +92,8 @@ def reordered(items: Sequence[_Item], at: Sequence[int]) -> list[_Item]:
     """Items of one line in visual order from left to right (rule L2).
 
     Args:
-        items: in the order of reading.
-        at: level of each.
+        items: items in reading order.
+        at: level of each item.
     """
     order = list(range(len(items)))
     odd = [level for level in at if level % 2]
@@ -136,7 +136,7 @@ def _weak(kinds: _Kinds, base: int) -> None:
 
 
 def _brackets(kinds: _Kinds, letters: Sequence[str], classes: Sequence[str], base: int) -> None:
-    """Rule N0: both brackets of a pair take one direction."""
+    """Rule N0: both brackets of a pair get one direction."""
     for first, last in _pairs(kinds, letters):
         inside = {_side(kind) for kind in kinds[first + 1 : last]} - {""}
         ours, other = "LR"[base % 2], "RL"[base % 2]
@@ -156,7 +156,7 @@ def _brackets(kinds: _Kinds, letters: Sequence[str], classes: Sequence[str], bas
 
 
 def _pairs(kinds: Sequence[str], letters: Sequence[str]) -> list[tuple[int, int]]:
-    """Places of matching brackets, by the place of the first (rule BD16)."""
+    """Positions of matching brackets, sorted by the position of the first (rule BD16)."""
     opened: list[tuple[str, int]] = []
     found: list[tuple[int, int]] = []
     for place, letter in enumerate(letters):
@@ -175,7 +175,7 @@ def _pairs(kinds: Sequence[str], letters: Sequence[str]) -> list[tuple[int, int]
 
 
 def _neutral(kinds: _Kinds, base: int) -> None:
-    """Rules N1 and N2: neutral letters take the direction of both sides, or the paragraph's."""
+    """Rules N1 and N2: neutral letters get the direction of both sides, or else the paragraph's."""
     for start, end in _runs(kinds, _NEUTRAL):
         before = _side(kinds[start - 1]) if start else "LR"[base % 2]
         after = _side(kinds[end]) if end < len(kinds) else "LR"[base % 2]
@@ -183,12 +183,12 @@ def _neutral(kinds: _Kinds, base: int) -> None:
 
 
 def _side(kind: str) -> str:
-    """Direction of a class for its neighbours: numbers count as right to left. Empty: none."""
+    """Direction of a class for its neighbours. Numbers count as right-to-left. Empty if there is none."""
     return kind if kind == "L" else "R" if kind in ("R", "EN", "AN") else ""
 
 
 def _runs(kinds: Sequence[str], wanted: set[str]) -> list[tuple[int, int]]:
-    """First place, and place after the last, of each run of these classes."""
+    """First position, and position after the last, of each run of these classes."""
     found, start = [], 0
     for is_wanted, run in groupby(kinds, key=lambda kind: kind in wanted):
         end = start + len(list(run))

@@ -1,6 +1,6 @@
-"""The shapes of `shaping` as a font of ReportLab.
+"""The shapes of `shaping` as a font for ReportLab.
 
-A document embeds only the shapes that it uses, with their letters, so that text can be found and copied.
+A document embeds only the shapes that it uses, and the letters that they represent, for searching and copying text.
 """
 
 from __future__ import annotations
@@ -14,25 +14,25 @@ from weakref import WeakKeyDictionary
 from mammometry.report.documents.letters.shaping import EM, Cluster, cluster_of
 
 NAME = "Shaped"
-"""Name of the font, whose text are the codes of `shaping.shaped`."""
-_MOST = 255  # shapes of one font in the file: its codes are bytes, and 0 is the missing glyph
-_CURVE_ERROR = 0.5  # of curves made quadratic, units of the em: less than a printer shows at 24 points
+"""Name of the font. Its texts consist of the codes from `shaping.shaped`."""
+_MOST = 255  # most shapes of one font in the file: its codes are bytes, and 0 is the missing glyph
+_CURVE_ERROR = 0.5  # largest error of quadratic curves, units of the em: invisible in print at 24 points
 _ASCENT, _DESCENT = (
     880,
     -300,
-)  # about that of Noto Sans CJK and Devanagari, units of the em; readers use it for selection
+)  # similar to Noto Sans CJK and Devanagari, units of the em; PDF readers use it for selections
 _SYMBOLIC = 4  # flag of a font with its own encoding (PDF 32000-1, table 123)
-_SYMBOL_CODES = 0xF000  # where a symbolic TrueType font has its codes (9.6.6.4)
+_SYMBOL_CODES = 0xF000  # first code of a symbolic TrueType font (9.6.6.4)
 
 
 @dataclass(slots=True)
 class _Used:
-    """The part of the font used by one document."""
+    """The part of the font that one document uses."""
 
     name: str = ""
     """The font's name inside the document. Empty: not used yet."""
     places: dict[str, int] = field(default_factory=dict)
-    """Place of each code, in the order of use."""
+    """Position of each code, in order of first use."""
 
 
 class _Face:
@@ -43,7 +43,7 @@ class _Face:
 
 
 class ShapedFont:
-    """A font for ReportLab. Its documents are independent of each other."""
+    """A font for ReportLab. Its documents do not affect each other."""
 
     fontName = NAME
     face = _Face()
@@ -55,11 +55,11 @@ class ShapedFont:
         self._of: WeakKeyDictionary[Any, _Used] = WeakKeyDictionary()
 
     def stringWidth(self, text: str, size: float, encoding: str = "utf8") -> float:
-        """Width of a text of codes, points."""
+        """Width of a text made of codes, points."""
         return sum(cluster_of(code).advance for code in text) * size / EM
 
     def splitString(self, text: str, document: Any, encoding: str = "utf8") -> list[tuple[int, bytes]]:
-        """Font in the file and its bytes, for each run of a text of codes."""
+        """Font in the file, and bytes, for each run of a text made of codes."""
         places = self._of.setdefault(document, _Used()).places
         runs: list[tuple[int, bytes]] = []
         for code in text:
@@ -80,7 +80,7 @@ class ShapedFont:
         return f"/{used.name}+{subset}"
 
     def addObjects(self, document: Any) -> None:
-        """Write the fonts, when all text is known."""
+        """Write the fonts. Called when all text is known."""
         used = self._of.pop(document)
         codes = list(used.places)
         for subset, first in enumerate(range(0, len(codes), _MOST)):
@@ -89,7 +89,7 @@ class ShapedFont:
 
 
 def _tag(subset: int) -> str:
-    """Six capitals, required by PDF before the name of a subset font."""
+    """Six capital letters, which PDF requires before the name of a subset font."""
     return "".join(chr(ord("A") + subset // 26**place % 26) for place in range(5, -1, -1))
 
 
@@ -129,7 +129,7 @@ def _to_unicode(base: str, clusters: Sequence[Cluster]) -> bytes:
     lines = [
         f"<{place:02X}> <{cluster.text.encode('utf-16-be').hex().upper()}>" for place, cluster in enumerate(clusters, 1)
     ]
-    blocks = [lines[start : start + 100] for start in range(0, len(lines), 100)]  # a block holds 100 at most
+    blocks = [lines[start : start + 100] for start in range(0, len(lines), 100)]  # a block contains at most 100
     return "\n".join(
         [
             "/CIDInit /ProcSet findresource begin 12 dict begin begincmap",

@@ -1,4 +1,4 @@
-"""Text in lines: words of all scripts in visual order from left to right."""
+"""Text in lines: words of all scripts in visual order, from left to right."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mammometry.report.documents.letters import embedding
 from mammometry.report.documents.letters.direction import is_right_to_left, levels, reordered
 from mammometry.report.documents.letters.shaping import is_plain, shaped
 
-_SLACK = 0.01  # points by which a line is narrower than the space, so that rounding does not break it again
+_SLACK = 0.01  # points by which a line must be narrower than the space, so that rounding does not break it again
 
 
 @value
@@ -26,10 +26,10 @@ class Piece:
     """Letters of one font and direction in a line."""
 
     text: str
-    """Letters, or codes of shapes in the font."""
+    """Letters, or codes of the font's shapes."""
     font: str
     level: int
-    """Of `direction.levels`."""
+    """Level from `direction.levels`."""
 
     def width(self, size: float) -> float:
         """Width at a size of the font, points."""
@@ -44,10 +44,10 @@ class Piece:
 
 
 def pieces(line: str, font: str, *, is_bold: bool) -> list[Piece]:
-    """Pieces of a line in reading order, with blanks and words separate.
+    """Pieces of a line in reading order. Spaces and words are separate pieces.
 
     Args:
-        line: without line breaks.
+        line: text without line breaks.
         font: ReportLab's name of DejaVu, for words without shaping.
         is_bold: whether the other fonts are bold.
 
@@ -70,9 +70,9 @@ def pieces(line: str, font: str, *, is_bold: bool) -> list[Piece]:
 
 
 def in_order(line: Sequence[Piece]) -> list[Piece]:
-    """Pieces of one line from left to right.
+    """Pieces of one line in order from left to right.
 
-    Neighbours of one font and level are joined: PDF readers put their letters in reading order.
+    Neighbours with the same font and level are joined, because PDF readers restore the reading order within a piece.
     """
     from_left = reordered(line, [piece.level for piece in line])
     joined = []
@@ -85,11 +85,11 @@ def paragraph(words: str, style: Any, *, is_bold: bool = False, label: str = "",
     """A paragraph of ReportLab.
 
     Args:
-        words: its text, with line breaks.
-        style: its font is DejaVu.
-        is_bold: whether that is the bold one.
-        label: text before the words in the first line, from left to right.
-        label_markup: the same as markup.
+        words: text, with line breaks.
+        style: paragraph style, whose font is DejaVu.
+        is_bold: whether this is the bold font.
+        label: text before the words in the first line; it runs from left to right.
+        label_markup: the same text as markup.
 
     Raises:
         SettingsError: a letter that no font has.
@@ -103,7 +103,7 @@ def paragraph(words: str, style: Any, *, is_bold: bool = False, label: str = "",
 
 
 class _Directed(Flowable):  # type: ignore[misc]
-    """A paragraph of right-to-left text, broken into lines here, because letters are reordered line by line."""
+    """A paragraph of right-to-left text, broken into lines here, because each line is reordered."""
 
     def __init__(
         self, lines: Sequence[Sequence[Piece]], style: Any, label: str, label_markup: str, turned: Sequence[bool]
@@ -114,7 +114,7 @@ class _Directed(Flowable):  # type: ignore[misc]
         self._set: Any = None
 
     def wrap(self, width: float, height: float) -> tuple[float, float]:
-        """Break it into lines for this width."""
+        """Break the text into lines of this width."""
         first = stringWidth(self._label, self.style.fontName, self.style.fontSize)
         broken = []
         for line in self._lines:
@@ -133,12 +133,12 @@ class _Directed(Flowable):  # type: ignore[misc]
         return list(self._set.split(width, height))
 
     def draw(self) -> None:
-        """Draw the lines of the last `wrap`."""
+        """Draw the lines found by the last `wrap`."""
         self._set.drawOn(self.canv, 0, 0)
 
 
 def _broken(line: Sequence[Piece], width: float, size: float, used: float) -> Iterator[list[Piece]]:
-    """Lines of at most this width, in reading order. `used`: space taken in the first line. Points."""
+    """Lines of at most this width, in reading order. `used`: space already used in the first line. Points."""
     current: list[Piece] = []
     for is_blank, run in groupby(line, key=lambda piece: piece.text.isspace()):
         word = list(run)
@@ -153,7 +153,7 @@ def _broken(line: Sequence[Piece], width: float, size: float, used: float) -> It
 
 
 def _is_direction_mark(letter: str) -> bool:
-    """Whether a letter only sets directions and is not drawn. Joiners are needed for shaping."""
+    """Whether a letter only controls direction and is not drawn. Joiners do not count: shaping needs them."""
     return category(letter) == "Cf" and letter not in "\u200c\u200d"
 
 

@@ -1,4 +1,4 @@
-"""Shaping of letters: the font that has them, and HarfBuzz, which joins and places them."""
+"""Shaping of text: select a font that has the letters, and join and place them with HarfBuzz."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from mammometry.report.documents.letters.direction import MIRRORED
 
 EM = 1000
 """Units per em, the same for all fonts. PDF measures letters in thousandths of the font's size."""
-_REGULAR, _BOLD = 400.0, 700.0  # on OpenType's axis of weight
+_REGULAR, _BOLD = 400.0, 700.0  # positions on OpenType's weight axis
 _LATIN, _SYMBOLS, _EMOJI = "NotoSans[wght].ttf", "NotoSansSymbols[wght].ttf", "NotoEmoji[wght].ttf"
 _CJK = "NotoSansCJK-VF.otf.ttc"
-_FIRST_CODE = 0xF0000  # private use: codes of shapes are not letters
-_SHOWN_LETTERS = 5  # of those that cannot be printed, named in an error
+_FIRST_CODE = 0xF0000  # private use area, since codes of shapes are not letters
+_SHOWN_LETTERS = 5  # number of unprintable letters that an error lists
 
 Shape: TypeAlias = "tuple[tuple[int, int, int], ...]"
-"""Glyph, and its place right of and above the shape's origin, units of `EM`."""
+"""Glyph, and its position to the right of and above the shape's origin, units of `EM`."""
 
 
 @value
 class Cluster:
-    """Shape of one or more letters together, in one font."""
+    """Shape that represents one or more letters, in one font."""
 
     text: str
     """The letters, in reading order, with mirrored brackets."""
     font: Path
-    """Its file."""
+    """The font's file."""
     is_bold: bool
     shape: Shape
     advance: int
     """Width, units of `EM`."""
 
     def draw(self, pen: Any) -> None:
-        """Draw the outlines with a pen of fontTools, origin at the left end of the base line."""
+        """Draw the outlines with a pen of fontTools. The origin is at the left end of the baseline."""
         from fontTools.pens.transformPen import TransformPen
 
         font = _font(self.font, self.is_bold)
@@ -49,7 +49,7 @@ class Cluster:
             font.draw_glyph_with_pen(glyph, TransformPen(pen, (1, 0, 0, 1, right, up)))
 
 
-# For all documents of this process: as many as there are different syllables in names.
+# Shared by all documents of this process. There are as many as different syllables in names.
 _clusters: dict[int, Cluster] = {}
 _codes: dict[Cluster, int] = {}
 _free = itertools.count(_FIRST_CODE)
@@ -57,23 +57,23 @@ _lock = threading.Lock()
 
 
 def cluster_of(code: str) -> Cluster:
-    """Cluster of a code of `shaped`.
+    """Cluster of a code from `shaped`.
 
-    Any other letter, such as a blank, represents itself.
+    Any other letter, such as a space, represents itself.
     """
     return _clusters.get(ord(code)) or _clusters[ord(shaped(code, is_bold=False, right_to_left=False))]
 
 
 def shaped(word: str, *, is_bold: bool, right_to_left: bool) -> str:
-    """Codes of a word's clusters from left to right, one character each: see `cluster_of`.
+    """Codes of a word's clusters from left to right, one character each (see `cluster_of`).
 
     Args:
-        word: letters of one direction, in the order of reading.
-        is_bold: whether to draw it bold.
-        right_to_left: its direction.
+        word: letters of one direction, in reading order.
+        is_bold: whether it is drawn in bold.
+        right_to_left: whether it runs from right to left.
 
     Raises:
-        SettingsError: a letter that no font has; names it.
+        SettingsError: no font has one of the letters, which it names.
     """
     runs = [_shaped(text, font, is_bold, right_to_left) for text, font in _runs(unicodedata.normalize("NFC", word))]
     return "".join(_code(cluster) for run in (reversed(runs) if right_to_left else runs) for cluster in run)
@@ -84,10 +84,10 @@ def is_plain(word: str) -> bool:
     return all(map(_is_plain_letter, word))
 
 
-@lru_cache(maxsize=4096)  # more than in a clinic's documents
+@lru_cache(maxsize=4096)  # more than there are in a clinic's documents
 def _is_plain_letter(letter: str) -> bool:
     return (
-        letter <= "\uffff"  # with ReportLab's own fonts, other letters cannot be copied
+        letter <= "\uffff"  # with ReportLab's own fonts, other letters could not be copied from the PDF
         and _has(_dejavu(False), [ord(letter)])
         and not unicodedata.category(letter).startswith("M")
         and unicodedata.bidirectional(letter) not in ("R", "AL", "AN")
@@ -111,7 +111,7 @@ def _shaped(text: str, font: Path, is_bold: bool, right_to_left: bool) -> list[C
     buffer.add_str(text)
     buffer.guess_segment_properties()
     buffer.direction = "rtl" if right_to_left else "ltr"
-    buffer.language = "en"  # otherwise the machine's, on which a document would depend
+    buffer.language = "en"  # the default is the machine's language, which would affect the document
     uharfbuzz.shape(_font(font, is_bold), buffer)
     glyphs = list(zip(buffer.glyph_infos, buffer.glyph_positions, strict=True))
     starts = sorted({info.cluster for info, _ in glyphs})
@@ -150,7 +150,7 @@ def _runs(word: str) -> Iterator[tuple[str, Path]]:
 
 
 def _with_marks(word: str) -> list[str]:
-    """Each letter with the marks and joiners that follow it."""
+    """Each letter together with the marks and joiners after it."""
     parts: list[str] = []
     for letter in word:
         if parts and (unicodedata.category(letter)[0] == "M" or _is_ignored(letter)):
@@ -161,7 +161,7 @@ def _with_marks(word: str) -> list[str]:
 
 
 def _is_ignored(letter: str) -> bool:
-    """Whether a letter only changes others: a joiner, a choice of variant."""
+    """Whether a letter only modifies others: a joiner, or a selector of a variant."""
     return unicodedata.category(letter) == "Cf" or unicodedata.name(letter, "").startswith("VARIATION SELECTOR")
 
 
@@ -177,7 +177,7 @@ def _unprintable(letters: str) -> SettingsError:
 
 
 def _font_file(letters: str) -> Path | None:
-    """First font that has all of these letters. None: no font of this installation or machine has."""
+    """First font that has all of these letters. None if no included or installed font has."""
     wanted = [ord(letter) for letter in letters if not _is_ignored(letter)]
     return next((file for file in _files() if _has(file, wanted)), None) or next(
         (file for file in _files_of_machine() if _has(file, wanted)), None
@@ -190,9 +190,9 @@ def _has(file: Path, letters: Sequence[int]) -> bool:
 
 @lru_cache(maxsize=1)
 def _files() -> tuple[Path, ...]:
-    """Included fonts, in the order of preference.
+    """Included fonts in order of preference.
 
-    Mixed words look better in one font of their script, so fonts with symbols come last.
+    Mixed words look better in one font of their script, so fonts of symbols come last.
     """
     noto, cjk = (_folder(package) for package in ("manimgx_fonts", "manimgx_fonts_cjk"))
     scripts = sorted(set(noto.glob("NotoSans*.ttf")) - {noto / _LATIN, noto / _SYMBOLS, *noto.glob("*-Italic*")})
@@ -201,7 +201,7 @@ def _files() -> tuple[Path, ...]:
 
 @lru_cache(maxsize=1)
 def _files_of_machine() -> tuple[Path, ...]:
-    """Fonts installed on this machine, in the order of their names."""
+    """Fonts installed on this machine, sorted by name."""
     from matplotlib.font_manager import findSystemFonts
 
     return tuple(sorted(map(Path, findSystemFonts())))
@@ -215,7 +215,7 @@ def _folder(package: str) -> Path:
 
 
 def _dejavu(is_bold: bool) -> Path:
-    """Included in Matplotlib."""
+    """DejaVu's file, which Matplotlib includes."""
     from matplotlib import get_data_path
 
     return Path(get_data_path()) / "fonts" / "ttf" / ("DejaVuSans-Bold.ttf" if is_bold else "DejaVuSans.ttf")
@@ -223,7 +223,7 @@ def _dejavu(is_bold: bool) -> Path:
 
 @cache
 def _font(file: Path, is_bold: bool) -> Any:
-    """HarfBuzz's font of a file, its first face: of Noto Sans CJK the Japanese one."""
+    """HarfBuzz's font of a file. Of several faces it uses the first, which is Japanese in Noto Sans CJK."""
     import uharfbuzz
 
     face = uharfbuzz.Face(uharfbuzz.Blob.from_file_path(str(_dejavu(is_bold) if file == _dejavu(False) else file)))
