@@ -1,8 +1,8 @@
-"""Call functions in a child process: figures during a run, each session of a batch.
+"""Call functions in a child process: to draw figures during a run, or for each session of a batch.
 
-Python computes in one thread at a time, and some libraries never free their memory. The child reads pickled calls from
-its standard input and writes pickled messages: the progress of a call, then its result. It ends when its parent ends,
-since its standard input is then closed. Results are written atomically, so it may end at any moment.
+Python computes in only one thread at a time, and some libraries never free their memory. The child reads pickled calls
+from its standard input, and writes pickled messages: the progress of a call, then its result. It ends when its parent
+ends, because its standard input is then closed. Results are written atomically, so the child may end at any time.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from mammometry.base.progress import Progress, StageProgress, no_progress, ticki
 
 _R = TypeVar("_R")
 _DEFECT = 70
-"""Exit code of a defect, as on the command line."""
+"""Exit code for a defect of the program, as on the command line."""
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 
 
@@ -55,11 +55,11 @@ class CallCancelledError(CallError):
 class ChildProcess:
     """A process that calls functions, one after another.
 
-    It runs while the `with` block runs and is killed at its end, even during a call. It ignores Ctrl-C: the parent
-    handles that.
+    It runs as long as the `with` block and is killed at its end, even during a call. It ignores Ctrl-C, which the
+    parent handles.
 
     Args:
-        cores: that the child may use.
+        cores: number of cores that the child may use.
         errors: file for its standard error. None: that of this process.
     """
 
@@ -75,7 +75,7 @@ class ChildProcess:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._errors,
-            env=os.environ | limits | {"PYTHONPATH": os.pathsep.join(sys.path)},  # the child finds the same modules
+            env=os.environ | limits | {"PYTHONPATH": os.pathsep.join(sys.path)},  # for the same modules
             **own_group(),
         )
         return self
@@ -88,7 +88,7 @@ class ChildProcess:
         self.process.wait()
         for pipe in (self.process.stdin, self.process.stdout):
             assert pipe is not None
-            with suppress(OSError):  # the child no longer reads
+            with suppress(OSError):  # the child does not read any more
                 pipe.close()
 
     def call(self, function: Callable[..., _R], *arguments: Any) -> _R:
@@ -115,7 +115,7 @@ class ChildProcess:
 
         Returns:
             ``done`` with the function's result; or ``failed``, ``kind``, ``code`` and ``exit_code`` of its error;
-            or ``killed`` with ``why`` if memory ran out. Always ``memory_mb``, the child's peak.
+            or ``killed`` with ``why`` if memory ran out. Always includes ``memory_mb``, the child's peak.
 
         Raises:
             CallError: the process has died.
@@ -126,7 +126,7 @@ class ChildProcess:
         assert messages is not None
         with self._lock:
             try:
-                # Pickled twice, so that a call can be read even if its content cannot be unpickled.
+                # Pickled twice, so that the message can be read even if the call in it cannot be unpickled.
                 order = pickle.dumps((call, None if progress is None else every_s), protocol=pickle.HIGHEST_PROTOCOL)
                 pickle.dump(order, calls)
                 calls.flush()
@@ -141,10 +141,10 @@ class ChildProcess:
 
 
 def main() -> None:
-    """Make the calls of standard input until it closes."""
+    """Make the calls that arrive on standard input until it is closed."""
     reuse_freed_memory()
     messages = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # libraries must not print into the messages
+    os.dup2(2, 1)  # libraries must not write between the messages
     orders: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_read, args=(sys.stdin.buffer, orders), daemon=True).start()
     lock = threading.Lock()
@@ -196,7 +196,7 @@ def _reporting(send: Callable[[object], None], every_s: float) -> Iterator[Stage
     def report(stage: str, fraction: float) -> None:
         nonlocal current, report_current
         with lock:
-            if stage != current or fraction == 0:  # a new stage or a new part of it
+            if stage != current or fraction == 0:  # a new stage, or a new part of the same one
                 current = stage
                 ticker.close()
                 report_current = ticker.enter_context(ticking(partial(send_in_time, stage), tick_s=every_s / 4))

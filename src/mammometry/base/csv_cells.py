@@ -1,11 +1,11 @@
-"""CSV in which no cell is read as a formula.
+"""CSV in which no cell is interpreted as a formula.
 
-A spreadsheet computes cells that begin with = + - or @, and such a formula may fetch a web address. Such text gets a
-leading apostrophe, which marks it as text. Numbers stay numbers, also negative ones.
+Spreadsheets compute cells that start with = + - or @, and such a formula may fetch a web address. A leading apostrophe
+marks such cells as text. Numbers stay numbers, including negative ones.
 
-Spreadsheets in countries with a decimal comma split our file at every semicolon, also inside quotes that do not begin a
-cell: the second half of ``a;=1+1`` would be a formula. The same holds for tabs, bars and line ends. So the text after
-each of them is treated as a new cell.
+Spreadsheets in countries with a decimal comma split the file at every semicolon, also inside a cell whose quotes do not
+start it: the second half of ``a;=1+1`` would be a formula. The same applies to tabs, vertical bars and line ends. So
+the text after each of them is treated like a new cell.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ _BEGINS_A_FORMULA = tuple("=+-@\t\n＝＋－＠")
 """The last four are the full-width forms, which some spreadsheets accept too (OWASP, CSV Injection)."""
 _NEGATIVE = r"-[0-9]+(?:\.[0-9]+)?(?:[;|\t\n]|$)"
 _WITHIN = re.compile(rf'(?<=[;|\t\n])(?=[\s"]*[=+\-@＝＋－＠])(?![\s"]*{_NEGATIVE})')
-"""Positions at which a part of a cell begins a formula. A negative number is not a formula."""
+"""Positions at which part of a cell starts a formula. Negative numbers are not formulas."""
 _PLAIN = re.compile(r"[\w.\-]*")
-"""Text that no program splits."""
+"""Text that no program splits or interprets."""
 _NUMBER = re.compile(r"-[0-9]+(\.[0-9]+)?([eE][+-]?[0-9]+)?")
 
 
 def harmless(cell: object) -> str | int | float:
-    """Return a cell that no spreadsheet reads as a formula. None becomes an empty cell."""
+    """Return a cell that no spreadsheet interprets as a formula. None becomes an empty cell."""
     if cell is None:
         return ""
     if isinstance(cell, int | float):
         return cell
-    # Readers would end the row at a carriage return.
+    # Some readers would end the row at a carriage return.
     text = str(cell).replace("\r\n", "\n").replace("\r", "\n")
     text = _WITHIN.sub("'", text)
     return f"'{text}" if text.startswith(_BEGINS_A_FORMULA) and not _NUMBER.fullmatch(text) else text
@@ -44,9 +44,9 @@ class _Text(Protocol):
 
 
 class CsvWriter:
-    """Writes rows of harmless cells, each line ending with LF.
+    """Writes rows of harmless cells. Each line ends with LF.
 
-    Text is quoted unless it is one word or number, so that programs guess the separator correctly.
+    Text is quoted unless it is a single word or number, so that programs detect the separator correctly.
     """
 
     def __init__(self, file: _Text) -> None:

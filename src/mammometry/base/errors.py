@@ -1,7 +1,7 @@
 """Errors for problems that the user can act on.
 
-Each error is one sentence that names the file, camera or pair, what was found, what was expected and what to do.
-Any other exception is a defect of the program. The command line turns each class into its own exit code.
+Each error is one sentence that states the file, camera or pair, what was found, what was expected, and what to do. Any
+other exception is a defect of the program. The command line turns each class into its own exit code.
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ import copy
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-_LONGEST = 500  # characters of one part; names and values from damaged files may be longer
+_LONGEST = 500  # most characters of one part; names and values from damaged files may be longer
 
 
 class MammometryError(Exception):
     """Base of all errors with a remedy.
 
     Args:
-        subject: what it is about: a file, a camera, a pair, a setting ("capture/front_left.jpg").
+        subject: file, camera, pair or setting concerned ("capture/front_left.jpg").
         found: what was found there ("1126 × 750 pixels").
         expected: what was expected instead ("4504 × 3000 pixels, as in the calibration").
         remedy: what the user can do about it ("Export the photograph without cropping").
@@ -25,9 +25,9 @@ class MammometryError(Exception):
 
     exit_code = 1
     code: ClassVar[str] = "error"
-    """Identifies the kind of error for programs. It never changes, even if the sentence does."""
+    """Identifies the kind of error for programs. It never changes, even if the wording does."""
     kind: ClassVar[str] = "MammometryError"
-    """Name of the class in version 1.0, which ``--json`` gives."""
+    """Name of the class in version 1.0, which ``--json`` still prints."""
 
     def __init_subclass__(cls, **facts: Any) -> None:
         super().__init_subclass__(**facts)
@@ -37,7 +37,7 @@ class MammometryError(Exception):
     def __init__(self, subject: str, *, found: str, expected: str, remedy: str) -> None:
         self.subject, self.found, self.expected, self.remedy = map(_on_one_line, (subject, found, expected, remedy))
         self.details: tuple[str, ...] = ()
-        """Single cases of the error, such as the photographs that were not used. Pages list them."""
+        """Individual cases of the error, such as the photographs that were not used. Pages list them."""
         self.page: Path | None = None
         """Page that shows the problem, if one was written."""
         super().__init__(self._sentence())
@@ -48,7 +48,7 @@ class MammometryError(Exception):
     def with_remark(self, remark: str) -> Self:
         """Return a copy with one more sentence after the remedy.
 
-        A sentence that is already there, or an empty one, changes nothing.
+        An empty sentence, or one that the remedy already contains, changes nothing.
         """
         if not remark or remark in self.remedy:
             return self
@@ -113,7 +113,7 @@ class CalibrationError(MammometryError):
 
 
 class BoardSizeError(CalibrationError):
-    """The size of a printed board by a bank card contradicts the one that was typed."""
+    """The size of a printed board, measured with a bank card, contradicts the one that was entered."""
 
     code = "board-size"
     kind = "CalibrationError"
@@ -140,8 +140,8 @@ class MeasureError(MammometryError):
         subject: see `MammometryError`.
         found: see `MammometryError`.
         expected: see `MammometryError`.
-        remedy: what the user can do about it; for photographs only, if `mesh_remedy` is given.
-        mesh_remedy: what the user can do about it if another scanner's mesh is measured. None: the same.
+        remedy: what the user can do about it. If `mesh_remedy` is given, this one applies to photographs only.
+        mesh_remedy: what the user can do if another scanner's mesh is measured. None: the same.
     """
 
     exit_code = 8
@@ -180,14 +180,14 @@ class StorageError(MammometryError):
 
 
 class FullDiskError(StorageError):
-    """The disk has no room. Finished results are kept."""
+    """The disk is full. Finished results are kept."""
 
     code = "disk-full"
     kind = "StorageError"
 
 
 class BusyError(StorageError):
-    """Another run is working on the session. The command works once that run has ended."""
+    """Another run is using the session. The command works again when that run has ended."""
 
     code = "busy"
     kind = "StorageError"
@@ -222,7 +222,7 @@ class NotOfferedError(ArchiveError):
 
 
 class UnknownWordError(ValueError):
-    """A word or number is not allowed. Raised by functions that do not know where it was written.
+    """A word or number that is not allowed. Raised by functions that do not know where it was written.
 
     Args:
         rule: what is allowed ("skins are pale, dark").

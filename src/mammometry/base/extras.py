@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from mammometry.base.errors import StorageError
 
 WEB = ("uvicorn",)
-"""Libraries that serve pages: extra `edit`."""
+"""Libraries that serve pages (extra `edit`)."""
 
 
 class MissingLibraryError(StorageError):
@@ -17,7 +17,7 @@ class MissingLibraryError(StorageError):
 
 
 def missing(*modules: str) -> list[str]:
-    """Names of those modules that are not installed."""
+    """Names of the modules that are not installed."""
     return [name for name in modules if not _is_installed(name)]
 
 

@@ -1,4 +1,4 @@
-"""Subject, folder and date of a session: the only source of the names on pages."""
+"""Subject, folder and date of a session: the only source of names on pages."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class Identity:
     name: str
     """Printable name of the session folder or of the mesh file."""
     subject: str | None = None
-    """Identifier of the subject, a pseudonym. None: not given."""
+    """Identifier of the subject, a pseudonym. None if not given."""
     date: str = ""
-    """Date of the photographs, ISO 8601. Empty: not given."""
+    """Date of the photographs, ISO 8601. Empty if not given."""
 
     @classmethod
     def of(cls, path: Path, subject: str | None = None, taken: datetime.date | None = None) -> Identity:
@@ -34,12 +34,12 @@ class Identity:
 
     @property
     def title(self) -> str:
-        """Heading of a page: the subject if named, else the folder."""
+        """Heading of a page: the subject if known, otherwise the folder."""
         return self.subject or self.name
 
     @property
     def subtitle(self) -> str:
-        """Line below the heading: the folder and the date, without the folder if it is the heading."""
+        """Line below the heading: folder and date. The folder is left out if it is the heading."""
         folder = "" if self.subject in (None, self.name) else self.name
         return " · ".join(filter(None, (folder, self.date and f"photographed {self.date}")))
 
@@ -64,7 +64,7 @@ def as_utf_8(name: str) -> str:
 
 
 def folded(name: str) -> str:
-    """Normalise a name for comparison: ignores case, spaces and the encoding of accented letters.
+    """Normalise a name for comparison: without case, spaces and the encoding of accented letters.
 
     >>> folded("Ju\u0308rg ") == folded("jürg")
     True

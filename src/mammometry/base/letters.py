@@ -3,11 +3,11 @@
 import unicodedata
 
 UNREADABLE = "\ufffd"
-"""Shown by programs for a byte that they cannot decode."""
+"""Shown by programs in place of bytes that they cannot decode."""
 JOINERS = "\u200c\u200d"
 """Invisible characters that scripts need: zero-width non-joiner and joiner."""
 ISOLATE, END = "\u2068", "\u2069"
-"""Isolate the direction of the text between them (FIRST STRONG ISOLATE and its end)."""
+"""FIRST STRONG ISOLATE and its end: text between them does not affect the direction of the text around it."""
 _FILLERS = "\u115f\u1160\u3164\uffa0"  # invisible Hangul letters
 _VIRAMA = 9  # combining class of marks that join consonants
 _FOUND = {
@@ -18,10 +18,10 @@ _FOUND = {
 
 
 def name_fault(name: str) -> str | None:
-    """Describe the first character that is invisible or changes the text's direction. None: no fault.
+    """Describe the first character that is invisible or changes the text's direction. None without one.
 
-    Direction controls reverse the text, and an invisible letter makes two names look the same. A joiner is allowed
-    where a script needs it: next to a virama, and after an Arabic letter.
+    Direction controls can reverse the text, and with invisible letters two names can look the same. Joiners are allowed
+    where a script needs them: next to a virama, and after an Arabic letter.
 
     >>> name_fault("Moser\u202e") is None
     False
@@ -41,9 +41,9 @@ def name_fault(name: str) -> str | None:
 
 
 def isolated(name: str) -> str:
-    """Isolate a name's direction inside a sentence.
+    """Isolate the direction of a name inside a sentence.
 
-    Otherwise a name written from right to left would reverse a date after it.
+    Otherwise a right-to-left name would reverse a date after it.
 
     >>> isolated("Dr. B")
     'Dr. B'
@@ -53,7 +53,7 @@ def isolated(name: str) -> str:
 
 
 def _joins(name: str, place: int) -> bool:
-    """Whether a script needs a joiner at this position of a name."""
+    """Whether a script needs a joiner at this position in a name."""
     if any(unicodedata.combining(letter) == _VIRAMA for letter in name[max(place - 1, 0) : place + 2]):
         return True
     before = [letter for letter in name[:place] if unicodedata.category(letter) != "Mn"]

@@ -1,6 +1,6 @@
 """Call a function in a child process with limits on time and memory.
 
-A damaged or hostile file may end its reader, keep it busy for ever or fill the memory. It then ends the child.
+A damaged or malicious file may crash its reader, keep it busy forever or exhaust the memory. Then only the child ends.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ def limited_call(
     """Call a function of a module in a child process.
 
     Args:
-        function: it and its arguments and result can be pickled.
-        arguments: of the function.
-        named: arguments by name.
+        function: the function. It, its arguments and its result can be pickled.
+        arguments: positional arguments.
+        named: keyword arguments.
         longest_s: seconds after which the child is killed.
         most_bytes: largest address space of the child.
 
     Raises:
-        MammometryError: the function raised it.
-        CallError: the function raised another error, took too long, needed too much memory, or ended the child.
+        MammometryError: raised by the function.
+        CallError: the function raised another error, took too long, needed too much memory, or crashed the child.
     """
     with ChildProcess() as child:
         late = threading.Timer(longest_s, child.process.kill)

@@ -1,6 +1,6 @@
 """List a user's folder without the files that operating systems put there.
 
-macOS writes ``._name`` next to each file on disks of other systems, and ``__MACOSX`` into archives. Windows writes
+macOS writes ``._name`` next to each file on other systems' disks, and ``__MACOSX`` into archives. Windows writes
 ``Thumbs.db`` and ``desktop.ini``. All code lists users' folders with this module.
 """
 
@@ -12,7 +12,7 @@ _LEFT_BY_SYSTEMS = ("__macosx", "thumbs.db", "desktop.ini")
 
 
 def is_hidden(name: str) -> bool:
-    """Whether a name begins with a dot or is that of an operating system's file."""
+    """Whether a name starts with a dot or is that of an operating system's file."""
     return name.startswith(".") or name.casefold() in _LEFT_BY_SYSTEMS
 
 

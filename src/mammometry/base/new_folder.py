@@ -41,9 +41,9 @@ def require_new(out: Path, *, found: str = "something there already") -> None:
 def whole_folder(out: Path) -> Iterator[Path]:
     """Yield a hidden folder that becomes `out` on success and is removed on failure.
 
-    It is inside a working folder next to `out`, which is marked as ours and locked. The lock is released when its
-    process dies, so an unlocked working folder of the same `out` is left over from a killed process and is removed
-    first. A folder without our mark is never removed.
+    It is in a working folder next to `out`, which is marked as ours and locked. The lock is released when its process
+    dies, so an unlocked working folder for the same `out` was left by a killed process, and is removed first. Folders
+    without our mark are never removed.
 
     Raises:
         OSError: the disk is full or not writable, or another process has created `out`.
@@ -72,7 +72,7 @@ def _claim(workplace: Path, out: Path) -> dict[str, str]:
 
 
 def _is_workplace(folder: Path, out: Path) -> bool:
-    """Whether a folder is marked as a working folder for `out`. A copied or renamed one is not."""
+    """Whether a folder is marked as a working folder for `out`. Copied or renamed ones are not."""
     try:
         record = json.loads((folder / _MAKER).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
@@ -85,4 +85,4 @@ def _remove_unlocked(workplace: Path) -> None:
         with FileLock(workplace / _LOCK, blocking=False):
             shutil.rmtree(workplace, ignore_errors=True)
     except (Timeout, OSError):
-        return  # another process is still filling it
+        return  # another process is filling it

@@ -1,6 +1,6 @@
-"""Two numbers of the normal distribution."""
+"""Constants of the normal distribution."""
 
 MAD = 1.4826
-"""Standard deviation over the median absolute deviation."""
+"""Ratio of the standard deviation to the median absolute deviation."""
 COVERAGE_95 = 1.96
-"""Standard deviations on either side that hold 95 %."""
+"""Standard deviations on each side of the mean that contain 95 %."""

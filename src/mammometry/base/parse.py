@@ -1,6 +1,6 @@
-"""Check text from outside: size, encoding, depth and numbers.
+"""Check text from users' files: size, encoding, depth and numbers.
 
-All readers of users' files use this module. Any fault of a file becomes one error that names the file.
+All readers of users' files use this module. Every fault of a file becomes an error that names the file.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from jaxtyping import Float64
 
 from mammometry.base.errors import MammometryError, SessionError
 
-_OPENCV_MEGAPIXELS = 1000.0  # OpenCV decodes 16-bit photographs, up to 2³⁰ pixels
+_OPENCV_MEGAPIXELS = 1000.0  # largest photograph that OpenCV decodes (16-bit photographs): 2³⁰ pixels
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,8 +30,8 @@ class LimitSettings:
     """Largest sizes of files that are read. No result depends on them."""
 
     megapixels: float = 200.0
-    """Largest photograph or mask, millions of pixels. The largest medium-format sensors have 151. 200 of them take 0.6
-    GB at 8 bits a channel, 1.2 GB at 16."""
+    """Largest photograph or mask, millions of pixels. The largest medium-format sensors have 151. 200 megapixels take
+    0.6 GB with 8 bits per channel, 1.2 GB with 16."""
 
     def __post_init__(self) -> None:
         if not 0 < self.megapixels <= _OPENCV_MEGAPIXELS:
@@ -39,7 +39,7 @@ class LimitSettings:
 
 
 LARGEST = 1e15
-"""Largest number in a user's file. A double holds every integer up to it exactly, and its square is finite."""
+"""Largest number in a user's file. A double represents every integer up to it exactly, and its square is finite."""
 DEEPEST = 32
 """Deepest nesting of tables. Our formats need at most eight levels."""
 TEXT_MIB = 64
@@ -50,17 +50,17 @@ _LONGEST = 160  # most characters of another library's error message
 _VALUE = 60  # most characters of a value from a file
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?", re.ASCII)
 _TOML_COMMA = re.compile(r"^[^#\n\"'\[]*=\s*([+-]?\d+,\d+)\s*(?:#|$)", re.MULTILINE)
-# A dotted key of more than DEEPEST parts. tomllib's time is quadratic in them: hours for a file of 1 MB.
+# A dotted key of more than DEEPEST parts. tomllib takes quadratic time for these: hours for a file of 1 MB.
 _LONG_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){%d}""" % DEEPEST)  # noqa: UP031  # braces
 
 
 def require_file(path: Path, subject: str, expected: str, *, refusal: type[MammometryError] = SessionError) -> int:
     """Require an ordinary file and return its size, bytes.
 
-    A pipe or a device is refused, since reading it may never end.
+    Pipes and devices are refused, because reading them may never end.
 
     Raises:
-        MammometryError: `refusal`; the file does not exist, is not an ordinary file, or may not be read.
+        MammometryError: of class `refusal`; the file does not exist, is not an ordinary file, or cannot be read.
     """
     try:
         status = path.stat()
@@ -82,10 +82,10 @@ def read_bytes(
         subject: its name in messages.
         expected: what the file should be, for messages.
         most_mib: largest size, MiB.
-        refusal: the class of the error.
+        refusal: class of the error.
 
     Raises:
-        MammometryError: `refusal`; the file cannot be read, is not an ordinary file, or is too large.
+        MammometryError: of class `refusal`; the file cannot be read, is not an ordinary file, or is too large.
     """
     require_file(path, subject, expected, refusal=refusal)
     try:
@@ -105,7 +105,7 @@ def read_text(
 ) -> str:
     """Read text in UTF-8, with or without a byte-order mark.
 
-    All line ends become LF. Arguments and errors as in `read_bytes`.
+    All line endings become LF. For arguments and errors see `read_bytes`.
     """
     content = read_bytes(path, subject, expected, most_mib=most_mib, refusal=refusal)
     why = ""
@@ -127,7 +127,7 @@ def read_text(
 def parsing(what: str, subject: str, expected: str, refusal: type[MammometryError] = SessionError) -> Iterator[None]:
     """Turn a parser's exception into a `MammometryError`.
 
-    It contains `what` (``not TOML``) and the first line of the parser's message.
+    It contains `what` (such as ``not TOML``) and the first line of the parser's message.
     """
     try:
         yield
@@ -150,10 +150,10 @@ def json_value(
         subject: its name in messages.
         expected: what it should be, for messages.
         finite: whether NaN and infinity are refused.
-        refusal: the class of the error.
+        refusal: class of the error.
 
     Raises:
-        MammometryError: `refusal`.
+        MammometryError: of class `refusal`.
     """
     with parsing("JSON that cannot be read", subject, expected, refusal):
         tree = json.loads(text, object_pairs_hook=_without_duplicates, parse_int=_integer)
@@ -164,7 +164,7 @@ def json_value(
 def toml_table(
     text: str, subject: str, expected: str, *, finite: bool = True, refusal: type[MammometryError] = SessionError
 ) -> dict[str, Any]:
-    """Parse TOML. Arguments and errors as in `json_value`."""
+    """Parse TOML. For arguments and errors see `json_value`."""
     with parsing("invalid TOML", subject, expected, refusal):
         if _LONG_KEY.search(text):
             raise ValueError(f"nested more than {DEEPEST} deep")
@@ -200,13 +200,13 @@ def require_sane(tree: object, *, finite: bool = True) -> None:
 
 
 def _dotted(place: tuple[object, ...]) -> str:
-    """Path of a value, as a message begins with it: ``pairs[0].along[2]: ``."""
+    """Path of a value, for the beginning of a message, such as ``pairs[0].along[2]: ``."""
     path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")
     return f"{path[-_VALUE:]}: " if path else ""
 
 
 def number(text: str) -> float:
-    """Parse a finite decimal number such as ``-1.5e3``, not ``1_000``, ``nan``, ``٣`` or ``1,5``.
+    """Parse a finite decimal number such as ``-1.5e3``, but not ``1_000``, ``nan``, ``٣`` or ``1,5``.
 
     Raises:
         ValueError: it is not a number, or is outside ±`LARGEST`.
@@ -221,11 +221,11 @@ def numbers(value: object, *shape: int) -> Float64[np.ndarray, "*shape"]:
 
     Args:
         value: lists of equal length, or an array.
-        shape: of the result. -1: any number of rows, each of the given length. Otherwise only the total count matters,
-            since programs nest nine numbers differently.
+        shape: shape of the result. -1: any number of rows, each of the given length. Otherwise only the number of
+            values must match, because programs nest nine numbers in different ways.
 
     Raises:
-        ValueError: another count or another type of value.
+        ValueError: the number of values or their type is wrong.
     """
     for item in _leaves(value):
         if isinstance(item, bool | np.bool_) or not isinstance(item, int | float | np.number):
@@ -265,10 +265,10 @@ def whole(value: object) -> int:
 
 
 def shown(value: object) -> str:
-    """A value for a message: on one line and shortened."""
+    """A value for a message, shortened and on one line."""
     try:
         text = " ".join(repr(value).split())
-    except (ValueError, RecursionError):  # Python does not print very long integers
+    except (ValueError, RecursionError):  # Python refuses to print very long integers
         text = f"a very large {type(value).__name__}"
     return text if len(text) <= _VALUE else f"{text[:_VALUE]}…"
 

@@ -1,4 +1,4 @@
-"""A photograph: pixels and a name. And image points that were measured by another program."""
+"""Photographs (pixels and a name), and image points measured by another program."""
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, Shaped
@@ -12,7 +12,7 @@ LUMA = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
 
 @value(eq=False)
 class Photograph:
-    """One exposure of one camera, in the orientation of the sensor.
+    """One exposure by one camera, in the orientation of the sensor.
 
     Raises:
         ImageError: the pixels are neither 8 nor 16 bit, or neither grey nor RGB.

@@ -14,15 +14,15 @@ Progress: TypeAlias = Callable[[float], None]
 StageProgress: TypeAlias = Callable[[str, float], None]
 """Called with the current stage and its fraction done."""
 MapTasks: TypeAlias = Callable[[Callable[..., Any], Mapping[str, tuple[Any, ...]]], dict[str, Any]]
-"""Call a function with ``(progress, *arguments)`` for each name. Return name → result.
+"""Calls a function with ``(progress, *arguments)`` for each name. Returns name → result.
 
-The function may run in another process or on another machine: it is defined in a module, its arguments can be pickled
-and its result is plain JSON data.
+The function may run in another process or on another machine. So it is defined in a module, its arguments can be
+pickled, and its result is plain JSON data.
 """
 
 
 def no_progress(fraction: float) -> None:
-    """Ignore the progress: the default."""
+    """Ignore the progress. This is the default."""
 
 
 def part(progress: Progress, start: float, stop: float) -> Progress:
@@ -31,20 +31,20 @@ def part(progress: Progress, start: float, stop: float) -> Progress:
 
 
 TICK_S = 0.5
-"""Interval of reports for work that reports nothing itself, s."""
-_USUAL_S = 20.0  # assumed for a product that was never timed
-_MOST = 0.9  # largest share that is estimated from the time alone
+"""Interval of reports if the work itself reports nothing, s."""
+_USUAL_S = 20.0  # assumed duration of a product that was never timed
+_MOST = 0.9  # largest share that is estimated from the elapsed time alone
 
 
 @contextmanager
 def ticking(progress: Progress, expected_s: float | None = None, *, tick_s: float = TICK_S) -> Iterator[Progress]:
-    """Report at least every `tick_s` seconds, also while the work reports nothing.
+    """Report at least every `tick_s` seconds, even if the work reports nothing.
 
     Until the work's first report, the share is estimated from the elapsed time.
 
     Args:
-        progress: also called from another thread, one call at a time, never with a smaller share than before.
-        expected_s: seconds that the work took earlier, if known.
+        progress: may be called from another thread. Calls never overlap, and the share never decreases.
+        expected_s: how long the work took earlier, s, if known.
         tick_s: interval of reports, s.
 
     Yields:
@@ -78,5 +78,5 @@ def ticking(progress: Progress, expected_s: float | None = None, *, tick_s: floa
 
 
 def map_in_sequence(function: Callable[..., Any], arguments: Mapping[str, tuple[Any, ...]]) -> dict[str, Any]:
-    """Call the function in this process, for one name after another."""
+    """Call the function in this process for one name after another."""
     return {name: function(lambda stage, fraction: None, *given) for name, given in arguments.items()}

@@ -1,4 +1,4 @@
-"""Registry of named variants, each added in the module that defines it."""
+"""Registry of named variants, each of which is added by the module that defines it."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ T = TypeVar("T")
 
 
 class Registry(Mapping[str, T], Generic[T]):
-    """Variants of one kind of thing by name, in alphabetical order.
+    """Variants of one kind by name, in alphabetical order.
 
         TARGETS: Registry[type[Target]] = Registry("calibration target", modules=("mammometry.….charuco",))
 
         @TARGETS.add("charuco")
         class CharucoTarget(Target): ...
 
-    The modules are imported at the first look-up. So a registry costs nothing at start-up, and a module that adds an
+    The modules are imported at the first look-up. So a registry takes no time at start-up, and a module that adds an
     entry can import the registry.
 
     Args:
-        what: name of one entry's kind, for messages ("calibration target").
+        what: what one entry is, for messages ("calibration target").
         modules: modules that add the entries.
         package: package whose modules may all add entries, without being listed.
-        entries: the first entries, if they are short.
+        entries: initial entries, if they are short.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class Registry(Mapping[str, T], Generic[T]):
         self._is_loaded = False
 
     def add(self, name: str) -> Callable[[T], T]:
-        """Decorate a class or function to enter it under `name`.
+        """Decorate a class or function to register it as `name`.
 
         Raises:
             ValueError: the name is taken.
@@ -66,12 +66,12 @@ class Registry(Mapping[str, T], Generic[T]):
 
         Args:
             name: as the user wrote it. None: not given.
-            subject: of the message, e.g. ``[target] kind``.
+            subject: subject of the message, such as ``[target] kind``.
             error: class of the error for an unknown name.
-            remedy: what to do about an unknown name, after the most similar known one.
+            remedy: what to do about an unknown name. The message suggests the most similar name first.
 
         Raises:
-            MammometryError: of class `error`, for an unknown name. It lists the known names.
+            MammometryError: of class `error`, for an unknown name. The message lists the known names.
         """
         if isinstance(name, str) and name in self:
             return self[name]
@@ -85,7 +85,7 @@ class Registry(Mapping[str, T], Generic[T]):
         )
 
     def name_of(self, entry: T) -> str:
-        """Return the name under which an entry was added.
+        """Return the name of an entry.
 
         Raises:
             LookupError: it is not in the registry.

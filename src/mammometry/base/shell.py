@@ -1,4 +1,4 @@
-"""Commands as they can be pasted into a shell."""
+"""Commands that can be pasted into a shell."""
 
 import os
 import shlex
@@ -8,10 +8,10 @@ from pathlib import Path
 
 
 def command_line(*words: str | Path) -> str:
-    """A command on one line, with words quoted where needed and absolute paths.
+    """A command on one line, with absolute paths and with quotes where needed.
 
     Args:
-        words: text as typed; a `Path` is made absolute, so that the command works in every folder.
+        words: text as typed. A `Path` becomes absolute, so that the command works in every folder.
     """
     typed = [os.path.abspath(word) if isinstance(word, Path) else word for word in words]
     return subprocess.list2cmdline(typed) if sys.platform == "win32" else shlex.join(typed)

@@ -24,12 +24,12 @@ def value(*, eq: bool = True, slots: bool = True) -> Callable[[type[_T]], type[_
 def value(cls: Any = None, /, *, eq: bool = True, slots: bool = True) -> Any:
     """Make a frozen, keyword-only dataclass whose arrays, dictionaries and lists cannot be changed.
 
-    The class's ``__post_init__`` checks the values before they are frozen. Arrays are not copied. Use plain dataclasses
-    for records that compiled kernels write into.
+    ``__post_init__`` of the class checks the values before they are frozen. Arrays are not copied. Use plain
+    dataclasses for records into which compiled kernels write.
 
     Args:
-        cls: the class, if the decorator has no parentheses.
-        eq: whether equal fields make two values equal. Set it to False for values that hold arrays.
+        cls: the class, if the decorator is used without parentheses.
+        eq: whether values with equal fields are equal. Set it to False for values that contain arrays.
         slots: set it to False if the class caches properties.
     """
     if cls is None:

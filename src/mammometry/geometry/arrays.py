@@ -1,8 +1,7 @@
 """Array aliases, and rounding of values to their noise.
 
 Annotations state shapes: ``Float64[Array, "n 3"]``; one dimension is written ``" n"``. The tests check them at run
-time.
-A value with fewer binary digits compresses better on disk (docs/decisions/0039).
+time. Values with fewer binary digits compress better on disk (docs/decisions/0039).
 """
 
 from typing import TypeAlias

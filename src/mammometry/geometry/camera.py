@@ -110,7 +110,8 @@ class Rig:
     pair_names: Mapping[str, tuple[str, str]]
     """Pair name → names of its left and right camera. Read-only."""
     target_middle_world: Float64[Array, 3] | None = None
-    """Mean position of the calibration target, about where the subject stands. World frame, mm. None if no target was
+    """Mean position of the calibration target, approximately where the subject is. World frame, mm. None if no target
+    was
     seen.
     """
 

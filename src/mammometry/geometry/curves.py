@@ -20,7 +20,7 @@ def points_along(corners: Float64[Array, "n 3"], at_mm: Float64[Array, " m"]) ->
 
 
 def evenly_spaced(corners: Float64[Array, "n 3"], count: int) -> Float64[Array, "m 3"]:
-    """Points (count, 3), mm, at equal distances along a closed polygon, beginning at its first corner."""
+    """Points (count, 3), mm, at equal distances along a closed polygon, starting at its first corner."""
     return points_along(corners, np.linspace(0.0, closed_length_mm(corners), count, endpoint=False))
 
 

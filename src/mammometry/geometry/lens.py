@@ -1,4 +1,4 @@
-"""Brown's lens model. It is written out only here.
+"""Brown's lens model. No other module repeats its formula.
 
 A lens maps the ideal point (x, y) = (X/Z, Y/Z) to a distorted one. The five coefficients are in OpenCV's order: k1, k2,
 k3 are radial, p1 and p2 tangential. All values are dimensionless.
@@ -108,12 +108,13 @@ def undistort(xy_distorted: Float64[Array, "*n 2"], coefficients: Float64[Array,
 
 
 def fold_radius(coefficients: Float64[Array, 5]) -> float:
-    """Ideal radius beyond which the distorted radius decreases: two directions share a pixel there.
+    """Ideal radius beyond which the distorted radius decreases, so that two directions share a pixel.
 
-    Infinite if there is no such radius. Only the radial terms are used: the tangential ones are a hundredth of them.
+    Infinite if there is no such radius. Only the radial terms are used, because the tangential ones are a hundred times
+    smaller.
     """
     k1, k2, _, _, k3 = np.where(np.abs(coefficients) > _NO_TERM, coefficients, 0.0)
-    roots = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])  # of d (distorted radius) / d radius, as a function of radius²
+    roots = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])  # of d (distorted radius) / d radius, in radius²
     folds = roots.real[(np.abs(roots.imag) < _REAL * np.abs(roots)) & (roots.real > 0)]
     return float(np.sqrt(folds.min())) if len(folds) else np.inf
 
@@ -121,7 +122,7 @@ def fold_radius(coefficients: Float64[Array, 5]) -> float:
 def fold_xy(coefficients: Float64[Array, 5]) -> float:
     """Distorted radius at the fold (`fold_radius`).
 
-    Pixels farther out show nothing. Infinite if there is no fold.
+    Pixels farther out show no point. Infinite if there is no fold.
     """
     radius, (k1, k2, _, _, k3) = fold_radius(coefficients), coefficients
     return float(distorted(radius, 0.0, (k1, k2, 0.0, 0.0, k3))[0]) if np.isfinite(radius) else np.inf

@@ -1,7 +1,7 @@
 """The lens model and the camera's projection for compiled code.
 
-The arithmetic is that of `lens`. `coefficients` is a tuple or an array of five. Slice it once per row of pixels: a
-slice for every pixel takes longer than the lens model itself.
+The arithmetic is that of `lens`. `coefficients` is a tuple or an array of five. Slice an array once per row of pixels:
+a slice for every pixel takes longer than the lens model itself.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ from mammometry.base.machine.compiled import kernel, small_kernel
 from mammometry.geometry import lens
 from mammometry.geometry.arrays import Array, Float64
 
-_TOLERANCE = 1e-7  # Newton's method doubles the digits: after a step this small the error is below 1e-13
+_TOLERANCE = 1e-7  # Newton's method squares the error: after a step this small, it is below 1e-13
 
 distorted = small_kernel(lens.distorted)
 jacobian = small_kernel(lens.jacobian)
@@ -22,7 +22,7 @@ def undistorted(
 ) -> tuple[float, float, float, float, float]:
     """Ideal point of a distorted one, and the Jacobian xx, xy, yy there.
 
-    Starts from the guess (x, y).
+    The iteration starts at (x, y).
     """
     by_xx, by_xy, by_yy = 1.0, 0.0, 1.0
     for _ in range(lens.NEWTON_STEPS):

@@ -17,7 +17,7 @@ from mammometry.geometry.transform import Transform
 _PER_MM = 1024.0  # a power of two: dividing by it is exact
 
 PointMap: TypeAlias = Callable[[Float64[Array, "n 3"]], Float64[Array, "n 3"]]
-"""Maps points, mm, to another frame or place."""
+"""Maps points, mm, to another frame or position."""
 
 
 @value(eq=False)
@@ -76,7 +76,7 @@ class TriangleMesh:
         used = np.bincount(self.faces.ravel(), minlength=1)
         starts, stops, across = self._sides()
         side = np.arange(len(across))
-        few = across[across] == side  # edges with one or two faces, as on any manifold
+        few = across[across] == side  # on a manifold, every edge has one or two faces
         edges = int(np.count_nonzero(few & (side <= across)))
         edges += len(unique_edges(starts[~few].astype(np.int64), stops[~few].astype(np.int64), len(self.vertices)))
         return int(np.count_nonzero(used)) - edges + len(self.faces)
@@ -115,12 +115,12 @@ class TriangleMesh:
         return self.mapped(b_from_a.apply)
 
     def faces_within(self, inside: Bool[Array, " n"]) -> Bool[Array, " m"]:
-        """Faces whose three corners are all marked."""
-        first, second, third = self.faces.T  # `all` over an axis of three is many times slower
+        """Mask of the faces whose three corners are all marked."""
+        first, second, third = self.faces.T  # `all` over an axis of length three is many times slower
         return np.asarray(inside[first] & inside[second] & inside[third])
 
     def vertices_between(self, low: Float64[Array, 3], high: Float64[Array, 3]) -> Int64[Array, " k"]:
-        """Indices of the vertices in a box, its faces included."""
+        """Indices of the vertices in a box, including its faces."""
         x, y, z = self.vertices.T
         inside = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1]) & (z >= low[2]) & (z <= high[2])
         return np.flatnonzero(inside)
@@ -132,7 +132,7 @@ class TriangleMesh:
         return used
 
     def submesh(self, keep_faces: Array) -> TriangleMesh:
-        """Return the faces chosen by mask or index. Unused vertices are dropped, the others keep their order."""
+        """Return the faces chosen by mask or index. Unused vertices are removed; the others keep their order."""
         used = self.vertices_used_by(keep_faces)
         number = np.cumsum(used, dtype=np.int32) - 1
         return TriangleMesh(vertices=self.vertices[used], faces=number[self.faces[keep_faces]].astype(np.int32))
@@ -142,7 +142,7 @@ class TriangleMesh:
         return TriangleMesh(vertices=motion(self.vertices), faces=self.faces)
 
     def turned_over(self) -> TriangleMesh:
-        """Return the mesh with reversed faces, as needed after mirroring."""
+        """Return the mesh with its faces reversed, as needed after mirroring."""
         return TriangleMesh(vertices=self.vertices, faces=np.ascontiguousarray(self.faces[:, ::-1]))
 
 
@@ -160,7 +160,7 @@ def joined(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
 def unique_edges(starts: Int64[Array, " k"], stops: Int64[Array, " k"], n: int) -> Int64[Array, "e 2"]:
     """Each undirected edge between n vertices once, smaller number first, in order."""
     keys = np.sort(np.minimum(starts, stops) * n + np.maximum(starts, stops))
-    keys = keys[np.diff(keys, prepend=-1) > 0]  # np.unique hashes first, ten times slower here
+    keys = keys[np.diff(keys, prepend=-1) > 0]  # np.unique hashes first, which is ten times slower here
     return np.stack(np.divmod(keys, max(n, 1)), axis=1)
 
 

@@ -1,6 +1,6 @@
 """Compiled kernels for triangle meshes and their rasterisation.
 
-The equivalent NumPy code is in tests/unit/geometry/; for `nearest_faces` it is a ray caster.
+The equivalent NumPy code is in tests/unit/geometry/. For `nearest_faces`, it is a ray caster.
 """
 
 import numpy as np
@@ -29,7 +29,7 @@ def area_vectors(vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"]) ->
 
 @kernel
 def vertex_normals(n: int, faces: Int32[Array, "m 3"], vectors: Float64[Array, "m 3"]) -> Float64[Array, "n 3"]:
-    """Unit sum of the faces' vectors at each of n vertices. Zero where there is none."""
+    """Unit sum of the faces' vectors at each of n vertices. Zero without a face."""
     normals = np.zeros((n, 3))
     for face in range(len(faces)):
         for corner in range(3):
@@ -66,8 +66,8 @@ def angle_defects(vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"]) -
 def open_vertices(n: int, faces: Int32[Array, "m 3"]) -> Bool[Array, " n"]:
     """Mask of the n vertices at which a half-edge without an opposite ends.
 
-    Each half-edge adds the hash of its end to its start and subtracts the hash of its start from its end. Half-edges
-    with an opposite cancel.
+    For each half-edge, the hash of its end is added to its start, and the hash of its start is subtracted from its end.
+    A half-edge and its opposite cancel.
     """
     balance = np.zeros(n, dtype=np.uint64)
     for face in range(len(faces)):
@@ -117,7 +117,7 @@ def parts(n: int, faces: Int32[Array, "m 3"]) -> tuple[int, Int32[Array, " n"]]:
 def edge_rings(n: int, faces: Int32[Array, "m 3"]) -> Int32[Array, " h"]:
     """Next half-edge on the same edge, for each half-edge. Together they form a ring.
 
-    Half-edge 3 f + k runs from corner k of face f to the next corner. A half-edge alone on its edge points to itself.
+    Half-edge 3 f + k goes from corner k of face f to the next corner. The only half-edge on an edge points to itself.
     """
     sides = 3 * len(faces)
     first = np.zeros(n + 1, dtype=np.int32)  # start of the half-edges grouped by smaller corner
@@ -158,7 +158,7 @@ def face_parts(rings: Int32[Array, " h"], walls: Bool[Array, " h"]) -> tuple[int
     Parts are numbered in the order of their first faces.
 
     Args:
-        rings: of `edge_rings`.
+        rings: result of `edge_rings`.
         walls: whether each half-edge is on a wall.
     """
     part = np.full(len(rings) // 3, -1).astype(np.int32)
@@ -262,7 +262,7 @@ def nearest_faces(
 
 @kernel
 def extent(mask: Bool[Array, "h w"]) -> Int64[Array, " 4"]:
-    """First row, end row, first column and end column (exclusive) of the true pixels. Zeros without any."""
+    """First row, end row, first and end column (ends exclusive) of the true pixels. Zeros without any."""
     height, width = mask.shape
     box = np.zeros(4, dtype=np.int64)
     left, right = width, 0

@@ -10,12 +10,12 @@ from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest_kernels import boxes, faces_in_box, morton, scan, search
 
-_BITS = 20  # of the Morton code, per axis
+_BITS = 20  # bits of the Morton code per axis
 _IN_A_BOX = 32  # most points of a leaf; affects speed only
-_FEW = 30  # for fewer queries, testing all faces is quicker than a tree
-_LARGE = 20_000  # from this number of faces, distant faces are discarded first; affects speed only
+_FEW = 30  # number of queries below which testing all faces is faster than a tree
+_LARGE = 20_000  # number of faces above which distant faces are discarded first; affects speed only
 _SOME = 5_000  # number of vertices used to find distant faces; affects speed only
-_SLACK, _SLACK_MM = 1.0 + 1e-9, 1e-9  # tolerance of those distances, for rounding
+_SLACK, _SLACK_MM = 1.0 + 1e-9, 1e-9  # tolerance of the distances to them, for rounding
 
 
 @value(eq=False)
@@ -33,9 +33,9 @@ class ClosestPoints:
 def closest_on_mesh(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> ClosestPoints:
     """Find the closest point of the mesh to each query point.
 
-    Exact, in the mesh's frame, mm. Boxes farther away than the best face so far are skipped, and nearer boxes are
-    tested first. The search begins with the previous query's face, which is quick if consecutive queries are near each
-    other.
+    Exact, in the mesh's frame, mm. Boxes farther away than the nearest face found so far are skipped, and nearer boxes
+    are tested first. The search starts with the previous query's face, which is fast if successive queries are close
+    together.
 
     Raises:
         ValueError: the mesh has no faces.
@@ -57,9 +57,9 @@ def closest_on_mesh(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> Closes
 
 
 def _faces_near(queries: Float64[Array, "n 3"], mesh: TriangleMesh) -> Int64[Array, " k"] | None:
-    """Faces that may be nearest to one of the queries. None: all.
+    """Faces that may be nearest to any of the queries. None: all faces.
 
-    A query is no farther from the mesh than from any of its vertices, so more distant faces can be discarded.
+    A query is at most as far from the mesh as from any of its vertices, so more distant faces can be discarded.
     """
     if len(mesh.faces) < _LARGE or not len(queries):
         return None
@@ -73,8 +73,8 @@ def _faces_near(queries: Float64[Array, "n 3"], mesh: TriangleMesh) -> Int64[Arr
 def point_tree(points: Float64[Array, "n d"]) -> cKDTree:
     """k-d tree of points for nearest neighbours, split at the middle of its boxes.
 
-    For queries far from the points, such as from one breast to the other, it takes a third of the time of scipy's
-    default. The results are the same.
+    For queries far from the points, such as from one breast to the other, it takes a third of the time of SciPy's
+    default, with the same results.
     """
     return cKDTree(points, leafsize=_IN_A_BOX, balanced_tree=False, compact_nodes=False)
 
@@ -93,7 +93,7 @@ def closest_on_triangles(points: Float64[Array, "n 3"], triangles: Float64[Array
         on_bc = b + ((d4 - d3) / ((d4 - d3) + (d5 - d6)))[:, None] * (c - b)
         total = va + vb + vc
         inner = a + (vb / total)[:, None] * ab + (vc / total)[:, None] * ac
-    inner = np.where(np.isfinite(inner), inner, a)  # for a triangle without area an edge is nearest
+    inner = np.where(np.isfinite(inner), inner, a)  # for a triangle without area, an edge is nearest
     conditions = [
         (d1 <= 0) & (d2 <= 0),
         (d3 >= 0) & (d4 <= d3),

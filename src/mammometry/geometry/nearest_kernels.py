@@ -147,7 +147,7 @@ def _squared_gap(point: Float64[Array, 3], low: Float64[Array, 3], high: Float64
 
 @kernel
 def _squared_distance(point: Float64[Array, 3], triangle: Float64[Array, "3 3"]) -> float:
-    """Squared distance from a point to a triangle, mm²: `closest_on_triangles` for one."""
+    """Squared distance from a point to a triangle, mm²: `closest_on_triangles` for a single point."""
     d1, d2, d3, d4, d5, d6 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for axis in range(3):
         a, b, c, p = triangle[0, axis], triangle[1, axis], triangle[2, axis], point[axis]

@@ -1,4 +1,4 @@
-"""Projection of many points by compiled code in threads. `Camera.project` gives the same in NumPy."""
+"""Projection of many points by compiled code in threads. `Camera.project` does the same in NumPy."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def projected(camera: Camera, points_world: Float64[Array, "n 3"]) -> Float64[Ar
     pose = np.column_stack([camera.camera_from_world.rotation, camera.camera_from_world.translation_mm])
 
     def project(some: slice) -> None:
-        part = read_only(np.ascontiguousarray(points_world[some], dtype=np.float64))  # compiled for one type only
+        part = read_only(np.ascontiguousarray(points_world[some], dtype=np.float64))  # compiled for this type only
         lens_kernels.project(part, pose, camera.intrinsics, np.array(camera.distortion), found[some])
 
     in_bands(project, len(points_world))

@@ -7,7 +7,7 @@ import numpy as np
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Float64
 
-_PROPER_TOLERANCE = 1e-6  # of R Rᵀ: 0.001 mm at a distance of 1 m
+_PROPER_TOLERANCE = 1e-6  # tolerance of R Rᵀ: 0.001 mm at a distance of 1 m
 
 
 @value(eq=False)

@@ -44,10 +44,10 @@ def rigid_motions(points: Float64[Array, "n 3"]) -> Float64[Array, "n 3 6"]:
 
 
 def without(common: Float64[Array, "n 3 k"], displacements: Float64[Array, "n 3 p"]) -> Float64[Array, "n 3 p"]:
-    """Remove what the points have in common from their displacements, by least squares.
+    """Remove common displacements from those of points, by least squares.
 
     Args:
-        common: independent displacements that are removed, such as `rigid_motions`.
+        common: independent displacements to remove, such as `rigid_motions`.
         displacements: p of them, mm.
     """
     basis, _ = np.linalg.qr(common.reshape(-1, common.shape[2]))

@@ -1,14 +1,15 @@
-"""Compile kernels and cache them on disk, for any common processor.
+"""Compile kernels and cache them on disk, for all common processors.
 
-All kernels share their options, so that numba compiles common functions, such as array creation, once. None uses
+All kernels have the same options, so that numba compiles common functions, such as array creation, only once. None uses
 ``parallel=True``, which takes several times as long to compile: kernels release the GIL, and `cores.in_bands` runs them
-in threads where that is worth it. Kernels copy parts of arrays element by element: for a slice assignment numba
-compiles the text of its error, which takes a second.
+in threads where that is worthwhile. Kernels copy parts of arrays element by element, because for a slice assignment
+numba compiles the text of its error, which takes a second.
 
-Numba's own cache is valid for one processor and one modification time of the source, so a wheel could not contain it
-and every installation would compile for half a minute. Here kernels are compiled for x86-64-v3 (AVX2 and FMA, since
-2013), and the cache is stamped with the contents of the source and of all modules of this package that it imports. On
-other processors they are compiled for that processor. A cache that does not match or cannot be read is ignored.
+Numba's own cache is valid only for one processor and one modification time of the source, so a wheel could not contain
+it, and every installation would compile for half a minute. Here, kernels are compiled for x86-64-v3 (AVX2 and FMA,
+since 2013), and the cache is identified by the contents of the source and of all modules of this package that it
+imports. On other processors, they are compiled for that processor. A cache that does not match or cannot be read is
+ignored.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from numba.core import config
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 
 COMMON_CPU = "x86-64-v3"
-"""Processor that kernels are compiled for."""
+"""Processor for which kernels are compiled."""
 _COMMON_FEATURES = ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")
 _PACKAGE = Path(__file__).parents[2]
 _IMPORT = re.compile(r"^(?:from|import) mammometry(?:\.([\w.]+))?(?: import (\([^)]*\)|.+))?", re.MULTILINE)
@@ -60,7 +61,7 @@ def source_stamp(path: Path) -> str:
 
 
 def _imported(text: str) -> list[Path]:
-    """Modules of this package that a module's text imports at the beginning of a line."""
+    """Modules of this package that a module imports at the top level."""
     modules = []
     for name, what in _IMPORT.findall(text):
         folder = _PACKAGE.joinpath(*name.split(".")) if name else _PACKAGE
@@ -70,7 +71,7 @@ def _imported(text: str) -> list[Path]:
 
 
 class _ByContent:
-    """Cache location whose stamp is the content of the source."""
+    """Location of a cache that is identified by the content of the source."""
 
     _py_file: str
 
@@ -88,7 +89,7 @@ class _CacheFiles(IndexDataCacheFile):
     """Cache files of a kernel. Unreadable ones count as missing."""
 
     def _load_index(self) -> Any:
-        with suppress(Exception):  # pickle may raise any exception
+        with suppress(Exception):  # unpickling may raise any exception
             return super()._load_index()
         return {}
 
@@ -108,7 +109,7 @@ class _StampedCache(FunctionCache):
     def __init__(self, function: Any) -> None:
         super().__init__(function)
         source = Path(function.__code__.co_filename)
-        # A wheel's cache is next to the source. Numba would ignore it if that folder is not writable.
+        # A wheel's cache is next to the source. Numba would ignore it if that folder is read-only.
         beside = [] if config.CACHE_DIR else [str(source.parent / "__pycache__")]
         self._files = [
             _CacheFiles(cache_path=path, filename_base=self._impl.filename_base, source_stamp=source_stamp(source))
@@ -119,7 +120,7 @@ class _StampedCache(FunctionCache):
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
         key = self._index_key(sig, target_context.codegen())
         for files in self._files:
-            with suppress(Exception):  # another version: the kernel is compiled
+            with suppress(Exception):  # the kernel was cached by another version and is compiled again
                 if (data := files.load(key)) is not None:
                     return self._impl.rebuild(target_context, data)
         return None
@@ -156,6 +157,6 @@ def fast_kernel(function: Callable[..., Any]) -> Any:
 def small_kernel(function: Callable[..., Any]) -> Any:
     """Compile a function that other kernels call for every pixel.
 
-    It is inlined, since a call costs more than its arithmetic, and rounds as `kernel` does.
+    It is inlined, because a call costs more than its arithmetic. It rounds in the same way as `kernel`.
     """
     return cached(njit(nogil=True, error_model="numpy", forceinline=True)(function))

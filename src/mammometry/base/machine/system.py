@@ -1,6 +1,6 @@
 """Functions that differ between operating systems.
 
-Tested on Linux. If Windows has no equivalent, the function does nothing there.
+Tested on Linux. Functions without an equivalent on Windows do nothing there.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def allowed_cores() -> int:
 
 
 def peak_memory_mb() -> float:
-    """Peak memory of this process or of a finished child, MB, to 0.1. On Windows: of this process only."""
+    """Peak memory of this process or of a finished child, MB, to 0.1. On Windows, of this process only."""
     if WINDOWS:
         import psutil
 
@@ -60,7 +60,7 @@ def own_group() -> dict[str, Any]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Wait until a folder's entries are on the disk. Does nothing on Windows.
+    """Wait until the entries of a folder are on the disk. Does nothing on Windows.
 
     Raises:
         OSError: the disk reports an error.
@@ -76,16 +76,16 @@ def sync_folder(folder: Path) -> None:
 
 _TRIM_THRESHOLD, _MMAP_MAX, _ARENA_MAX = -1, -4, -8  # mallopt(3): numbers of its parameters
 _KEPT_BYTES = 1 << 28
-"""At most 256 MB of freed memory are kept at the heap's end for reuse. Affects speed only."""
+"""Most freed memory that is kept at the end of the heap for reuse: 256 MB. Affects speed only."""
 
 
 @cache
 def reuse_freed_memory() -> None:
     """Allocate all arrays from one heap and keep freed memory for reuse.
 
-    Does nothing without glibc. By default glibc asks the system for each large array, which clears every page: a sixth
-    of the processor time of a torso (docs/decisions/0042). It also gives each thread its own heap, so that the arrays
-    of one matching step remain allocated during the next.
+    Does nothing without glibc. By default, glibc requests each large array from the system, which clears every page.
+    This takes a sixth of the processor time for a torso (docs/decisions/0042). It also gives each thread its own heap,
+    so that the arrays of one matching step remain allocated during the next.
     """
     with suppress(OSError, AttributeError, TypeError):  # another C library
         library = ctypes.CDLL(None)
@@ -94,10 +94,10 @@ def reuse_freed_memory() -> None:
 
 
 def return_freed_memory() -> None:
-    """Give freed memory back to the system. Does nothing without glibc.
+    """Return freed memory to the system. Does nothing without glibc.
 
-    Small values between freed arrays keep the heap from shrinking by itself, so that the memory of each product would
-    be added to that of the earlier ones.
+    Small values between freed arrays prevent the heap from shrinking by itself, so each product would need memory in
+    addition to that of the earlier ones.
     """
     with suppress(OSError, AttributeError, TypeError):  # another C library
         ctypes.CDLL(None).malloc_trim(0)

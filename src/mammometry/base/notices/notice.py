@@ -1,7 +1,7 @@
 """Notices: remarks on results, as codes with values.
 
-Products and programs store and compare notices. Their texts are in `base.notices.texts`, so that no sentence is used
-for a decision, and another language is another catalogue.
+Products and programs store and compare notices. Their texts are in `base.notices.texts`, so that no decision depends on
+a sentence, and a translation is another catalogue.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Notice:
     photographs: tuple[str, ...] = ()
     """Photographs that show it: ``capture/CAMERA`` or ``calibration/POSE/CAMERA``."""
     values: Mapping[str, int | float | str] = field(default_factory=dict)
-    """Values of the text, by name. The name contains the unit: ``percent``, ``cm2``, ``px``."""
+    """Values in the text, by name. The name contains the unit: ``percent``, ``cm2``, ``px``."""
 
     def as_table(self) -> dict[str, object]:
         """The notice for JSON."""
@@ -40,7 +40,7 @@ class Notice:
 
 
 def from_table(table: Mapping[str, Any]) -> Notice:
-    """A notice out of JSON."""
+    """Read a notice from JSON."""
     return Notice(
         code=table["code"],
         level=table["level"],

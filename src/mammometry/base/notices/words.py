@@ -22,17 +22,17 @@ def words_of(notice: Notice) -> str:
 
 
 def maybe_words(notice: Notice | None) -> str:
-    """The notice as text. Empty without one."""
+    """The notice as text. Empty if there is no notice."""
     return "" if notice is None else words_of(notice)
 
 
 def concerns(notice: Notice, breast: str) -> bool:
-    """Whether a notice is about a breast: about it by name, or about all."""
+    """Whether a notice concerns a breast: by name, or because it concerns all."""
     return breast in notice.about or not set(notice.about) & NAMES.keys()
 
 
 def caution_of(notice: Notice) -> str:
-    """Text next to the volumes on the first page. Empty: none."""
+    """Text next to the volumes on the first page. Empty if there is none."""
     return _filled(_text(notice).caution, notice)
 
 
@@ -57,13 +57,13 @@ def words_at(level: Level, notices: Iterable[Notice]) -> list[str]:
 
 
 def in_json(notices: Iterable[Notice]) -> dict[str, list[Any]]:
-    """Notices for programs, in one order: text under ``warnings``, codes and values under ``notices``."""
+    """Notices for programs, in one order: texts in ``warnings``, codes and values in ``notices``."""
     listed = list(notices)
     return {"warnings": list(map(words_of, listed)), "notices": [notice.as_table() for notice in listed]}
 
 
 def lines_of(notices: Iterable[Notice]) -> list[str]:
-    """Notices as lines in a terminal."""
+    """Notices as lines for a terminal."""
     return [f"{'Warning' if notice.level == 'warning' else 'note'}: {words_of(notice)}" for notice in notices]
 
 
@@ -76,7 +76,7 @@ _OF_1_0 = (
     ("The subject was not separated", "subject-not-separated"),
     ("Left and right may be exchanged: the mesh was inside out", "sides-doubtful"),
 )
-"""Beginnings of sentences stored by version 1.0 → their code. They are a file format, and no longer written."""
+"""Beginnings of sentences that version 1.0 stored → their codes. Such sentences are only read, no longer written."""
 
 
 def code_of_1_0(sentence: str) -> str:

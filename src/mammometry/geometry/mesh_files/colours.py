@@ -6,8 +6,8 @@ import numpy as np
 
 from mammometry.geometry.arrays import Array, Int64, UInt8
 
-_SHARE = 2.0  # floats up to this are on a scale of 0 to 1; on a scale of 255 they would be black
-_OVER = 0.01  # share of values that may be larger: a few are defects of exporting programs
+_SHARE = 2.0  # largest float on a scale of 0 to 1; on a scale of 0 to 255 it would be black
+_OVER = 0.01  # largest share of values above it: a few are defects of exporting programs
 _BYTE, _WORD = 255, 65535  # white in 8 and 16 bits
 
 
@@ -17,8 +17,8 @@ def eight_bit(values: Array, *, whole: bool) -> UInt8[Array, "n 3"]:
     Floats are on a scale of 0 to 1, unless more than a few are larger. Integers above 255 are 16-bit levels.
 
     Args:
-        values: as in the file, (n, 3).
-        whole: whether the file has integers. The array may have another type.
+        values: values as in the file, (n, 3).
+        whole: whether the file contains integers. The array may have another type.
     """
     numbers = np.nan_to_num(np.asarray(values, dtype=np.float64), posinf=0.0, neginf=0.0)
     if not whole and (numbers > _SHARE).mean() <= _OVER:
@@ -37,9 +37,9 @@ def of_vertices(
 
     Args:
         faces: triangles.
-        of_faces: colour of each.
-        count: of vertices.
-        grey: of vertices without a face.
+        of_faces: colour of each triangle.
+        count: number of vertices.
+        grey: grey level of vertices without a face.
     """
     corners = faces.ravel()
     weight = np.bincount(corners, minlength=count)

@@ -1,6 +1,6 @@
-"""Read GLB (glTF 2.0 in one file) completely, or refuse it and name the reason.
+"""Read a GLB (glTF 2.0 in one file) completely, or refuse it with the reason.
 
-Reads the default scene: all instances of meshes, sparse and normalized numbers, strips and fans, morph targets, skins,
+Reads the default scene: all instances of meshes, sparse and normalised numbers, strips and fans, morph targets, skins,
 GPU instancing and hidden nodes. A file that requires an extension not in `_READ` is refused.
 """
 
@@ -35,7 +35,7 @@ _WEBP, _TEXTURE_PLACE, _SPECULAR = "EXT_texture_webp", "KHR_texture_transform", 
 _READ = frozenset({
     _VISIBILITY, _INSTANCES, _WEBP, _TEXTURE_PLACE, "KHR_mesh_quantization", "KHR_lights_punctual", "KHR_xmp_json_ld",
 })  # fmt: skip
-_LIGHT_ALONE = "KHR_materials_"  # extensions that affect the appearance only, not the shape
+_LIGHT_ALONE = "KHR_materials_"  # extensions that affect only the appearance, not the shape
 _ENDINGS = ((b"\xff\xd8", ".jpg"), (b"\x89PNG", ".png"), (b"RIFF", ".webp"))
 
 
@@ -43,12 +43,12 @@ def read_glb(content: bytes, name: str) -> SceneContent:
     """Read the meshes of a GLB.
 
     Args:
-        content: of the file, bytes.
+        content: content of the file.
         name: the file's name in messages.
 
     Raises:
         SessionError: it uses features that are not read here, or refers to other files.
-        ValueError: it is damaged (also KeyError, IndexError, TypeError and `struct.error`).
+        ValueError: the file is damaged (also KeyError, IndexError, TypeError and `struct.error`).
     """
     table, binary = _chunks(content, name)
     return _Reader(name=name, table=table, binary=binary, size=len(content)).scene()
@@ -59,7 +59,7 @@ def _chunks(content: bytes, name: str) -> tuple[dict[str, Any], bytes]:
     if magic != _MAGIC or version != _VERSION:
         raise ValueError("it is not a GLB of version 2")
     table, binary, at = None, b"", _HEAD
-    end = length if _HEAD < length < len(content) else len(content)  # later bytes are ignored
+    end = length if _HEAD < length < len(content) else len(content)  # bytes after the end are ignored
     while at + 8 <= end:
         size, kind = struct.unpack_from("<II", content, at)
         chunk = content[at + 8 : at + 8 + size]
@@ -81,7 +81,7 @@ class _Reader:
     table: dict[str, Any]
     binary: bytes
     size: int
-    """Bytes of the file."""
+    """Size of the file, bytes."""
     pictures: dict[str, bytes] = field(default_factory=dict)
     remarks: list[str] = field(default_factory=list)
 
@@ -89,7 +89,7 @@ class _Reader:
         self._check()
         drawn = list(self._drawn())
         count = sum(self._triangle_count(part) * len(places) for _, part, places in drawn)
-        if count > self.size:  # a mesh instanced too many times: refuse before copying
+        if count > self.size:  # too many instances of a mesh: refused before they are copied
             self._refuse(f"{count} triangles from {self.size} bytes", "a surface", "Export it again")
         parts = [self._part(node, part, place) for node, part, places in drawn for place in places]
         if self.table.get("animations"):
@@ -137,7 +137,7 @@ class _Reader:
         return self.binary
 
     def _view(self, number: int) -> tuple[bytes, int]:
-        """Bytes of a buffer view, and its stride. 0: tightly packed."""
+        """Bytes of a buffer view, and its stride, which is 0 if it is tightly packed."""
         view = self.table["bufferViews"][number]
         compressed = next((how for how in _MESHOPT if how in view.get("extensions", {})), None)
         if compressed is not None:
@@ -159,7 +159,7 @@ class _Reader:
         return np.ndarray((count, width), kind, content, offset, (stride, kind.itemsize)).copy()
 
     def _numbers(self, number: int) -> Array:
-        """Rows of an accessor (count, width): integers as they are, normalized ones as floats."""
+        """Rows of an accessor, (count, width): normalised integers as floats, others unchanged."""
         accessor = self.table["accessors"][number]
         count, width = accessor["count"], _WIDTHS[accessor["type"]]
         kind = np.dtype(_COMPONENTS[accessor["componentType"]])
@@ -267,7 +267,7 @@ class _Reader:
         )  # fmt: skip
 
     def _morphed(self, node: Mapping[str, Any], part: Mapping[str, Any]) -> Float64[Array, "n 3"] | float:
-        """Offset of the points by the morph targets of non-zero weight."""
+        """Offset of the points by morph targets with non-zero weights."""
         weights = node.get("weights") or self.table["meshes"][node["mesh"]].get("weights") or []
         moved: Float64[Array, "n 3"] | float = 0.0
         for weight, target in zip(weights, part.get("targets", []), strict=False):
@@ -321,7 +321,7 @@ class _Reader:
         return eight_bit(values, whole=values.dtype.kind != "f")
 
     def _picture(self, part: Mapping[str, Any]) -> tuple[Float64[Array, "n 2"] | None, str | None]:
-        """Texture coordinates of the base colour, (0, 0) lower left, and the image's name."""
+        """Texture coordinates of the base colour, with (0, 0) at the lower left, and the image's name."""
         if "material" not in part:
             return None, None
         material = self.table["materials"][part["material"]]
@@ -343,7 +343,7 @@ class _Reader:
         return np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1), self._image(source)
 
     def _image(self, number: int) -> str | None:
-        """Name of an image, which is added to the scene's. None: it is in another file."""
+        """Name of an image, which is added to the scene's images. None if it is in another file."""
         image = self.table["images"][number]
         if "bufferView" in image:
             content = self._view(image["bufferView"])[0]
@@ -358,7 +358,7 @@ class _Reader:
 
 def _transform(node: Mapping[str, Any]) -> Float64[Array, "4 4"]:
     """A node's local transform, from its matrix or its translation, rotation and scale."""
-    from scipy.spatial.transform import Rotation  # imported late: sessions of photographs need no SciPy
+    from scipy.spatial.transform import Rotation  # imported late: sessions with photographs do not need SciPy
 
     if "matrix" in node:
         return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T

@@ -1,6 +1,6 @@
 """Read mesh files of other programs in a child process with limits.
 
-If the reader fails there, the error names the file.
+If the reader crashes, the error names the file.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from mammometry.base.parse import require_file
 _T = TypeVar("_T")
 _P = ParamSpec("_P")
 _LONGEST_S = 120.0  # a USDZ of a million faces takes 3 s
-_S_PER_MIB = 1.0  # ten times what an OBJ takes, the slowest format
-_MOST_MEMORY = 16 << 30  # bytes; small packed numbers may unpack to any size
+_S_PER_MIB = 1.0  # ten times the time for an OBJ, the slowest format
+_MOST_MEMORY = 16 << 30  # bytes; compressed numbers may expand to any size
 
 
 def read_in_child(read: Callable[Concatenate[Path, _P], _T], path: Path, *arguments: _P.args, **named: _P.kwargs) -> _T:
     """Call a reader in a child process.
 
     Args:
-        read: takes the path, then the arguments. A function of a module.
-        path: of the file.
+        read: function of a module. Its first argument is the path.
+        path: path of the file.
         arguments: further arguments of the reader.
-        named: arguments of the reader by name.
+        named: keyword arguments of the reader.
 
     Raises:
-        MammometryError: the reader raised it.
-        SessionError: no such file; or the reader ended, took too long or needed too much memory.
+        MammometryError: raised by the reader.
+        SessionError: there is no such file, or the reader crashed, took too long or needed too much memory.
     """
     require_file(path, str(path), "a mesh file")
     longest_s = _LONGEST_S + _S_PER_MIB * path.stat().st_size / (1 << 20)

@@ -27,16 +27,16 @@ SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".usdz")
 KINDS = "PLY, OBJ, STL, GLB or USDZ"
 _KINDS = f"a mesh as {KINDS}"
 _MOST_MIB = 4096  # almost 100 million triangles as STL; a larger file would not fit into memory
-_HEAD_BYTES = 65_536  # from which the format is recognised
-_SIGN = 64  # bytes; every second one is zero in UTF-16 and in no mesh format
+_HEAD_BYTES = 65_536  # number of bytes from which the format is recognised
+_SIGN = 64  # number of bytes; in UTF-16, but in no mesh format, every second one is zero
 _DECIMAL_COMMA = re.compile(rb"\d+,\d+")
 
 
 def read_mesh_file(path: Path) -> MeshContent:
     """Read a mesh file in a child process.
 
-    Vertices at one position are merged. Faces without area are dropped. Only this file is read: no materials, pictures
-    or buffers next to it.
+    Vertices at the same position are merged. Faces without area are removed. Only this file is read, without materials,
+    pictures or buffers in other files.
 
     Raises:
         SessionError: the file cannot be read, has no triangles, or has values that are not numbers.
@@ -46,7 +46,7 @@ def read_mesh_file(path: Path) -> MeshContent:
 
 
 def parse_mesh_file(path: Path) -> MeshContent:
-    """Read a mesh file in this process, as `read_mesh_file`."""
+    """Read a mesh file in this process, in the same way as `read_mesh_file`."""
     _check_name(path)
     content = read_bytes(path, str(path), _KINDS, most_mib=_MOST_MIB).removeprefix(codecs.BOM_UTF8)
     if (found := _other_content(path, content[:_HEAD_BYTES])) is not None:
@@ -57,7 +57,7 @@ def parse_mesh_file(path: Path) -> MeshContent:
         vertices, faces, colours, remarks = _parsed(path, content)
     except MammometryError:
         raise
-    except Exception as error:  # on damaged files the readers may raise any exception
+    except Exception as error:  # readers may raise any exception for damaged files
         raise _cause(path, content, error) from None
     if not len(faces):
         raise _refused(path, "no triangles", "a triangulated surface", "Export it with its faces, not as points")
@@ -88,7 +88,7 @@ def _check_name(path: Path) -> None:
 
 
 def _in_order(faces: Int64[Array, "m 3"]) -> Int64[Array, "m 3"]:
-    """Faces sorted, each with its smallest index first, so that no result depends on the file's order."""
+    """Sort the faces, each with its smallest index first. So results do not depend on the file's order."""
     start = np.argmin(faces, axis=1)
     turned = np.take_along_axis(faces, (start[:, None] + np.arange(3)) % 3, axis=1)
     return turned[np.lexsort(turned.T[::-1])]
@@ -114,7 +114,7 @@ def _grey(points: Float64[Array, "n 3"]) -> UInt8[Array, "n 3"]:
 
 
 def _other_content(path: Path, head: bytes) -> str | None:
-    """Format of a file with a wrong extension. None if the two match or the format is unknown."""
+    """Format of a file whose extension is wrong. None if they match or the format is unknown."""
     letters, between = head[:_SIGN:2], head[1:_SIGN:2]
     kind = path.suffix.lower()
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
@@ -135,7 +135,7 @@ def _other_content(path: Path, head: bytes) -> str | None:
 
 
 def _cause(path: Path, content: bytes, error: Exception) -> SessionError:
-    """The error for a file that a reader failed on, with its likeliest cause."""
+    """The error for a file that a reader could not read, with its most likely cause."""
     head = content[:_HEAD_BYTES]
     commas = _DECIMAL_COMMA.search(head.partition(b"end_header")[2] or head) if _is_text(head) else None
     if commas is not None:

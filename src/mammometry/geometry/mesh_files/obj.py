@@ -1,6 +1,6 @@
-"""Wavefront OBJ files: vertices, triangles and places in pictures.
+"""Wavefront OBJ files: vertices, triangles and texture coordinates.
 
-A negative index counts back from its own line, whatever groups came before (specification, "Referencing vertex data").
+A negative index counts back from its own line, regardless of groups (specification, "Referencing vertex data").
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from mammometry.base.errors import SessionError
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
 from mammometry.geometry.mesh_files.colours import eight_bit
 
-_NUMBERS = ("v ", "vt ", "vn ", "f ")  # lines of numbers: a # begins a comment here, not in names
+_NUMBERS = ("v ", "vt ", "vn ", "f ")  # lines of numbers, in which # starts a comment; in names it does not
 _KEPT = ("v", "vt", "vn", "f", "usemtl")
 _WIDE = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 _DECIMAL_COMMA = re.compile(r"\d,\d")
@@ -24,7 +24,7 @@ _DECIMAL_COMMA = re.compile(r"\d,\d")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ObjFile:
-    """An OBJ's content."""
+    """Content of an OBJ."""
 
     points: Float64[Array, "n 3"]
     """Vertices, in the file's unit."""
@@ -50,7 +50,7 @@ def parse_obj(content: bytes, name: str) -> ObjFile:
     """Read an OBJ.
 
     Args:
-        content: of the file. Bytes that are not UTF-8 become surrogates, as in file names.
+        content: content of the file. Bytes that are not UTF-8 become surrogates, as in file names.
         name: the file's name in messages.
 
     Raises:
@@ -107,17 +107,17 @@ def parse_obj(content: bytes, name: str) -> ObjFile:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ObjPart:
-    """A part of an OBJ that is written."""
+    """A part of an OBJ to be written."""
 
     material: str
     faces: Array
-    """Vertices of each triangle (m, 3), counted from 0 over all parts."""
+    """Vertices of each triangle, (m, 3), counted from 0 over all parts."""
     points: Float64[Array, "n 3"] = field(default_factory=lambda: np.zeros((0, 3)))
-    """Vertices that no earlier part has."""
+    """Vertices that earlier parts do not have."""
     uv: Float64[Array, "k 2"] = field(default_factory=lambda: np.zeros((0, 2)))
-    """Places in the material's picture, (0, 0) lower left."""
+    """Texture coordinates, with (0, 0) at the lower left."""
     face_uv: Array | None = None
-    """Place of each triangle's corner (m, 3), counted from 0 over all parts. None: no picture."""
+    """Texture coordinates of each triangle's corners, (m, 3), counted from 0 over all parts. None without a picture."""
 
 
 def obj_text(library: str, parts: Sequence[ObjPart], *, exact: bool = False) -> str:
@@ -125,8 +125,8 @@ def obj_text(library: str, parts: Sequence[ObjPart], *, exact: bool = False) -> 
 
     Args:
         library: name of its material file.
-        parts: in their order.
-        exact: whether numbers have all their digits. Otherwise 4 decimals, and 6 in pictures.
+        parts: parts, in this order.
+        exact: whether numbers are written with all digits. Otherwise with 4 decimals, texture coordinates with 6.
     """
     point, place = ("%r", "%r") if exact else ("%.4f", "%.6f")
     text = [f"mtllib {library}\n"]
@@ -142,7 +142,7 @@ def obj_text(library: str, parts: Sequence[ObjPart], *, exact: bool = False) -> 
 
 
 def _rows(line: str, rows: Array) -> str:
-    """Each row as a line, formatted all at once: there are hundreds of thousands."""
+    """Each row as a line. All are formatted in one call, because there are hundreds of thousands."""
     return line * len(rows) % tuple(rows.ravel().tolist())
 
 
@@ -151,7 +151,7 @@ def decimal_commas(name: str, sample: str) -> SessionError:
 
     Args:
         name: the file's name in messages.
-        sample: one such number.
+        sample: one of the numbers.
     """
     return SessionError(
         name,
@@ -162,7 +162,7 @@ def decimal_commas(name: str, sample: str) -> SessionError:
 
 
 def _lines(content: bytes) -> Iterator[str]:
-    """Lines with a space after the first word and without comments after numbers; continued lines are joined."""
+    """Lines with a space after the first word, without comments after numbers. Continued lines are joined."""
     wide = next((code for mark, code in _WIDE.items() if content.startswith(mark) and len(content) % 2 == 0), None)
     text = content.decode("utf-8-sig", "surrogateescape")
     if wide is not None and "\nf " not in text.replace("\r", "\n"):  # otherwise only its comments are UTF-16

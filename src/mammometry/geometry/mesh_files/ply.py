@@ -1,4 +1,4 @@
-"""PLY files. Read: text or either byte order, polygons of any size. Written: binary triangles."""
+"""PLY files. Reads text or binary, with polygons of any size. Writes binary triangles."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class _Element:
     count: int
     properties: list[_Property] = field(default_factory=list)
     values: dict[str, Any] = field(default_factory=dict)
-    """Of each property. Lists of different lengths are a list of arrays."""
+    """Values of each property. Lists of different lengths become a list of arrays."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -56,16 +56,16 @@ class PlyFile:
     """Content of a PLY."""
 
     points: Float64[Array, "n 3"]
-    """In the file's unit."""
+    """Vertices, in the file's unit."""
     faces: Int64[Array, "m 3"]
-    """Triangles. A polygon is a fan around its first corner."""
+    """Triangles. Polygons are split into fans around their first corner."""
     comments: tuple[str, ...]
     elements: Mapping[str, _Element]
     polygons: Int64[Array, " m"]
-    """Number of the polygon that each triangle is part of."""
+    """Index of the polygon to which each triangle belongs."""
 
     def properties(self) -> dict[str, Array]:
-        """Vertex properties besides the coordinates: name → values (n), as they are stored."""
+        """Vertex properties other than coordinates: name → values (n), as stored."""
         values = self.elements["vertex"].values
         return {
             name: np.ascontiguousarray(column, column.dtype.newbyteorder("="))
@@ -76,7 +76,7 @@ class PlyFile:
     def colours(self) -> UInt8[Array, "n 3"]:
         """Colour of each vertex, sRGB.
 
-        Where only faces have colours, a vertex has the mean of those around it. `GREY` without colours.
+        If only faces have colours, each vertex has the mean of the faces around it. `GREY` without colours.
         """
         stored = _stored_colours(self.elements["vertex"])
         if stored is not None:
@@ -91,13 +91,13 @@ def parse_ply(content: bytes, name: str) -> PlyFile:
     """Read a PLY.
 
     Args:
-        content: of the file.
+        content: content of the file.
         name: the file's name in messages.
 
     Raises:
-        ValueError: it is no PLY, is cut short, or holds no numbers where they should be. So are KeyError, IndexError
-            and TypeError.
-        SessionError: it holds triangle strips.
+        ValueError: the file is not a PLY, is truncated, or contains something other than numbers where they are
+        expected (also KeyError, IndexError and TypeError).
+        SessionError: the file contains triangle strips.
     """
     order, elements, comments, body = _header(content, name)
     reader = _Text(body) if order == "" else _Binary(body, order)
@@ -122,16 +122,16 @@ def write_ply(
 ) -> None:
     """Write a binary little-endian PLY.
 
-    Positions as float where they are floats, else as double: nothing is lost.
+    Floats are written as float and other positions as double, so that nothing is lost.
 
     Args:
         path: the file to write.
         mesh: vertices and faces, mm, world frame.
-        properties: name → one value a vertex (n), of a type that PLY knows.
+        properties: name → one value per vertex (n), of a type that PLY has.
         comments: lines for the header.
 
     Raises:
-        ValueError: a property of another length or of a type that PLY does not know.
+        ValueError: a property has another length, or a type that PLY does not have.
     """
     short = mesh.vertices.astype(np.float32)
     positions = short if np.array_equal(short, mesh.vertices) else mesh.vertices
@@ -247,7 +247,7 @@ class _Binary:
         return 1
 
     def _rows(self, element: _Element, lengths: list[int]) -> dict[str, Any] | None:
-        """All rows at once, if all lists are as long as the first row's. Otherwise None."""
+        """All rows at once, if every list is as long as in the first row. Otherwise None."""
         fields: list[Any] = []
         for place, (property_, length) in enumerate(zip(element.properties, lengths, strict=True)):
             if not 0 <= length <= _LONGEST:
@@ -286,7 +286,7 @@ class _Binary:
 
 
 def _triangles(corners: Any) -> tuple[Int64[Array, " m"], Int64[Array, "m 3"]]:
-    """Fans around the first corner of each polygon: the polygon of each triangle, and its corners."""
+    """Split polygons into fans around their first corner. Returns each triangle's polygon and corners."""
     if isinstance(corners, np.ndarray) and corners.shape[1:] == (3,):
         return np.arange(len(corners)), corners.astype(np.int64)
     if isinstance(corners, np.ndarray) and corners.ndim == 2:
@@ -307,7 +307,7 @@ def _triangles(corners: Any) -> tuple[Int64[Array, " m"], Int64[Array, "m 3"]]:
 
 
 def _stored_colours(element: _Element) -> UInt8[Array, "n 3"] | None:
-    """Colours of an element. None: it has none."""
+    """Colours of an element. None if it has no colours."""
     values = element.values
     names = next((names for names in _COLOURS if all(name in values for name in names)), None)
     if names is None:

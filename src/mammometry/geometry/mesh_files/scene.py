@@ -10,7 +10,7 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Float64, Int32, Int64, UInt8
 
 GREY = 128
-"""sRGB of points without a colour."""
+"""Grey level of points without a colour, sRGB."""
 MIRRORED, HIDDEN = "mesh-part-mirrored", "mesh-parts-hidden"
 SUBDIVIDED, ANIMATED = "mesh-subdivided", "mesh-animated"
 """Codes of notices about a file."""
@@ -21,12 +21,12 @@ class ScenePart:
     """A part of a scene with at most one image."""
 
     points: Float64[Array, "n 3"]
-    """In the file's unit and the scene's frame."""
+    """Points in the file's unit and the scene's frame."""
     faces: Int64[Array, "m 3"]
     colours: UInt8[Array, "n 3"]
     """sRGB of each point. `GREY` if the file has none."""
     uv: Float64[Array, "n 2"] | None = None
-    """Texture coordinates of each point, (0, 0) lower left. None: no image."""
+    """Texture coordinates of each point, with (0, 0) at the lower left. None without an image."""
     picture: str | None = None
     """Name of the image."""
 
@@ -39,9 +39,9 @@ class SceneContent:
     pictures: dict[str, bytes] = field(default_factory=dict)
     """File name → content of a JPEG, PNG or WebP."""
     metres_per_unit: float | None = None
-    """None if the file does not state it."""
+    """Unit of the file. None if the file does not state it."""
     remarks: tuple[str, ...] = ()
-    """Codes of notices about parts that were not read or need a check."""
+    """Codes of notices about parts that were not read or should be checked."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,7 +53,7 @@ class MeshContent:
     colours: UInt8[Array, "n 3"]
     """sRGB of each point. `GREY` if the file has none."""
     remarks: tuple[str, ...] = ()
-    """Codes of notices about parts that were not read or need a check."""
+    """Codes of notices about parts that were not read or should be checked."""
 
 
 def joined_parts(

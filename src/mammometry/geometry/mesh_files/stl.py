@@ -1,4 +1,4 @@
-"""STL, binary or text: triangles without colours and unit."""
+"""STL files, binary or text: triangles without colours or unit."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _WORD = re.compile(rb"(?:^|[\r\n])[ \t]*facet\b", re.IGNORECASE)
 
 
 def parse_stl(content: bytes) -> tuple[Float64[Array, "n 3"], Int64[Array, "m 3"]]:
-    """Corners and triangles.
+    """Read corners and triangles.
 
-    A binary file's count may be wrong, so the number of triangles follows from its length.
+    The count in a binary file may be wrong, so the number of triangles is computed from its length.
 
     Args:
-        content: of the file.
+        content: content of the file.
 
     Raises:
         ValueError: it is not an STL, or is truncated.

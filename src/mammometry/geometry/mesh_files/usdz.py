@@ -1,6 +1,6 @@
-"""Meshes and images of a USDZ, as telephones write it.
+"""Meshes and images of a USDZ, as written by telephones.
 
-Nothing outside the file is read.
+No other file is read.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from mammometry.geometry.mesh_files.scene import ANIMATED, GREY, HIDDEN, MIRRORE
 
 _LAYERS = (".usd", ".usda", ".usdc")
 _PICTURES = (".png", ".jpg", ".jpeg")
-_NO_SURFACE = ("Points", "BasisCurves", "NurbsCurves", "HermiteCurves")  # nothing to be measured
+_NO_SURFACE = ("Points", "BasisCurves", "NurbsCurves", "HermiteCurves")  # no surfaces, so there is nothing to measure
 
 
 def read_usdz(path: Path, *, shape: bool = True) -> SceneContent:
     """Read the meshes of a USDZ in a child process.
 
     Args:
-        path: of the file.
-        shape: whether to read meshes and images, not only the unit.
+        path: path of the file.
+        shape: whether to read meshes and images, and not only the unit.
 
     Raises:
         MissingLibraryError: USD is not installed.
@@ -39,12 +39,12 @@ def read_usdz(path: Path, *, shape: bool = True) -> SceneContent:
 
 
 def parse_usdz(path: Path, *, shape: bool = True) -> SceneContent:
-    """Read the meshes of a USDZ in this process, as `read_usdz`: a damaged one may end it or hang it."""
+    """Read the meshes of a USDZ in this process. A damaged file may crash it or make it hang."""
     require_file(path, str(path), "a USDZ")
     require("usdz", "pxr")
     try:
         read = _opened(path, shape=shape)
-    except Exception as error:  # the reader raises many kinds of error for a damaged file
+    except Exception as error:  # the reader raises many kinds of exceptions for damaged files
         read = f"a file that cannot be read ({error_text(error)})"
     if isinstance(read, str):
         expected = "a USDZ with plain meshes inside"
@@ -86,7 +86,7 @@ def _opened(path: Path, *, shape: bool) -> SceneContent | str:
 
 
 def _is_drawn(prim: Any) -> bool:
-    """Whether a geometry is visible, and neither a proxy nor a guide."""
+    """Whether a geometry is visible, and is neither a proxy nor a guide."""
     from pxr import Usd, UsdGeom
 
     shown = UsdGeom.Imageable(prim).ComputeVisibility(Usd.TimeCode.EarliestTime()) != UsdGeom.Tokens.invisible
@@ -105,7 +105,7 @@ def _is_animated(mesh: Any) -> bool:
 
 
 def _unread(stage: Any) -> str | None:
-    """Name the first visible thing that is not supported. None if everything is."""
+    """Name of the first visible object that is not supported. None if all are supported."""
     from pxr import Usd, UsdGeom, UsdSkel
 
     now = Usd.TimeCode.EarliestTime()
@@ -180,7 +180,7 @@ def _parts(stage: Any, folder: Path, pictures: dict[str, bytes], remarks: list[s
 
 
 def _fans(counts: Int64[Array, " k"]) -> tuple[Int64[Array, " m"], Int64[Array, "m 3"]]:
-    """Polygons as fans: each triangle's polygon, and its corners' positions in the file's list."""
+    """Split polygons into fans. Returns each triangle's polygon, and its corners' positions in the file's list."""
     triangles = np.maximum(counts - 2, 0)
     polygon = np.repeat(np.arange(len(counts)), triangles)
     number = np.arange(len(polygon)) - np.repeat(np.cumsum(triangles) - triangles, triangles)
@@ -191,7 +191,7 @@ def _fans(counts: Int64[Array, " k"]) -> tuple[Int64[Array, " m"], Int64[Array, 
 def _corner_values(
     prim: Any, names: tuple[str, ...], faces: Int64[Array, "m 3"], where: Int64[Array, "m 3"]
 ) -> Float64[Array, "m 3 k"] | None:
-    """Values at each triangle's corners, of the first of these primvars that exists."""
+    """Values at each triangle's corners, from the first of these primvars that exists."""
     from pxr import Usd, UsdGeom
 
     primvars = UsdGeom.PrimvarsAPI(prim)
@@ -219,7 +219,7 @@ def _colours(prim: Any, faces: Int64[Array, "m 3"], where: Int64[Array, "m 3"]) 
 
 
 def _picture_of_each(prim: Any, count: int, folder: Path, pictures: dict[str, bytes]) -> Array:
-    """Name of each polygon's image. Empty: none."""
+    """Name of each polygon's image. Empty if it has none."""
     from pxr import UsdShade
 
     bound = UsdShade.MaterialBindingAPI(prim)
@@ -231,7 +231,7 @@ def _picture_of_each(prim: Any, count: int, folder: Path, pictures: dict[str, by
 
 
 def _picture(bound: Any, folder: Path, pictures: dict[str, bytes]) -> str:
-    """Name of the image of a material's colour, which is read into `pictures`. Empty: none."""
+    """Name of the image of a material's colour. The image is read into `pictures`. Empty if there is none."""
     from pxr import UsdShade
 
     material, _ = bound.ComputeBoundMaterial()
