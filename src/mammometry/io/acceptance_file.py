@@ -1,4 +1,4 @@
-"""Folder of an acceptance test: its description in TOML, and a mesh, scan or session per position."""
+"""Folder of an acceptance test: a description in TOML, and a mesh, scan or session per position."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _KEYS: Mapping[Kind, Mapping[str, tuple[float, float]]] = MappingProxyType(
         "cast": {"volume_cc": (20, 5000), "volume_std_cc": (1e-3, 100)},
     }
 )  # fmt: skip
-"""Artefact → its values with their smallest and largest."""
+"""Artefact → its quantities, each with the smallest and largest allowed value."""
 _KINDS: Mapping[Kind, Callable[..., Artefact]] = MappingProxyType(
     {"sphere": Sphere, "bar": Bar, "plane": Plane, "cast": Cast}
 )
@@ -139,18 +139,18 @@ def _number(table: dict[str, Any], name: str, where: str, low: float, high: floa
 def position_files(folder: Path, kind: Kind) -> dict[str, Path]:
     """Position → its mesh file, scan folder or session, in the protocol's order.
 
-    The files are in the folder's subfolder of the artefact's kind. The name of each begins with the position's number:
+    The files are in the subfolder named after the artefact's kind. Each name starts with the number of the position:
     ``sphere/03.ply``, ``sphere/3-upper-right.obj``, ``bar/7/session.toml``.
 
     Raises:
-        SessionError: a name has no number of a position, or two have the same.
+        SessionError: a name does not start with the number of a position, or two have the same.
     """
     place = folder / kind
     names = [position.name for position in POSITIONS[kind]]
     found: dict[str, Path] = {}
     for path in visible(place):
         if not path.is_dir() and path.suffix.lower() not in SUFFIXES:
-            continue  # pictures and materials of a mesh
+            continue  # pictures and materials that belong to a mesh
         number = _NUMBER.match(path.name)
         name = number[0].lstrip("0") if number else ""
         if name not in names:
@@ -168,7 +168,7 @@ def position_files(folder: Path, kind: Kind) -> dict[str, Path]:
 
 
 def template(device: str, person: str, date: datetime.date) -> bytes:
-    """A description to be filled in. It is refused as long as a value of an artefact is 0."""
+    """A description to fill in. It is refused as long as any quantity of an artefact is 0."""
     name, initials = (json.dumps(" ".join(text.split()), ensure_ascii=False) for text in (device, person))
     limits = Limits()
     return f"""\

@@ -1,4 +1,4 @@
-"""Read CSV tables of people, programs and spreadsheets of any country."""
+"""Read CSV tables written by people, programs and spreadsheets in any country."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mammometry.geometry.arrays import Array, Bool, Float64
 
 _OTHER = {",": ".", ".": ","}
 _GROUPED = {mark: re.compile(rf"[+-]?[1-9][0-9]{{0,2}}(?:[{mark}][0-9]{{3}})+", re.ASCII) for mark in _OTHER}
-"""By the thousands separator."""
+"""Pattern of a grouped number, by the thousands separator."""
 _GROUP = 3  # digits between thousands separators
 _WHOLE = re.compile(r"[+-]?[0-9]+", re.ASCII)
 
@@ -31,7 +31,7 @@ class DecimalMark:
     groups: bool = False
     """Whether a cell proves that the other mark separates thousands."""
     ambiguous: frozenset[int] = frozenset()
-    """Columns in which the meaning of a mark before three digits is unknown."""
+    """Columns in which a mark before three digits may be a decimal mark or a thousands separator."""
 
     def number(self, cell: str) -> float:
         """Parse a cell as a number.
@@ -52,14 +52,14 @@ def decimal_mark(columns: Iterable[Sequence[str]], *, separator: str = ";", alik
     """Find a table's number format from all cells of some columns.
 
     A cell such as ``1,860`` or ``1.860`` is ambiguous. Another cell may prove what the mark means. Otherwise it is read
-    as three decimals only if commas separate the cells and the column has no whole number: then a program wrote it.
+    with three decimals only if commas separate the cells and the column has no whole number: then a program wrote it.
 
     Args:
         columns: cells of each column.
-        separator: between the cells.
-        alike: whether all columns contain the same quantity by different methods. A whole number in one column then
-            counts for the others; three decimals are accepted only from hundreds on, such as ``412.125``; and a column
-            with whole numbers must prove its decimal mark itself.
+        separator: separator of the cells.
+        alike: whether all columns contain the same quantity measured by different methods. Then a whole number in one
+            column also counts for the others; three decimals are accepted only in numbers from 100, such as
+            ``412.125``; and a column with whole numbers must prove its own decimal mark.
     """
     marks: list[str] = []
     shown_in: set[int] = set()
@@ -81,7 +81,7 @@ def decimal_mark(columns: Iterable[Sequence[str]], *, separator: str = ";", alik
             else:
                 groups = True
                 shown_in.add(place)
-                several = cell.count(letters[-1]) > 1  # 1.860.000, else 1.860,5
+                several = cell.count(letters[-1]) > 1  # 1.860.000 has several, 1.860,5 has one
                 marks.append(_OTHER[letters[-1]] if several else letters[-1])
     if marks:
         unclear = {place for place, *_ in doubtful if place in whole - shown_in} if alike else set()
@@ -93,7 +93,7 @@ def decimal_mark(columns: Iterable[Sequence[str]], *, separator: str = ";", alik
 
 
 def both_readings(cell: str) -> tuple[str, str] | None:
-    """Both meanings of a cell such as ``1,860``. Otherwise None."""
+    """Both possible readings of a cell such as ``1,860``. None for other cells."""
     marks = {letter for letter in cell if letter in _OTHER}
     if len(marks) != 1 or not _GROUPED[mark := marks.pop()].fullmatch(cell) or cell.count(mark) != 1:
         return None
@@ -107,7 +107,7 @@ _STATED = re.compile(r'"?sep=([^\w\s"\'.]|\t)"?[,;\t ]*', re.IGNORECASE)  # firs
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CsvTable:
-    """A table with named columns. Cells have no spaces around them."""
+    """A table with named columns. Spaces around cells are removed."""
 
     name: str
     """Its name in messages."""
@@ -116,11 +116,11 @@ class CsvTable:
     lines: tuple[int, ...]
     """Line of each row in the file, from 1. Empty lines are skipped."""
     rows: tuple[tuple[str, ...], ...]
-    """Rows with as many cells as there are columns."""
+    """Rows. Each has as many cells as there are columns."""
     separator: str
     """Separator of the cells."""
     refusal: type[MammometryError] = SessionError
-    """Class of its errors."""
+    """Class of the errors that it raises."""
 
     def texts(self, column: str) -> tuple[str, ...]:
         """All cells of a column.
@@ -148,8 +148,8 @@ class CsvTable:
             alike: whether all columns contain the same quantity, see `decimal_mark`.
 
         Raises:
-            MammometryError: as `texts`; a cell that is not a number, is in another format than the others, or is
-                ambiguous.
+            MammometryError: see `texts`; or a cell is not a number, has another format than the others, or is
+            ambiguous.
         """
         cells = [self.texts(column) for column in columns]
         mark = decimal_mark(cells, separator=self.separator, alike=alike)
@@ -162,7 +162,7 @@ class CsvTable:
         return values
 
     def require(self, column: str, fine: Sequence[bool] | Bool[Array, " n"], expected: str) -> None:
-        """Refuse a column with an invalid cell, and name the first one.
+        """Refuse a column with an invalid cell. The error names the first one.
 
         Args:
             column: its name.
@@ -207,17 +207,17 @@ def read_table(path: Path, name: str, expected: str, *, refusal: type[Mammometry
         path: the table.
         name: its name in messages.
         expected: what it should contain, for messages.
-        refusal: the class of its errors.
+        refusal: class of the errors.
 
     Raises:
-        MammometryError: `refusal`; it cannot be read or is empty, or a row has too many cells.
+        MammometryError: of class `refusal`; the table cannot be read or is empty, or a row has too many cells.
     """
     text = read_text(path, name, expected, most_mib=_MOST_MIB, refusal=refusal)
     head = next((line for line in re.split(r"[\r\n]", text) if line.strip()), "")
     stated = _STATED.fullmatch(head)
     if stated is not None:
-        text = text.replace(head, "", 1)  # the line stays empty, so that line numbers are right
-    text = re.sub(" +$", "", text, flags=re.MULTILINE)  # the reader refuses them after a quote
+        text = text.replace(head, "", 1)  # an empty line remains, so that line numbers are right
+    text = re.sub(" +$", "", text, flags=re.MULTILINE)  # the reader does not accept spaces after a closing quote
     separator = stated[1] if stated is not None else max(_SEPARATORS, key=head.count)
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
     lines: list[int] = []

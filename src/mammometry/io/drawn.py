@@ -22,7 +22,7 @@ from mammometry.measure.volume.attribution import Attribution, CurveConfirmation
 BOUNDARIES, LANDMARK_FILE = "boundaries.json", "landmarks.json"
 BREASTS: Mapping[SubjectKind, tuple[str, ...]] = {"model": ("model",), "torso": ("left", "right"), "surface": ()}
 """Kind of subject → names of its boundaries."""
-_FARTHEST_MM = 1e6  # 1 km: farther than anything is photographed from
+_FARTHEST_MM = 1e6  # 1 km: larger than the distance of any photographed object
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -32,15 +32,15 @@ class DrawnBoundaries:
     curves: Mapping[str, Float64[Array, "n 3"]] = field(default_factory=dict)
     """Breast → closed curve, mm, world frame."""
     automatic: tuple[str, ...] = ()
-    """Breasts whose boundary is to be found automatically."""
+    """Breasts whose boundary is found automatically."""
     removed: tuple[Literal["left", "right"], ...] = ()
-    """Breasts that have been removed: they are not searched for."""
+    """Breasts that have been surgically removed, so they are not searched for."""
     attributions: Mapping[str, Attribution] = field(default_factory=dict)
-    """Breast → who drew and who confirmed its boundary."""
+    """Breast → who drew its boundary, and who confirmed it."""
 
 
 def read_boundaries(session: Path, kind: SubjectKind, subject: str | None = None) -> DrawnBoundaries:
-    """A session's boundaries. Empty without the file. Raises as `boundaries_in`."""
+    """A session's boundaries. Empty without the file. For errors see `boundaries_in`."""
     path = session / BOUNDARIES
     return boundaries_in(path, BREASTS[kind], subject) if path.is_file() else DrawnBoundaries()
 
@@ -48,14 +48,14 @@ def read_boundaries(session: Path, kind: SubjectKind, subject: str | None = None
 def read_landmarks(session: Path, kind: SubjectKind, subject: str | None = None) -> dict[str, Float64[Array, "k 3"]]:
     """A session's landmarks → points (k, 3), mm, world frame.
 
-    Empty without the file. Raises as `landmarks_in`.
+    Empty without the file. For errors see `landmarks_in`.
     """
     path = session / LANDMARK_FILE
     return landmarks_in(path, kind, subject) if path.is_file() else {}
 
 
 def boundaries_digest(drawn: DrawnBoundaries) -> str:
-    """Digest of everything that affects a measurement: curves and methods, not confirmations."""
+    """Digest of everything that affects a measurement: curves and methods, but not confirmations."""
     parts: dict[str, object] = {name: points.tolist() for name, points in drawn.curves.items()}
     methods = {name: drawn.attributions[name].method for name in drawn.curves}
     if any(methods.values()):
@@ -68,7 +68,7 @@ def boundaries_digest(drawn: DrawnBoundaries) -> str:
 
 
 def landmarks_digest(places: Mapping[str, Float64[Array, "k 3"]]) -> str:
-    """Digest of picked landmarks."""
+    """Digest of marked landmarks."""
     return _digest({name: points.tolist() for name, points in places.items()})
 
 
@@ -80,7 +80,7 @@ def boundaries_in(path: Path, allowed: tuple[str, ...], subject: str | None = No
     """Read the boundaries of a file.
 
     Args:
-        path: of the file.
+        path: the file.
         allowed: names of breasts that the subject can have.
         subject: identifier of the subject. If the file also names one, they must be equal.
 
@@ -128,7 +128,7 @@ def landmarks_in(path: Path, kind: SubjectKind, subject: str | None = None) -> d
 
 
 def read_table(path: Path, key: str, subject: str | None = None) -> dict[str, Any]:
-    """Read a file of drawn items, and check its units, frame, subject and that entries are tables.
+    """Read a file of drawn items. Checks units, frame and subject, and that entries are tables.
 
     Raises:
         SessionError: it cannot be read, is not as documented, or is of another subject.
@@ -145,7 +145,7 @@ def read_table(path: Path, key: str, subject: str | None = None) -> dict[str, An
         )
     theirs = table.get("subject")
     if isinstance(theirs, str):
-        theirs = unicodedata.normalize("NFC", theirs)  # as in `subject_id`
+        theirs = unicodedata.normalize("NFC", theirs)  # NFC, as in `subject_id`
     if subject is not None and theirs is not None and theirs != subject:
         raise _wrong(
             path.name,
@@ -157,7 +157,7 @@ def read_table(path: Path, key: str, subject: str | None = None) -> dict[str, An
 
 
 def origin_words(entry: Mapping[str, Any]) -> str | None:
-    """Origin of an entry: "drawn by hand by A on 2026-11-22". None if unknown."""
+    """Origin of an entry, such as "drawn by hand by A on 2026-11-22". None if unknown."""
     return _chain(entry, _who)
 
 

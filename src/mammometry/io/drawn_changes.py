@@ -1,6 +1,6 @@
 """Change a subject's boundaries (boundaries.json) and landmarks (landmarks.json).
 
-Items are changed one by one. A change of an outdated version is refused, and every earlier version is kept.
+Items are changed one by one. A change based on an outdated version is refused. All earlier versions are kept.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _FILES: Mapping[Group, str] = {"boundaries": BOUNDARIES, "landmarks": LANDMARK_F
 
 
 class LateError(SessionError):
-    """Another person changed the same item after it was loaded."""
+    """Another person has changed the same item since it was loaded."""
 
     code = "changed-meanwhile"
 
@@ -88,10 +88,10 @@ def drawn_entry(
     """Make the entry of a drawn item.
 
     Args:
-        points: mm, world frame.
-        method: how it was made, such as "drawn by hand".
+        points: points, mm, world frame.
+        method: how the item was made, such as "drawn by hand".
         author: the person's name.
-        earlier: the versions it was made from, the oldest first, each with method, author and time.
+        earlier: the versions that it was made from, oldest first, each with method, author and time.
         moment: time. None: now.
     """
     when = (moment or datetime.now(UTC)).strftime("%Y-%m-%dT%H:%M:%SZ")
@@ -117,18 +117,18 @@ def drawn_entries(session: Path, kind: SubjectKind, subject: str | None = None) 
 def change_drawn(
     session: Path, kind: SubjectKind, changes: Mapping[Item, ItemChange], *, subject: str | None = None
 ) -> tuple[Path, ...]:
-    """Change items, all of them or none.
+    """Change items: either all of them or none.
 
-    The previous files are kept in ``history/``. When the first boundary is drawn, the other breast is recorded as found
-    automatically, as it was before. A file without items is removed.
+    The previous files are kept in ``history/``. When the first boundary is drawn, the other breast's is recorded as
+    found automatically, which it was until then. A file without items is removed.
 
     Returns:
-        The files that changed.
+        The files that have changed.
 
     Raises:
         LateError: an item has changed since the version that the change is based on; the change is kept in
             ``history/``.
-        SessionError: an existing file is not as documented; it is not changed.
+        SessionError: an existing file is not as documented. It remains unchanged.
         StorageError: the session cannot be written to.
     """
     moment = datetime.now(UTC)
@@ -199,7 +199,7 @@ def _keep_late(session: Path, changes: Mapping[Item, ItemChange], moment: dateti
 
 
 def _free(session: Path, stem: str, moment: datetime) -> Path:
-    """An unused name in the history, also if the clock was set back."""
+    """An unused name in the history, even if the clock was set back."""
     name = f"{stem}-{moment.strftime('%Y%m%dT%H%M%S.%f')}Z"
     path, number = session / HISTORY / f"{name}.json", 1
     while path.exists():
@@ -208,7 +208,7 @@ def _free(session: Path, stem: str, moment: datetime) -> Path:
 
 
 def _same(one: Entry | None, other: Entry | None) -> bool:
-    """Whether two entries differ in time only, as after a repeated save."""
+    """Whether two entries differ only in time, as after saving twice."""
 
     def lasting(entry: Entry | None) -> Entry | None:
         return None if entry is None else {key: value for key, value in entry.items() if key != "drawn"}
@@ -229,13 +229,13 @@ def _check(path: Path, group: Group, kind: SubjectKind, subject: str | None) -> 
 
 @contextmanager
 def _taken(session: Path) -> Iterator[None]:
-    """Hold the lock for changes, also against other processes."""
+    """Hold the lock for changes, which also excludes other processes."""
     from filelock import FileLock
 
     lock = FileLock(session / HISTORY / _LOCK, fallback_to_soft=False)
     with disk_errors(session):
         (session / HISTORY).mkdir(exist_ok=True)
-    with suppress(OSError):  # some network disks have no locks: then only this process is protected
+    with suppress(OSError):  # some network disks have no locks; then only this process is excluded
         lock.acquire()
     try:
         yield

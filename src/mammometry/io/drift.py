@@ -1,6 +1,6 @@
-"""History of a rig's checks in `checks`: one JSON object per line.
+"""History of a rig's checks: a file in `checks` with one JSON object per line.
 
-Lines are only ever added. A line that cannot be read is skipped and left unchanged.
+Lines are only added. Lines that cannot be read are skipped and left unchanged.
 """
 
 import json
@@ -35,7 +35,7 @@ class CameraDrift:
 
     moved: bool
     shift_mm: float
-    """Displacement of the perspective centre, mm. It assumes no rotation, although one may explain it too."""
+    """Displacement of the perspective centre, mm, if the camera did not rotate. A rotation may be the cause instead."""
     turn_deg: float
     shift_px: float
     sigma: float
@@ -50,7 +50,7 @@ class DriftEntry:
     image_set: str
     """Folder of its photographs."""
     calibration: str
-    """Digest of the cameras of the calibration. Entries of one calibration share it."""
+    """Digest of the calibration's cameras. Checks against the same calibration have the same."""
     verdict: str
     effect_mm: float
     """RMS displacement of measured points for the worst pair."""
@@ -65,7 +65,7 @@ class History:
     """All checks of a rig."""
 
     entries: tuple[DriftEntry, ...] = ()
-    """The oldest first."""
+    """Oldest first."""
     notices: tuple[Notice, ...] = ()
     """Lines that cannot be read."""
 
@@ -98,7 +98,7 @@ def _drift(check: CameraCheck) -> CameraDrift:
 
 
 def entry_table(entry: DriftEntry) -> dict[str, Any]:
-    """An entry as a plain table for a line of the history."""
+    """An entry as a plain table, for a line of the history."""
     cameras = {
         name: {
             "moved": camera.moved,
@@ -123,7 +123,7 @@ def entry_table(entry: DriftEntry) -> dict[str, Any]:
 
 
 def read_history(session: Path) -> History:
-    """Read all checks of a session's rig, the oldest first. None without a history.
+    """Read all checks of a session's rig, oldest first. Empty if there is no history.
 
     Raises:
         StorageError: the disk reports an error.
@@ -148,7 +148,7 @@ def read_history(session: Path) -> History:
 def append_history(session: Path, entry: DriftEntry) -> None:
     """Append a check to the history.
 
-    Returns when it is on the disk. Simultaneous checks wait for each other.
+    Returns when it is on the disk. Concurrent checks wait for each other.
 
     Raises:
         StorageError: the disk is full or reports an error.
@@ -160,7 +160,7 @@ def append_history(session: Path, entry: DriftEntry) -> None:
         with FileLock(folder / _LOCK), (folder / HISTORY).open("a+b") as file:
             if file.seek(0, os.SEEK_END):
                 file.seek(-1, os.SEEK_END)
-                if file.read(1) != b"\n":  # cut by a power failure: begin a new line
+                if file.read(1) != b"\n":  # truncated by a power failure: start a new line
                     line = b"\n" + line
             file.write(line)
             file.flush()
@@ -172,7 +172,7 @@ def _entry(table: dict[str, Any]) -> DriftEntry:
     if table["format"] != _FORMAT:
         raise ValueError(f"format {table['format']}, not {_FORMAT}")
     effect_mm = float(table["effect_mm"])
-    if not math.isfinite(effect_mm):  # it could not be drawn
+    if not math.isfinite(effect_mm):  # it cannot be drawn
         raise ValueError(f"effect_mm {effect_mm}")
     return DriftEntry(
         when=str(table["when"]),

@@ -1,4 +1,4 @@
-"""Mappings whose values are made on look-up, and digests of files."""
+"""Mappings whose values are computed on look-up, and digests of files."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from mammometry.base.errors import ImageError
 
 K = TypeVar("K")
 V = TypeVar("V")
-_ROOM_BYTES = 512 << 20  # fourteen photographs of 12 megapixels; surfaces of such rigs take several times as much
+# room for fourteen photographs of 12 megapixels; surfaces of such rigs take several times as much
+_ROOM_BYTES = 512 << 20
 
 
 class LazyMapping(Mapping[K, V], Generic[K, V]):
-    """A mapping that makes its values at every look-up: photographs are too large to keep."""
+    """A mapping that computes its values at every look-up, because photographs are too large to keep."""
 
     def __init__(self, sources: Mapping[K, object], make: Callable[..., V]) -> None:
         self._sources = dict(sources)
@@ -39,7 +40,7 @@ class LazyMapping(Mapping[K, V], Generic[K, V]):
 
 
 class SharedMapping(LazyMapping[K, V]):
-    """A mapping that makes values at every look-up, but each once within `shared`."""
+    """A mapping that computes values at every look-up, but only once within `shared`."""
 
     def __init__(self, sources: Mapping[K, object], make: Callable[..., V], *, bytes_of: Callable[[V], int]) -> None:
         super().__init__(sources, make)
@@ -49,7 +50,7 @@ class SharedMapping(LazyMapping[K, V]):
         self._left = 0
 
     def __getitem__(self, key: K) -> V:
-        with self._locks[key]:  # two that need it at once wait for one making of it
+        with self._locks[key]:  # if two threads need a value at the same time, one waits for the other's
             if key in self._values:
                 return self._values[key]
             value = super().__getitem__(key)
@@ -61,7 +62,7 @@ class SharedMapping(LazyMapping[K, V]):
 
     @contextmanager
     def kept(self) -> Iterator[None]:
-        """Keep what is made within the block, as far as it has room in memory."""
+        """Keep values that are computed within the block, as far as memory allows."""
         self._left = _ROOM_BYTES
         try:
             yield
@@ -71,12 +72,12 @@ class SharedMapping(LazyMapping[K, V]):
 
 
 def shared(values: Mapping[Any, Any]) -> AbstractContextManager[None]:
-    """Keep values that are made when they are looked up within a block, if they can be kept."""
+    """Keep values that are computed by look-ups within a block, if the mapping supports it."""
     return values.kept() if isinstance(values, SharedMapping) else nullcontext()
 
 
 class KeptMapping(LazyMapping[K, V]):
-    """A mapping that makes each value at its first look-up and keeps it."""
+    """A mapping that computes each value at its first look-up and keeps it."""
 
     def __init__(self, sources: Mapping[K, object], make: Callable[..., V]) -> None:
         super().__init__(sources, make)
@@ -94,7 +95,7 @@ def digest_of(value: object) -> str:
 
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of a file's content, remembered while its times, size and inode are unchanged.
+    """SHA-256 of a file's content. Cached as long as its times, size and inode are unchanged.
 
     Raises:
         ImageError: the file cannot be read.

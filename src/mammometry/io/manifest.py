@@ -1,4 +1,4 @@
-"""session.toml: the description of a session, read strictly."""
+"""session.toml: the description of a session, validated strictly."""
 
 from __future__ import annotations
 

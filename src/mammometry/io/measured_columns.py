@@ -23,7 +23,7 @@ class _Unit:
     shown: str
     """Spelling in the report."""
     most: float = np.inf
-    """Largest value for a breast or trunk. A column beyond it means something else: ``water_l`` is the left side."""
+    """Largest value for a breast or trunk. Above it, the unit is something else: ``water_l`` may be the left side."""
 
 
 _LENGTH, _AREA, _VOLUME, _MASS = "length", "area", "volume", "mass"
@@ -56,11 +56,11 @@ class MeasuredColumn:
     title: str
     """Name without the unit, for reports."""
     unit: str
-    """Unit in reports. Empty: the name states no known unit."""
+    """Unit in reports. Empty: the name does not contain a known unit."""
 
 
 def same_unit(reference: str, measured: str) -> bool:
-    """Whether two columns' names end with the same unit, or one of them with none."""
+    """Whether the names of two columns end with the same unit, or one of them has no unit."""
     units = [_unit_of(name)[1] for name in (reference, measured)]
     return units[0] is units[1] or None in units
 
@@ -69,8 +69,8 @@ def measured_column(name: str, values: Float64[Array, " n"]) -> MeasuredColumn:
     """Split a column's name into title and unit: ``water_cc``, ``tape (cm)``, ``3D [mL]``.
 
     Args:
-        name: of the column.
-        values: its numbers, which distinguish litres from the left side, and metres from other words.
+        name: name of the column.
+        values: its numbers. They distinguish litres from the left side, and metres from other words.
     """
     title, unit = _unit_of(name)
     if unit is None or float(np.median(np.abs(values))) > unit.most:
@@ -90,7 +90,7 @@ def _unit_of(name: str) -> tuple[str, _Unit | None]:
 def common_unit(
     table: CsvTable, reference: MeasuredColumn, measured: MeasuredColumn
 ) -> tuple[str, Float64[Array, " 2"]]:
-    """Common unit of two columns and the factors to it. A column without a unit has the other's.
+    """Common unit of two columns, and the factors to it. A column without a unit has that of the other.
 
     Raises:
         TableError: the units are of different kinds, such as cm and cc.

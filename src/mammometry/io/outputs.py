@@ -1,8 +1,8 @@
-"""Write results to places of the user's choice without replacing anybody else's files.
+"""Write results to folders of the user's choice without replacing other people's files.
 
-Each folder that a command writes to has a record ``.mammometry.json``: for each file the command and the SHA-256 of its
-content. A later run of the same command may replace files that still have this content. Any other existing file is
-refused, if possible before anything is computed. Files with other names are never touched.
+Each folder that a command writes to contains a record ``.mammometry.json`` with the command and the SHA-256 of each
+file. A later run of the same command may replace files that still have this content. Any other existing file is
+refused, if possible before anything is computed. Files with other names are never changed.
 """
 
 import hashlib
@@ -27,7 +27,7 @@ class Written:
 
     command: str
     sha256: tuple[str, ...]
-    """Digests of what was written, newest last, and of what it replaced if writing was interrupted."""
+    """Digests of what was written, newest last. If writing was interrupted, also of what was being replaced."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,12 +35,12 @@ class _Record:
     """Content of a folder's record."""
 
     command: str | None = None
-    """Command that made the whole folder and keeps its own records in it. None for any other folder."""
+    """Command that made the whole folder and keeps its own records there. None for other folders."""
     files: Mapping[str, Written] = field(default_factory=dict)
 
 
 def require_apart(out: Path, inputs: Iterable[Path | None]) -> None:
-    """Refuse an output that is, contains or is inside an input.
+    """Refuse an output that is an input, contains one, or is inside one.
 
     Args:
         out: file or folder to write.
@@ -68,9 +68,9 @@ def require_free(folder: Path, names: Iterable[str], *, command: str) -> None:
     """Refuse existing files, except unchanged output of the same command.
 
     Args:
-        folder: to write into; it need not exist.
-        names: of all files that may be written.
-        command: that writes them, such as "study agreement".
+        folder: folder to write into, which need not exist.
+        names: names of all files that may be written.
+        command: command that writes them, such as "study agreement".
 
     Raises:
         StorageError: names the first existing file, or the folder's record if it cannot be read.
@@ -86,17 +86,17 @@ def require_free(folder: Path, names: Iterable[str], *, command: str) -> None:
 
 
 def write_output(path: Path, data: bytes, *, command: str) -> None:
-    """Write a single file as `write_outputs` does. Other files of the same command stay."""
+    """Write a single file in the same way as `write_outputs`. Other files of the same command remain."""
     _write(path.parent, {path.name: data}, command=command, remove_former=False)
 
 
 def write_outputs(folder: Path, files: Mapping[str, bytes], *, command: str) -> None:
-    """Write small files into a folder and replace those that the same command wrote before.
+    """Write small files into a folder, and replace those that the same command wrote before.
 
     Args:
-        folder: made if it does not exist.
+        folder: it is created if it does not exist.
         files: name → content.
-        command: that writes them. Unchanged files of its earlier run that are not written now are removed.
+        command: command that writes them. Unchanged files from its earlier run that are not written now are removed.
 
     Raises:
         StorageError: another file of this name exists, the disk is full or reports an error.
@@ -120,7 +120,7 @@ def _write(folder: Path, files: Mapping[str, bytes], *, command: str, remove_for
             name: Written(command=command, sha256=(*present[name], hashlib.sha256(data).hexdigest()))
             for name, data in files.items()
         }
-        require_free(folder, files, command=command)  # checked again: files may have changed
+        require_free(folder, files, command=command)  # checked again, because files may have changed
         # The record is written first, so that the next run recognises the files of an interrupted one.
         _record(folder, _Record(command=record.command, files=written))
         for name, path in fresh.items():
@@ -134,7 +134,7 @@ def _write(folder: Path, files: Mapping[str, bytes], *, command: str, remove_for
 
 
 def require_own_folder(folder: Path, *, command: str) -> None:
-    """Refuse a folder unless it is new, empty or made by this command.
+    """Refuse a folder unless it is new, empty, or was made by this command.
 
     Raises:
         StorageError: names the folder.
@@ -148,7 +148,7 @@ def require_own_folder(folder: Path, *, command: str) -> None:
 
 
 def take_folder(folder: Path, *, command: str) -> None:
-    """Make a folder for one command's output, or resume its earlier one.
+    """Create a folder for one command's output, or continue its earlier one.
 
     Raises:
         StorageError: it contains something else, the disk is full or reports an error.
@@ -162,7 +162,7 @@ def take_folder(folder: Path, *, command: str) -> None:
 
 
 def written_in(folder: Path) -> Mapping[str, Written]:
-    """Files in a folder that a command wrote, by name, from the folder's record. Some may be missing.
+    """Files that a command wrote into a folder, by name, from the folder's record. Some may be missing.
 
     Raises:
         StorageError: the record was changed.
@@ -170,11 +170,11 @@ def written_in(folder: Path) -> Mapping[str, Written]:
     return _read(folder).files
 
 
-# --- what is ours ---
+# --- files that we may replace ---
 
 
 def _in_the_way(path: Path, written: Written | None, command: str) -> str | None:
-    """Reason not to replace a file. None if it is missing or ours."""
+    """Reason for not replacing a file. None if it is missing or may be replaced."""
     if path.name == RECORD:
         return "the record of what is written here"
     if not os.path.lexists(path):
@@ -205,7 +205,7 @@ def _require_folder(folder: Path) -> None:
 
 
 def _same(one: Path, other: Path) -> bool:
-    """Whether two paths are the same file, despite links, capitals or relative parts."""
+    """Whether two paths are the same file, apart from links, case or relative parts."""
     try:
         return one.samefile(other)
     except OSError:

@@ -20,16 +20,17 @@ from mammometry.io.subject_columns import SubjectRows, subject_rows
 if TYPE_CHECKING:
     from mammometry.study.agreement import PairedMeasurements, PublishedFigure
 
-_ALIKE = 3.0  # largest ratio of two methods' values of one subject when a mark is ambiguous
-_SCALES = 5.0  # a larger typical ratio means different quantities or units
-_CHANGES = ("change", "difference", "diff", "delta", "gain", "loss")  # names of columns that may be negative
+_ALIKE = 3.0  # largest ratio of two methods' values for one subject, if a mark is ambiguous
+_SCALES = 5.0  # typical ratio above which quantities or units differ
+# words in the names of columns that may contain negative values
+_CHANGES = ("change", "difference", "diff", "delta", "gain", "loss")
 
 
 def read_pairs(path: Path, *, reference: str, measured: str) -> PairedMeasurements:
     """Read a CSV with one pair of measurements per row.
 
-    Number formats are those of `csv_tables`. Columns with different units of one kind are converted to the smaller
-    unit.
+    Number formats are those of `csv_tables`. If the columns have different units of the same kind, both are converted
+    to the smaller unit.
 
     Args:
         path: the table, UTF-8.
@@ -37,9 +38,9 @@ def read_pairs(path: Path, *, reference: str, measured: str) -> PairedMeasuremen
         measured: column of the method under test.
 
     Raises:
-        TableError: it cannot be read, a column is missing, both columns are the same, or their units are of different
-            kinds; a value (named by row and column) is missing, invalid, ambiguous, or a code for a missing value; a
-            row is a summary or repeats another; there are fewer than three subjects.
+        TableError: the table cannot be read, a column is missing, both columns are the same, or their units are of
+        different kinds; a value (named by row and column) is missing, invalid, ambiguous, or a code for a missing
+        value; a row is a summary or repeats another; or there are fewer than three subjects.
     """
     from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements
 
@@ -76,7 +77,7 @@ def read_pairs(path: Path, *, reference: str, measured: str) -> PairedMeasuremen
 def _require_marks(
     table: CsvTable, names: tuple[str, str], pairs: Float64[Array, "n 2"], factors: Float64[Array, " 2"]
 ) -> None:
-    """Refuse ``1.422`` next to 1434: other cells show a decimal mark, but the other method suggests 1422."""
+    """Refuse ``1.422`` next to 1434: other cells prove the decimal mark, the other method suggests 1422."""
     for column, name in enumerate(names):
         for row, cell in enumerate(table.texts(name)):
             other = abs(pairs[row, 1 - column]) * factors[1 - column] / factors[column]
@@ -99,7 +100,7 @@ def _times(one: float, other: float) -> float:
 
 
 def _require_values(table: CsvTable, columns: tuple[MeasuredColumn, ...], pairs: Float64[Array, "n 2"]) -> None:
-    """Refuse negative values, unless the column is a change, and negative codes for missing values."""
+    """Refuse negative values, except in columns of changes, and negative codes for missing values."""
     for row, place in np.argwhere(pairs < 0):
         column, value = columns[place], pairs[row, place]
         changes = any(word in column.name.casefold() for word in _CHANGES)
@@ -116,7 +117,7 @@ def _require_values(table: CsvTable, columns: tuple[MeasuredColumn, ...], pairs:
 
 
 def _is_code(value: float) -> bool:
-    """Whether a value consists of nines, a code for missing values in statistics programs: 999, −9."""
+    """Whether a value consists of nines, which statistics programs use for missing values: 999, −9."""
     digits = f"{abs(value):.15g}"
     return set(digits) == {"9"} and (value < 0 or len(digits) > 2)
 
@@ -131,7 +132,7 @@ def _require_two_methods(table: CsvTable, columns: tuple[MeasuredColumn, ...], p
 
 
 def _codes(columns: tuple[MeasuredColumn, ...], pairs: Float64[Array, "n 2"], who: SubjectRows) -> list[Notice]:
-    """Warnings of values that may stand for a missing one, as the table has them."""
+    """Warnings about values that may be codes for missing ones."""
     found = []
     for column, values in zip(columns, pairs.T, strict=True):
         suspects = [row for row, value in enumerate(values) if value == 0 or _is_code(value)]

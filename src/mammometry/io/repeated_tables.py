@@ -28,14 +28,14 @@ _COLUMNS: Mapping[str, Sequence[str]] = MappingProxyType(
         "folder": ("folder", "session", "path", "results"),
     }
 )
-"""Role → names of its column, the surest first."""
+"""Role → names of its column, most certain first."""
 _CONDITIONS = ("posture", "breath", "arms", "stand", "seat")
 _LENGTH = "_mm"
 _CC_PER = MappingProxyType({"": 1.0, "cc": 1.0, "ml": 1.0, "dl": 100.0, "l": 1000.0, "mm3": 0.001})
 """Unit → cc."""
 _BOTH = ("left_cc", "right_cc")
 VOLUME = "volume_cc"
-"""Column of volumes, where the user names none."""
+"""Column of volumes, unless the user names one."""
 _EXPECTED = "a CSV table, one row per capture"
 
 
@@ -58,16 +58,16 @@ def read_repeated(path: Path, measured: str | None = None) -> tuple[Reading, ...
     """Read a table of repeated captures.
 
     The columns are found by their names: woman (patient, subject, …), side, device, rater (operator, …), day, capture,
-    reader, reading. Without a column of captures the rows of one woman, side, device, rater, day and reader are
-    counted. Volumes are in ``volume_cc``, in ``left_cc`` and ``right_cc``, or in the column that is given; or a column
-    ``folder`` names folders of results, below the table's own.
+    reader, reading. Without a column of captures, the rows with the same woman, side, device, rater, day and reader are
+    numbered. Volumes are in ``volume_cc``, in ``left_cc`` and ``right_cc``, or in the given column. Instead, a column
+    ``folder`` may name folders of results, relative to the table's folder.
 
     Args:
         path: the table.
-        measured: column of the volumes. None: see above.
+        measured: column of the volumes. None: found by its name.
 
     Raises:
-        TableError: it cannot be read, a column is missing, or a cell is empty or no positive volume.
+        TableError: the table cannot be read, a column is missing, or a cell is empty or not a positive volume.
     """
     table = read_table(path, str(path), _EXPECTED, refusal=TableError)
     roles = {role: column_named(table, names, measured) for role, names in _COLUMNS.items()}
@@ -126,7 +126,7 @@ def _conditions(table: CsvTable, used: Sequence[str | None]) -> list[tuple[tuple
 
 
 def _captures(texts: Mapping[str, Sequence[str]], sides: Sequence[str]) -> list[str]:
-    """The column of captures, or numbers in the order of the rows."""
+    """The column of captures. Without one, numbers in the order of the rows."""
     if any(texts["capture"]):
         return list(texts["capture"])
     counted: dict[tuple[str, ...], int] = {}

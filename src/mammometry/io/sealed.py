@@ -1,4 +1,4 @@
-"""JSON records that contain their own digest, so that every change is found."""
+"""JSON records that contain their own digest, so that every change is detected."""
 
 import hashlib
 import json
@@ -16,20 +16,20 @@ def sealed(table: Mapping[str, Any]) -> bytes:
     """Write a table as UTF-8 JSON that ends with its own digest.
 
     Args:
-        table: JSON-ready, not empty, without a member ``digest``.
+        table: data for JSON, not empty, without a member ``digest``.
     """
     content = json.dumps(table, indent=1).removesuffix("\n}").encode()
     return content + f',\n "{DIGEST}": "{hashlib.sha256(content).hexdigest()}"\n}}\n'.encode()
 
 
 def unsealed(data: bytes) -> tuple[dict[str, Any], bool]:
-    """Read a table, and whether a digest confirms it. Versions up to 1.0.0 wrote none.
+    """Read a table, and whether a digest confirms it. Versions up to 1.0.0 did not write one.
 
     Args:
         data: content of the file.
 
     Raises:
-        ValueError: not a JSON object, or changed since it was written.
+        ValueError: it is not a JSON object, or was changed after it was written.
     """
     match = _SEALED.fullmatch(data)
     if match is not None and hashlib.sha256(match[1]).hexdigest().encode() == match[2]:
@@ -39,7 +39,7 @@ def unsealed(data: bytes) -> tuple[dict[str, Any], bool]:
     if not isinstance(read, dict):
         raise ValueError("not a JSON object")
     last = next(reversed(read.values()), None)
-    # The changed byte may be in the name of the digest itself. Tables of earlier versions do not end with a digest.
+    # The change may be in the name of the digest itself. Tables of earlier versions do not end with a digest.
     if DIGEST in read or (isinstance(last, str) and _HEX.fullmatch(last)):
         raise ValueError("it was changed since it was written (its digest differs)")
     return read, False

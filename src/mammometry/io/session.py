@@ -1,4 +1,4 @@
-"""The session folder: photographs and manifest as input, results next to them.
+"""The session folder: photographs and manifest as input, with the results next to them.
 
 ::
 
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from mammometry.base.photograph import MeasuredPoints
     from mammometry.calibration.adjust.projection import CameraPrior
 
-_MIN_POSES = 3  # of a board: fewer do not determine a camera's lens (Zhang 2000)
+_MIN_POSES = 3  # fewest poses of a board: fewer do not determine a camera's lens (Zhang 2000)
 _BROUGHT = (
     MANIFEST,
     *("calibration", "capture", "intrinsics", "cameras.json", "prior.json"),
@@ -78,8 +78,8 @@ class Session:
         """Open a session folder.
 
         Raises:
-            SessionError: no folder, no manifest, an invalid manifest, or drawings or results of a subject that is not
-                the manifest's.
+            SessionError: there is no folder or no manifest, the manifest is invalid, or drawings or results are of
+            another subject than the manifest's.
         """
         folder = Path(path)
         manifest = read_manifest(folder / MANIFEST)
@@ -98,7 +98,7 @@ class Session:
 
     @property
     def brought(self) -> tuple[Path, ...]:
-        """Files and folders of the user, which no command may write to."""
+        """The user's files and folders, which no command may change."""
         return tuple(self.path / name for name in _BROUGHT)
 
     @property
@@ -112,15 +112,15 @@ class Session:
         return tuple(dict.fromkeys(camera for pair in self.pair_names.values() for camera in pair))
 
     def measured_points(self) -> dict[tuple[str, str], MeasuredPoints]:
-        """(pose, camera) → table of target points for that calibration photograph.
+        """(pose, camera) → table of the target's points in that calibration photograph.
 
         Raises:
-            SessionError: a table with other columns than ``id,u,v``.
+            SessionError: a table has other columns than ``id,u,v``.
         """
         return {shot: _read_points(path, self._name(path)) for shot, path in self._points_files().items()}
 
     def image_set_files(self, folder: Path) -> dict[tuple[str, str], Path]:
-        """(exposure, camera) → file of a later photograph of the target, as in `image_set`."""
+        """(exposure, camera) → file of a later photograph of the target, as for `image_set`."""
         exposures = [folder] if self._images(folder) else _folders(folder)
         return {
             (exposure.name, camera): path for exposure in exposures for camera, path in self._images(exposure).items()
@@ -139,7 +139,7 @@ class Session:
             folder: ``<camera>.<ext>`` of one exposure, or one such folder per exposure.
 
         Raises:
-            SessionError: no such folder, an empty one, or a photograph of a camera that is in no pair.
+            SessionError: there is no such folder, it is empty, or a photograph is from a camera that is in no pair.
         """
         files = self.image_set_files(folder)
         if not files:
@@ -161,10 +161,10 @@ class Session:
         return LazyMapping(files, lambda shot, path: read_photograph(path, str(path), self.limits)), points
 
     def require(self, stage: Stage) -> None:
-        """Require all files for a stage and the earlier ones, calibration before capture.
+        """Require all files for a stage and for the earlier ones; calibration is checked before capture.
 
         Raises:
-            SessionError: too few calibration poses, or a camera without a photograph.
+            SessionError: there are too few calibration poses, or a camera has no photograph.
         """
         if self._ready_cameras() is None:
             self._require_calibration(self._calibration_files())
@@ -173,13 +173,13 @@ class Session:
             self._require_each_own({("", camera): path for camera, path in self._capture_files().items()})
 
     def inputs(self) -> Inputs:
-        """Everything in the session folder, checked as far as headers allow.
+        """All inputs in the session folder, checked as far as their headers allow.
 
-        Pixels are read on look-up. Missing files are an error only in `require`.
+        Pixels are read on look-up. Missing files are reported only by `require`.
 
         Raises:
-            SessionError: a duplicate photograph, an unknown camera, a malformed manifest or file.
-            ImageError: an unreadable photograph, or one whose size differs from the camera's others.
+            SessionError: a photograph is duplicated, a camera is unknown, or the manifest or another file is malformed.
+            ImageError: a photograph is unreadable, or its size differs from that of its camera's others.
         """
         from mammometry.calibration.targets.table import target_from_table
 
@@ -218,7 +218,7 @@ class Session:
         digests = KeptMapping(made, lambda name, digest: digest())
 
         def photograph(name: str, path: Path) -> Photograph:
-            """Read the file only if it is still the one whose digest is in the product's key."""
+            """Read the file, if it is still the one whose digest is in the product's key."""
             digest = digests.get(name)
             return read_photograph(path, self._name(path), self.limits, digest=None if digest == MISSING else digest)
 
@@ -277,7 +277,7 @@ class Session:
     # --- files ---
 
     def files(self) -> dict[str, Path]:
-        """Photographs, masks and tables by their names in `Inputs.digests`, of those that exist."""
+        """All existing photographs, masks and tables, by their names in `Inputs.digests`."""
         capture = self._all_capture_files()
         files = {f"capture/{camera}": path for camera, path in capture.items() if path.exists()}
         files |= {f"calibration/{pose}/{camera}": path for (pose, camera), path in self._calibration_files().items()}
@@ -294,7 +294,7 @@ class Session:
         return path.relative_to(self.path).as_posix() if path.is_relative_to(self.path) else str(path)
 
     def _images(self, folder: Path) -> dict[str, Path]:
-        """Stem → image file, by name. Other files are ignored."""
+        """Stem → image file, sorted by name. Other files are ignored."""
         files: dict[str, Path] = {}
         for path in visible(folder):
             if path.suffix.lower() not in EXTENSIONS or not path.is_file():
@@ -310,7 +310,7 @@ class Session:
         return files
 
     def _require_read(self, folder: Path, files: Mapping[str, Path]) -> None:
-        """Refuse a camera's image in a format that is not read, if it has no other."""
+        """Refuse a camera's image in an unsupported format, if there is no other image of the camera."""
         for path in visible(folder):
             if path.suffix.lower() in UNREAD_ENDINGS and path.stem in self.cameras and path.stem not in files:
                 raise SessionError(
@@ -321,7 +321,7 @@ class Session:
                 )
 
     def _require_each_own(self, files: Mapping[tuple[str, str], Path]) -> None:
-        """Refuse one file as the photograph of two cameras. (pose, camera) → file."""
+        """Refuse the same file as the photograph of two cameras. (pose, camera) → file."""
         first: dict[str, tuple[str, str]] = {}
         for shot, path in files.items():
             other = first.setdefault(file_digest(path), shot)
@@ -349,7 +349,7 @@ class Session:
         return {name: files[name] for name in (*self.cameras, *others)}
 
     def _all_capture_files(self) -> dict[str, Path]:
-        """Capture files of the pairs' cameras, whether they exist or not."""
+        """Capture files of all cameras of the pairs, whether they exist or not."""
         files = self._images(self.path / "capture")
         return {camera: files.get(camera, self.path / "capture" / camera) for camera in (*self.cameras, *files)}
 

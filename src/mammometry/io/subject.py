@@ -1,4 +1,4 @@
-"""Check that all files of a session or mesh are of one subject. Correct a wrong subject."""
+"""Check that all files of a session or mesh are of the same subject, and correct a wrong subject."""
 
 import datetime
 import json
@@ -24,12 +24,12 @@ _DATE = re.compile(r"(?m)^date = \d{4}-\d{2}-\d{2}\n")
 
 
 def check_session(session: Path, subject: str | None) -> None:
-    """Refuse drawings or results of another subject than session.toml names.
+    """Refuse drawings or results of another subject than the one in session.toml.
 
     Cameras and priors belong to the rig and are not checked.
 
     Raises:
-        SessionError: two different identifiers; names both files.
+        SessionError: two identifiers differ. It names both files.
     """
     files = [*(session / name for name in _DRAWN), *_history(session)]
     sources = [*_drawn(files), *_in_results(session / "results")]
@@ -45,7 +45,7 @@ def check_mesh(mesh: Path, files: Iterable[Path | None], folder: Path, subject: 
     """Refuse a mesh, drawings or earlier results of another subject than `subject`.
 
     Raises:
-        SessionError: two different identifiers; names both files.
+        SessionError: two identifiers differ. It names both files.
     """
     sources = [(mesh, subject_of_mesh(mesh)), *_drawn(filter(None, files)), *_in_results(folder)]
     one_subject(
@@ -55,12 +55,12 @@ def check_mesh(mesh: Path, files: Iterable[Path | None], folder: Path, subject: 
 
 
 def rename_subject(folder: Path, subject: str, taken: datetime.date) -> bool:
-    """Change a session's or scan's subject and date, and remove results of the former subject.
+    """Change subject and date of a session or scan, and remove results of the former subject.
 
-    Photographs, mesh and drawn points are unchanged, so the same numbers are measured again.
+    Photographs, mesh and drawn points remain unchanged, so the same numbers will be measured again.
 
     Args:
-        folder: a session made by `capture.sessions`, or a scan. Nothing happens if it is neither.
+        folder: a session made by `capture.sessions`, or a scan. Other folders are not changed.
         subject: the right identifier.
         taken: date of the photographs.
 
@@ -83,7 +83,7 @@ def rename_subject(folder: Path, subject: str, taken: datetime.date) -> bool:
             named = _IN_MANIFEST.sub(rf'\g<1>id = "{subject}"\n', dated, count=1)
         if named == text:
             return False
-        # Results are removed first: after a power failure none may show the former subject.
+        # Results are removed first, so that none shows the former subject after a power failure.
         gone = folder / "results" if named != dated else folder / "results" / "report"
         if gone.exists():
             shutil.rmtree(gone)
@@ -100,12 +100,12 @@ def _history(session: Path) -> list[Path]:
 
 
 def _drawn(files: Iterable[Path]) -> Iterator[tuple[Path, str | None]]:
-    """Each drawn file with its subject. Only the subject is checked here."""
+    """Each drawn file with its subject. Other content is not checked here."""
     return ((path, _subject(_table(path))) for path in files)
 
 
 def _in_results(folder: Path) -> Iterator[tuple[Path, str]]:
-    """Each record file of a results folder, with its products' subjects."""
+    """Each record in a results folder, with the subject of its products."""
     for path in sorted(folder.glob("*/provenance.json")):
         products = _table(path).get("products")
         records = products.values() if isinstance(products, dict) else ()

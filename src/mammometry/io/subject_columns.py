@@ -1,4 +1,4 @@
-"""Subjects and sides of a table's rows, summary rows are refused."""
+"""Subjects and sides of a table's rows. Summary rows are refused."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.csv_tables import CsvTable
 
 SUBJECTS = ("patient", "subject", "woman", "participant", "person", "pseudonym", "case", "id", "name", "model")
-"""Names of the column of subjects, the surest first."""
+"""Names of the column of subjects, most certain first."""
 SIDES = ("side", "breast", "laterality", "seite")
 """Names of the column of sides."""
 SIDE_WORDS = {
     "left": "left", "l": "left", "li": "left", "links": "left", "gauche": "left", "izquierda": "left",
     "right": "right", "r": "right", "re": "right", "rechts": "right", "droite": "right", "derecha": "right",
 }  # fmt: skip
-"""Word for a side, folded → ``left`` or ``right``."""
+"""Word for a side, normalised → ``left`` or ``right``."""
 _SIDE_ENDING = re.compile(r"(?P<who>.+?)(?:[\s_,.;:/-]+\(?(?P<word>[^\W\d_]+)\)?|(?<=\d)(?P<letter>[lr]))")
 _SUMMARIES = frozenset(
     ("mean", "average", "avg", "median", "sd", "std", "stddev", "stdev", "standarddeviation", "sem", "variance",
@@ -34,31 +34,31 @@ _SUMMARIES = frozenset(
 )  # fmt: skip
 """Names of summary rows."""
 _FIRST_WORDS = frozenset(("mean", "average", "median", "sd", "mittelwert", "moyenne", "promedio"))
-"""Those that no patient's name begins with."""
+"""Those that cannot be the beginning of a patient's name."""
 _LEAST_ROWS = 3  # fewest rows above a row that may be their mean
 _ROUNDING = 5e-6  # relative rounding of numbers with six digits, as written by %g
 _MOST_DECIMALS = 9  # most decimals of a printed number
-_TELLING = 20.0  # a value of this many rounding steps equals the mean by chance in less than 1 of 400 rows
-_LAST_ROWS = 6  # rows at a table's end that may be summaries: mean, SD, median, minimum, maximum, count
+_TELLING = 20.0  # a value of this many rounding steps equals the mean by chance in fewer than 1 of 400 rows
+_LAST_ROWS = 6  # last rows of a table that may be summaries: mean, SD, median, minimum, maximum, count
 
 
 def column_named(table: CsvTable, names: Sequence[str], without: str | None = None) -> str | None:
-    """First column of a table with one of these names, in the order of the names. None: no such column.
+    """First column of a table with one of these names, in the order of the names. None if there is none.
 
     Args:
         table: the table.
-        names: names of columns, folded.
-        without: a column to be ignored.
+        names: names of columns, normalised.
+        without: a column to ignore.
     """
     known = {folded(name): name for name in reversed(table.columns) if name and name != without}
     return next((known[name] for name in names if name in known), None)
 
 
 def side_in(table: CsvTable, row: int, word: str) -> str:
-    """Side of a row: ``left``, ``right``, or empty for an empty cell.
+    """Side of a row: ``left``, ``right``, or empty if the cell is empty.
 
     Raises:
-        TableError: the cell has another word.
+        TableError: the cell contains another word.
     """
     if word and folded(word) not in SIDE_WORDS:
         raise TableError(
@@ -70,10 +70,10 @@ def side_in(table: CsvTable, row: int, word: str) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SubjectRows:
-    """One entry per row."""
+    """Subjects of a table, one entry per row."""
 
     names: tuple[str, ...]
-    """Name of the row: the subject, and the side if a column gives it."""
+    """Name of the row: the subject, and the side if there is a column for it."""
     subjects: tuple[str, ...]
     """Subject of the row. Case and the encoding of accented letters are ignored."""
 
@@ -81,14 +81,14 @@ class SubjectRows:
 def subject_rows(table: CsvTable, measured: tuple[str, str], pairs: Float64[Array, "n 2"]) -> SubjectRows:
     """Find the subject of each row.
 
-    A column named patient, subject, id or similar contains the subjects, or else the first column if it is not
-    measured.
-    Otherwise each row is another subject. Names that differ only by a side (``P7 left``, ``P7 right``) are one subject.
+    The subjects are in a column named patient, subject, id or similar, or else in the first column if it is not
+    measured. Otherwise each row is a different subject. Names that differ only by a side (``P7 left``, ``P7 right``)
+    are one subject.
 
     Args:
-        table: every row, with the header.
-        measured: names of both columns of measurements.
-        pairs: their numbers.
+        table: the whole table.
+        measured: names of the two columns of measurements.
+        pairs: the measurements.
 
     Raises:
         TableError: a row has no subject, is a summary, or repeats another row.
@@ -118,7 +118,7 @@ def _subject_column(table: CsvTable, measured: tuple[str, str]) -> str | None:
 
 
 def _without_sides(names: list[str]) -> list[str]:
-    """Names without their side, if both sides of a subject exist."""
+    """Names without their side, if there are both sides of a subject."""
     parts: list[tuple[str, str]] = []
     for name in names:
         match = _SIDE_ENDING.fullmatch(name)
@@ -132,9 +132,9 @@ def _without_sides(names: list[str]) -> list[str]:
 
 
 def _require_subject(table: CsvTable, row: int, names: tuple[str, ...] | None, pairs: Float64[Array, "n 2"]) -> None:
-    """Refuse a row without a subject, and a summary row, by its name or its numbers.
+    """Refuse a row without a subject, or a summary row, which is recognised by its name or its numbers.
 
-    A row with a name like the first one's, ``P-07`` and ``P-01``, is a subject whatever its numbers.
+    A row whose name has the form of the first one's (``P-07`` and ``P-01``) is a subject, whatever its numbers.
     """
     where = f"{table.name}, row {table.lines[row]}"
     name = "" if names is None else names[row]
@@ -152,12 +152,12 @@ def _require_subject(table: CsvTable, row: int, names: tuple[str, ...] | None, p
 
 
 def _shape(name: str) -> str:
-    """``P-07`` → ``a-9``."""
+    """Form of a name: ``P-07`` → ``a-9``."""
     return re.sub(r"\d+", "9", re.sub(r"[^\W\d_]+", "a", name))
 
 
 def _computed(above: Float64[Array, "m 2"], values: Float64[Array, " 2"]) -> str:
-    """Statistic of the rows above that a row's numbers are. Empty: none that is common in tables."""
+    """Statistic of the rows above that a row's numbers equal. Empty if it is none of the usual ones."""
     kinds = {"mean": above.mean(axis=0), "standard deviation": above.std(axis=0, ddof=1), "sum": above.sum(axis=0)}
     return next((kind for kind, computed in kinds.items() if _rounds_to(computed, values)), "")
 
@@ -165,7 +165,7 @@ def _computed(above: Float64[Array, "m 2"], values: Float64[Array, " 2"]) -> str
 def _rounds_to(computed: Float64[Array, " 2"], values: Float64[Array, " 2"]) -> bool:
     """Whether both values equal the computed ones after rounding. Small whole numbers may do so by chance.
 
-    The computed values are from rounded numbers, while the table's summary may be from unrounded ones.
+    The computed values are from rounded numbers, but the table's summary may be from unrounded ones.
     """
     within = np.array([10.0 ** -_decimals(value) for value in values]) + _ROUNDING * np.abs(computed)
     return bool((np.abs(computed - values) <= within).all() and (np.abs(values) >= _TELLING * within).all())
@@ -176,7 +176,7 @@ def _decimals(value: float) -> int:
 
 
 def _require_once(table: CsvTable, who: list[tuple[str, str]], pairs: Float64[Array, "n 2"], named: bool) -> None:
-    """Refuse a subject's numbers twice, and a table that contains all its numbers twice."""
+    """Refuse a subject's numbers twice, and a table in which all numbers occur twice."""
     numbers = [tuple(pair) for pair in pairs.tolist()]
     rows = list(zip(who, numbers, strict=True)) if named else []
     first: dict[object, int] = {}

@@ -1,6 +1,6 @@
 """Read the ``truth/`` folder of a virtual capture, and the two files of the landmark benchmark.
 
-Only comparisons with truth may import this module.
+Only code that compares with the truth may import this module.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ def read_truth(folder: Path, pair_names: Mapping[str, tuple[str, str]]) -> Truth
     """Read a truth folder.
 
     `mammometry simulate` writes it; ../shared/data/rendered/*/truth has the same layout. The cameras are in the folder
-    itself, or in the ``truth`` folder two levels up, if captures share them.
+    itself, or in the ``truth`` folder two levels up if several captures share them.
 
     Args:
-        folder: with truth.json, mesh.ply, and boundaries if there are any.
+        folder: folder with truth.json, mesh.ply, and boundaries if there are any.
         pair_names: the session's pairs.
 
     Raises:
-        SessionError: a file or the folder is missing or malformed, or a camera of the session is not in it.
+        SessionError: the folder or a file is missing or malformed, or does not contain a camera of the session.
     """
     common = folder if (folder / "cameras.json").is_file() else folder.resolve().parent.parent / "truth"
     try:
@@ -75,7 +75,7 @@ def read_truth(folder: Path, pair_names: Mapping[str, tuple[str, str]]) -> Truth
 
 
 def read_volumes(folder: Path) -> dict[str, float]:
-    """Read only the volumes of a truth folder, cc, by ``model``, or the patient's ``left`` and ``right``."""
+    """Read only the volumes in a truth folder, cc, by ``model`` or the patient's ``left`` and ``right``."""
     return _volumes(_json(folder / "truth.json"))
 
 
@@ -104,13 +104,13 @@ def _json(path: Path) -> Any:
 
 
 def _volumes(facts: Mapping[str, Any]) -> dict[str, float]:
-    """Breast → true volume, cc, with the truth's main wall."""
+    """Breast → true volume, cc, with the main wall of the truth."""
     if "breasts" in facts:
         volumes = {
             name.removeprefix(_PATIENT): float(breast["volume_cc"][breast["primary"]])
             for name, breast in facts["breasts"].items()
         }
-        return volumes if "model" in volumes else {"left": 0.0, "right": 0.0} | volumes  # a missing side has none
+        return volumes if "model" in volumes else {"left": 0.0, "right": 0.0} | volumes  # a missing side has no volume
     if "volumes_cc" in facts:
         return {name: float(value) for name, value in facts["volumes_cc"].items()}
     return {"model": float(facts["volume_cc"])}
@@ -131,7 +131,7 @@ _FEWEST: Mapping[str, int] = {"point": 1, "line": 2, "curve": 3}
 
 
 def read_found_landmarks(path: Path) -> dict[str, Places]:
-    """Landmarks that a program found: woman → name → places, mm, frame of her mesh. null: not found.
+    """Landmarks that a program found: woman → name → positions, mm, frame of her mesh. null: not found.
 
     Raises:
         TableError: the file is not as documented.
@@ -142,7 +142,7 @@ def read_found_landmarks(path: Path) -> dict[str, Places]:
 
 
 def read_true_landmarks(path: Path) -> dict[str, TrueWoman]:
-    """Truth of the landmark benchmark: woman → mesh, kind of input, places.
+    """Truth of the landmark benchmark: woman → mesh, kind of input, positions.
 
     Raises:
         TableError: the file is not as documented.

@@ -1,4 +1,4 @@
-"""Read a table of breasts with a truth: specimens, segmentations, volumes."""
+"""Read a table of breasts with reference volumes: specimens, segmentations, volumes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "volume": ("truth_cc", "truth_sd_cc"),
     }
 )
-"""Kind of truth → its columns, the first of which is needed."""
+"""Kind of truth → its columns, of which the first is required."""
 KINDS = tuple(_COLUMNS)
 """Kinds of truth."""
 _EXAMPLES = MappingProxyType(
@@ -39,26 +39,26 @@ _EXAMPLES = MappingProxyType(
     }
 )
 _MOST = MappingProxyType({"water_c": 40.0, "age": 120.0, "glandular_percent": 100.0})
-"""Column → its largest value. That of water is the end of its density's formula."""
-_ROOM_C = 20.0  # temperature of water that the table does not give, °C; 10 °C more or less change 0.2 %
+"""Column → its largest value. For the water, it is the limit of the formula for its density."""
+_ROOM_C = 20.0  # temperature of water if the table does not give it, °C; 10 °C more or less change the volume by 0.2 %
 _FOLDER = "folder"
 _CC = "_cc"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TruthRow:
-    """A breast of the table: its truth, and its measured volumes or the folder of its results."""
+    """One breast of the table: its truth, and its measured volumes or the folder with its results."""
 
     woman: str
     side: str
     truth: TrueVolume
     measured_cc: Mapping[str, float]
     folder: Path | None
-    """A session or a scan, for all definitions of the volume."""
+    """A session or a scan, from which the volumes by all definitions are read."""
 
 
 def template(kind: str) -> str:
-    """An example of a table for a kind of truth: one line of columns, two breasts."""
+    """An example of a table for a kind of truth: one line with columns, two with breasts."""
     columns, example = _COLUMNS[kind], _EXAMPLES[kind]
     lines = [("woman", "side", *columns, "measured_cc")]
     lines += [("W1", side, *(cell.replace("left", side) for cell in example), "520") for side in ("left", "right")]
@@ -72,14 +72,14 @@ def read_truths(path: Path, kind: str | None = None) -> tuple[str, tuple[TruthRo
     with sessions or scans, or one column per definition of the measured volume, such as ``flat_chest_cc``.
 
     Args:
-        path: the table; folders and segmentations are below its own folder.
-        kind: of truth. None: the kind whose column is there.
+        path: the table. Folders and segmentations are relative to its folder.
+        kind: kind of truth. None: the kind of which the table has a column.
 
     Returns:
         Kind of truth, and the rows.
 
     Raises:
-        TableError: a column is missing, two kinds of truth are there and none is chosen, or a cell is not valid.
+        TableError: a column is missing, there are two kinds of truth and none is chosen, or a cell is invalid.
         SessionError: a segmentation cannot be read or is not closed.
     """
     table = read_table(path, str(path), "a CSV table, one row per breast", refusal=TableError)
@@ -168,7 +168,7 @@ def _truths(table: CsvTable, path: Path, kind: str) -> list[TrueVolume]:
 
 
 def _optional(table: CsvTable, name: str, *, needed: bool) -> Float64[Array, " n"]:
-    """A column of numbers of 0 or more, NaN where it is empty or missing. If needed, above 0 and complete."""
+    """A column of numbers of 0 or more, NaN if empty or missing. If needed, complete and above 0."""
     if name not in table.columns and not needed:
         return np.full(len(table.rows), math.nan)
     found = table.numbers(name, blank=not needed)[:, 0]
@@ -181,7 +181,7 @@ def _optional(table: CsvTable, name: str, *, needed: bool) -> Float64[Array, " n
 
 
 def _segmented_cc(file: Path, units: str | None, segment: str) -> float:
-    """Volume of a closed mesh, or of a segment of a label map, cc."""
+    """Volume of a closed mesh, or of a segment in a label map, cc."""
     if is_label_map(file):
         return segment_cc(file, segment, units)
     mesh = read_foreign(file, units).mesh

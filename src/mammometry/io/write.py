@@ -1,4 +1,4 @@
-"""Atomic file writes that survive a power failure, with disk errors as one sentence."""
+"""Atomic file writes that survive a power failure. Disk errors become one sentence."""
 
 import errno
 import hashlib
@@ -12,14 +12,15 @@ from pathlib import Path
 from mammometry.base.errors import FullDiskError, StorageError
 from mammometry.base.machine import system
 
-_NOT_FOR_FOLDERS = (errno.EINVAL, errno.ENOTSUP, errno.EBADF)  # errors of network drives for fsync of a folder
+# errors of network drives when fsync is called for a folder
+_NOT_FOR_FOLDERS = (errno.EINVAL, errno.ENOTSUP, errno.EBADF)
 
 
 def sync_file(path: Path) -> None:
     """Wait until a file's content is on the disk.
 
     Raises:
-        OSError: the disk is full or reports an error; some do so only now.
+        OSError: the disk is full or reports an error, which some disks do only now.
     """
     with path.open("rb+") as file:
         os.fsync(file.fileno())
@@ -51,7 +52,7 @@ def sync_tree(folder: Path) -> None:
 def write_new(path: Path, data: bytes) -> None:
     """Write a new file and wait until it is on the disk.
 
-    Anything with its name is removed first; a link is not followed.
+    A file of this name is removed first. A link is not followed.
     """
     path.unlink(missing_ok=True)
     with path.open("xb") as file:
@@ -69,13 +70,14 @@ def disk_errors(path: Path) -> Iterator[None]:
     """Turn disk errors into `StorageError`.
 
     Raises:
-        FullDiskError: no room.
-        StorageError: for every other OSError inside; names the file that the system names, else `path`.
+        FullDiskError: the disk is full.
+        StorageError: any other OSError inside. It names the file in the system's error, or else `path`.
     """
     try:
         yield
     except OSError as error:
-        if error.errno in _FULL or (error.errno is None and "requested and" in str(error)):  # NumPy's has no number
+        # NumPy's error has no number
+        if error.errno in _FULL or (error.errno is None and "requested and" in str(error)):
             raise FullDiskError(
                 str(path),
                 found=f"no room to write ({error.strerror or error})",
@@ -109,14 +111,14 @@ def file_digest(path: Path) -> str:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a small UTF-8 file atomically, as `write_bytes` does."""
+    """Write a small UTF-8 file atomically, in the same way as `write_bytes`."""
     write_bytes(path, text.encode())
 
 
 def write_bytes(path: Path, data: bytes) -> None:
     """Write a small file atomically and wait until it is stored.
 
-    Any file at `path` is replaced. For places of the user's choice use `outputs.write_outputs`.
+    A file at `path` is replaced. In folders of the user's choice, use `outputs.write_outputs` instead.
 
     Raises:
         StorageError: the disk is full or reports an error.
@@ -128,7 +130,7 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 @contextmanager
 def staged(path: Path, data: bytes) -> Iterator[Path]:
-    """Write a hidden file next to `path`, ready to be renamed. It is removed at the end if it was not.
+    """Write a hidden file next to `path`, for the caller to rename. Otherwise it is removed at the end.
 
     Raises:
         OSError: the disk is full or reports an error.

@@ -1,1 +1,1 @@
-"""Read and write cameras: our own format and those of other programs."""
+"""Read and write cameras, in our own format and in those of other programs."""

@@ -103,7 +103,7 @@ def _pose(subject: str, chunk_from_camera: Float64[Array, "4 4"], scale: Any) ->
 
 
 def _scale(subject: str, chunk: ElementTree.Element, camera: ElementTree.Element) -> Any:
-    """Rotation, translation and scale to the world, m, of the chunk or of the camera's component in it."""
+    """Rotation, translation and scale to the world, m, of the chunk or of the camera's component."""
     parts = [part for part in chunk.iter("component") if part.get("id") == camera.get("component_id")]
     for owner in (*parts, chunk):
         transform = owner.find("transform")
@@ -123,6 +123,6 @@ def _values(node: ElementTree.Element, *shape: int) -> Any:
 
 
 def _stem(label: str) -> str:
-    """A label without the extension of an image. Other labels may contain dots."""
+    """A label without the extension of an image file. Labels without one may contain dots."""
     path = PurePosixPath(label)
     return path.stem if path.suffix.lower() in (".jpg", ".jpeg", ".png", ".tif", ".tiff") else label

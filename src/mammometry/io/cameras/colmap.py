@@ -18,7 +18,7 @@ from mammometry.io.cameras.own import camera_from_entry, camera_name, unfit
 _SHIFT = 0.5  # px: COLMAP's origin is the first pixel's corner, OpenCV's its centre
 _UNIT = 1e-2  # largest deviation of a quaternion's length from 1 in COLMAP's files
 _IMAGE = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, followed by a line with its points"
-# Model → how its parameters map to fx, fy, cx, cy, k1, k2, p1, p2, k3; more than these must be zero.
+# Model → parameters for fx, fy, cx, cy, k1, k2, p1, p2, k3. Any further parameters must be zero.
 _MODELS: Mapping[str, Sequence[int | None]] = {
     "SIMPLE_PINHOLE": (0, 0, 1, 2, None, None, None, None, None),
     "PINHOLE": (0, 1, 2, 3, None, None, None, None, None),
@@ -36,7 +36,7 @@ def read_colmap(cameras_path: Path, images_path: Path, known: Collection[str] = 
     Args:
         cameras_path: cameras.txt.
         images_path: images.txt.
-        known: names of the session's cameras, for which folder names are tested.
+        known: names of the session's cameras, which are compared with names of folders.
 
     Raises:
         SessionError: a lens model other than Brown's, a line not as COLMAP documents it, or two images of one name.
@@ -57,7 +57,7 @@ def read_colmap(cameras_path: Path, images_path: Path, known: Collection[str] = 
         if not text and not points:
             continue
         with parsing("a malformed line", f"{images_path.name}, line {line}", _IMAGE):
-            # Limited, because a file name may contain spaces.
+            # limited, because a file name may contain spaces
             _, *pose, identity, image = text.split(maxsplit=9)
             w, x, y, z, *translation = (number(word) for word in pose)
             if abs(math.hypot(w, x, y, z) - 1.0) > _UNIT:
@@ -95,7 +95,7 @@ def _lens(file: str, words: Sequence[str]) -> tuple[str, dict[str, Any]]:
 
 
 def _require_points(text: str) -> None:
-    """Require a line of points after an image. Another image there means that these lines were removed."""
+    """Require a line of points after an image. If another image follows instead, such lines were removed."""
     words = text.split()
     if len(words) % 3 or (words and not words[-1].lstrip("-").isdigit()):
         raise ValueError("no line of points after it (it may be empty)")

@@ -1,4 +1,4 @@
-"""Read XML and YAML of other programs safely."""
+"""Read other programs' XML and YAML safely."""
 
 import re
 from collections.abc import Callable
@@ -15,7 +15,7 @@ _MOST_MIB = 16  # the cameras of a large project take a few MiB
 
 
 def read_xml(path: Path, expected: str) -> ElementTree.Element:
-    """Read the root of an XML file. Declarations are refused: entities can expand to gigabytes.
+    """Read the root of an XML file. Declarations are refused, because entities can expand to gigabytes.
 
     Raises:
         SessionError: it cannot be read or is not XML.
@@ -72,7 +72,7 @@ def _construct(make: Callable[..., Any], loader: yaml.SafeLoader, node: yaml.Map
 
 
 class _PlainLoader(yaml.SafeLoader):
-    """Loads safe values only. ``1e-5`` is a number, as other programs write it."""
+    """Loads safe values only. Reads ``1e-5`` as a number, as other programs write it."""
 
     _depth = 0
 

@@ -20,20 +20,20 @@ from mammometry.io.cameras.opencv import opencv_text, read_opencv
 from mammometry.io.cameras.own import READERS, cameras_table, read_cameras, require_plausible, unfit
 
 CameraFormat: TypeAlias = Literal["json", "opencv", "colmap", "kalibr"]
-_HEAD_BYTES = 1024  # in which a file's format is recognised
+_HEAD_BYTES = 1024  # number of bytes from which a file's format is recognised
 
 
 def import_cameras(paths: Sequence[Path], pair_names: Mapping[str, tuple[str, str]]) -> dict[str, Camera]:
     """Read cameras from other programs' files.
 
-    A ``.json`` is our own; ``.yml``, ``.yaml`` and ``.xml`` are OpenCV's (`read_opencv`), or Kalibr's where they do not
-    begin with OpenCV's mark (`read_kalibr`), or Agisoft's ``<document>`` (`read_agisoft`); ``cameras.txt`` with
-    ``images.txt`` are COLMAP's (`read_colmap`); a ``.mat`` is MATLAB's (`read_matlab`), ``.dat`` and ``.cal`` are
-    HALCON's (`read_halcon`). `READERS` may hold others.
+    A ``.json`` is our own. ``.yml``, ``.yaml`` and ``.xml`` are OpenCV's (`read_opencv`), Kalibr's if they do not start
+    with OpenCV's mark (`read_kalibr`), or Agisoft's ``<document>`` (`read_agisoft`). ``cameras.txt`` with
+    ``images.txt`` are COLMAP's (`read_colmap`). A ``.mat`` is MATLAB's (`read_matlab`). ``.dat`` and ``.cal`` are
+    HALCON's (`read_halcon`). `READERS` may have others.
 
     Args:
         paths: the files.
-        pair_names: the session's pairs: names for the first and second camera of a stereo file.
+        pair_names: the session's pairs, which name the first and second camera of a stereo file.
 
     Raises:
         SessionError: a file of unknown type, a missing value, a duplicate camera, or an impossible one.
@@ -85,7 +85,7 @@ def camera_texts(cameras: Mapping[str, Camera], form: CameraFormat) -> dict[str,
 
 
 def camera_file_names(names: Iterable[str], form: CameraFormat) -> tuple[str, ...]:
-    """Names of the files that `camera_texts` writes for cameras of these names."""
+    """Names of the files that `camera_texts` writes for cameras with these names."""
     match form:
         case "opencv":
             return tuple(f"{name}.yml" for name in names)
@@ -106,9 +106,9 @@ def _read_own(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[str
 @READERS.add(".yaml")
 @READERS.add(".xml")
 def _read_marked(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[str, Camera]:
-    """Read YAML or XML of the program whose mark it begins with.
+    """Read a YAML or XML file of the program whose mark it starts with.
 
-    OpenCV's YAML begins with a header of an old version that other programs do not write. Agisoft's root is
+    OpenCV's YAML starts with an outdated header that other programs do not write. The root of Agisoft's XML is
     ``document``.
     """
     known = _names(pair_names)
@@ -124,7 +124,7 @@ def _names(pair_names: Mapping[str, tuple[str, str]]) -> list[str]:
     return [name for pair in pair_names.values() for name in pair]
 
 
-_ONE_PLACE_MM = 1e-6  # cameras nearer to each other stand in one place, but for rounding
+_ONE_PLACE_MM = 1e-6  # distance below which two cameras are at the same position, apart from rounding
 
 
 def require_rig(

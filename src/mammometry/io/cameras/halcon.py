@@ -27,7 +27,7 @@ _POLYNOMIAL = ("poly1", "poly2", "poly3", "poly4", "poly5")
 _KNOWN = frozenset({*_NEEDED, *_POLYNOMIAL, "kappa"})
 _ORDERS = {0: "XYZ", 2: "ZYX", 4: ""}  # Rp+T of points, by rotations gba, abg or Rodriguez's vector
 _MM_PER_M = 1000.0  # HALCON's unit is the metre
-_MISS_PX = 0.01  # largest residual of the fitted lens: a tenth of a corner's standard deviation
+_MISS_PX = 0.01  # largest residual of the fitted lens: a tenth of the standard deviation of a corner
 _GRID = 41  # points along each side of the image for the fit
 
 
@@ -90,7 +90,7 @@ def _pose(file: str, text: str) -> tuple[Any, Any]:
     code = whole(rows["f"][0])
     if code not in _ORDERS:
         raise unfit(file, f"a pose of type {code}", "type 0, 2 or 4 (convert_pose_type to 'Rp+T' and 'point')")
-    if code == 4:  # its length is the tangent of half the angle
+    if code == 4:  # the length of Rodriguez's vector is the tangent of half the angle
         rotation = Rotation.from_quat([*rows["r"], 1.0])
     else:
         angles = rows["r"] if code == 0 else rows["r"][::-1]
@@ -135,7 +135,7 @@ def _entry(file: str, values: Lens) -> dict[str, Any]:
 
 
 def _ideal(seen: Float64[Array, "n 2"], values: Lens) -> Float64[Array, "n 2"]:
-    """Ideal points on the sensor, m, of distorted ones, by HALCON's formulas (chapter "Calibration")."""
+    """Ideal points on the sensor, m, from distorted ones, by HALCON's formulas (chapter "Calibration")."""
     r2 = (seen**2).sum(axis=1, keepdims=True)
     if "kappa" in values:
         return seen / (1.0 + values["kappa"] * r2)

@@ -1,8 +1,8 @@
 """Cameras in Kalibr's camchain YAML: pinhole lenses with radtan distortion.
 
-Each camera's pose is relative to the camera before it: ``T_cn_cnm1`` maps points from camera n − 1 to camera n, in
-metres.
-``radtan`` is Brown's model with k1, k2, p1, p2. Pixel centres are at integers, since Kalibr uses OpenCV's corners.
+Each camera's pose is relative to the previous camera: ``T_cn_cnm1`` maps points from camera n − 1 to camera n, in
+metres. ``radtan`` is Brown's model with k1, k2, p1, p2. Pixel centres are at integers, because Kalibr uses OpenCV's
+corners.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from mammometry.io.cameras.own import camera_from_entry, camera_name, unfit
 _MM_PER_M = 1000.0  # Kalibr writes metres, we write mm
 _CAMERA = re.compile(r"^cam(\d+)$")
 _COEFFICIENTS: Mapping[str, int] = {"radtan": 4, "none": 0}
-_ROUNDED = 1e-3  # largest deviation from a rotation that truncated digits explain
+_ROUNDED = 1e-3  # largest deviation from a rotation matrix that is due to truncated digits
 
 
 def read_kalibr(path: Path, known: Collection[str] = ()) -> dict[str, Camera]:
     """Read the cameras of a Kalibr camchain file.
 
-    Its first camera is the world. A camera's name is the part of its ``rostopic`` that the session knows, or otherwise
-    the first part.
+    Its first camera is the world. A camera gets the name of the session's camera that is part of its ``rostopic``, or
+    else the first part.
 
     Args:
         path: the file.
@@ -80,7 +80,7 @@ def read_kalibr(path: Path, known: Collection[str] = ()) -> dict[str, Camera]:
 
 
 def kalibr_text(cameras: Mapping[str, Camera]) -> str:
-    """All cameras as a camchain, which contains relative poses only.
+    """All cameras as a camchain, which contains only relative poses.
 
     Raises:
         SessionError: a lens with k3, which radtan does not have.
@@ -118,7 +118,7 @@ def _require(subject: str, entry: object, keys: Sequence[str]) -> None:
 
 
 def _rigid(rows: object) -> Float64[Array, "4 4"]:
-    """A 4 × 4 pose whose digits may be truncated."""
+    """A 4 × 4 pose, whose digits may be truncated."""
     from scipy.spatial.transform import Rotation
 
     matrix = numbers(rows, 4, 4)

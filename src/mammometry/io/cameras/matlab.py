@@ -1,9 +1,9 @@
 """Cameras of MATLAB's Computer Vision Toolbox, in a MAT-file of version 5 to 7.
 
-Only MATLAB can read its objects: ``toStruct`` converts them to structures. Pixels are counted from 1, at their centres.
-``IntrinsicMatrix`` and ``Rotation…`` are for row vectors, so they are the transposes of ours. SciPy's reader is not
-used,
-because it crashes on some damaged files. The format is documented in MathWorks' "MAT-File Format", chapter "Level 5".
+Only MATLAB can read its own objects: ``toStruct`` converts them to structures. Pixels are counted from 1, at their
+centres. ``IntrinsicMatrix`` and ``Rotation…`` apply to row vectors, so they are the transposes of ours. SciPy's reader
+is not used, because it crashes on some damaged files. The format is documented in MathWorks' "MAT-File Format", chapter
+"Level 5".
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from mammometry.io.cameras.own import READERS, camera_from_entry, pair_of_two, u
 Variable: TypeAlias = Any
 """An array of numbers, text, a structure as a dictionary, a list of cells or structures, or `OBJECT`."""
 OBJECT: Final = object()
-"""Placeholder for types that only MATLAB reads: objects, functions, sparse matrices."""
+"""Placeholder for types that only MATLAB can read: objects, functions, sparse matrices."""
 _HEAD_BYTES = 128
 _MOST_BYTES = 256 << 20  # decompressed: a calibration with all image points takes a few MiB
 _MATRIX, _PACKED = 14, 15  # types of elements
@@ -73,7 +73,7 @@ class _Reader:
         while place < len(content):
             kind, size = struct.unpack_from(f"{self.order}II", content, place)
             start = place + 8
-            if kind >> 16:  # small element: type and length in four bytes, data in the next four
+            if kind >> 16:  # a small element has type and length in four bytes, and data in the next four
                 kind, size, start = kind & 0xFFFF, kind >> 16, place + 4
                 place += 8
             else:
@@ -151,8 +151,8 @@ _AS_STRUCT = "In MATLAB: s = toStruct(stereoParams); save('rig.mat', 's', '-v7')
 def read_matlab(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[str, Camera]:
     """Read a pair of cameras, or one camera that is named by the file.
 
-    The world is the frame of the pair's first camera. For a single camera it is the board's frame, by
-    ``rotationMatrix`` and ``translationVector`` from ``extrinsics``.
+    The world is the frame of the pair's first camera. For a single camera, it is the board's frame, from
+    ``rotationMatrix`` and ``translationVector`` returned by ``extrinsics``.
 
     Raises:
         SessionError: it contains objects or other structures, or an impossible lens or unit.

@@ -23,15 +23,14 @@ _MATRICES = (f"{_YAML}opencv-matrix", f"{_YAML}opencv-nd-matrix")
 
 
 def read_opencv(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[str, Camera]:
-    """Read one camera, named by the file, or a stereo rig, whose first camera is the world.
+    """Read one camera, named after the file, or a stereo rig, whose first camera is the world.
 
     A camera has ``camera_matrix`` or ``K``, ``distortion_coefficients`` or ``D``, ``image_width``, ``image_height``
-    and,
-    if the rig needs a pose, ``R`` and ``T``. A stereo rig has ``M1 D1 M2 D2 R T``.
+    and, if the rig needs a pose, ``R`` and ``T``. A stereo rig has ``M1 D1 M2 D2 R T``.
 
     Args:
         path: the file.
-        pair_names: the session's pairs: names for the cameras of a stereo file.
+        pair_names: the session's pairs, which name the cameras of a stereo file.
 
     Raises:
         SessionError: it cannot be parsed, or a value is missing.

@@ -17,20 +17,21 @@ from mammometry.calibration.adjust.projection import LENS_NAMES, CameraPrior
 from mammometry.geometry import Array, Camera, Float64, Transform, lens
 
 Reader: TypeAlias = Callable[[Path, Mapping[str, tuple[str, str]]], Mapping[str, Camera]]
-"""Reads a file's cameras by name; the session's pairs say which camera a stereo file's first and second one are."""
+"""Reads a file's cameras by name. The session's pairs name the first and second camera of a stereo file."""
 READERS: Registry[Reader] = Registry("kind of camera file", package=__package__)
-"""Ending of a file that holds whole cameras → its reader."""
+"""Extension of a file with complete cameras → its reader."""
 
 CONVENTION = (
     "x_cam = R x_world + t; then pinhole with K; dist = k1, k2, p1, p2, k3 (OpenCV); pixel centres at integers; mm"
 )
 _FORMAT = 1  # version of cameras.json
-_ROUNDED = 1e-3  # largest deviation from a rotation that truncated digits explain
+_ROUNDED = 1e-3  # largest deviation from a rotation matrix that is due to truncated digits
 _KEYS = {"K", "dist", "R", "t", "image_size"}
 _NAME = re.compile(r"(?!\.{1,2}$)[^\x00-\x1f/\\]{1,100}")  # it is also a file's name
 _LARGEST_PX = 65_535  # longest side of a JPEG
-_SHORTEST, _LONGEST = 0.1, 100.0  # focal length over the image's longer side: 0.3 for fisheyes, 50 for telescopes
-_SQUARE = 2.0  # ratio of both focal lengths; anamorphic lenses have 2
+# focal length relative to the image's longer side: 0.3 for fisheyes, 50 for telescopes
+_SHORTEST, _LONGEST = 0.1, 100.0
+_SQUARE = 2.0  # largest ratio of both focal lengths; anamorphic lenses have 2
 _FARTHEST_MM = 1e5  # largest distance of a camera from the origin: 100 m
 
 
@@ -39,7 +40,7 @@ def cameras_table(
 ) -> dict[str, Any]:
     """Cameras as the plain table of cameras.json.
 
-    ``paper`` has the paper's eleven parameters, if they describe the camera completely.
+    ``paper`` contains the paper's eleven parameters, if they describe the camera completely.
     """
     eleven = {name: PaperCamera.of(camera) for name, camera in cameras.items()}
     return {
@@ -61,10 +62,10 @@ def cameras_table(
 
 
 def cameras_from_table(table: object, name: str) -> dict[str, Camera]:
-    """Read a table of `cameras_table`. Unknown keys are ignored.
+    """Read a table written by `cameras_table`. Unknown keys are ignored.
 
     Raises:
-        SessionError: a camera lacks a key, or as `camera_from_entry`.
+        SessionError: a camera lacks a key, or see `camera_from_entry`.
     """
     entries = table.get("cameras") if isinstance(table, Mapping) else None
     if not isinstance(entries, Mapping) or not entries:
@@ -82,7 +83,7 @@ def read_cameras(path: Path) -> dict[str, Camera]:
     """Read our own cameras.json.
 
     Raises:
-        SessionError: it cannot be read, is not JSON, a value is missing, or as `require_plausible`.
+        SessionError: it cannot be read or is not JSON, a value is missing, or see `require_plausible`.
     """
     return _read(path)[0]
 
@@ -91,7 +92,7 @@ def read_priors(path: Path) -> dict[str, CameraPrior]:
     """Read a cameras.json as priors on lenses, weighted by ``std``.
 
     Raises:
-        SessionError: as `read_cameras`, or an invalid standard deviation.
+        SessionError: a standard deviation is invalid, or see `read_cameras`.
     """
     cameras, table = _read(path)
     priors = {}
@@ -148,11 +149,11 @@ def camera_from_entry(file: str, name: str, entry: Mapping[str, Any]) -> Camera:
 
 
 def require_plausible(file: str, cameras: Mapping[str, Camera]) -> None:
-    """Require plausible cameras, to find typing errors before measuring.
+    """Require plausible cameras, so that typing errors are found before measuring.
 
     Raises:
-        SessionError: an implausible image size, focal length, principal point or distance, or a lens model that folds
-            back before the nearer edge of the image.
+        SessionError: the image size, focal length, principal point or distance is implausible, or the lens model folds
+        back before the nearer edge of the image.
     """
     for name, camera in cameras.items():
         subject, longest = f"{file}, camera {name}", max(camera.size_wh)
@@ -172,7 +173,7 @@ def require_plausible(file: str, cameras: Mapping[str, Camera]) -> None:
             raise unfit(
                 subject, f"a position {away_mm:.3g} mm from the origin", f"at most {_FARTHEST_MM:g} mm; check units"
             )
-        # The calibration may not have seen the target in the corners: the lens model is undetermined there.
+        # The calibration may not have seen the target in the corners, where the lens model is then undetermined.
         edge_xy = float((np.array(camera.size_wh) / (2 * focal)).min())
         fold_xy = lens.fold_xy(camera.distortion)
         if edge_xy > fold_xy:
@@ -185,12 +186,12 @@ def _size(camera: Camera) -> str:
 
 
 def camera_name(parts: Sequence[str], known: Collection[str], *, within: bool = False) -> str | None:
-    """The session's camera that is named in one part of a path or topic. None if there is none.
+    """The session's camera whose name is a part of a path or topic. None if there is none.
 
     Args:
-        parts: of the path, such as ``("front_left", "0001.jpg")``. Extensions are ignored.
+        parts: parts of the path, such as ``("front_left", "0001.jpg")``. Extensions are ignored.
         known: names of the session's cameras.
-        within: whether the name may be only a section of a part, as in ``front_left_pose``.
+        within: whether the name may be a section of a part, as in ``front_left_pose``.
     """
     for part in reversed(parts):
         stem = PurePosixPath(part).stem if part not in known else part
@@ -207,7 +208,7 @@ def pair_of_two(pair_names: Mapping[str, tuple[str, str]]) -> tuple[str, str] | 
 
 
 def unfit(subject: str, found: str, expected: str) -> SessionError:
-    """The error for a file that cannot be used."""
+    """Return the error for a file that cannot be used."""
     return SessionError(subject, found=found, expected=expected, remedy="Correct the file, or export it again")
 
 
@@ -226,11 +227,11 @@ class PaperCamera:
     gamma_rad: float
     """Third rotation, about its z axis."""
     x_mm: float
-    """Perspective centre, world."""
+    """Perspective centre, world frame."""
     y_mm: float
     z_mm: float
     x0_px: float
-    """Principal point. Integers at pixel centres."""
+    """Principal point. Integers are pixel centres."""
     y0_px: float
     f_px: float
     """Focal length, the same along both axes."""
@@ -263,7 +264,7 @@ class PaperCamera:
         )
 
     def camera(self, name: str, size_wh: tuple[int, int]) -> Camera:
-        """Our camera from the eleven parameters."""
+        """Our camera with the eleven parameters."""
         rotation = _turn(2, self.gamma_rad) @ _turn(1, self.beta_rad) @ _turn(0, self.alpha_rad)
         return Camera(
             name=name,
@@ -293,7 +294,7 @@ def _turn(axis: int, angle_rad: float) -> Float64[Array, "3 3"]:
 def _angles(rotation: Float64[Array, "3 3"]) -> tuple[float, float, float]:
     """α, β, γ.
 
-    If β is a right angle, only γ ∓ α is determined. Then γ follows from rounding, and α fits it.
+    If β is a right angle, only γ ∓ α is determined. Then γ is determined by rounding, and α is chosen to match it.
     """
     gamma = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
     beta = float(np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0])))

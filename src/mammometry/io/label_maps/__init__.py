@@ -1,1 +1,1 @@
-"""Volumes of segmented breasts in label maps: DICOM segmentations, NRRD, NIfTI."""
+"""Volumes of breasts that were segmented in label maps: DICOM segmentations, NRRD, NIfTI."""

@@ -1,7 +1,7 @@
 """Label maps in NIfTI files of version 1 or 2.
 
-Format: https://nifti.nimh.nih.gov. Header and voxels are in one file, which may be packed by gzip. The volume of a
-voxel is the determinant of the sform if there is one, else the product of the voxel's sizes. The two must agree.
+Format: https://nifti.nimh.nih.gov. Header and voxels are in one file, which may be compressed by gzip. The volume of a
+voxel is the determinant of the sform, or else the product of the voxel's sizes. If both exist, they must agree.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ _TYPES: Mapping[int, str] = MappingProxyType(
     {2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4", 1024: "i8", 1280: "u8"}
 )
 _UNITS: Mapping[int, float] = MappingProxyType({1: 1000.0, 2: 1.0, 3: 0.001})  # of space: m, mm, µm
-_UNIT_BITS = 7  # of space, in the byte that also holds the unit of time
-_LATEST = 2**24  # largest byte at which the voxels begin: extensions of the header come before them
-_ALIKE = 0.01  # largest relative difference of a voxel's volumes from the sform and from the sizes
+_UNIT_BITS = 7  # bits for the unit of space, in a byte that also contains the unit of time
+_LATEST = 2**24  # largest first byte of the voxels: extensions of the header come before them
+_ALIKE = 0.01  # largest relative difference between a voxel's volume from the sform and from its sizes
 
 
 def read_nifti(path: Path, units: str | None = None) -> LabelMap:
@@ -63,7 +63,7 @@ def read_nifti(path: Path, units: str | None = None) -> LabelMap:
 
     Args:
         path: the file.
-        units: unit of its lengths if the file states none.
+        units: unit of its lengths, if the file does not state one.
 
     Raises:
         SessionError: it is not such a file, its unit is unknown, or its values are not labels.
@@ -123,7 +123,7 @@ def _mm_per_unit(header: Any, units: str | None) -> float:
 
 
 def _labels(values: Array, slope: float, shift: float) -> Array:
-    """Labels of stored values: slope × value + shift, or the values if the file has no slope."""
+    """Labels from stored values: slope × value + shift, or the values themselves if the file has no slope."""
     if not slope or not np.isfinite([slope, shift]).all() or (slope, shift) == (1.0, 0.0):
         return voxels.whole_labels(values)
     return voxels.whole_labels(slope * values.astype(np.float64) + shift)

@@ -1,7 +1,7 @@
 """Label maps in NRRD files with an attached header, as 3D Slicer and ITK write them.
 
 Format: https://teem.sourceforge.net/nrrd/format.html. The volume of a voxel is the determinant of its space directions,
-or the product of its spacings.
+or else the product of its spacings.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ _SEGMENT = re.compile(r"Segment([0-9]+)_(Name|LabelValue|Layer)", re.ASCII)
 
 
 def read_nrrd(path: Path, units: str | None = None) -> LabelMap:
-    """Read a label map. A fourth axis holds layers of segments that overlap.
+    """Read a label map. A fourth axis contains layers of segments that overlap.
 
     Args:
         path: the file.
-        units: unit of its lengths if the file states none. Anatomical spaces are in millimetres.
+        units: unit of its lengths, if the file does not state one. Anatomical spaces are in millimetres.
 
     Raises:
         SessionError: it is not such a file, its unit is unknown, or its values are not labels.
@@ -65,7 +65,7 @@ def read_nrrd(path: Path, units: str | None = None) -> LabelMap:
 
 
 def _header(text: str) -> tuple[dict[str, str], dict[str, str]]:
-    """Fields of the format, and the program's own pairs of key and value."""
+    """Fields of the format, and key–value pairs of the program that wrote it."""
     fields: dict[str, str] = {}
     pairs: dict[str, str] = {}
     for line in text.splitlines():
@@ -143,7 +143,7 @@ def _mm_per_unit(fields: dict[str, str], units: str | None) -> float:
 
 
 def _names(pairs: dict[str, str], layers: int) -> Mapping[str, tuple[int, int]]:
-    """Name of a segment → its layer and label, as 3D Slicer writes them."""
+    """Name of a segment → its layer and label, as written by 3D Slicer."""
     segments: dict[str, dict[str, str]] = {}
     for key, word in pairs.items():
         if found := _SEGMENT.fullmatch(key):

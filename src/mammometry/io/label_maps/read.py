@@ -1,4 +1,4 @@
-"""Read the volume of a segment from a label map of any format."""
+"""Read the volume of a segment from a label map in any supported format."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def segment_cc(path: Path, segment: str = "", units: str | None = None) -> float
     Args:
         path: a DICOM segmentation (.dcm), NRRD (.nrrd) or NIfTI (.nii, .nii.gz).
         segment: number or name of the segment. Empty: the only one.
-        units: unit of the file's lengths if it states none.
+        units: unit of the file's lengths, if it does not state one.
 
     Raises:
         MissingLibraryError: the libraries for DICOM are not installed.

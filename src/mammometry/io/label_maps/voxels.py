@@ -30,11 +30,11 @@ class LabelMap:
     """Labels of voxels of equal size."""
 
     labels: Shaped[Array, "layers z y x"]
-    """Label of each voxel. Several layers if segments overlap. 0: no segment."""
+    """Label of each voxel; 0 is no segment. There are several layers if segments overlap."""
     voxel_mm3: float
     """Volume of a voxel."""
     names: Mapping[str, tuple[int, int]] = field(default_factory=dict)
-    """Name of a segment → its layer and label. Empty: the file has no names."""
+    """Name of a segment → its layer and label. Empty if the file has no names."""
 
 
 def label_cc(path: Path, found: LabelMap, segment: str) -> float:
@@ -73,7 +73,7 @@ def label_cc(path: Path, found: LabelMap, segment: str) -> float:
 
 
 def whole_labels(values: Array) -> Array:
-    """Labels as whole numbers.
+    """Convert labels to whole numbers.
 
     Raises:
         ValueError: some are not whole, as in a map of probabilities.
@@ -87,10 +87,10 @@ def whole_labels(values: Array) -> Array:
 
 
 def checked_voxel_mm3(volume: float) -> float:
-    """The volume of a voxel, mm³, if it is plausible.
+    """Return the volume of a voxel, mm³, if it is plausible.
 
     Raises:
-        ValueError: no scanner has such voxels.
+        ValueError: it is implausible for any scanner.
     """
     low, high = (edge**3 for edge in _EDGE_MM)
     if not low <= volume <= high:
@@ -101,14 +101,14 @@ def checked_voxel_mm3(volume: float) -> float:
 def stored_values(
     content: bytes, dtype: np.dtype[Any], sizes: Sequence[int], *, start: int = 0, packed: bool = False
 ) -> Array:
-    """Values of all voxels, with the map's axes in reverse order, as its first axis varies fastest.
+    """Values of all voxels. The axes are in reverse order, because the map's first axis varies fastest.
 
     Args:
-        content: bytes of the file, or a part of it.
+        content: content of the file, or a part of it.
         dtype: type of a value, with its byte order.
         sizes: number of voxels along each axis.
-        start: byte at which the voxels begin, after unpacking.
-        packed: whether `content` is gzip data.
+        start: offset of the voxels after decompression, bytes.
+        packed: whether `content` is compressed by gzip.
 
     Raises:
         ValueError: a size is not positive, the map is too large, or the data are truncated.
@@ -126,7 +126,7 @@ def given_mm(units: str | None) -> float:
     """Length of a unit given by the user, mm.
 
     Raises:
-        ValueError: none is given, or it is unknown.
+        ValueError: no unit is given, or it is unknown.
     """
     if units is None or (name := unit_named(units)) is None:
         raise ValueError("no unit: give it in the column units")
@@ -134,7 +134,7 @@ def given_mm(units: str | None) -> float:
 
 
 def unpacked(content: bytes, size: int) -> bytes:
-    """Unpack gzip data, at most `size` bytes.
+    """Decompress gzip data, at most `size` bytes.
 
     Raises:
         ValueError: the data are truncated or damaged.

@@ -1,4 +1,4 @@
-"""Meshes of other scanners: PLY, OBJ, STL, GLB and USDZ. The user or the file gives the unit."""
+"""Meshes of other scanners: PLY, OBJ, STL, GLB and USDZ. The unit is from the user or the file."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ from mammometry.geometry.mesh_files.usdz import read_usdz
 
 _BY_SIZE = "as the body's size shows"
 _TORSO_MM = (230.0, 2300.0)
-"""Length of the smallest torso's front, and of the largest body with raised arms. The ratio is below ten, so that only
-one unit of `_USUAL` fits."""
+"""Smallest length of a torso's front, and largest length of a body with raised arms. Their ratio is below ten, so that
+only one unit of `_USUAL` fits."""
 _USUAL = ("mm", "cm", "m")  # usual units of scanners; inches and feet are ambiguous with cm and m
 _COARSEST_STEP_MM = 0.1  # equals the standard uncertainty of a scanner's surface (`api.mesh.SURFACE_STD_MM`)
 _HEADER_BYTES = 65_536  # part of a file whose comments may state its unit
@@ -44,29 +44,29 @@ class ForeignMesh:
     """A mesh as in its file, converted to mm."""
 
     mesh: TriangleMesh
-    """mm, in the file's own frame. Vertices at one position are merged."""
+    """mm, in the file's own frame. Vertices at the same position are merged."""
     colours: UInt8[Array, "n 3"]
-    """sRGB of each vertex. Mid grey if the file has no colours."""
+    """sRGB of each vertex. Medium grey if the file has no colours."""
     units: str
-    """Its unit and the source of it, as text."""
+    """Unit of the file, and where it was stated, as text."""
     mm_per_unit: float = 1.0
     """Size of its unit, mm."""
     assumed: Notice | None = None
-    """Note on an assumed unit. None if it was stated."""
+    """Notice about an assumed unit. None if it was stated."""
     remarks: tuple[Notice, ...] = ()
-    """What its reader omitted or assumed."""
+    """Notices about what the reader omitted or assumed."""
 
     @property
     def notices(self) -> tuple[Notice, ...]:
-        """Notes on how it was read."""
+        """Notices about how the file was read."""
         return (*filter(None, [self.assumed]), *self.remarks)
 
 
 def unit_notice(units: str, lengths: Mapping[str, float | str] = MappingProxyType({})) -> Notice | None:
-    """A note on an assumed unit. None if it was stated.
+    """Notice about an assumed unit. None if it was stated.
 
     Args:
-        units: the unit and its source, as in a `ForeignMesh`.
+        units: the unit and where it was stated, as in a `ForeignMesh`.
         lengths: values for a notice about its length, if other units are plausible too.
     """
     if not units.endswith(_BY_SIZE):
@@ -76,13 +76,13 @@ def unit_notice(units: str, lengths: Mapping[str, float | str] = MappingProxyTyp
 
 
 def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False) -> ForeignMesh:
-    """Mesh from a file, in mm.
+    """Read a mesh in mm.
 
     Args:
         path: a PLY, OBJ, STL, GLB or USDZ.
         units: a name or spelling of `base.units`. None if the file states it: GLB by its standard (metres), USDZ
             (``metersPerUnit``), PLY and OBJ in a comment (``comment units: mm``).
-        of_torso: whether it is known to be a torso or a whole body, whose size then shows the unit.
+        of_torso: whether it is known to be a torso or a whole body, so that its size shows the unit.
 
     Raises:
         SessionError: the file cannot be read or has no triangles; its unit is unknown, or its size in that unit is
@@ -133,7 +133,7 @@ def read_foreign(path: Path, units: str | None = None, *, of_torso: bool = False
 
 
 def _unit_of_torso(extent: float) -> tuple[str | None, dict[str, float | str]]:
-    """Unit in which this is the length of a torso or a whole body, and the lengths in other units that fit."""
+    """Unit in which a length is that of a torso or whole body, and the lengths in other fitting units."""
     fits = {unit: extent * mm for unit, mm in MM_PER_UNIT.items() if _TORSO_MM[0] <= extent * mm < _TORSO_MM[1]}
     unit = next((unit for unit in _USUAL if unit in fits), None)
     if unit is None:
@@ -153,7 +153,7 @@ def _step(vertices: Float64[Array, "n 3"]) -> float:
 
 
 def _stated_unit(path: Path) -> tuple[str | None, str]:
-    """The unit that a file states, and its source."""
+    """The unit that a file states, and where it states it."""
     kind = path.suffix.lower()
     if kind == ".glb":
         return "m", "glTF's unit"
@@ -179,7 +179,7 @@ def _unit_in_comments(path: Path, head: bytes) -> tuple[str | None, str]:
     """The unit in comments at the beginning of a PLY or OBJ.
 
     Raises:
-        SessionError: they state different ones.
+        SessionError: they state different units.
     """
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         head = head.decode("utf-16", "ignore").encode()

@@ -1,4 +1,4 @@
-"""The folder into which a mesh was measured, as a folder that every command can open.
+"""The folder of a measured mesh, which every command can open.
 
 ``mesh.toml`` contains the path of the mesh and the options with which it was measured. Boundaries and landmarks are
 copied into the folder, where they can be edited.
@@ -40,7 +40,7 @@ _MOST_COPIES = 8  # digests of earlier copies that are stored
 
 @value
 class MeshFiles:
-    """A foreign mesh with its files and options."""
+    """Another scanner's mesh, with its files and options."""
 
     mesh: Path
     """PLY, OBJ, STL, GLB or USDZ."""
@@ -66,7 +66,7 @@ class MeshFiles:
     surface_std_mm: float = SURFACE_STD_MM
     """Standard uncertainty of its whole surface along its normal, mm."""
     subject: str | None = None
-    """Pseudonym of the subject, which each result contains. None: not given."""
+    """Pseudonym of the subject, written into every result. None: not given."""
     posture: str = ""
     """``standing``, ``leaning`` or ``lying``. Empty: that of the scan's folder."""
     sides_checked: bool = False
@@ -88,7 +88,7 @@ def can_be_opened(folder: Path) -> bool:
 
 
 def session_with_photographs(folder: Path) -> Session:
-    """Open a session that must have photographs.
+    """Open a session, which must have photographs.
 
     Raises:
         SessionError: it is a scan, or as `Session.open`.
@@ -99,7 +99,7 @@ def session_with_photographs(folder: Path) -> Session:
 
 
 def without_photographs(folder: Path) -> SessionError:
-    """The error of what needs photographs, on the folder of a scan."""
+    """Return the error for a command that needs photographs, if the folder is that of a scan."""
     return SessionError(
         str(folder), found="a scan, whose surface is given", expected="a session with photographs",
         remedy=f"Measure it: {command_line('mammometry', 'run', folder)}",
@@ -112,17 +112,17 @@ def results_of(folder: Path) -> Path:
 
 
 def is_result(folder: Path, name: str) -> bool:
-    """Whether a file, by its path below such a folder, is a result."""
+    """Whether a file, given by its path below such a folder, is a result."""
     return name not in (ABOUT_MESH, *_DRAWN.values()) if is_measured(folder) else name.startswith(f"{RESULTS}/")
 
 
 def has_own_folder(files: MeshFiles, results: Path) -> bool:
-    """Whether these results have a ``mesh.toml`` of their own: not those in an imported scan's folder."""
+    """Whether these results have a ``mesh.toml``. Results in an imported scan's folder have none."""
     return files.scan is None or results.resolve() != (files.mesh.parent / RESULTS).resolve()
 
 
 def with_edits(files: MeshFiles, folder: Path) -> MeshFiles:
-    """The files, with drawings that were edited in the folder.
+    """Replace drawings by those that were edited in the folder.
 
     Raises:
         StorageError: other drawings are given as well.
@@ -146,9 +146,9 @@ def describe(folder: Path, files: MeshFiles, drawn: dict[str, str]) -> None:
     """Write ``mesh.toml`` and copies of the drawings into a folder, if they differ.
 
     Args:
-        folder: of the results, made by `io.outputs.take_folder`.
+        folder: folder of the results, made by `io.outputs.take_folder`.
         files: the mesh with its files and options.
-        drawn: name → content of a drawing in mm, boundaries.json or landmarks.json.
+        drawn: name → content of a drawing, boundaries.json or landmarks.json, in mm.
 
     Raises:
         StorageError: the disk is full or reports an error.
@@ -170,10 +170,10 @@ def describe(folder: Path, files: MeshFiles, drawn: dict[str, str]) -> None:
 
 
 def read_measured(folder: Path, *, drawn: bool = True) -> MeshFiles:
-    """The mesh that was measured into a folder, with the drawings that are in the folder now.
+    """Read which mesh was measured into a folder, with the drawings that the folder contains now.
 
     Args:
-        folder: with ``mesh.toml``.
+        folder: folder with ``mesh.toml``.
         drawn: whether to include drawn boundaries and landmarks.
 
     Raises:
@@ -203,7 +203,7 @@ def read_measured(folder: Path, *, drawn: bool = True) -> MeshFiles:
 
 
 def sources_of(folder: Path) -> dict[str, Path]:
-    """``mesh``, ``also-1`` …, ``back`` → file that was measured into a folder. It may be gone.
+    """``mesh``, ``also-1`` …, ``back`` → file that was measured into a folder. It may not exist any more.
 
     Raises:
         SessionError: the folder's description is not as documented.
@@ -223,7 +223,7 @@ def _text(folder: Path, files: MeshFiles, copies: tuple[str, ...]) -> str:
     def address(path: Path) -> str:
         try:
             below = os.path.relpath(path.resolve(), here)
-        except ValueError:  # another drive
+        except ValueError:  # on another drive
             below = str(path.resolve())
         return quote(os.fsencode(below), safe="/ ()+,:\\")
 

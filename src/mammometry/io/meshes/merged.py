@@ -1,4 +1,4 @@
-"""Scans of one visit merged into one mesh, with the registrations as stored in a scan's folder."""
+"""Scans of one visit merged into one mesh, and the registrations stored in a scan's folder."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ class AlsoScan:
     sha256: str
     """SHA-256 of its file."""
     overlap: float
-    """Share of the smaller scan's skin that both show, 0 to 1."""
+    """Share of the smaller scan's skin that both scans show, 0 to 1."""
     within_mm: float
-    """Residual: 95 % of the shared skin are within this distance of the first scan, mm."""
+    """95 % of the skin in both scans is within this distance of the first scan, mm."""
     sigma_mm: float
     """Standard uncertainty of one scan relative to the other, along the skin's normal, mm."""
     scale: float
-    """Relative difference of lengths: this scan over the first one, minus 1."""
+    """Relative difference of lengths: this scan divided by the first one, minus 1."""
     first_from_this: tuple[float, ...]
     """Rigid motion from its frame to the first scan's, mm: the 4 × 4 matrix, row by row."""
 
     @property
     def words(self) -> str:
-        """One line on the registration."""
+        """The registration in one line."""
         longer = round(100 * self.scale, 1) + 0.0
         return (
             f"{100 * self.overlap:.0f} % of its skin is in the first scan too; 95 % of that within "
@@ -53,7 +53,7 @@ class AlsoScan:
         )
 
     def as_table(self) -> dict[str, Any]:
-        """JSON-ready data, as in scan.toml and ``--json``."""
+        """The registration as data for scan.toml and ``--json``."""
         return {
             "sha256": self.sha256,
             **{name: round(getattr(self, name), 6) for name in _NUMBERS},
@@ -73,7 +73,7 @@ class MergedScans:
     """The further scans."""
 
     def sources_at(self, points: Float64[Array, "m 3"]) -> UInt8[Array, " m"]:
-        """`sources` of the nearest vertices, for points on or near the merged mesh, mm."""
+        """Values of `sources` at the nearest vertices, for points on or near the merged mesh, mm."""
         return np.asarray(self.sources[_nearest(points, self.foreign.mesh.vertices)])
 
 
@@ -83,7 +83,7 @@ def sha256_of(path: Path) -> str:
 
 
 def sigma_mm(also: Sequence[AlsoScan]) -> float:
-    """Standard uncertainty of the surface along its normal from merging, mm. 0 for a single scan."""
+    """Standard uncertainty due to merging, along the surface's normal, mm. 0 for a single scan."""
     return max((scan.sigma_mm for scan in also), default=0.0)
 
 
@@ -93,10 +93,10 @@ def merge_scans(
     """Scans of one visit, registered to the first one and fused.
 
     Args:
-        first: the scan that gives frame and unit.
-        others: file and mesh of each further one.
-        of_torso: whether to remove planes, which are lids made by another program.
-        largest: whether to use only the largest piece of each scan, whatever the size of the others.
+        first: the scan that determines frame and unit.
+        others: file and mesh of each further scan.
+        of_torso: whether to remove planes, which are lids added by other programs.
+        largest: whether to use only the largest piece of each scan, regardless of the size of the others.
 
     Raises:
         MeasureError: a scan cannot be registered, or is not a surface. It names the file.
@@ -162,7 +162,7 @@ def stored_sources(path: Path, points: Float64[Array, "m 3"]) -> UInt8[Array, " 
 
     Args:
         path: the folder's scan.ply.
-        points: on or near its mesh, mm.
+        points: points on or near its mesh, mm.
     """
     mesh, properties, _ = read_ply(path)
     if SOURCE not in properties or not len(mesh.vertices):

@@ -22,10 +22,10 @@ _MOST_MIB = 4096  # largest file: a hundred million vertices
 
 
 def read_ply(path: Path) -> tuple[TriangleMesh, dict[str, Array], tuple[str, ...]]:
-    """Mesh, other vertex properties and comments of a PLY in mm.
+    """Read the mesh, further vertex properties and comments of a PLY in mm.
 
     Raises:
-        StorageError: it is not such a file, or incomplete.
+        StorageError: it is not such a file, or is incomplete.
     """
     expected = "a PLY with triangles"
     data = read_bytes(path, path.name, expected, most_mib=_MOST_MIB, refusal=StorageError)
@@ -41,16 +41,16 @@ def read_ply(path: Path) -> tuple[TriangleMesh, dict[str, Array], tuple[str, ...
         return mesh, ply.properties(), ply.comments
     except MemoryError:
         raise
-    except Exception as error:  # the parser raises many kinds of error for a damaged file
+    except Exception as error:  # the parser raises many kinds of exceptions for damaged files
         found = f"a mesh that cannot be read ({error_text(error)})"
         raise StorageError(path.name, found=found, expected=expected, remedy="Export the mesh again") from None
 
 
 def read_wall(path: Path) -> TriangleMesh:
-    """Separately measured wall behind a breast, mm.
+    """Read a separately measured wall behind a breast, mm.
 
     Raises:
-        SessionError: as `read_ply`, or it is too small or too large for a wall in mm.
+        SessionError: see `read_ply`; or it is too small or too large for a wall in mm.
     """
     wall = read_ply(path)[0]
     extent = subject_extent(float(np.ptp(wall.vertices, axis=0).max()))
@@ -61,7 +61,7 @@ def read_wall(path: Path) -> TriangleMesh:
 
 
 def write_glb(path: Path, atlas: Atlas) -> None:
-    """Write one binary glTF file in metres that contains its picture.
+    """Write one binary glTF file in metres, which includes its picture.
 
     Raises:
         OSError: the disk reports an error.
@@ -104,9 +104,9 @@ def obj_text(atlas: Atlas, library: str, wall: Int32[Array, "k 3"] | None = None
     """Text of an OBJ, mm.
 
     Args:
-        atlas: the covered mesh.
+        atlas: the textured mesh.
         library: name of its material file.
-        wall: further faces on the same vertices, without a picture.
+        wall: further faces on the same vertices, without a texture.
     """
     origin, faces, uv = atlas.unwelded()
     parts = [
@@ -117,7 +117,7 @@ def obj_text(atlas: Atlas, library: str, wall: Int32[Array, "k 3"] | None = None
 
 
 def _unwelded(atlas: Atlas) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"], Float64[Array, "n 2"]]:
-    """Vertices (one per chart), faces, and texture coordinates with (0, 0) lower left."""
+    """Vertices (separate for each chart), faces, and texture coordinates with (0, 0) at the lower left."""
     origin, faces, uv = atlas.unwelded()
     return atlas.mesh.vertices[origin], faces, _upwards(uv)
 

@@ -1,6 +1,7 @@
 """Imported scans as folders: the mesh in mm, its colours or textures, and the scanner's name and unit.
 
-An OBJ is stored with its material file and pictures. Their names are replaced: they may contain a patient's name.
+An OBJ is stored with its material file and pictures. Their names are replaced, because they may contain a patient's
+name.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ RESULTS = "results"
 """Folder of a scan's results in its folder."""
 OBJ, MTL = "scan.obj", "scan.mtl"
 MOST_PICTURES = 16
-"""Pictures of one mesh. Scanners with several views write one a view; the most seen is six."""
+"""Most pictures of a mesh. Scanners with several views write one picture per view, at most six so far."""
 FILES = (ABOUT, MESH, OBJ, MTL, *(f"texture-{n}.{end}" for n in range(1, MOST_PICTURES + 1) for end in ("jpg", "png")))
 """All possible files of a scan's folder."""
 AXES = ("y", "-y", "z", "-z", "x", "-x")
@@ -86,7 +87,7 @@ class ScanFacts:
     sides: str = ""
     """``checked``: a person confirmed that left and right are the patient's. Empty: not checked."""
     notices: tuple[Notice, ...] = ()
-    """What was omitted or assumed when the scanner's file was read."""
+    """Notices about what was omitted or assumed when the scanner's file was read."""
     also: tuple[AlsoScan, ...] = ()
     """Further scans of the visit, merged into the folder's mesh."""
 
@@ -166,13 +167,13 @@ def scan_text(scan: ScanFacts) -> str:
 
 
 def _check_written(mesh: Path, files: Mapping[str, bytes], foreign: ForeignMesh) -> None:
-    """Read the written files, and check them as a measurement does.
+    """Read the written files and check them in the same way as a measurement.
 
     Raises:
-        SessionError: the files contain another surface than was read.
+        SessionError: the files contain another surface than the one that was read.
         MeasureError: the surface cannot be measured.
     """
-    # Imported here: sessions are opened without algorithms.
+    # Imported here, so that sessions can be opened without importing algorithms.
     from mammometry.measure.scan_repair import repair_scan
     from mammometry.measure.scanned import check_mesh
 
@@ -202,9 +203,9 @@ def skin_colours(
     """Colours of a scan's pictures at points of its skin, more detailed than those of its vertices.
 
     Args:
-        folder: of the scan.
-        scan: its metadata.
-        points_mm: on its mesh, mm.
+        folder: folder of the scan.
+        scan: metadata of the scan.
+        points_mm: points on its mesh, mm.
         otherwise: colours of points without a picture.
     """
     factor = mm_of_unit(scan.units.partition(",")[0])
@@ -224,7 +225,7 @@ def is_scan(folder: Path) -> bool:
 
 
 def read_scan(folder: Path) -> ScanFacts:
-    """Metadata from a scan's folder.
+    """Read the metadata in a scan's folder.
 
     Raises:
         SessionError: scan.toml is missing or not as documented.
@@ -251,10 +252,10 @@ def read_scan(folder: Path) -> ScanFacts:
 
 
 def _notices_in(table: Mapping[str, Any]) -> Iterator[Notice]:
-    """Notices of scan.toml. Until version 1.0 it had sentences, under ``remarks``."""
+    """Notices in scan.toml. In version 1.0, they were sentences under ``remarks``."""
     notices, remarks = table.get("notices"), table.get("remarks")
     for stored in notices if isinstance(notices, list) else ():
-        with suppress(AttributeError, KeyError, TypeError, ValueError):  # edited by hand, or of a later version
+        with suppress(AttributeError, KeyError, TypeError, ValueError):  # edited by hand, or from a later version
             notice = Notice(code=stored["code"], level="note", values=stored.get("values", {}))
             words_of(notice)
             yield notice
@@ -384,9 +385,9 @@ def _beside(mesh: Path, name: str, what: str) -> Path:
 
 
 def _found_beside(mesh: Path, name: str) -> Path | None:
-    """File of this name in the mesh's folder, or None.
+    """File with this name in the mesh's folder, or None.
 
-    Folders in the name and the case of letters are ignored. A name that is not UTF-8 is also decoded as code page 1252.
+    Folders in the name, and the case of letters, are ignored. If a name is not UTF-8, code page 1252 is tried, too.
     """
     plain = _plain_name(name)
     wanted = {_compared(plain), _compared(plain.encode("utf-8", "surrogateescape").decode("cp1252", "replace"))}
@@ -405,7 +406,7 @@ def _compared(name: str) -> str:
 
 
 def _texture(path: Path, name: str, limits: LimitSettings) -> UInt8[Array, "h w 3"]:
-    """A picture's pixels as stored: texture coordinates ignore its orientation tag.
+    """Pixels of a picture as stored: texture coordinates ignore its orientation tag.
 
     Raises:
         ImageError: it cannot be read or is too large.

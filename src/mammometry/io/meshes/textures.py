@@ -1,4 +1,4 @@
-"""Textures of scans: an OBJ with its pictures, and GLB or USDZ converted to one."""
+"""Textures of scans: an OBJ with its pictures, and GLB or USDZ files converted to this form."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mammometry.geometry.mesh_files.obj import ObjFile, ObjPart, obj_text, parse
 from mammometry.geometry.mesh_files.scene import SceneContent, ScenePart
 from mammometry.geometry.mesh_files.usdz import read_usdz
 
-_MOST_MIB = 1024  # largest OBJ: ten million triangles as text; scanners write a hundredth
+_MOST_MIB = 1024  # largest OBJ: ten million triangles as text; those of scanners are a hundred times smaller
 _GREY = 128  # sRGB of vertices without a picture
 _PICTURE_FORMATS = ("JPEG", "PNG", "WEBP")
 _MATERIAL = "m-"  # prefix of our materials' names
@@ -30,7 +30,7 @@ class CoveredObj:
     """An OBJ's lines and texture coordinates."""
 
     libraries: tuple[str, ...]
-    """Content of its ``mtllib`` lines. Empty: no material file."""
+    """Content of its ``mtllib`` lines. Empty without a material file."""
     materials: tuple[str, ...]
     """Materials in the order of their first use."""
     lines: tuple[str, ...]
@@ -38,15 +38,15 @@ class CoveredObj:
     points: Float64[Array, "n 3"]
     """Its vertices, in its own unit."""
     uv: Float64[Array, "n 2"]
-    """Texture coordinates of each vertex, (0, 0) lower left. NaN: none."""
+    """Texture coordinates of each vertex, with (0, 0) at the lower left. NaN if it has none."""
     material: Array
-    """Index of each vertex's material (n). −1: none."""
+    """Index of each vertex's material (n). −1 if it has none."""
 
     def text(self, library: str | None) -> str:
-        """Text of the OBJ with neutral names of materials: m1 and so on.
+        """Text of the OBJ, with materials renamed to m1, m2 and so on.
 
         Args:
-            library: file name of the material file. None: without materials.
+            library: file name of the material file. None: the text has no materials.
         """
         head = [] if library is None else [f"mtllib {library}"]
         number = {name: place for place, name in enumerate(self.materials, 1)}
@@ -96,11 +96,11 @@ def texture_at(
     """Colours of an OBJ's pictures at points near its surface.
 
     Args:
-        obj: with texture coordinates.
+        obj: OBJ with texture coordinates.
         pictures: material → its picture, sRGB.
-        points: in the OBJ's unit.
+        points: points, in the OBJ's unit.
         otherwise: colours of points without a picture.
-        within: largest distance of a point on the surface, in that unit.
+        within: largest distance of a point from the surface, in that unit.
     """
     from mammometry.geometry.nearest import barycentric, closest_on_mesh
 
@@ -118,7 +118,7 @@ def texture_at(
 
 
 def parse_covered_obj(path: Path) -> CoveredObj:
-    """An OBJ, each vertex with the texture coordinates and material of its first face.
+    """Read an OBJ. Each vertex gets the texture coordinates and material of its first face.
 
     Raises:
         SessionError: the file cannot be read, or a line contains no numbers.
@@ -142,12 +142,12 @@ def covered_parts(path: Path, folder: Path, limits: LimitSettings) -> Path | Non
     """Convert a GLB or USDZ with pictures to OBJ, MTL and pictures.
 
     Args:
-        path: of the GLB or USDZ.
-        folder: empty, for the files.
+        path: the GLB or USDZ.
+        folder: empty folder for the files.
         limits: largest size of a picture.
 
     Returns:
-        The OBJ, in the file's unit. None if a part has no picture, because its colours are stored differently.
+        The OBJ, in the file's unit. None if a part has no picture, because its colours are then stored differently.
 
     Raises:
         SessionError: it cannot be read, or a picture is too large.
@@ -170,7 +170,7 @@ def _parse_glb(path: Path) -> SceneContent:
         return read_glb(content, path.name)
     except SessionError:
         raise
-    except Exception as error:  # the reader raises many kinds of error for a damaged file
+    except Exception as error:  # the reader raises many kinds of exceptions for damaged files
         found = f"a file that cannot be read ({error_text(error)})"
         raise SessionError(path.name, found=found, expected="a GLB", remedy="Export it again") from None
 

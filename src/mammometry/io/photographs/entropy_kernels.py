@@ -10,11 +10,11 @@ from mammometry.base.machine.compiled import kernel, small_kernel
 from mammometry.geometry.arrays import Array, Int32, Int64, UInt8, UInt16
 from mammometry.io.photographs.jpeg_stream import AC_REFINED, DC_FIRST, DC_REFINED, SEQUENTIAL
 
-DAMAGED = -1  # instead of a position in the stream
+DAMAGED = -1  # returned in place of a position in the stream
 _LARGEST_DC_BITS, _LARGEST_AC_BITS = 11, 10  # of 8-bit samples: T.81, F.1.2.1 and F.1.2.2
 COLUMNS = 6
 """Columns that describe a component of a scan: blocks across and down in a unit, blocks in a row, index of its first
-block, its tables' numbers as 16 × DC + AC, and the largest DC."""
+block, numbers of its tables as 16 × DC + AC, and the largest DC."""
 
 
 @small_kernel
@@ -28,7 +28,7 @@ def _peek(data, bit):  # type: ignore[no-untyped-def]
 
 @small_kernel
 def _symbol(data, bit, table):  # type: ignore[no-untyped-def]
-    """The next symbol + 256 × length of its code. 0 for an undefined code."""
+    """The next symbol + 256 × the length of its code. 0 for an undefined code."""
     bits = _peek(data, bit)
     entry = np.int64(table[np.uintp(65536 + (bits >> 6))])  # a small table for short codes
     return entry if entry != 0 else np.int64(table[np.uintp(bits)])
@@ -82,7 +82,7 @@ def _ac(data, bit, table):  # type: ignore[no-untyped-def]
 
 @kernel
 def _ac_first(data, bit, table, known, band):  # type: ignore[no-untyped-def]
-    """Read a band's first bits (G.1.2.2). The position after it or `DAMAGED`, and the number of empty blocks."""
+    """Read a band's first bits (G.1.2.2). Returns next position or `DAMAGED`, and number of empty blocks."""
     k = band[0]
     while k <= band[1]:
         entry = _symbol(data, bit, table)
@@ -106,7 +106,7 @@ def _ac_first(data, bit, table, known, band):  # type: ignore[no-untyped-def]
 
 @kernel
 def _ac_refined(data, bit, table, known, band, empty):  # type: ignore[no-untyped-def]
-    """Read a band's next bit (G.1.2.3). The position after it or `DAMAGED`, and the number of empty blocks."""
+    """Read a band's next bit (G.1.2.3). Returns next position or `DAMAGED`, and number of empty blocks."""
     k = band[0]
     if empty == 0:
         while k <= band[1]:
@@ -157,9 +157,9 @@ def walk(
     """Read one scan.
 
     Args:
-        data: entropy-coded bytes, without stuffing and markers, and `PADDING` more bytes than `spans` use.
+        data: entropy-coded bytes, without stuffing and markers, with `PADDING` more bytes than `spans` use.
         spans: first bit and last bit + 1 of each interval between restart markers.
-        tables: symbol + 256 × code length by the next 16 bits; 0 if undefined. Four for DC, four for AC.
+        tables: symbol + 256 × code length, by the next 16 bits; 0 if undefined. Four tables for DC, four for AC.
         components: one row of `COLUMNS` per component of the scan.
         units: units in a row, in total, and in a restart interval.
         scan: kind, first and last coefficient, number of bits left for later scans.
@@ -167,8 +167,8 @@ def walk(
         known: whether each coefficient of a block is non-zero. Used by progressive scans only.
 
     Returns:
-        Number of units read, and of bits left in the last interval. An undamaged scan has all units, and fewer than 8
-        bits left.
+        Number of units read, and of bits left in the last interval. In an undamaged scan, all units are read, and fewer
+        than 8 bits are left.
     """
     kind, shift = scan[0], scan[3]
     band = (scan[1], scan[2])

@@ -1,4 +1,4 @@
-"""HEIC photographs of telephones, decoded by libheif through pi-heif, which cannot encode."""
+"""Read telephones' HEIC photographs, decoded by libheif through pi-heif, which cannot encode."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def is_heic(path: Path) -> bool:
 def read_heic(path: Path, name: str, limits: LimitSettings = LimitSettings()) -> Photograph:
     """Read a HEIC photograph with 8 bits per channel, upright.
 
-    The format turns the picture itself, so the orientation in its EXIF data is ignored, as the standard demands
-    (ISO/IEC 23008-12). Bytes that are damaged in place are not recognised: the format has no checksum.
+    The format itself rotates the picture, so the orientation in the EXIF data is ignored, as the standard requires
+    (ISO/IEC 23008-12). Damaged bytes cannot be detected, because the format has no checksum.
 
     Args:
         path: the file.
@@ -41,5 +41,5 @@ def read_heic(path: Path, name: str, limits: LimitSettings = LimitSettings()) ->
     with reading(path, name, "HEIC"):
         picture = pi_heif.open_heif(path, convert_hdr_to_8bit=True)
         check_size(picture.size, name, limits)
-        pixels = np.array(picture.to_pillow())  # a copy: `np.asarray(picture)` is lost with the picture
+        pixels = np.array(picture.to_pillow())  # copied, because `np.asarray(picture)` becomes invalid with the picture
     return Photograph(name=name, pixels=np.ascontiguousarray(pixels[..., :3]) if pixels.ndim == 3 else pixels)

@@ -1,6 +1,6 @@
 """Read photographs and masks: JPEG, PNG, TIFF, 8 or 16 bit, recognised by content, not by name.
 
-All photographs are read here. Damaged ones are refused: decoders fill in damaged parts without reporting it.
+All photographs are read here. Damaged ones are refused, because decoders fill in damaged parts without reporting it.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ from mammometry.io.photographs.tiff import (
 )
 
 EXTENSIONS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
-"""Extensions of photographs, in any case."""
+"""Extensions of photographs, in upper or lower case."""
 
 FORMATS = ("JPEG", "PNG", "TIFF")
-"""Formats of photographs, by content and not by name: Pillow would run Ghostscript for an EPS."""
+"""Formats of photographs, recognised by content and not by name: Pillow would run Ghostscript for an EPS."""
 
 Image.MAX_IMAGE_PIXELS = None  # `read_header` checks the size by `LimitSettings`
 
 _EXIF_ORIENTATION = 274  # EXIF's orientation tag
 TRANSPOSED = (5, 6, 7, 8)
 """EXIF orientations that swap width and height."""
-# How to bring each EXIF orientation upright: (transpose first, flip rows, flip columns).
+# How to make a picture with each EXIF orientation upright: (first transpose, flip rows, flip columns).
 _UPRIGHT: Mapping[int, tuple[bool, bool, bool]] = {
     1: (False, False, False),
     2: (False, False, True),
@@ -67,7 +67,7 @@ UNREAD_ENDINGS = (
     ".heic", ".heif", ".avif", ".webp", ".nef", ".nrw", ".cr2", ".cr3", ".crw", ".arw", ".srf", ".sr2", ".raf", ".orf",
     ".rw2", ".pef", ".dng", ".raw", ".3fr", ".iiq", ".x3f", ".jp2", ".jxl", ".bmp",
 )  # fmt: skip
-"""Extensions of images from cameras and telephones that are not read here, in any case."""
+"""Extensions of cameras' and telephones' images that are not read here, in upper or lower case."""
 _PNG_SIGNATURE, _JPEG_SIGNATURE = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
 _PNG_TAGS = {b"eXIf", b"tEXt", b"zTXt", b"iTXt"}  # chunks that may contain an orientation
 
@@ -91,7 +91,7 @@ class ImageHeader:
 
 
 def read_header(path: Path, name: str, limits: LimitSettings = LimitSettings()) -> ImageHeader:
-    """Read size, orientation and depth of an image file, without its pixels.
+    """Read size, orientation and depth of an image file without decoding its pixels.
 
     Args:
         path: the file.
@@ -118,7 +118,7 @@ def read_header(path: Path, name: str, limits: LimitSettings = LimitSettings()) 
 
 
 def megapixels_of(folder: Path, limits: LimitSettings = LimitSettings()) -> float:
-    """Total size of all photographs in a folder by their headers, megapixels.
+    """Total size of all photographs in a folder, from their headers, megapixels.
 
     Raises:
         OSError: the folder does not exist.
@@ -142,19 +142,19 @@ def read_photograph(
 ) -> Photograph:
     """Read a photograph, turned upright by its EXIF orientation.
 
-    An alpha channel is dropped. From a JPEG with several images (MPO, from some cameras) the first is read, from a TIFF
-    the one at full size.
+    An alpha channel is dropped. In a JPEG with several images (MPO, written by some cameras), the first one is read, in
+    a TIFF the one at full size.
 
     Args:
         path: the file.
         name: its name in messages.
         limits: largest size.
         as_stored: whether to ignore the orientation.
-        digest: SHA-256 of the file when the run was planned. None: unknown.
+        digest: SHA-256 of the file at the time when the run was planned. None: unknown.
 
     Raises:
-        ImageError: as `read_header`; it is truncated or damaged, has neither 8 nor 16 bits per channel, has 10 or 12
-            that were not scaled to 16, or its digest differs from `digest`.
+        ImageError: see `read_header`; or the photograph is truncated or damaged, has neither 8 nor 16 bits per channel,
+        has 10 or 12 bits that were not scaled to 16, or its digest differs from `digest`.
     """
     header = read_header(path, name, limits)
     if header.bits not in (8, 16):
@@ -181,7 +181,7 @@ def read_photograph(
 
 
 def turned_upright(pixels: Array, orientation: int) -> Array:
-    """View of pixels, turned upright by their EXIF orientation, 1…8."""
+    """View of pixels, rotated upright by their EXIF orientation, 1…8."""
     transpose, flip_rows, flip_columns = _UPRIGHT[orientation]
     if transpose:
         pixels = pixels.swapaxes(0, 1)
@@ -191,12 +191,12 @@ def turned_upright(pixels: Array, orientation: int) -> Array:
 def read_plain_picture(
     path: Path, name: str, formats: tuple[str, ...], limits: LimitSettings = LimitSettings()
 ) -> UInt8[Array, "h w 3"]:
-    """Read an image of a format that no camera writes, as 8-bit RGB.
+    """Read an image in a format that cameras do not write, as 8-bit RGB.
 
     Args:
         path: the file.
         name: its name in messages.
-        formats: Pillow's names.
+        formats: names of the formats in Pillow.
         limits: largest size.
 
     Raises:
@@ -210,10 +210,10 @@ def read_plain_picture(
 def read_mask(
     path: Path, name: str, limits: LimitSettings = LimitSettings(), *, digest: str | None = None
 ) -> Bool[Array, "h w"]:
-    """Read a foreground mask: subject where grey is at least half its range.
+    """Read a foreground mask. It shows the subject where grey is at least half its range.
 
     Raises:
-        ImageError: as `read_photograph`.
+        ImageError: see `read_photograph`.
     """
     values = read_photograph(path, name, limits, digest=digest).encoded()
     return np.asarray((values if values.ndim == 2 else values.mean(axis=2)) >= 0.5)
@@ -224,12 +224,12 @@ def demosaiced(raw: Array, pattern: str) -> Array:
 
     Args:
         raw: (h, w), 8 or 16 bit.
-        pattern: colours of the upper left two pixels: ``RG``, ``GR``, ``GB`` or ``BG``.
+        pattern: colours of the first two pixels in the upper left corner: ``RG``, ``GR``, ``GB`` or ``BG``.
 
     Returns:
         (h, w, 3), RGB.
     """
-    import cv2  # its patterns start at the second pixel of the second row
+    import cv2  # OpenCV names patterns by the second pixel of the second row
 
     codes = {
         "RG": cv2.COLOR_BAYER_BG2RGB,
@@ -241,16 +241,16 @@ def demosaiced(raw: Array, pattern: str) -> Array:
 
 
 def check_sizes(headers: Mapping[str, ImageHeader], camera: str, expected_wh: tuple[int, int] | None = None) -> None:
-    """Require one size and orientation for all photographs of a camera.
+    """Require all photographs of a camera to have the same size and orientation.
 
-    A file rotated by software looks the same but has other stored pixels; with a rotated camera it is the other way
-    round.
-    If the two cannot be distinguished, the photographs are refused, since a wrong guess would give a wrong calibration.
+    A file that software has rotated looks the same but has other stored pixels. If the camera was rotated, it is the
+    other way round. If the two cannot be distinguished, the photographs are refused, because a wrong guess would give a
+    wrong calibration.
 
     Args:
         headers: name of each photograph → its header.
         camera: the camera that took them.
-        expected_wh: image size of a ready-made calibration.
+        expected_wh: image size in an existing calibration.
 
     Raises:
         ImageError: names the photograph, its size or orientation, and those of the others.
@@ -296,7 +296,7 @@ def check_size(size_wh: tuple[int, int], name: str, limits: LimitSettings) -> No
 
 @contextmanager
 def reading(path: Path, name: str, formats: str = "JPEG, PNG or TIFF") -> Iterator[None]:
-    """Turn any decoder error on a damaged file into one sentence."""
+    """Turn any error of a decoder for a damaged file into one sentence."""
     try:
         yield
     except (MammometryError, MemoryError):
@@ -305,11 +305,12 @@ def reading(path: Path, name: str, formats: str = "JPEG, PNG or TIFF") -> Iterat
         raise _unreadable(path, name, error, formats) from None
 
 
-_SENSOR_BITS = (10, 12)  # of sensors whose values are stored in 16 bits; 14 bits may be a dark image of 16
+# bits of sensors whose values are stored in 16 bits; 14 bits may also be a dark image of 16 bits
+_SENSOR_BITS = (10, 12)
 
 
 def _require_scaled(pixels: Array, name: str) -> None:
-    """Refuse 16-bit files with unscaled sensor values: they would be read as almost black."""
+    """Refuse 16-bit files with unscaled sensor values, which would be almost black."""
     largest = int(pixels.max()) if pixels.dtype == np.uint16 else 0
     if (bits := largest.bit_length()) in _SENSOR_BITS:
         raise ImageError(
@@ -321,7 +322,7 @@ def _require_scaled(pixels: Array, name: str) -> None:
 
 
 _undamaged: set[str] = set()
-"""Digests of checked files. A run reads its photographs several times."""
+"""Digests of files that were checked, because a run reads its photographs several times."""
 _MOST_REMEMBERED = 10_000  # digests: 1 MB
 
 
@@ -329,7 +330,7 @@ def _pixels(content: bytes, header: ImageHeader, *, checked: bool) -> Array:
     """Check and decode a file.
 
     Raises:
-        Exception: the file is damaged, even if a decoder would show it.
+        Exception: the file is damaged, even if a decoder would read it.
     """
     if content.startswith(SIGNATURES):
         if tiff_is_truncated(io.BytesIO(content)):
@@ -356,7 +357,7 @@ def _by_pillow(content: bytes) -> Array:
 def _decoded_jpeg(content: bytes) -> Array:
     """Decode a JPEG with OpenCV, or CMYK with Pillow.
 
-    Both use libjpeg, but OpenCV takes half the time, since it does not copy the pixels.
+    Both use libjpeg, but OpenCV takes half the time, because it does not copy the pixels.
     """
     import cv2
 
@@ -371,7 +372,7 @@ def _decoded_jpeg(content: bytes) -> Array:
 
 
 def _decoded_16bit_png(content: bytes) -> Array:
-    from imagecodecs import png_decode  # Pillow reduces 16-bit colour to 8
+    from imagecodecs import png_decode  # Pillow reduces 16-bit colour to 8 bits
 
     pixels = np.asarray(png_decode(content))
     if pixels.ndim == 3:
@@ -383,14 +384,14 @@ def _bits(image: Image.Image, path: Path) -> int:
     if image.format == "PNG":
         with path.open("rb") as file:
             depth = file.read(25)[24]
-        return max(depth, 8)  # 1, 2 and 4 bits are expanded
+        return max(depth, 8)  # 1, 2 and 4 bits are expanded to 8
     return 8
 
 
 def exif_of(image: Image.Image, path: Path) -> Image.Exif:
     """EXIF tags of a photograph.
 
-    Pillow decodes a whole PNG to find tags after its pixels, so a PNG is only opened if it has such tags.
+    Pillow decodes a whole PNG to find tags after its pixels. So a PNG is only opened if it has such tags.
     """
     kinds = [kind for kind, _ in _png_chunks(path)]
     behind = kinds[kinds.index(b"IDAT") :] if b"IDAT" in kinds else []
@@ -434,11 +435,11 @@ def _check_png(content: bytes) -> None:
 
 
 def _is_truncated(path: Path) -> bool:
-    """Whether a JPEG, PNG or TIFF ends before its pixels do."""
+    """Whether a JPEG, PNG or TIFF ends before its pixels end."""
     with path.open("rb") as file:
         head = file.read(len(_PNG_SIGNATURE))
     if head.startswith(SIGNATURES):
-        with path.open("rb") as file, suppress(Exception):  # on damaged files tifffile may raise any exception
+        with path.open("rb") as file, suppress(Exception):  # tifffile may raise any exception for damaged files
             return tiff_is_truncated(file)
     if head == _PNG_SIGNATURE:
         return max((end for _, end in _png_chunks(path)), default=0) > path.stat().st_size
@@ -457,7 +458,7 @@ def _truncated(name: str) -> ImageError:
 
 
 def _other_format(path: Path) -> str | None:
-    """Name of an image format that is not read here, by its first bytes."""
+    """Name of an image format that is not read here, recognised by its first bytes."""
     with path.open("rb") as file:
         head = file.read(16)
     return next((words for place, mark, words in _OTHER_FORMATS if head[place:].startswith(mark)), None)

@@ -1,6 +1,6 @@
-"""Check that a JPEG is complete and undamaged by reading its entropy-coded data (ITU-T T.81).
+"""Check that a JPEG is complete and undamaged, by reading its entropy-coded data (ITU-T T.81).
 
-libjpeg, and so every program that shows photographs, fills in damaged parts.
+libjpeg, and so every program that shows photographs, fills in damaged parts without an error.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ _ALIGNMENT = 7  # most padding bits in the last byte of an interval
 SEQUENTIAL, DC_FIRST, DC_REFINED, AC_FIRST, AC_REFINED = range(5)
 """Kinds of scans. The last four are those of progressive JPEGs."""
 PADDING = 512
-"""Bytes. Longer than the longest codes of a block, after which the end is tested."""
+"""Padding after the data, bytes: longer than the longest codes of a block, because the end is tested after a block."""
 
 
 class DamagedJpegError(ValueError):
-    """A JPEG that violates ITU-T T.81. The text says where."""
+    """A JPEG that violates ITU-T T.81. The message states where."""
 
 
 class TruncatedJpegError(DamagedJpegError):
-    """A JPEG that ends before its pixels do."""
+    """A JPEG that ends before its pixels end."""
 
     def __init__(self) -> None:
         super().__init__("it is truncated")
@@ -37,7 +37,7 @@ class TruncatedJpegError(DamagedJpegError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
-    """Order in which the luminance blocks of a JPEG are coded."""
+    """Order in which a JPEG's luminance blocks are coded."""
 
     unit_wh: tuple[int, int]
     """Size of a unit (MCU), pixels."""
@@ -62,7 +62,7 @@ class _Component:
 
 @dataclass
 class _Decoder:
-    """State set by the markers so far."""
+    """Decoder state set by the markers read so far."""
 
     tables: Array = field(default_factory=lambda: np.zeros((8, 65536 + 1024), dtype=np.uint16))
     known_tables: set[int] = field(default_factory=set)
@@ -82,7 +82,7 @@ class _Decoder:
 def check_jpeg(content: bytes, tables: bytes | None = None) -> Layout:
     """Check that the first image of a JPEG is complete and correctly coded.
 
-    Data after the first image are ignored: cameras put previews there.
+    Data after the first image are ignored, because cameras store previews there.
 
     Args:
         content: the file, or the part of a TIFF.
@@ -90,7 +90,7 @@ def check_jpeg(content: bytes, tables: bytes | None = None) -> Layout:
 
     Raises:
         DamagedJpegError: it is damaged.
-        TruncatedJpegError: the file ends before its pixels do.
+        TruncatedJpegError: the file ends before its pixels end.
     """
     decoder = _Decoder()
     try:
@@ -233,7 +233,7 @@ def _walk(
         start: first byte of the scan.
         end: first byte after it.
         cuts: positions of its restart markers.
-        decoder: state so far, which is updated.
+        decoder: state of the decoder, which is updated.
     """
     from mammometry.io.photographs.entropy_kernels import walk  # imported late, since it is compiled
 
@@ -263,7 +263,7 @@ def _walk(
     units = np.array([across, total, interval], dtype=np.int64)
     read, left = walk(plain, spans, decoder.tables, components, units, scan, decoder.dc, decoder.known)
     spare = plain[spans[-1, 1] // 8 - left // 8 : spans[-1, 1] // 8]
-    if read < total or (left > _ALIGNMENT and np.any(spare)):  # some programs pad a file's last sector with zeros
+    if read < total or (left > _ALIGNMENT and np.any(spare)):  # some programs fill a file's last sector with zeros
         raise DamagedJpegError("its coded pixels are damaged")  # position unknown: wrong codes may be valid for long
     if scan[0] in (SEQUENTIAL, DC_FIRST):
         decoder.coded |= {part.number for part, _, _ in parts}
@@ -298,7 +298,7 @@ def _kind(
 def _without_stuffing(
     data: UInt8[Array, " n"], start: int, end: int, cuts: Int64[Array, " r"]
 ) -> tuple[UInt8[Array, " p"], Int64[Array, "m 2"]]:
-    """A scan's bytes without stuffing, markers and the padding before them, and its intervals, bits."""
+    """Bytes of a scan without stuffing, markers and the padding before them, and its intervals, in bits."""
     coded = data[start:end]
     full = np.flatnonzero(coded[:-1] == 0xFF)
     keep = np.ones(len(coded), dtype=bool)

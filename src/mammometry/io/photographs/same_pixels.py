@@ -1,6 +1,7 @@
-"""Whether two files contain the same image, even if renamed, saved again losslessly or without tags.
+"""Test whether two files contain the same image, even if renamed, or saved losslessly or without tags.
 
-An image that was compressed again is not recognised: it differs as little as two photographs of a board at rest.
+An image that was compressed again is not recognised. It differs from the original as little as two photographs of a
+board at rest differ from each other.
 """
 
 import hashlib
@@ -13,8 +14,8 @@ from mammometry.base.photograph import Photograph
 from mammometry.geometry.arrays import Array, Float32
 from mammometry.io.photographs.images import FORMATS
 
-_DRAFT_PX, _BLOCKS = 128, 16  # size at which a JPEG is decoded, and of the images that are compared first
-_REDUCED_APART = 8.0  # of 255 levels, RMS. A JPEG decoded at a smaller size differs by up to 3.2, another pose by 35
+_DRAFT_PX, _BLOCKS = 128, 16  # size at which a JPEG is decoded, and size of the images that are compared first
+_REDUCED_APART = 8.0  # of 255 levels, RMS. A JPEG decoded at reduced size differs by up to 3.2, another pose by 35
 
 
 def pixels_digest(photograph: Photograph) -> str:

@@ -1,4 +1,4 @@
-"""TIFF photographs: choose the page, decode it, find damage. Uses tifffile and imagecodecs."""
+"""TIFF photographs: select the page, decode it, find damage. Uses tifffile and imagecodecs."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ _MOST_SAMPLES = 8  # more channels are refused before memory is allocated
 _MOST_PAGES = 64  # a photograph has a thumbnail, previews and masks; only image stacks have more
 _REDUCED, _MASK = 1, 4  # NewSubfileType (TIFF 6.0, section 8): a smaller copy of another page; a transparency mask
 _COLOUR_SAMPLES = {"MINISWHITE": 1, "MINISBLACK": 1, "PALETTE": 1, "RGB": 3, "SEPARATED": 4, "YCBCR": 3}
-"""Photometric interpretation → samples per pixel. Further samples are transparency and are dropped."""
-_RAW = ("CFA", "LINEAR_RAW")  # raw sensor data in DNG and in makers' formats based on TIFF
-_PLANES = 2  # PlanarConfiguration: a plane for each channel
+"""Photometric interpretation → samples per pixel. Further samples are transparency, which is dropped."""
+_RAW = ("CFA", "LINEAR_RAW")  # raw sensor data in DNG and in manufacturers' formats based on TIFF
+_PLANES = 2  # PlanarConfiguration: a separate plane for each channel
 _JPEG = (6, 7, 34892)  # compressions that decode YCbCr to RGB
 _PLAIN, _LZW, _PACKBITS = 1, 5, 32773  # compressions without a checksum
 
 
 class UnusualTiffError(ValueError):
-    """A valid TIFF that is not an ordinary photograph. The text names what it is."""
+    """A valid TIFF that is not an ordinary photograph. The message states what it is."""
 
 
 class DamagedTiffError(ValueError):
@@ -40,7 +40,7 @@ class DamagedTiffError(ValueError):
 
 
 def tiff_header(file: BinaryIO) -> tuple[tuple[int, int], int, int]:
-    """Stored width and height in pixels, EXIF orientation or 1, and bits per channel of the photograph.
+    """Stored width and height in pixels, EXIF orientation (1 if missing), and bits per channel.
 
     Raises:
         UnusualTiffError: it contains something other than one photograph.
@@ -56,7 +56,7 @@ def tiff_header(file: BinaryIO) -> tuple[tuple[int, int], int, int]:
 
 
 def tiff_is_truncated(file: BinaryIO) -> bool:
-    """Whether the file ends before its pixels do.
+    """Whether the file ends before its pixels end.
 
     Raises:
         Exception: it is damaged; tifffile may raise any exception.
@@ -112,7 +112,7 @@ def _photograph(file: BinaryIO) -> Iterator[TiffPage]:
     """The page of the photograph at full size."""
     import tifffile
 
-    logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # our own error reports damaged files
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # a damaged file is reported by our own error
     with tifffile.TiffFile(file) as tiff:
         page = _full_page([*_pages(tiff.pages)])
         if getattr(page.photometric, "name", "") in _RAW:
@@ -149,13 +149,13 @@ def _full_page(pages: list[TiffPage]) -> TiffPage:
 
 
 def _check_parts(page: TiffPage) -> list[Layout]:
-    """Require strips or tiles of the right length, if the compression has no checksum.
+    """Require strips or tiles to have the right length, if the compression has no checksum.
 
     Returns:
-        Layout of each part that is a JPEG.
+        Layout of each strip or tile that is a JPEG.
 
     Raises:
-        DamagedTiffError, DamagedJpegError: one is damaged.
+        DamagedTiffError, DamagedJpegError: a strip or tile is damaged.
     """
     if page.compression not in (*_JPEG, _LZW, _PACKBITS):
         return []
@@ -188,15 +188,16 @@ def _part_bytes(page: TiffPage, index: int) -> tuple[int, ...]:
     return tuple(count * page.imagewidth * samples * page.dtype.itemsize for count in (rows, page.rowsperstrip))
 
 
-_HOLE_BYTES = 512  # shortest hole that is found: a disk sector
+_HOLE_BYTES = 512  # shortest hole that is found: one disk sector
 _FEW = 0.05  # largest share of zeros around a hole
-_LEAST_STEP = 16  # smallest difference of a hole's surroundings, of 255 grey levels
+_LEAST_STEP = 16  # smallest difference between a hole and its surroundings, of 255 grey levels
 
 
 def _has_hole(pixels: Array) -> bool:
-    """Whether zeros were written into uncompressed pixels.
+    """Whether part of an uncompressed image was overwritten by zeros.
 
-    A hole begins or ends within a row and is dark, while the rows directly above and below are not. No scene looks so.
+    A hole starts or ends within a row and is dark, while the rows directly above and below are not. No scene looks like
+    this.
 
     Args:
         pixels: (h, w, c), as stored.

@@ -1,7 +1,7 @@
-"""Write and read products, each in the format of its kind (docs/session-folder.md, `formats`).
+"""Write and read products, each in the format for its kind (docs/session-folder.md, `formats`).
 
-A value without its own format becomes a .npz: a JSON tree of dataclasses of this package, mappings, tuples,
-enumerations and scalars, and numbered arrays. A stored type is written under its label in `STORED_TYPES`.
+A value without a format of its own becomes a .npz: a JSON tree of dataclasses of this package, mappings, tuples,
+enumerations and scalars, and numbered arrays. A stored type is identified by its label in `STORED_TYPES`.
 """
 
 from __future__ import annotations
@@ -83,8 +83,8 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "surface.stillness:Turn": "mammometry.surface.motion.motion_detection:Turn",
     }
 )
-"""Label on disk → current place of the type. A label never changes, so that moving a type makes no result stale. Other
-kinds of target are labelled by their name."""
+"""Label on disk → current location of the type. Labels never change, so that moving a type makes no result stale. Kinds
+of targets not listed here are labelled with their names."""
 STORED_FIELDS: Mapping[str, Mapping[str, str]] = MappingProxyType(
     {
         "measure.boundary:NoBreast": {"prominence": "standing"},
@@ -96,7 +96,7 @@ _SENTENCES = {
     "measure.boundary:Boundary": ("method", "remarks"),
     "measure.volume:VolumeMeasurement": ("boundary_method", "boundary_remarks"),
 }
-"""Label → field with a sentence in version 1.0, and the field that now has its codes."""
+"""Label → field that had a sentence in version 1.0, and the field that has its codes now."""
 _CODES_OF_1_0: Mapping[str, BoundaryRemark] = MappingProxyType(
     {
         "given: ": "given",
@@ -104,14 +104,14 @@ _CODES_OF_1_0: Mapping[str, BoundaryRemark] = MappingProxyType(
         "to be confirmed by eye": "to-be-confirmed",
     }
 )
-"""Parts of those sentences → codes."""
-_OF_PARTNER = "its partner's silhouette is not known"  # reason in version 1.0 for a camera without its own silhouette
-_BY_BREASTS = "as the breasts lie"  # part of version 1.0's sentence on the body's directions
+"""Parts of these sentences → codes."""
+_OF_PARTNER = "its partner's silhouette is not known"  # version 1.0's reason for a camera without a silhouette
+_BY_BREASTS = "as the breasts lie"  # part of version 1.0's sentence about the directions of the body
 _TARGET = "target:"  # prefix of the label of a kind of target
 
 
 def to_tree(value: object, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
-    """JSON-ready tree of a value, whose arrays are added to `arrays` by name.
+    """Convert a value to data for JSON. Its arrays are added to `arrays` by name.
 
     Raises:
         TypeError: a type that cannot be stored.
@@ -143,7 +143,7 @@ def to_tree(value: object, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
 
 
 def from_tree(tree: Any, arrays: Mapping[str, np.ndarray[Any, Any]]) -> Any:
-    """Value of a tree and its arrays, the inverse of `to_tree`.
+    """Convert a tree and its arrays back to a value. The inverse of `to_tree`.
 
     Raises:
         StorageError: an unknown type, or a missing member.
@@ -175,7 +175,7 @@ def from_tree(tree: Any, arrays: Mapping[str, np.ndarray[Any, Any]]) -> Any:
 
 
 def _without_sentences(label: str, members: dict[str, Any]) -> dict[str, Any]:
-    """Members of a value, with the codes that version 1.0 stored as sentences."""
+    """Members of a value, with codes in place of the sentences that version 1.0 stored."""
     if label == "measure.landmarks:Landmark" and "proposed" not in members:
         return members | {"proposed": members["method"].startswith("proposed: ")}
     if label == "matching.subjects:Subjects":
@@ -223,29 +223,29 @@ class Format:
     """Format of one kind of product on disk."""
 
     write: Callable[[Path, Any], None]
-    """Writes the value to a path with `ending`, and the format's other files with the same stem."""
+    """Writes the value to a path with extension `ending`, and the format's other files with the same stem."""
     read: Callable[[Path], Any]
     """Reads the value from the path with `read_ending`. Any error means a damaged file."""
     ending: str
-    """Ending, with the dot, of the product's main file."""
+    """Extension of the product's main file, with the dot."""
     read_ending: str | None = None
-    """Ending of the file from which the value is read. None: `ending`."""
+    """Extension of the file from which the value is read. None: `ending`."""
 
 
 FORMATS: Registry[Format] = Registry(
     "format of a product", modules=("mammometry.io.results.formats", "mammometry.io.results.formats")
 )
-"""Kind of product → its format. All others are stored as `ARRAYS`."""
-_LEVEL = 1  # of deflate: higher levels take longer and save little
-_LEAST = 1 << 12  # least size of a packed array
+"""Kind of product → its format. All other kinds are stored as `ARRAYS`."""
+_LEVEL = 1  # deflate level: higher ones take longer and save little
+_LEAST = 1 << 12  # smallest array that is packed, values
 _PER_UNIT = 1024.0  # steps of packed positions, 1/mm
-_LARGEST = 2.0**30  # integers below have differences of 32 bits
+_LARGEST = 2.0**30  # integers below this have differences that fit into 32 bits
 
 
 def packed(array: Array) -> tuple[UInt8[Array, "4 n"], dict[str, Any]] | None:
-    """An array as byte planes of differences, which deflate well, and the facts that `unpacked` needs.
+    """Convert an array to byte planes of differences, which deflate well, with facts for `unpacked`.
 
-    None if nothing is gained, or if the values would change.
+    None if this saves nothing, or would change values.
     """
     if array.size < _LEAST or array.dtype not in (np.int32, np.float64) or not array.flags.c_contiguous:
         return None
@@ -264,7 +264,7 @@ def packed(array: Array) -> tuple[UInt8[Array, "4 n"], dict[str, Any]] | None:
 
 
 def unpacked(planes: UInt8[Array, "4 n"], about: Mapping[str, Any]) -> Array:
-    """The array of `packed`.
+    """Restore the array from the result of `packed`.
 
     Raises:
         ValueError: bytes and facts do not match.
@@ -278,11 +278,11 @@ def unpacked(planes: UInt8[Array, "4 n"], about: Mapping[str, Any]) -> Array:
 
 
 _JSON_FORMAT = 1
-"""Version of the JSON files, whose members other programs rely on."""
+"""Version of the JSON files, whose members other programs depend on."""
 
 
 def write_arrays(path: Path, value: Any) -> None:
-    """Write a value to a compressed .npz, whose array ``packed`` lists the packed arrays as JSON."""
+    """Write a value to a compressed .npz. Its array ``packed`` lists the packed arrays as JSON."""
     arrays: dict[str, np.ndarray[Any, Any]] = {}
     tree = json.dumps(to_tree(value, arrays)).encode()
     laid_out: dict[str, dict[str, Any]] = {}
@@ -303,7 +303,7 @@ def write_arrays(path: Path, value: Any) -> None:
 
 
 def read_arrays(path: Path) -> Any:
-    """Value written by `write_arrays`."""
+    """Read a value written by `write_arrays`."""
     with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
         arrays = {name: stored[name] for name in stored.files if name not in ("tree", "packed")}
         for name, about in json.loads(stored["packed"].tobytes()).items() if "packed" in stored.files else ():
@@ -319,10 +319,10 @@ def write_json(path: Path, table: Mapping[str, Any]) -> None:
 
 
 def with_json(table: Callable[[str, Any], Mapping[str, Any]]) -> Format:
-    """Format with the value in .npz, and a table for other programs in .json.
+    """Return a format with the value in .npz, and a table for other programs in .json.
 
     Args:
-        table: makes the table from the product's name and its value.
+        table: makes the table from the product's name and value.
     """
 
     def write(path: Path, value: Any) -> None:
@@ -333,14 +333,14 @@ def with_json(table: Callable[[str, Any], Mapping[str, Any]]) -> Format:
 
 
 ARRAYS = Format(write=write_arrays, read=read_arrays, ending=".npz")
-"""Format of products without their own."""
+"""Format of products without a format of their own."""
 
 
 _DAMAGED = (
     OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, EOFError, RecursionError,
     zipfile.BadZipFile, zlib.error, struct.error,
 )  # fmt: skip
-"""Errors that the standard library and NumPy raise for a damaged file."""
+"""Errors that the standard library and NumPy raise for damaged files."""
 
 
 def encode(value: Any, folder: Path, product: str) -> None:
@@ -357,7 +357,7 @@ def encode(value: Any, folder: Path, product: str) -> None:
 
 
 def decode(folder: Path, product: str) -> Any:
-    """Product read from `folder`.
+    """Read a product from `folder`.
 
     Raises:
         StorageError: its files are missing or damaged.
@@ -378,5 +378,5 @@ def decode(folder: Path, product: str) -> Any:
 
 
 def _format(product: str) -> Format:
-    """Format of a product's kind: the kind of ``disparity/front`` is ``disparity``."""
+    """Format for a product's kind: the kind of ``disparity/front`` is ``disparity``."""
     return FORMATS.get(product.partition("/")[0], ARRAYS)

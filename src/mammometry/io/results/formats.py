@@ -41,19 +41,19 @@ if TYPE_CHECKING:
 _STRIP_ROWS = 64  # rows per strip: about half a megabyte, so that the cores compress strips in parallel
 _LEVEL = 1  # of deflate; level 6 saves 8 % of the bytes and takes 25 % longer
 _FLOATING_POINT = 3  # predictor (TIFF Technical Note 3)
-_FLAT = 2  # dimensions of an image of one channel
-_PAGE_NAME = 285  # TIFF 6.0's tag of this name
+_FLAT = 2  # number of dimensions of an image with one channel
+_PAGE_NAME = 285  # TIFF 6.0's tag PageName
 
 
 def write_raster(path: Path, value: object) -> None:
     """Write a dataclass with images to one TIFF, losslessly compressed.
 
-    Float32 images (floating-point predictor, 3) and masks (8 bits, 0 and 1) are pages in the order of the fields, named
-    by them (PageName, tag 285), for a nested value with its path. The first page's ImageDescription is JSON: the pages'
-    names and the value's other members, such as cameras.
+    The pages are float32 images (floating-point predictor, 3) and masks (8 bits, 0 and 1) in the order of the fields.
+    Each is named after its field (PageName, tag 285), with its path if it is in a nested value. The first page's
+    ImageDescription is JSON with the pages' names and the value's other members, such as cameras.
 
     Raises:
-        ValueError: it contains no image.
+        ValueError: it contains no images.
     """
     import tifffile
 
@@ -91,7 +91,7 @@ def write_raster(path: Path, value: object) -> None:
 
 
 def _places(tree: Any, place: str) -> Iterator[tuple[str, str]]:
-    """Name of each array, and its path in the value: ``keep.0``."""
+    """Name of each array, and its path in the value, such as ``keep.0``."""
     if isinstance(tree, dict) and "$array" in tree:
         yield tree["$array"], place
     elif isinstance(tree, dict) and "$tuple" in tree:
@@ -106,7 +106,7 @@ def _is_image(array: np.ndarray[Any, Any]) -> bool:
 
 
 def read_raster(path: Path) -> Any:
-    """Value written by `write_raster`.
+    """Read a value written by `write_raster`.
 
     Raises:
         ValueError: it is not such a file.
@@ -124,7 +124,7 @@ def read_raster(path: Path) -> Any:
         return from_tree(about["value"], arrays)
     except (MammometryError, OSError, MemoryError):
         raise
-    except Exception as error:  # tifffile raises many kinds of error for a damaged file
+    except Exception as error:  # tifffile raises many kinds of exceptions for damaged files
         raise ValueError(error_text(error)) from None
 
 
@@ -176,7 +176,7 @@ def _cameras_read(path: Path) -> CameraSet:
         verdict=table["verdict"],
         notices=tuple(map(from_table, table["notices"]))
         if "notices" in table
-        else tuple(Notice(code="sentence", values={"text": reason}) for reason in table["reasons"]),  # of version 1.0
+        else tuple(Notice(code="sentence", values={"text": reason}) for reason in table["reasons"]),  # from version 1.0
     )
 
 
@@ -209,7 +209,7 @@ def _measurements_write(path: Path, measurements: tuple[VolumeMeasurement, ...])
 
 
 def _measurements_table(measured: VolumeMeasurement) -> dict[str, Any]:
-    """Numbers and texts of a measurement, JSON-ready, without its meshes and curves."""
+    """Numbers and texts of a measurement as data for JSON, without its meshes and curves."""
     arrays: dict[str, np.ndarray[Any, Any]] = {}
     table = {}
     for name in measured.__dataclass_fields__:
@@ -227,7 +227,7 @@ FORMATS.add("measurement")(Format(write=_measurements_write, read=read_arrays, e
 
 
 def _model_write(path: Path, model: Atlas) -> None:
-    # Imported here: they import compilers, which other formats do not need.
+    # Imported here, because they import compilers that other formats do not need.
     from mammometry.io.meshes.own import write_glb, write_obj
     from mammometry.surface.texture.texture_atlas import without_picture
 
@@ -253,7 +253,7 @@ def _numbers_table(product: str, value: Any) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Numbers and texts of a value, JSON-ready, without meshes and long arrays."""
+    """Numbers and texts of a value as data for JSON, without meshes and long arrays."""
     if isinstance(value, np.ndarray):
         return value.tolist()
     if is_dataclass(value):
@@ -273,7 +273,7 @@ for _product in ("symmetry", "dimensions", "lacking", "body", "sides"):
 
 
 def _surfaces_write(path: Path, value: Any) -> None:
-    """Write a mesh as PLY. Members that are not one number per vertex become a comment in JSON."""
+    """Write a mesh as PLY. Members other than one number per vertex become a comment in JSON."""
     properties: dict[str, np.ndarray[Any, Any]] = {}
     about: dict[str, Any] = {}
     repaired = value.repaired if isinstance(value, FinishedSurface) else value
@@ -295,7 +295,7 @@ def _surfaces_write(path: Path, value: Any) -> None:
 
 
 def _narrowed(bits: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Bit masks of up to eight pairs as bytes."""
+    """Bit masks of up to eight pairs, as bytes."""
     return bits.astype(np.uint8) if bits.min(initial=0) >= 0 and bits.max(initial=0) < 1 << 8 else bits
 
 

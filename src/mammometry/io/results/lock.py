@@ -1,4 +1,4 @@
-"""One run at a time per results folder, on every system and on network drives."""
+"""Allow one run at a time per results folder, on every system and on network drives."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ _HOST = re.compile(r"[\w.-]{1,253}")
 class RunLock:
     """The system's lock on a file.
 
-    The lock is released when its process dies. On disks without locks a marker file names process and host. It is
-    removed if its process was on this computer and has died.
+    The lock is released when its process dies. On disks without locks, a marker file names process and computer. It is
+    removed if its process ran on this computer and has died.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -67,7 +67,7 @@ class RunLock:
                 except Timeout:
                     raise self._taken(marker) from None
         about = {"pid": os.getpid(), "host": platform.node(), "since": datetime.now(UTC).isoformat(timespec="seconds")}
-        with suppress(OSError):  # only for another run's message
+        with suppress(OSError):  # used only in the message of another run
             write_new(self._folder / HOLDER, json.dumps(about).encode())
 
     def release(self) -> None:
@@ -89,7 +89,7 @@ class RunLock:
     def holder(self) -> str:
         """Process, computer and start time of the run in progress, from its note. Empty if there is none.
 
-        Does not lock or write anything.
+        It does not lock or write anything.
         """
         import psutil
 
@@ -98,7 +98,7 @@ class RunLock:
             pid, host, since = holder["pid"], holder["host"], datetime.fromisoformat(holder["since"])
             if not (isinstance(pid, int) and isinstance(host, str) and _HOST.fullmatch(host)):
                 return ""
-            # Another process may have got the number of a killed run.
+            # Another process may have got the process number of a killed run.
             alive = host != platform.node() or psutil.Process(pid).create_time() <= since.timestamp() + _CLOCK_S
         except psutil.NoSuchProcess:
             return ""

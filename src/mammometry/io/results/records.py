@@ -28,7 +28,7 @@ _UNREADABLE = (OSError, ValueError, KeyError, TypeError, AttributeError, Recursi
 
 
 def _is_file_name(name: str) -> str:
-    """Whether a name is a visible file's, valid on every system, and not a record's."""
+    """Whether a name is that of a visible file, is valid on every system, and is not that of a record."""
     parts = name.split("/")
     if not all(_PART.fullmatch(part) and part[-1] not in ". " for part in parts) or name.casefold() == RECORDS:
         raise ValueError("the name of a file inside the stage's folder")
@@ -57,21 +57,21 @@ class ProductRecord(BaseModel):
 
     key: Digest
     subject: str | None = None
-    """Identifier of the subject. None if the session names none."""
+    """Identifier of the subject. None if the session does not name one."""
     version: int
     settings: dict[str, Any]
     inputs: dict[str, str]
     files: dict[FileName, FileRecord]
-    """Path below the stage's folder, with ``/`` → the file."""
+    """Path below the stage's folder, with ``/`` → file."""
     made: Moment
-    """Time, UTC. Sorts in order of time."""
+    """Time in UTC. Sorting as text sorts by time."""
     seconds: Annotated[float, Field(ge=0)]
-    """Wall time of the computation, s."""
+    """Elapsed time of the computation, s."""
     software: dict[str, str]
 
 
 class Ready(BaseModel):
-    """A product that is completely written but not yet in place."""
+    """A product that has been written completely but not yet moved into place."""
 
     model_config = _STRICT
 
@@ -81,9 +81,9 @@ class Ready(BaseModel):
 
     @model_validator(mode="after")
     def _key_fits(self) -> Self:
-        """Refuse versions, settings or inputs that do not belong to the key.
+        """Refuse a version, settings or inputs that do not belong to the key.
 
-        Records of versions up to 1.0.0 have no other digest.
+        The records of versions up to 1.0.0 have no other protection.
         """
         about = self.record
         key = Key(
@@ -102,15 +102,15 @@ class StageRecords(NamedTuple):
     """Content of a stage's provenance.json."""
 
     records: dict[str, ProductRecord]
-    """Product → record, of all valid ones."""
+    """Product → record, for all valid records."""
     invalid: list[str]
-    """Names of invalid ones; ``provenance.json`` itself if it cannot be read or was changed."""
+    """Names of invalid records. ``provenance.json`` itself if it cannot be read or was changed."""
     has_digest: bool
-    """Whether its own digest confirms it. Versions up to 1.0.0 wrote none."""
+    """Whether its own digest confirms it. Versions up to 1.0.0 did not write one."""
 
 
 def read_records(folder: Path) -> StageRecords:
-    """Read the records of a stage's folder. Empty without a file."""
+    """Read the records in a stage's folder. Empty if there is no file."""
     try:
         if is_link(folder) or not is_plain(folder / RECORDS):
             return StageRecords({}, [RECORDS] if os.path.lexists(folder / RECORDS) else [], has_digest=False)
@@ -139,12 +139,12 @@ def write_records(stage: str, records: dict[str, ProductRecord]) -> bytes:
 
 
 def write_ready(about: Ready) -> bytes:
-    """Content of the record of a completely written product."""
+    """Content of the record of a product that has been written completely."""
     return sealed(about.model_dump())
 
 
 def read_ready(folder: Path) -> Ready | None:
-    """Read the record of a completely written product. None if there is no valid one."""
+    """Read the record of a product that has been written completely. None if there is no valid record."""
     try:
         if not is_plain(folder / READY_RECORD):
             return None
@@ -169,7 +169,7 @@ def is_link(path: Path) -> bool:
 
 
 def is_plain(path: Path) -> bool:
-    """Whether a path is an ordinary file: not a folder, link, pipe or device."""
+    """Whether a path is an ordinary file, and not a folder, link, pipe or device."""
     return status(path) is not None
 
 

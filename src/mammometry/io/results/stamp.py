@@ -1,6 +1,6 @@
-"""Write the subject's identifier into files whose format allows it.
+"""Write the subject's identifier into files whose formats allow it.
 
-The store does this for all files of a stage, so no writer has to. Pages and documents name the subject in their
+The store does this for all files of a stage, so that writers need not. Pages and documents have the subject in their
 headings.
 """
 
@@ -14,12 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-_HEAD = 4096  # bytes at the start of a mesh file that contain the subject's line
+_HEAD = 4096  # bytes at the start of a mesh file that contain the line with the subject
 _LINE = re.compile(rb"^(?:comment|#) subject ([^\r\n]+)", re.MULTILINE)
 
 
 def stamp_folder(folder: Path, subject: str | None) -> None:
-    """Stamp every file below a folder. Does nothing if no subject is named.
+    """Stamp every file below a folder. Does nothing without a subject.
 
     Raises:
         OSError: the disk reports an error.
@@ -33,13 +33,13 @@ def stamp_folder(folder: Path, subject: str | None) -> None:
 
 
 def stamped(name: str, data: bytes, subject: str | None) -> bytes:
-    """Content of a small file with the subject added. Unchanged without a subject or a place for it."""
+    """Add the subject to a small file's content. Unchanged without a subject or a place for it."""
     inside = _INSIDE.get(Path(name).suffix)
     return data if subject is None or inside is None else inside(data, subject)
 
 
 def subject_of_mesh(path: Path) -> str | None:
-    """Subject in a PLY, OBJ or GLB of ours. None if there is none or it cannot be read."""
+    """Subject in one of our PLY, OBJ or GLB files. None if there is none, or if the file cannot be read."""
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD)
@@ -74,7 +74,7 @@ def _lines(data: bytes, subject: str) -> bytes:
 
 
 def _glb(data: bytes, subject: str) -> bytes:
-    """Set ``asset.extras.subject`` in the JSON chunk, the first of a GLB, padded to four bytes with spaces."""
+    """Set ``asset.extras.subject`` in a GLB's JSON chunk, its first, padded with spaces to four bytes."""
     (length,) = struct.unpack_from("<I", data, 12)
     table = json.loads(data[20 : 20 + length])
     table["asset"]["extras"] = {**table["asset"].get("extras", {}), "subject": subject}
@@ -85,7 +85,7 @@ def _glb(data: bytes, subject: str) -> bytes:
 
 
 def _png(data: bytes, subject: str) -> bytes:
-    """Add an iTXt chunk named Subject after the header chunk. Pixels are unchanged."""
+    """Add an iTXt chunk named Subject after the header chunk. The pixels are unchanged."""
     chunk = b"iTXt" + b"Subject\0\0\0\0\0" + subject.encode()
     whole = struct.pack(">I", len(chunk) - 4) + chunk + struct.pack(">I", zlib.crc32(chunk))
     at = 8 + 25  # signature, IHDR
@@ -125,4 +125,4 @@ _INSIDE: Mapping[str, Callable[[bytes, str], bytes]] = {
     ".jpg": _jpeg,
 }
 _IN_PLACE: Mapping[str, Callable[[Path, str], None]] = {".tif": _tiff, ".npz": _npz}
-"""Large files, to which the identifier is added without reading all of them."""
+"""Formats of large files, to which the identifier is added without reading them completely."""

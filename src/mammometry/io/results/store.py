@@ -1,11 +1,11 @@
-"""The memo on disk: SESSION/results, products with their records.
+"""Products of a session on disk with their records, in SESSION/results.
 
-A record states the inputs of its product. A product is written to a hidden folder, which is then renamed to
-``.ready-…``: from then on it counts. Its files are then moved into place, and its record into ``provenance.json``. Each
-step is on the disk before the next one begins. After an interruption, also by a power cut, the next run removes a
-half-written folder or finishes moving a ready one, so earlier results remain complete. A results folder may be from
-another computer: its records are checked (`records`), links are not followed, and foreign files in the way are renamed
-and never removed.
+A record states the inputs of its product. A product is written into a hidden folder, which is then renamed to
+``.ready-…``. From then on the product is valid. Its files are then moved into place, and its record into
+``provenance.json``. Each step is on the disk before the next one starts. After an interruption, even by a power
+failure, the next run removes an incomplete folder or finishes moving a complete one, so earlier results stay intact. A
+results folder may be from another computer: its records are checked (`records`), links are not followed, and foreign
+files in the way are renamed and never removed.
 """
 
 import logging
@@ -48,10 +48,10 @@ from mammometry.job.products import Key
 
 T = TypeVar("T")
 State = Literal["current", "damaged", "stale", "absent"]
-"""``current``: computed from these inputs, and as written. ``damaged``: the same, but changed since. ``stale``:
-computed from other inputs. ``absent``: missing."""
+"""``current``: computed from these inputs, and as written. ``damaged``: computed from these inputs, but changed since.
+``stale``: computed from other inputs. ``absent``: missing."""
 Watch = Callable[[Key], AbstractContextManager[Progress]]
-"""Called for each product that is computed; the context gives its progress callback."""
+"""Called for each product that is computed. Its context gives the progress callback."""
 
 WRITING, READY, ASIDE = ".writing-", ".ready-", ".set-aside-"
 _Identity = tuple[int, int, int, int]
@@ -59,7 +59,7 @@ _LOG = logging.getLogger(__name__)
 
 
 def unwatched(key: Key) -> AbstractContextManager[Progress]:
-    """A `Watch` that shows nothing."""
+    """A `Watch` that does nothing."""
     return nullcontext(no_progress)
 
 
@@ -70,9 +70,9 @@ class Store:
         self.folder = folder
         self.watch = watch
         self.subject = subject
-        """Identifier in each product. A product with another one, or none, is not current."""
+        """Identifier in each product. A product with another identifier, or without one, is not current."""
         self.made: list[str] = []
-        """``stage/product`` of all products computed, not read, since this store was opened."""
+        """``stage/product`` of all products that were computed, not read, since this store was opened."""
         self._lock = RunLock(folder)
         self._depth = 0
         self._mutex = threading.RLock()
@@ -81,15 +81,15 @@ class Store:
 
     @property
     def at_work(self) -> str:
-        """Process, computer and start time of a run in progress in the folder. Empty if there is none."""
+        """Process, computer and start time of a run that is using the folder. Empty if there is none."""
         return self._lock.holder()
 
     @contextmanager
     def taken(self) -> Iterator[None]:
-        """Lock the folder for writing, and clean up after an interrupted run. May be nested.
+        """Lock the folder for writing, and clean up after an interrupted run. Calls may be nested.
 
         Raises:
-            StorageError: it cannot be written to, or another run is in progress there.
+            StorageError: the folder is not writable, or another run is using it.
         """
         with self._mutex:
             if self._depth == 0:
@@ -113,7 +113,7 @@ class Store:
                 self.folder.mkdir()
                 sync_folder(self.folder.parent)
         self._lock.take()
-        self._records.clear()  # another run may have written since
+        self._records.clear()  # another run may have written in the meantime
         try:
             with disk_errors(self.folder):
                 self._tidy()
@@ -122,7 +122,7 @@ class Store:
             raise
 
     def _tidy(self) -> None:
-        """Finish or remove the remains of an interrupted run."""
+        """Finish or remove what an interrupted run has left."""
         for left in sorted(self.folder.glob(f"{READY}*")):
             if (ready := self._finishable(left)) is not None:
                 _LOG.info("finishing what an interrupted run had ready: %s", left.name)
@@ -133,7 +133,7 @@ class Store:
             self._discard(left)
 
     def _finishable(self, left: Path) -> Ready | None:
-        """Record of a complete product, unless a newer one is in place."""
+        """Record of a completely written product, unless a newer one is in place."""
         ready = read_ready(left) if is_own_folder(left) else None
         if ready is None:
             return None
@@ -155,7 +155,7 @@ class Store:
             self._set_aside(left)
 
     def _set_aside(self, path: Path) -> None:
-        """Rename a foreign file or folder. A link itself, not its target."""
+        """Rename a foreign file or folder. For a link, the link itself is renamed."""
         name = f"{ASIDE}{path.name.lstrip('.')}"
         number = 1
         while os.path.lexists(self.folder / f"{name}-{number}"):
@@ -164,7 +164,7 @@ class Store:
         path.rename(self.folder / f"{name}-{number}")
 
     def state(self, key: Key) -> State:
-        """State of a product. A file is read once per process, and again if it seems changed."""
+        """State of a product. A file is read once per process, and again if it seems to have changed."""
         record = self.record(key)
         if record is None:
             return "absent"
@@ -175,7 +175,7 @@ class Store:
         return "current" if whole else "damaged"
 
     def states(self, keys: Iterable[Key]) -> list[State]:
-        """States of many products, read in parallel: about one second per half gigabyte and core."""
+        """States of many products, whose files are read in parallel: about 0.5 GB per second and core."""
         with ThreadPoolExecutor(available_cores()) as pool:
             return list(pool.map(self.state, keys))
 
@@ -188,11 +188,11 @@ class Store:
         return all(state == "current" for state in self.states(keys))
 
     def record(self, key: Key) -> ProductRecord | None:
-        """A product's record in provenance.json. None without a valid one."""
+        """A product's record in provenance.json. None if there is no valid record."""
         return self._stage_records(key.stage).get(key.product)
 
     def files(self, key: Key) -> dict[str, bytes]:
-        """Content of a product's files by name. Empty without a record.
+        """Contents of a product's files by name. Empty without a record.
 
         Raises:
             StorageError: a file was changed or is missing.
@@ -215,12 +215,12 @@ class Store:
         return content
 
     def made_at(self, keys: Iterable[Key]) -> str | None:
-        """Time at which the newest of these products was computed, ISO 8601, UTC. None if there are none."""
+        """Time at which the newest of these products was computed, ISO 8601, UTC. None if none was."""
         records = map(self.record, keys)
         return max((record.made for record in records if record is not None), default=None)
 
     def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
-        """The current product from disk, else computed and stored.
+        """Read the current product, or else compute and store it.
 
         Raises:
             StorageError: the disk is full or reports an error.
@@ -244,7 +244,7 @@ class Store:
         return value
 
     def write_folder(self, key: Key, prepare: Callable[[], Callable[[Path, Progress], None]]) -> bool:
-        """Write a product that is a folder of its stage, unless current. Returns whether it was written."""
+        """Write a product that is a folder of its stage, unless it is current. Return whether it was written."""
         if self._is_current(key):
             return False
         write = prepare()
@@ -308,7 +308,7 @@ class Store:
         self.made.append(f"{key.stage}/{key.product}")
 
     def _put_in_place(self, ready: Path, about: Ready) -> None:
-        """Move a complete product's files, then its record. It can be restarted after any interruption."""
+        """Move the files of a completely written product, then its record. Can be repeated if interrupted."""
         stage, files = about.stage, about.record.files
         folder = self._folder_in_place(self.folder / stage)
         parents = {folder}
@@ -317,7 +317,7 @@ class Store:
             for above in reversed(Path(name).parents[:-1]):
                 parents.add(self._folder_in_place(folder / above))
             if file_of(ready, stage, name) is None:
-                continue  # moved by an interrupted run
+                continue  # already moved by an interrupted run
             if target.is_dir() and not is_link(target):
                 self._set_aside(target)
             (ready / stage / name).replace(target)
@@ -333,7 +333,7 @@ class Store:
         (ready / RECORDS).replace(folder / RECORDS)
         sync_folder(folder)
         self._records[stage] = records
-        shutil.rmtree(ready, ignore_errors=True)  # a power cut may restore it, but without its files
+        shutil.rmtree(ready, ignore_errors=True)  # a power failure may restore it, but without its files
 
     def _folder_in_place(self, folder: Path) -> Path:
         if is_link(folder) or (folder.exists() and not folder.is_dir()):
@@ -344,7 +344,7 @@ class Store:
         return folder
 
     def _remove_superseded(self, stage: str, old: ProductRecord | None, kept: set[str]) -> None:
-        """Remove unchanged files of the product's earlier version that were not replaced."""
+        """Remove files of the product's earlier version that were not replaced, if they are unchanged."""
         for name, written in {} if old is None else old.files.items():
             if name not in kept and self._is_as_written(self.folder, stage, name, written):
                 (self.folder / stage / name).unlink()
@@ -359,7 +359,7 @@ class Store:
 
 
 class Reader:
-    """A memo that reads a store's products and computes nothing."""
+    """Reads a store's products, and computes nothing."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
@@ -369,10 +369,10 @@ class Reader:
         return self._store.has(key)
 
     def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
-        """The current product from disk.
+        """Read the current product.
 
         Raises:
-            StorageError: there is none.
+            StorageError: there is no current product.
         """
 
         def refuse() -> Callable[[Progress], T]:

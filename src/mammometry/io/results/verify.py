@@ -1,4 +1,4 @@
-"""Verify that all files of a results folder are as written. Changes nothing."""
+"""Verify that all files in a results folder are as written. Changes nothing."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ from mammometry.job.products import STAGES
 
 BATCH = "batch.json"
 """Record of a batch in the results folder."""
-_NOT_RESULTS = (LOCK, WRITING, READY, ASIDE)  # locks; the rest of an interrupted run is listed separately
+_NOT_RESULTS = (LOCK, WRITING, READY, ASIDE)  # locks, and remains of an interrupted run, which are listed separately
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,9 +34,9 @@ class Damage:
     """A file that is not as written."""
 
     stage: str | None
-    """Stage. None: not of a stage, such as a page for others."""
+    """Stage. None if it is not in a stage, such as a page for other people."""
     product: str | None
-    """Product. None: not of a product, such as a stage's record."""
+    """Product. None if it is not part of a product, such as a stage's record."""
     file: str
     """Path below the results folder, or below the session if it is not a result."""
     found: str
@@ -49,22 +49,22 @@ class Findings:
 
     products: int
     files: int
-    """Number of files of products, and of commands that record what they wrote."""
+    """Number of files of products, and of commands that record what they write."""
     outputs: tuple[str, ...]
     """Files written by commands: paths below the session or the results."""
     bytes: int
-    """Number of bytes as written."""
+    """Number of bytes of these files as written."""
     damaged: tuple[Damage, ...]
     unrecorded: tuple[str, ...]
     """Files in the results folder that are in no record."""
     leftovers: tuple[str, ...]
     """Remains of an interrupted run, and files that were set aside."""
     without_digest: tuple[str, ...]
-    """Records without their own digest, from versions up to 1.0.0: their times are not checked."""
+    """Records without their own digest, from versions up to 1.0.0. Their times are not checked."""
 
 
 def results_in(folder: Path) -> Path:
-    """Results folder of a session or a scan. Any other folder that a command wrote to is returned itself.
+    """Results folder of a session or a scan. Any other folder that a command has written is returned itself.
 
     Raises:
         SessionError: it contains neither.
@@ -82,8 +82,8 @@ def verify(results: Path, session: Path | None = None) -> Findings:
     """Compare all recorded files with their records.
 
     Args:
-        results: folder of the stages.
-        session: its session or scan, whose other folders are checked too if a command keeps a record there.
+        results: results folder, which contains the folders of the stages.
+        session: its session or scan. Its other folders are checked, too, if a command has left a record there.
     """
     read = {stage: read_records(results / stage) for stage in STAGES}
     files = [
@@ -128,16 +128,16 @@ def verify(results: Path, session: Path | None = None) -> Findings:
 
 
 class _Others(NamedTuple):
-    """Files that no stage wrote, checked by their own records."""
+    """Files that no stage has written, checked by their own records."""
 
     whole: Mapping[str, int]
-    """File → its bytes."""
+    """File → its size in bytes."""
     damaged: tuple[Damage, ...]
     without_digest: tuple[str, ...]
 
 
 def _others(results: Path, session: Path | None) -> _Others:
-    """Check the files of other commands, and a batch's record."""
+    """Check the files of other commands, and the record of a batch."""
     whole, damaged, without_digest = dict[str, int](), list[Damage](), list[str]()
     root = results if session is None else session
     records = [path for path in (root.rglob(RECORD) if root.is_dir() else ()) if not _is_below_link(path, root)]
@@ -178,12 +178,12 @@ def _is_below_link(path: Path, root: Path) -> bool:
 
 
 def _named(path: Path, results: Path, root: Path) -> str:
-    """Path below the results, or otherwise below the session."""
+    """Path below the results, or else below the session."""
     return shown(path.relative_to(results if path.is_relative_to(results) else root).as_posix())
 
 
 def _half_in_place(results: Path, names: Iterable[str]) -> Mapping[str, set[str]]:
-    """Files by stage that an interrupted run was moving into place. The next run continues with them."""
+    """Stage → files that an interrupted run was moving into place. The next run continues with them."""
     moving: dict[str, set[str]] = {stage: set() for stage in STAGES}
     for name in names:
         about = read_ready(results / name) if name.startswith(READY) else None
@@ -212,7 +212,7 @@ def _damage(results: Path, stage: str, name: str, written: FileRecord) -> str | 
 
 
 def _files(folder: Path) -> Iterator[str]:
-    """Files below a folder, without locks and hidden working folders at its top level."""
+    """Files below a folder, without locks and without hidden working folders at its top level."""
     for path in folder.rglob("*") if folder.is_dir() and not is_link(folder) else ():
         below = path.relative_to(folder)
         if (is_link(path) or not path.is_dir()) and not below.parts[0].startswith(_NOT_RESULTS):
