@@ -1,1 +1,1 @@
-"""The rig's cameras: set, fired, checked and written into a session."""
+"""The rig's cameras: settings, capture, checks, and storage in a session."""

@@ -1,4 +1,4 @@
-"""Interface of all kinds of cameras: pictures, states, settings."""
+"""Interface for all kinds of cameras: pictures, states, settings."""
 
 from __future__ import annotations
 
@@ -26,14 +26,16 @@ Clock: TypeAlias = Literal["ptp", "host", "exif", "none"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraSettings:
-    """Exposure settings of all cameras. None keeps the camera's setting."""
+    """Exposure settings of all cameras. None keeps the cameras' own setting."""
 
     exposure_ms: float | None = None
-    """Exposure time, the same for all cameras, so that all contain the flash. None: as the cameras are set."""
+    """Exposure time, the same for all cameras, so that each exposure includes the flash. None: as set on the
+    cameras."""
     gain_db: float | None = None
-    """Gain of the sensor; as low as the light allows, because it also raises noise. None: as the cameras are set."""
+    """Gain of the sensor, as low as the light allows, because it also amplifies noise. None: as set on the cameras."""
     trigger: Literal["wire", "software"] = "wire"
-    """``wire``: an external pulse exposes all at once. ``software``: one command per camera, for tests and set-up."""
+    """``wire``: an external pulse exposes all cameras at once. ``software``: one command per camera, for tests and
+    set-up."""
 
     def __post_init__(self) -> None:
         if self.exposure_ms is not None and not 0.01 <= self.exposure_ms <= 10_000:
@@ -48,7 +50,7 @@ class Frame:
     content: bytes | Photograph
     """A complete JPEG, PNG or TIFF from the camera, or pixels."""
     taken_s: float | None = None
-    """Time of exposure on its clock, seconds."""
+    """Time of the exposure by its clock, seconds."""
     clock: Clock = "none"
     number: int | None = None
     """The camera's picture counter."""
@@ -61,7 +63,7 @@ class Health:
     """State of one camera."""
 
     fault: str = ""
-    """The fault, one sentence. Empty if none."""
+    """The fault in one sentence. Empty if there is none."""
     model: str = ""
     serial: str = ""
     size_wh: tuple[int, int] | None = None
@@ -81,21 +83,21 @@ class Health:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Devices:
-    """The cameras for a back-end to open."""
+    """The cameras that a back-end opens."""
 
     cameras: tuple[str, ...]
-    """Names in the rig."""
+    """Names of the cameras in the rig."""
     ids: Mapping[str, str]
-    """Camera → its serial number, address or port in the back-end. Cameras may be missing."""
+    """Camera → serial number, address or port in the back-end. May be incomplete."""
     options: Mapping[str, Any]
-    """The back-end's own options, from the rig's file."""
+    """Options of the back-end, from the rig's file."""
 
 
 class Backend(Protocol):
     """All cameras of a rig, opened.
 
-    A back-end is made from `Devices`; this opens the cameras. The failure of one camera is a `CaptureError` of `fetch`
-    or a fault in `health`, so that the others continue. `fetch` and `live` are called for several cameras in parallel.
+    A back-end is created from `Devices`, which opens the cameras. If one camera fails, `fetch` raises a `CaptureError`
+    or `health` reports a fault, and the others continue. `fetch` and `live` are called for several cameras in parallel.
     """
 
     def settings(self, wanted: CameraSettings) -> None:
@@ -106,54 +108,54 @@ class Backend(Protocol):
         """
 
     def arm(self) -> None:
-        """Make all cameras wait for the pulse. Earlier pictures are dropped."""
+        """Make all cameras wait for the trigger. Earlier pictures are dropped."""
 
     def fire(self) -> float:
-        """Expose, unless a wire triggers.
+        """Trigger the exposure, unless a wire does.
 
         Returns:
             Time of the exposure (``time.time()``).
         """
 
     def fetch(self, camera: str, timeout_s: float) -> Frame:
-        """The picture of the last firing.
+        """Return the picture of the last exposure.
 
         Raises:
             CaptureError: it is missing or damaged.
         """
 
     def live(self, camera: str) -> Photograph:
-        """A live picture, small if the camera supports it.
+        """Return a live picture, small if the camera supports it.
 
         Raises:
             CaptureError: there is none.
         """
 
     def health(self, camera: str) -> Health:
-        """State of a camera."""
+        """Report the state of a camera."""
 
     def close(self) -> None:
         """Release the cameras."""
 
 
 def failed(camera: str, found: str, remedy: str, *, expected: str = "one picture of this firing") -> CaptureError:
-    """The error of one camera."""
+    """Return the error for one camera."""
     return CaptureError(camera, found=found, expected=expected, remedy=remedy)
 
 
 class Holds:
-    """Locks on the cameras of a rig, until `release` or the end of the process."""
+    """Locks on the cameras of a rig, held until `release` or the end of the process."""
 
     def __init__(self, rig: str, backend: str, ids: Mapping[str, str]) -> None:
-        """Lock all cameras, or none.
+        """Lock all cameras, or none if one is in use.
 
         Args:
-            rig: its name, for messages of another rig.
+            rig: name of the rig, for messages of other rigs.
             backend: kind of cameras.
             ids: camera → serial number, address or port.
 
         Raises:
-            CaptureError: another rig uses one of them.
+            CaptureError: another rig is using one of them.
         """
         self._locks: list[FileLock] = []
         folder = Path(tempfile.gettempdir()) / f"mammometry-cameras-{getpass.getuser()}"
@@ -186,9 +188,9 @@ BACKENDS: Registry[Opener] = Registry("back-end", package="mammometry.capture.ba
 
 
 def library(name: str) -> ModuleType:
-    """Import a maker's library.
+    """Import a camera maker's library.
 
-    Those made by SWIG warn on import, and would end the whole program if warnings are errors.
+    Libraries made with SWIG warn on import, which would end the program if warnings are errors.
 
     Raises:
         ImportError: it is not installed.
@@ -199,5 +201,5 @@ def library(name: str) -> ModuleType:
 
 
 def missing(backend: str, what: str, remedy: str) -> SettingsError:
-    """The error of a back-end whose program or package is not installed."""
+    """Return the error for a back-end whose program or package is not installed."""
     return SettingsError(f"back-end {backend}", found=f"no {what}", expected="it installed", remedy=remedy)

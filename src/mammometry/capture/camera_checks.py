@@ -1,4 +1,4 @@
-"""Checks of which camera took each photograph, and that all are of one exposure."""
+"""Checks which camera took each photograph, and whether all are from one exposure."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from mammometry.capture.checks import Finding
 from mammometry.io.photographs.tags import PhotographTags
 
 _TOGETHER_S = 20.0
-"""Clocks of cameras are set by hand, to a second or two, if no calibration shows how they differ. Two exposures of one
-visit are further apart."""
-_TOGETHER_KNOWN_S = 2.5  # if the calibration shows how the clocks differ: EXIF has whole seconds, clocks drift
+"""Largest difference in time within one exposure, if the clocks' differences are unknown. Clocks are set by hand to a
+second or two. Two exposures of one visit are further apart."""
+_TOGETHER_KNOWN_S = 2.5  # the same if the differences are known: EXIF has whole seconds, and clocks drift
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KnownCamera:
-    """One camera of a rig, from its calibration photographs."""
+    """Facts about one camera of a rig, from its calibration photographs."""
 
     stored_wh: tuple[int, int] | None = None
     """Width and height of its files, px."""
@@ -27,16 +27,16 @@ class KnownCamera:
     """EXIF orientation of its files."""
     serial: str = ""
     clock_s: float | None = None
-    """Lead of its clock over the rig's median clock, s."""
+    """How far its clock is ahead of the rig's median clock, s."""
 
     def as_table(self) -> dict[str, Any]:
-        """The known facts of a camera as JSON."""
+        """These facts as JSON."""
         size = None if self.stored_wh is None else list(self.stored_wh)
         return {"stored_wh": size, "orientation": self.orientation, "serial": self.serial, "clock_s": self.clock_s}
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any]) -> KnownCamera:
-        """Read the known facts of a camera from JSON."""
+        """Read these facts from JSON."""
         size = table.get("stored_wh")
         return cls(
             stored_wh=None if size is None else (int(size[0]), int(size[1])),
@@ -47,13 +47,13 @@ class KnownCamera:
 
 
 def clocks(taken: Mapping[tuple[str, str], float]) -> dict[str, float]:
-    """Lead of each camera's clock over the others', from simultaneous exposures.
+    """How far each camera's clock is ahead of the others, from simultaneous exposures.
 
     Args:
-        taken: (pose, camera) → time on the camera's own clock, s.
+        taken: (pose, camera) → time by the camera's own clock, s.
 
     Returns:
-        Camera → median over the poses of its difference from the pose's median, s.
+        Camera → median over the poses of the difference to the median of the pose, s.
     """
     poses: dict[str, dict[str, float]] = {}
     for (pose, camera), moment in taken.items():
@@ -67,7 +67,7 @@ def clocks(taken: Mapping[tuple[str, str], float]) -> dict[str, float]:
 
 
 def camera_of_name(name: str, cameras: Sequence[str]) -> str | None:
-    """The camera whose name is a whole word in a file's name. None if none or several."""
+    """The camera whose name is a whole word in a file's name. None if there is none, or several."""
     stem = re.sub(r"\.[A-Za-z]+$", "", name).lower()
     named = [camera for camera in cameras if re.search(rf"(?<![a-z0-9]){re.escape(camera.lower())}(?![a-z0-9])", stem)]
     longest = [camera for camera in named if not any(camera != other and camera in other for other in named)]
@@ -75,16 +75,16 @@ def camera_of_name(name: str, cameras: Sequence[str]) -> str | None:
 
 
 def camera_of_serial(serial: str, known: Mapping[str, KnownCamera]) -> str | None:
-    """The one camera that has this serial number."""
+    """The only camera with this serial number. None if there is none, or several."""
     matching = [camera for camera, about in known.items() if serial and about.serial == serial]
     return matching[0] if len(matching) == 1 else None
 
 
 def right_camera(camera: str, exposure: PhotographTags, named: str | None, known: Mapping[str, KnownCamera]) -> Finding:
-    """Check that the photograph is filed under the right camera.
+    """Check that a photograph is assigned to the right camera.
 
     Args:
-        camera: the camera it is filed under.
+        camera: the camera that it is assigned to.
         exposure: metadata of its file.
         named: the camera in the file's name, if any.
         known: camera → facts from the calibration.
@@ -109,7 +109,7 @@ def right_camera(camera: str, exposure: PhotographTags, named: str | None, known
 
 
 def right_size(camera: str, stored_wh: tuple[int, int], orientation: int, known: Mapping[str, KnownCamera]) -> Finding:
-    """Check that a photograph has the size and orientation of the calibration's."""
+    """Check that a photograph has the size and orientation of the calibration's photographs."""
     about = known.get(camera, KnownCamera())
     if about.stored_wh is None:
         return Finding("size", "unknown", "Its expected size is unknown without a calibration.")
@@ -132,11 +132,11 @@ def right_size(camera: str, stored_wh: tuple[int, int], orientation: int, known:
 
 
 def together(taken: Mapping[str, float], clock_s: Mapping[str, float]) -> Finding:
-    """Check that all photographs are of one exposure.
+    """Check that all photographs are from one exposure.
 
     Args:
-        taken: camera → time on its own clock, s.
-        clock_s: camera → lead of its clock, if known.
+        taken: camera → time by its own clock, s.
+        clock_s: camera → how far its clock is ahead, if known.
     """
     if len(taken) < 2:
         return Finding("times", "unknown", "The files have no time.")
@@ -159,7 +159,7 @@ def together(taken: Mapping[str, float], clock_s: Mapping[str, float]) -> Findin
 
 
 def twice(digests: Mapping[str, str]) -> list[Finding]:
-    """Refuse one file for two cameras.
+    """Refuse the same file for two cameras.
 
     Args:
         digests: camera → SHA-256 of its file.

@@ -21,17 +21,17 @@ Level: TypeAlias = Literal["ok", "unknown", "warn", "refuse"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One check of one photograph, or of all together."""
+    """Result of one check of one photograph, or of all photographs together."""
 
     check: str
-    """What was checked: format, camera, size, sharpness, exposure, whole, times, twice, digest."""
+    """Name of the check: format, camera, size, sharpness, exposure, whole, times, twice, digest."""
     level: Level
-    """``unknown``: no information; ``warn``: look at it; ``refuse``: it cannot be used."""
+    """``unknown``: no information; ``warn``: it should be looked at; ``refuse``: it cannot be used."""
     sentence: str
-    """For the photographer: the finding and the remedy."""
+    """For the photographer: what was found, and what to do."""
 
     def as_table(self) -> dict[str, object]:
-        """The check for JSON, with its level, and ``ok``, which is None if unknown."""
+        """The result for JSON, with its level, and ``ok``, which is None if unknown."""
         ok = None if self.level == "unknown" else self.level == "ok"
         return {"check": self.check, "ok": ok, "level": self.level, "sentence": self.sentence}
 
@@ -41,7 +41,8 @@ def refuses(findings: Iterable[Finding]) -> bool:
     return any(finding.level == "refuse" for finding in findings)
 
 
-_LOOKED_AT = 1 << 16  # bytes at either end: an archive's directory is within 65,557 of the end (ZIP, APPNOTE 4.3.16)
+# bytes searched at both ends: an archive's directory is within 65,557 of the end (ZIP, APPNOTE 4.3.16)
+_LOOKED_AT = 1 << 16
 _BEGIN = (b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"II*\x00", b"MM\x00*")  # JPEG, PNG, TIFF in either byte order
 _JPEG, _JPEG_END, _PNG_END = _BEGIN[0], b"\xff\xd9", b"IEND\xaeB`\x82"
 _OTHERS = {
@@ -59,23 +60,23 @@ _OTHERS = {
     b"\x7felf": "a program",
     b"this program cannot be run in dos mode": "a program",
 }
-"""First bytes of other formats, in lower case, if they are recognised at any offset."""
-_ANYWHERE = (b"%pdf-", b"<?php", b"<script", b"<html", b"<!doctype", b"<svg")  # found by readers after the first byte
-_HEAD_BYTES = 1024  # in which PDF readers and browsers look for them
+"""First bytes of other formats that are recognised at any offset, in lower case."""
+_ANYWHERE = (b"%pdf-", b"<?php", b"<script", b"<html", b"<!doctype", b"<svg")  # readers find these at any offset
+_HEAD_BYTES = 1024  # number of bytes in which PDF readers and browsers search for them
 
 
 NO_PHOTOGRAPH = "no photograph"
-"""Answer of `not_only_a_photograph` for a file that does not start as one."""
+"""Result of `not_only_a_photograph` for a file that does not start like a photograph."""
 
 
 def not_only_a_photograph(path: Path, *, heic: bool = False) -> str | None:
     """Second format of a file that is a photograph and something else, in two words.
 
-    `NO_PHOTOGRAPH` if it is no photograph. None for an ordinary photograph.
+    `NO_PHOTOGRAPH` if it is not a photograph. None for an ordinary photograph.
 
     Args:
         path: the file.
-        heic: whether a HEIC is a photograph, as of telephones.
+        heic: whether HEIC is accepted as a photograph, as from telephones.
 
     Raises:
         OSError: it cannot be read.
@@ -101,42 +102,42 @@ def _behind(head: bytes, tail: bytes) -> bytes:
     Cameras may store a second, smaller picture or notes there.
     """
     end = _JPEG_END if head.startswith(_JPEG) else _PNG_END if head.startswith(_BEGIN[1]) else b""
-    if not end:  # the parts of a TIFF or HEIC are in any order: only the end of an archive counts
+    if not end:  # the parts of a TIFF or HEIC may be in any order, so only the end of an archive counts
         return tail[tail.rfind(b"PK\x05\x06") :] if b"PK\x05\x06" in tail else b""
     place = tail.rfind(end)
     closing = tail.rfind(b"PK\x05\x06")
     return tail[min(position for position in (place, closing) if position >= 0) :] if max(place, closing) >= 0 else tail
 
 
-_LOOKED_AT_PX = 676.0  # diagonal at which the subject is found: half of the reference size, as in matching
+_LOOKED_AT_PX = 676.0  # diagonal at which the subject is searched: half of the reference size, as in matching
 QUICK_PX = 250.0
-"""Diagonal at which it is found during a capture, when eight pictures need a quick verdict."""
-_COARSE_STEP = 12  # pixels per block, from which there are many
-_CROP_PX = 800  # side of the part of the subject used for sharpness; for speed
+"""The same diagonal during a capture, when eight pictures must be checked quickly."""
+_COARSE_STEP = 12  # pixels per block above which a block has more than enough
+_CROP_PX = 800  # side of the part of the subject on which sharpness is measured; for speed
 _QUICK_CROP_PX = 480  # the same during a capture: a third of the time
 _BLURRED = 0.67
-"""Blur (Crete 2007, 0 to 1) above which there is a warning. Rendered photographs of torsos have 0.31 to 0.36, and 0.46
-to 0.53, 0.67 to 0.73 and 0.81 to 0.85 if blurred by a Gaussian σ of 1, 2 and 3 px.
+"""Blur (Crete 2007, 0 to 1) above which there is a warning. Rendered photographs of torsos have 0.31 to 0.36. Blurred
+with a Gaussian σ of 1, 2 and 3 px, they have 0.46 to 0.53, 0.67 to 0.73 and 0.81 to 0.85.
 """
-_DARK, _PALE = 0.25, 0.95  # median of the subject's encoded value; well-lit skin of any colour is between
-_CLIPPED, _CLIPPED_SHARE = 0.995, 0.02  # encoded value that counts as saturated, and the allowed share of the subject
-_SMALL, _LARGE = 0.08, 0.92  # share of the picture that the subject covers
-_AT_BORDER = 0.02  # of a border's length: a cast must not touch it
-_OFF_CENTRE = 0.3  # of the picture's width, between its centre and the subject's
+_DARK, _PALE = 0.25, 0.95  # limits of the subject's median encoded value; well-lit skin of any colour is between them
+_CLIPPED, _CLIPPED_SHARE = 0.995, 0.02  # encoded value that counts as saturated, and its largest share of the subject
+_SMALL, _LARGE = 0.08, 0.92  # limits of the share of the picture that the subject covers
+_AT_BORDER = 0.02  # largest share of a border that a cast may cover
+_OFF_CENTRE = 0.3  # largest distance between the centres of subject and picture, as a share of the picture's width
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Seen:
-    """Figures of one photograph, shares of 1."""
+    """Figures of one photograph, as shares of 1."""
 
     cover: float
-    """Covered share of the picture; 0 if no subject was found."""
+    """Share of the picture covered by the subject; 0 if no subject was found."""
     borders: tuple[float, float, float, float]
     """Covered share of the upper, lower, left and right border."""
     centre: float
-    """Column of the subject's centre; 0.5 is the middle."""
+    """Column of the subject's centre; 0.5 is the picture's centre."""
     median: float
-    """Encoded value of the subject."""
+    """Median encoded value of the subject."""
     clipped: float
     """Overexposed share of the subject, without detail."""
     blur: float
@@ -144,11 +145,11 @@ class Seen:
 
 
 def look(photograph: Photograph, *, looked_at_px: float = _LOOKED_AT_PX) -> Seen:
-    """Measure a photograph's figures.
+    """Measure the figures of a photograph.
 
     Args:
         photograph: 8 or 16 bit.
-        looked_at_px: diagonal of the reduced picture in which the subject is found.
+        looked_at_px: diagonal of the reduced picture in which the subject is searched.
     """
     pixels = np.atleast_3d(photograph.pixels)
     diagonal = float(np.hypot(*photograph.size_wh))
@@ -173,7 +174,7 @@ def look(photograph: Photograph, *, looked_at_px: float = _LOOKED_AT_PX) -> Seen
 
 
 def _blur(pixels: Array, where: Bool[Array, "h w"], step: int, side_px: int) -> float:
-    """Blur of the subject's middle at full resolution, by its texture and edges."""
+    """Blur of the centre of the subject at full resolution, from its texture and edges."""
     rows, columns = np.nonzero(where)
     part = []
     for places, length in ((rows, pixels.shape[0]), (columns, pixels.shape[1])):
@@ -181,10 +182,10 @@ def _blur(pixels: Array, where: Bool[Array, "h w"], step: int, side_px: int) -> 
         middle = (low + high) // 2
         part.append(slice(max(0, low, middle - side_px // 2), min(length, high, middle + side_px // 2)))
     cut, largest = pixels[part[0], part[1]], np.iinfo(pixels.dtype).max
-    channels = cut.shape[2]  # added one by one: NumPy's mean over three values is slow
+    channels = cut.shape[2]  # added one by one, because NumPy's mean over three values is slow
     crop: Float32[Array, "h w"] = sum(cut[..., k].astype(np.float32) for k in range(channels)) / (channels * largest)
     blur = float(blur_effect(crop))  # type: ignore[no-untyped-call]
-    return blur if np.isfinite(blur) else 1.0  # a single value
+    return blur if np.isfinite(blur) else 1.0  # all pixels have one value
 
 
 def judge(seen: Seen, subject_kind: str) -> list[Finding]:
@@ -192,7 +193,7 @@ def judge(seen: Seen, subject_kind: str) -> list[Finding]:
 
     Args:
         seen: figures of the photograph.
-        subject_kind: ``torso``, which continues outside the picture, or ``model``, which must be inside.
+        subject_kind: ``torso``, which extends beyond the picture, or ``model``, which must be inside.
     """
     return [_sharpness(seen), _exposure(seen), _whole(seen, subject_kind)]
 

@@ -1,7 +1,7 @@
 """Suggestions where to hold the board next during a calibration.
 
-The suggested place is the one that reduces the expected errors most: the information that a view adds to the cameras'
-covariance follows from its derivatives, before the picture is taken.
+The suggested position is the one that reduces the expected errors most. The information that a view adds to the
+cameras' covariance follows from its derivatives, before the picture is taken.
 """
 
 from __future__ import annotations
@@ -18,32 +18,32 @@ from mammometry.geometry import Array, Float64, Rig, Transform
 from mammometry.simulate.rigs.targets import sees_target, visible_points
 
 GOOD_MM = 0.05
-"""Expected error of points at which a calibration is good enough, mm: a tenth of the paper's limit on a plate, as
+"""Expected error of points below which a calibration is good enough, mm: a tenth of the paper's limit on a plate, as in
 `findings.RESIDUAL_GOOD_MM`.
 """
 POSES = 12
-"""Poses after which a rig is usually good enough."""
-_CANDIDATES = 80  # places that are compared; twice as many change the result by a few per cent
-_REACH = 0.6  # of half the working volume's side: how far from its middle the board is held
-_TILT_STD = 0.35  # of each coordinate of the board's unit normal: about 20°
-_FEWEST_CAMERAS = 2  # that must see the board; one camera links nothing
+"""Number of poses after which a rig is usually calibrated well enough."""
+_CANDIDATES = 80  # positions that are compared; twice as many change the result by a few per cent
+_REACH = 0.6  # largest distance of the board from the centre, as a share of half the working volume's side
+_TILT_STD = 0.35  # standard deviation of each coordinate of the board's unit normal: about 20°
+_FEWEST_CAMERAS = 2  # fewest cameras that must see the board; a single camera does not connect anything
 
 
 @value(eq=False)
 class Suggestion:
-    """A place to hold the board, and its expected gain."""
+    """A position for the board, and the expected improvement."""
 
     world_from_target: Transform
     now_mm: float
     """Expected error of the worst pair's points now."""
     then_mm: float
-    """The same with this pose."""
+    """The same after adding this pose."""
     outlines_px: Mapping[str, Float64[Array, "4 2"]]
-    """Camera that would see it → the board's outline in its picture, px. Read-only."""
+    """Camera that would see the board → its outline in the picture, px. Read-only."""
     outlines: Mapping[str, Float64[Array, "4 2"]]
     """The same as shares of the picture's width and height, for a live picture of any size. Read-only."""
     sentence: str
-    """Instruction for the person with the board."""
+    """Instruction for the person who holds the board."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +58,7 @@ class GuideProgress:
 
 
 def opening(pair_names: tuple[str, ...], taken: int) -> str:
-    """Place of the board before the first calibration, turned towards each pair."""
+    """Position of the board before the first calibration, facing each pair in turn."""
     if not taken:
         return "Hold the board in the middle, so that as many cameras as possible see it."
     pair = pair_names[(taken - 1) % len(pair_names)]
@@ -66,7 +66,7 @@ def opening(pair_names: tuple[str, ...], taken: int) -> str:
 
 
 def progress(calibration: Calibration) -> GuideProgress:
-    """Distance of the calibration from good enough."""
+    """How far the calibration is from being good enough."""
     errors = expected_error(calibration).rms_mm
     worst = max(errors, key=lambda pair: np.nan_to_num(errors[pair], nan=np.inf))
     poses, good = len(calibration.world_from_target), bool(errors[worst] <= GOOD_MM)
@@ -81,11 +81,11 @@ def progress(calibration: Calibration) -> GuideProgress:
 
 
 def suggest(calibration: Calibration) -> Suggestion | None:
-    """Next place to hold the board, from the poses so far. None if no two cameras see one."""
+    """Next position of the board, given the poses so far. None if no two cameras would see any position."""
     shifts = shape_shifts(calibration)
     own = np.ix_(shifts.columns, shifts.columns)
     information = np.linalg.pinv(calibration.covariance.independent[own], hermitian=True)
-    # The error is a trace: each pair's points are summed once, not for each place.
+    # The error is a trace, so each pair's points are summed once and not for each position.
     moments = {
         pair: np.einsum("nkp,nkq->pq", free, free) / len(free)
         for pair, free in shifts.by_parameter.items()
@@ -95,7 +95,7 @@ def suggest(calibration: Calibration) -> Suggestion | None:
     def worst_mm(covariance: Float64[Array, "p p"]) -> float:
         return float(np.sqrt(max(np.trace(moment @ covariance) for moment in moments.values())))
 
-    # Errors shared by a photograph's points make the true error larger, before and after alike.
+    # Errors common to the points of a photograph increase the true error, by the same factor before and after.
     shared = worst_mm(calibration.covariance.matrix[own]) / worst_mm(calibration.covariance.independent[own])
     weight = 1.0 / _variance_px2(calibration)
     best: tuple[float, Transform] | None = None
@@ -123,7 +123,7 @@ def suggest(calibration: Calibration) -> Suggestion | None:
 def _information_of(
     calibration: Calibration, placed: Transform, names: tuple[str, ...], weight: float
 ) -> Float64[Array, "p p"] | None:
-    """Information about the cameras in a view of the board, with its pose eliminated (Schur complement)."""
+    """Information about the cameras from a view of the board, with its pose eliminated (Schur complement)."""
     target = calibration.observations.target
     size = len(names)
     own, cross, pose = np.zeros((size, size)), np.zeros((size, 6)), np.zeros((6, 6))
@@ -146,7 +146,7 @@ def _information_of(
 
 
 def _places(calibration: Calibration, rng: np.random.Generator) -> list[Transform]:
-    """Places around the rig's centre, facing some of the pairs, in any rotation."""
+    """Positions around the rig's centre, facing some of the pairs, with any rotation about the normal."""
     rig, target = calibration.rig, calibration.observations.target
     volume = working_volume(calibration)
     grid, middle = volume.grid_world, volume.middle_world
@@ -155,7 +155,7 @@ def _places(calibration: Calibration, rng: np.random.Generator) -> list[Transfor
     places = []
     for _ in range(_CANDIDATES):
         facing = rng.dirichlet(np.ones(len(axes))) @ axes + rng.normal(0.0, _TILT_STD, 3)
-        z = -facing / np.linalg.norm(facing)  # into the board
+        z = -facing / np.linalg.norm(facing)  # pointing into the board
         helper = np.eye(3)[int(np.abs(z).argmin())]
         a = np.cross(helper, z) / np.linalg.norm(np.cross(helper, z))
         turn = rng.uniform(0.0, 2 * np.pi)
@@ -173,7 +173,7 @@ def _pair_axes(rig: Rig) -> Float64[Array, "p 3"]:
 
 
 def _variance_px2(calibration: Calibration) -> float:
-    """Variance of one coordinate of a point, as the calibration estimated it."""
+    """Variance of one coordinate of a point, as estimated by the calibration."""
     variances = [
         np.trace(detection.covariance_px2, axis1=1, axis2=2) / 2 for detection in calibration.observations.detections
     ]

@@ -1,4 +1,4 @@
-"""Capture with one button, into a session that can be measured."""
+"""Capture at the press of one button, into a session that can be measured."""
 
 from __future__ import annotations
 
@@ -42,20 +42,20 @@ if TYPE_CHECKING:
     from mammometry.calibration.targets.target import Target
     from mammometry.settings import Settings
 
-_SEARCH_PX = 480  # width in which the board is found to identify cameras: hundredths of a pixel do not matter
+_SEARCH_PX = 480  # width at which the board is searched to identify cameras, for which low accuracy is enough
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaptureResult:
-    """Result of one firing."""
+    """Result of one capture."""
 
     shot: Path
-    """Folder of its pictures, from all cameras that delivered."""
+    """Folder of its pictures, from all cameras that delivered one."""
     verdict: CaptureVerdict
     accepted: bool
-    """Whether it is the session's capture now."""
+    """Whether it became the session's capture."""
     written_s: float
-    """From the pulse until the last picture was on the disk."""
+    """Time from the pulse until the last picture was on the disk."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,22 +63,22 @@ class PoseResult:
     """Result of one pose of the calibration board."""
 
     pose: str
-    """Its folder in ``calibration``; empty if none was taken now."""
+    """Its folder in ``calibration``. Empty if none was taken now."""
     count: int
-    """Poses so far."""
+    """Number of poses so far."""
     progress: GuideProgress | None
-    """None while there are too few."""
+    """None while there are too few poses."""
     suggestion: Suggestion | None
     sentence: str
     """Where to hold the board next."""
     why: str = ""
-    """Reason for having no calibration yet."""
+    """Reason why there is no calibration yet."""
 
 
 class OpenRig:
-    """A rig's open cameras, with the data for checking its pictures.
+    """A rig's open cameras, with the data for checking their pictures.
 
-    Opening reads the calibration once, so that a verdict takes two seconds instead of twenty.
+    The calibration is read once, when the rig is opened, so that a verdict takes two seconds instead of twenty.
     """
 
     def __init__(
@@ -95,16 +95,16 @@ class OpenRig:
 
         Args:
             rig_file: rig.toml.
-            backend: to replace the file's.
+            backend: replaces the one in the file.
             calibration: session of the rig's calibration.
-            own_calibration: without one, use the one named in the file, if any.
-            needs_calibration: whether it must exist. False while it is being made.
-            settings: for the calibration; None: the defaults.
+            own_calibration: without `calibration`, use the one named in the file, if any.
+            needs_calibration: whether it must exist. False while the rig is being calibrated.
+            settings: settings of the calibration; None: the defaults.
 
         Raises:
             SessionError: the rig's file is invalid, or its calibration is missing.
             SettingsError: the back-end is unknown or not installed.
-            CaptureError: cameras do not answer, or another rig uses them.
+            CaptureError: cameras do not answer, or another rig is using them.
             CalibrationError: the calibration that the file names failed.
         """
         self.file: RigFile = read_rig_file(rig_file)
@@ -147,21 +147,21 @@ class OpenRig:
         return self.file.camera_names
 
     def faults(self) -> dict[str, str]:
-        """Camera → its fault before firing."""
+        """Camera → its fault before a capture."""
         states = {name: self.backend.health(name) for name in self.cameras}
         return {name: state.fault for name, state in states.items() if state.fault}
 
     def fire_into(self, session: Path, *, subject_id: str | None = None) -> CaptureResult:
-        """Fire, write and check. If the pictures can be measured, they become the session's capture.
+        """Capture pictures, write and check them. If they can be measured, they become the session's capture.
 
         Args:
-            session: made if there is none.
+            session: created if it does not exist.
             subject_id: pseudonym of the patient.
 
         Raises:
             SessionError: the session has photographs from another source.
-            StorageError: no camera's picture could be written.
-            CaptureError: no camera gave a picture.
+            StorageError: no picture could be written.
+            CaptureError: no camera delivered a picture.
         """
         prepare(session, self.file, self.calibration, subject_id=subject_id)
         require_replaceable(session)
@@ -188,14 +188,14 @@ class OpenRig:
         return CaptureResult(shot=folder, verdict=verdict, accepted=verdict.may_be_measured, written_s=written_s)
 
     def fire_pose(self, session: Path) -> PoseResult:
-        """Photograph the calibration board. Calibrate with all poses so far, and suggest its next place.
+        """Photograph the calibration board, calibrate with all poses so far, and suggest its next position.
 
         Args:
-            session: of the calibration; made if there is none.
+            session: session of the calibration, created if it does not exist.
 
         Raises:
-            CaptureError: a camera gave no picture, no camera saw the board, or two cables are exchanged. The pictures
-                are then not kept.
+            CaptureError: a camera delivered no picture, no camera saw the board, or two cables are swapped. The
+            pictures are then discarded.
             SessionError: the rig's file has no target.
             StorageError: the disk is full or refuses.
         """
@@ -219,9 +219,9 @@ class OpenRig:
         return self.guidance(session, pose=add_pose(session, shot.finish({"format": 1, "pose": True})))
 
     def _seen_on(self, taken: Firing, target: Target) -> dict[str, Detection]:
-        """Camera → the board in its picture. Refuses pictures if none shows it.
+        """Camera → the board in its picture. Refuses the pictures if none shows it.
 
-        The dots of a `PointsTarget` look alike and may be measured by another program, so it need not be found.
+        The dots of a `PointsTarget` look alike, and other programs may measure them, so that target need not be found.
         """
 
         def seen(width_px: int) -> dict[str, Detection]:
@@ -242,7 +242,7 @@ class OpenRig:
         return found
 
     def _require_named(self, session: Path, found: Mapping[str, Detection]) -> None:
-        """Refuse a pose whose pictures show that two cables are exchanged."""
+        """Refuse a pose if its pictures show that two cables are swapped."""
         known = self._calibrated_so_far(session) or self.rig
         swapped = None if known is None else check_board_names(known, found)
         if swapped is not None:
@@ -254,15 +254,15 @@ class OpenRig:
     def _calibrated_so_far(self, session: Path) -> Rig | None:
         try:
             calibration = _calibration_of(session)
-        except (CalibrationError, SessionError):  # too few poses yet
+        except (CalibrationError, SessionError):  # there are too few poses yet
             return None
         return None if calibration is None else calibration.rig
 
     def guidance(self, session: Path, *, pose: str = "") -> PoseResult:
-        """Quality of the calibration, and the next place to hold the board.
+        """Quality of the calibration, and the next position of the board.
 
         Args:
-            session: of the calibration; need not exist.
+            session: session of the calibration, which need not exist.
             pose: the latest one, if any.
         """
         pairs = tuple(pair.name for pair in self.file.rig.pairs)
@@ -271,7 +271,7 @@ class OpenRig:
         count = sum(1 for path in (session / "calibration").iterdir() if path.name.isdecimal())
         try:
             calibration = _calibration_of(session)
-        except (CalibrationError, SessionError) as error:  # too few poses yet
+        except (CalibrationError, SessionError) as error:  # there are too few poses yet
             return PoseResult(
                 pose=pose, count=count, progress=None, suggestion=None, sentence=opening(pairs, count), why=str(error)
             )
@@ -287,17 +287,17 @@ class OpenRig:
         )
 
     def measure_skew(self, session: Path, *, firings: int = 5) -> Skew:
-        """Photograph the counting lamps, and write the cameras' skew into a session.
+        """Photograph the counting lamps, and write the cameras' time differences into a session.
 
-        Pictures are kept in ``SESSION/skew/shots``, ``skew.json`` is replaced.
+        Pictures are kept in ``SESSION/skew/shots``. ``skew.json`` is replaced.
 
         Args:
-            session: of the rig's calibration.
-            firings: number; their median is used.
+            session: session of the rig's calibration.
+            firings: number of exposures, of which the median is used.
 
         Raises:
-            CaptureError: a camera gave no picture, or one without the lamps.
-            SessionError: the rig's file has no board, or no exposure time.
+            CaptureError: a camera delivered no picture, or the lamps are not in it.
+            SessionError: the rig's file has no board or no exposure time.
             StorageError: the disk is full or refuses.
         """
         board = None if self.file.target is None else target_from_table(self.file.target)
@@ -345,7 +345,7 @@ class OpenRig:
 
 
 def prepare(session: Path, file: RigFile, calibration: Path | None, *, subject_id: str | None = None) -> None:
-    """Make the session's folder, with the rig's calibration. An existing manifest is not changed.
+    """Create the session's folder with the rig's calibration. An existing manifest is not changed.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -359,7 +359,7 @@ def prepare(session: Path, file: RigFile, calibration: Path | None, *, subject_i
 
 
 def record_of(taken: Firing, verdict: CaptureVerdict, backend: str) -> dict[str, object]:
-    """Content of a firing's shot.json."""
+    """Content of shot.json for a capture."""
     when = datetime.datetime.fromtimestamp(taken.fired_s, datetime.UTC).isoformat(timespec="milliseconds")
     return {
         "format": 1,
@@ -383,10 +383,10 @@ def record_of(taken: Firing, verdict: CaptureVerdict, backend: str) -> dict[str,
 
 
 def _rig_of(calibration: Path, rig_file: Path, settings: Settings | None) -> Rig:
-    """Cameras of the calibration that a rig's file names.
+    """Cameras of the calibration that the rig's file names.
 
     Raises:
-        SessionError: it is missing. The message says how to make it.
+        SessionError: it is missing. The message states how to make it.
         CalibrationError: it failed.
     """
     if not calibration.exists():
@@ -401,7 +401,7 @@ def _rig_of(calibration: Path, rig_file: Path, settings: Settings | None) -> Rig
 
 
 def _known(calibration: Path) -> Rig | None:
-    """Cameras of an earlier calibration. None if there is none yet."""
+    """Cameras of an earlier calibration. None if there is none."""
     try:
         made = _calibration_of(calibration)
     except MammometryError:
@@ -410,7 +410,7 @@ def _known(calibration: Path) -> Rig | None:
 
 
 def _calibration_of(session: Path) -> Calibration | None:
-    """The calibration with all poses so far, without previews, which would take as long again."""
+    """Calibration with all poses so far. Previews are left out, because they would double the time."""
     job = open_session(session)
     job.ensure("calibrate", drawn=False)
     return job.plan.value(calibrate.calibration)

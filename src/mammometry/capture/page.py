@@ -1,4 +1,4 @@
-"""The page on which cameras are aimed, focused and fired, by the local server or the clinic."""
+"""The page for aiming and focusing cameras and for capturing, used by the local server and the clinic."""
 
 from __future__ import annotations
 
@@ -30,24 +30,24 @@ from mammometry.web.local import OneTimeLogin, Page, html_page, listen, local_ap
 from mammometry.web.replies import Application
 
 WIDTH_PX = 480
-"""Columns of a live picture on the page, about."""
+"""Approximate width of a live picture on the page, px."""
 REGIONS = (4, 6)
-"""Rows and columns into which a picture is divided for sharpness and coverage."""
-_BINS = 32  # of the histogram
-_FULL = 250  # of 255: brighter counts as saturated, because white balance and encoding round
+"""Rows and columns of the regions in which sharpness and coverage are evaluated."""
+_BINS = 32  # bins of the histogram
+_FULL = 250  # grey level above which a pixel counts as saturated; not 255, because white balance and encoding round
 _UNIT_PX = 676.0  # diagonal for the pixel sizes of `segment`, as in `checks.pixels`
 _COARSER = 3  # pixels of the small picture per pixel of the one for finding the subject
-_CALM = 30.0  # squared grey levels: above the noise of a flat region, about 4
-_SEARCH_PX = 480  # width in which a target is found: only its place matters
+_CALM = 30.0  # squared grey levels: above the noise of a uniform region, about 4
+_SEARCH_PX = 480  # width at which a target is searched, for which low accuracy is enough
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Aids:
-    """Findings on one live picture."""
+    """Figures of one live picture that help to aim and focus."""
 
     camera: str
     jpeg: bytes
-    """Small, for the page."""
+    """A small picture for the page."""
     sharpness: Float64[Array, "4 6"]
     """By region, 0 to 1: share of the contrast in details of two pixels. Compare only within one camera: turn the focus
     until it is largest.
@@ -57,16 +57,16 @@ class Aids:
     saturated: float
     """Share of overexposed pixels."""
     whole: str
-    """Whether the subject is completely in the picture, one sentence."""
+    """Whether the subject is completely in the picture, in one sentence."""
     is_whole: bool
-    """The same as a flag; False when looking for the target."""
+    """The same as a flag. False while the target is searched."""
     target: int | None
-    """Number of visible target points. None: not looked for."""
+    """Number of visible target points. None if it was not searched."""
     covered: Bool[Array, "4 6"]
     """Regions in which the target has been seen, now or before."""
 
     def as_table(self) -> dict[str, Any]:
-        """The aids as JSON, without the picture."""
+        """These figures as JSON, without the picture."""
         return {
             "camera": self.camera,
             "sharpness": np.round(self.sharpness, 3).tolist(),
@@ -80,9 +80,9 @@ class Aids:
 
 
 class LiveView:
-    """Live pictures of a rig's cameras with their aids.
+    """Live pictures of a rig's cameras with their figures.
 
-    Records where each camera has seen the target, and so where it is still needed.
+    Records where each camera has seen the target, and so where it has yet to be seen.
     """
 
     def __init__(
@@ -94,11 +94,11 @@ class LiveView:
         self._pool = ThreadPoolExecutor(max(1, len(cameras)))
 
     def look(self, *, calibrating: bool = False, subject_kind: str | None = None) -> dict[str, Aids | str]:
-        """One live picture of every camera, or a sentence if it gives none.
+        """One live picture of every camera, or a sentence if a camera delivers none.
 
         Args:
-            calibrating: whether to look for the target instead of the subject.
-            subject_kind: if it differs from the rig's usual one.
+            calibrating: whether to search for the target instead of the subject.
+            subject_kind: kind of subject. None: the rig's usual one.
         """
 
         def one(camera: str) -> Aids | str:
@@ -114,7 +114,7 @@ class LiveView:
         return dict(zip(self._cameras, self._pool.map(one, self._cameras), strict=True))
 
     def wanted(self) -> Mapping[str, int]:
-        """Camera → regions in which it has not seen the target yet."""
+        """Camera → number of regions in which it has not seen the target yet."""
         return {name: int((~covered).sum()) for name, covered in self._covered.items()}
 
     def close(self) -> None:
@@ -133,10 +133,10 @@ def aids(
     """Reduce a live picture and analyse it.
 
     Args:
-        photograph: any size; of a large one only evenly spaced pixels are used, which keeps noise and details.
-        camera: its name.
+        photograph: of any size. Of a large one, only evenly spaced pixels are used, which preserves noise and details.
+        camera: name of the camera.
         subject_kind: ``torso``, ``model`` or ``surface``.
-        target: what to look for; None for the subject.
+        target: target to search for; None: the subject.
         covered: regions in which the target was seen before.
     """
     pixels = photograph.pixels if photograph.pixels.dtype == np.uint8 else (photograph.pixels >> 8).astype(np.uint8)
@@ -164,7 +164,7 @@ def aids(
 
 
 def _sharpness(grey: UInt8[Array, "h w"], step: int) -> Float64[Array, "4 6"]:
-    """Energy of differences of neighbours over that of pixels four apart, by region, on a subset of rows."""
+    """Energy of differences between neighbours, relative to pixels four apart, by region, on some rows."""
     rows, columns = REGIONS
     thin = grey[step // 2 :: 2 * step].astype(np.float32)
     near = np.square(thin[:, 1:-4] - thin[:, :-5])
@@ -179,7 +179,7 @@ def _sharpness(grey: UInt8[Array, "h w"], step: int) -> Float64[Array, "4 6"]:
 
 
 def _whole(small: UInt8[Array, "h w *c"], subject_kind: str) -> Finding:
-    """Findings of `checks.pixels` on a picture that is small already."""
+    """Result of `checks.pixels` for a picture that is already small."""
     encoded = np.atleast_3d(small)[::_COARSER, ::_COARSER].astype(np.float32) / 255
     unit = float(np.hypot(*encoded.shape[:2])) / (2 * _UNIT_PX)
     subject = segment(encoded, unit)
@@ -214,9 +214,9 @@ def _target_in(
 
 
 class CameraService:
-    """Open cameras for a page, one request at a time.
+    """Open cameras for a page, with one request at a time.
 
-    A firing waits for a live picture, and vice versa.
+    A capture waits for a live picture to finish, and vice versa.
     """
 
     def __init__(self, rigged: OpenRig) -> None:
@@ -227,12 +227,12 @@ class CameraService:
         self._one = threading.Lock()
 
     def state(self, title: str, session: Path, *, posing: bool = False) -> dict[str, Any]:
-        """State of the rig before the first firing.
+        """State of the rig before the first capture.
 
         Args:
-            title: of the page.
-            session: for firings.
-            posing: whether the calibration board is photographed, pose by pose.
+            title: title of the page.
+            session: session for captures.
+            posing: whether the calibration board is photographed, one pose per capture.
         """
         with self._one:
             faults = self.rigged.faults()
@@ -258,12 +258,12 @@ class CameraService:
         return {"cameras": {name: _shown(aids) for name, aids in seen.items()}, "wanted": dict(self._live.wanted())}
 
     def fire(self, session: Path, *, subject_id: str | None = None) -> CaptureResult:
-        """One firing, written and checked: `Rigged.fire_into`."""
+        """Make one capture, written and checked (`OpenRig.fire_into`)."""
         with self._one:
             return self.rigged.fire_into(session, subject_id=subject_id)
 
     def pose(self, session: Path) -> dict[str, Any]:
-        """One pose of the calibration board, for the page."""
+        """Photograph one pose of the calibration board, for the page."""
         with self._one:
             posed = self.rigged.fire_pose(session)
         lines = [f"Pose {posed.pose} is stored, {posed.count} in all."]
@@ -272,13 +272,13 @@ class CameraService:
         return {"accepted": True, "said": lines, "good_enough": good, **_guidance(posed)}
 
     def close(self) -> None:
-        """Stop the live pictures and release the cameras."""
+        """Stop the live pictures, and release the cameras."""
         self._live.close()
         self.rigged.close()
 
 
 def firing_table(fired: CaptureResult, then: str) -> dict[str, Any]:
-    """A firing's result as JSON for the page.
+    """Result of a capture as JSON for the page.
 
     Args:
         fired: the result.
@@ -319,18 +319,18 @@ def _shown(aids: Aids | str) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Goal:
-    """Session for the page's firings."""
+    """Session into which the page captures."""
 
     session: Path
-    """Made if there is none."""
+    """Created if it does not exist."""
     subject_id: str | None = None
     """Pseudonym of the patient."""
     posing: bool = False
-    """Each firing is a pose of the calibration board."""
+    """Whether each capture is a pose of the calibration board."""
 
 
 def capture_app(service: CameraService, goal: Goal, login: OneTimeLogin) -> Application:
-    """Make the page's server."""
+    """Create the page's server."""
     title = f"{'Calibrate' if goal.posing else 'Capture'} {goal.session.name} with rig {service.rigged.file.rig.name}"
 
     def document(body: bytes) -> str:
@@ -357,8 +357,8 @@ def serve(rigged: OpenRig, goal: Goal, *, ready: Callable[[str, str], None]) -> 
 
     Args:
         rigged: open cameras, which are released at the end.
-        goal: session for firings.
-        ready: as for `listen`.
+        goal: session for captures.
+        ready: see `listen`.
     """
     login, service = OneTimeLogin("capture --page"), CameraService(rigged)
     try:

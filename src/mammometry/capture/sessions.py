@@ -1,4 +1,4 @@
-"""rig.toml, the description of a rig's cameras, and session folders of the clinic."""
+"""rig.toml, which describes a rig's cameras, and the clinic's session folders."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ def manifest_text(
     *,
     posture: str | None = None,
 ) -> str:
-    """A session.toml.
+    """Text of a session.toml.
 
     Args:
-        definition: tables ``rig``, ``target`` and ``intrinsics`` of a manifest, as plain JSON.
+        definition: tables ``rig``, ``target`` and ``intrinsics`` of a manifest, as JSON.
         subject_kind: ``torso`` or ``model``.
         subject_id: the patient's pseudonym; None for a rig's own session.
-        date: when the photographs were taken.
-        posture: of a patient; None: not in the manifest.
+        date: date of the photographs.
+        posture: posture of a patient; None: it is left out.
 
     Raises:
         SessionError: the definition is invalid.
@@ -67,13 +67,13 @@ def definition_of(manifest: Manifest) -> dict[str, Any]:
 
 
 def cameras_of(definition: Mapping[str, Any]) -> tuple[str, ...]:
-    """Cameras of a rig's definition, each once, in its order."""
+    """Cameras of a rig's definition, each once, in their order."""
     pairs = definition.get("rig", {}).get("pairs", [])
     return tuple(dict.fromkeys(str(pair[side]) for pair in pairs for side in ("left", "right")))
 
 
 def make_session(folder: Path, manifest: str) -> None:
-    """Make a session's folder, or update its manifest.
+    """Create a session's folder, or update its manifest.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -86,7 +86,7 @@ def make_session(folder: Path, manifest: str) -> None:
 
 
 def share_calibration(calibration: Path, session: Path) -> None:
-    """Put a rig's calibration photographs into a visit's folder, replacing earlier ones.
+    """Add a rig's calibration photographs to a visit's folder, replacing earlier ones.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -110,12 +110,12 @@ def share_calibration(calibration: Path, session: Path) -> None:
             target.unlink(missing_ok=True)
             try:
                 os.link(path, target)
-            except OSError:  # another disk, or one without links
+            except OSError:  # another disk, or one without hard links
                 shutil.copy2(path, target)
 
 
 def _is_same(copy: Path, path: Path) -> bool:
-    """Whether a file is a link to another, or its copy."""
+    """Whether a file is a link to another, or a copy of it."""
     ours, theirs = copy.stat(), path.stat()
     return copy.samefile(path) or (ours.st_size, ours.st_mtime_ns) == (theirs.st_size, theirs.st_mtime_ns)
 
@@ -123,7 +123,7 @@ def _is_same(copy: Path, path: Path) -> bool:
 def take_over(job: Job, source: Job) -> int:
     """Copy results that another session computed from the same calibration photographs.
 
-    Return how many results.
+    Returns their number.
 
     Only results with equal keys are copied: equal inputs, settings and software.
 
@@ -150,7 +150,7 @@ def _key(name: str) -> str:
 
 
 def _value(value: object) -> str:
-    """A value as TOML, on one line."""
+    """A value as TOML on one line."""
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{_key(name)} = {_value(item)}" for name, item in value.items()) + " }"
     if isinstance(value, (list, tuple)):
@@ -180,12 +180,12 @@ class CaptureEntry(BaseModel):
     exposure_ms: Annotated[float, Field(strict=False, gt=0)] | None = None
     gain_db: Annotated[float, Field(strict=False)] | None = None
     timeout_s: Annotated[float, Field(strict=False, gt=0, le=600)] = 10.0
-    """Time limit for a picture from the pulse to this computer."""
+    """Time limit from the pulse until the picture is on this computer, s."""
     format: Literal["jpg", "png", "tif"] = "jpg"
-    """File format of pictures that arrive as pixels. Files from cameras are kept unchanged."""
+    """File format of pictures that are delivered as pixels. Files from cameras are kept unchanged."""
     skew_limit_ms: Annotated[float, Field(strict=False, gt=0)] = 1.0
-    """Largest measured difference between the cameras' exposures for a patient. Breathing moves the skin at about 20
-    mm/s: 0.02 mm in 1 ms.
+    """Largest measured difference between the cameras' exposures for a patient. Breathing moves the skin by about 20
+    mm/s, or 0.02 mm in 1 ms.
     """
     cameras: dict[str, str] = {}
     """Camera → its serial number, address or port."""
@@ -219,7 +219,7 @@ def read_rig_file(path: Path) -> RigFile:
     """Read a rig.toml.
 
     Raises:
-        SessionError: it is missing, no TOML, or has an unknown key or invalid value; the message names it.
+        SessionError: it is missing, is not TOML, or has an unknown key or an invalid value, which the message names.
     """
     expected = "a rig's description with a table [capture]"
     table = toml_table(read_text(path, str(path), expected, most_mib=1), str(path), expected)

@@ -1,4 +1,4 @@
-"""Fire all cameras once, and write their pictures atomically."""
+"""Expose all cameras once, and write their pictures atomically."""
 
 import io
 import json
@@ -28,15 +28,15 @@ from mammometry.io.write import disk_errors, file_digest, sync_folder, sync_tree
 _SHOTS, _CAPTURE, _RECORD = "shots", "capture", "shot.json"
 _TAKING, _NEW, _OLD, _POSE = ".taking", ".capture-new", ".capture-old", ".pose-new"
 _NUMBER = re.compile(r"\d{3,}")
-_QUALITY = 95  # of JPEGs made here: errors of 1 grey level, below the sensor's noise; as in `simulate`
+_QUALITY = 95  # quality of JPEGs written here: errors of 1 grey level, below the sensor's noise; as in `simulate`
 _BEGIN = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png", b"II*\x00": ".tif", b"MM\x00*": ".tif"}
 
 
 class PendingShot:
-    """One firing while it is written."""
+    """A capture while it is being written."""
 
     def __init__(self, session: Path, *, suffix: str = "jpg") -> None:
-        """Create a firing's folder.
+        """Create the folder of a capture.
 
         Raises:
             StorageError: the disk is full or refuses.
@@ -44,7 +44,7 @@ class PendingShot:
         self._session, self._suffix = session, suffix
         self.folder = session / _SHOTS / _TAKING
         with disk_errors(session):
-            shutil.rmtree(self.folder, ignore_errors=True)  # of a firing that was killed
+            shutil.rmtree(self.folder, ignore_errors=True)  # left by a capture that was killed
             self.folder.mkdir(parents=True)
 
     def keep(self, frame: Frame) -> Path:
@@ -64,7 +64,7 @@ class PendingShot:
         return path
 
     def finish(self, record: Mapping[str, Any]) -> Path:
-        """Give the firing its number.
+        """Give the capture its number.
 
         Raises:
             StorageError: the disk is full or refuses.
@@ -78,12 +78,12 @@ class PendingShot:
         return done
 
     def drop(self) -> None:
-        """Remove the folder: no picture came."""
+        """Remove the folder, because no picture was delivered."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
 def last_record(session: Path) -> dict[str, Any] | None:
-    """Content of the last firing's shot.json. None if there is none."""
+    """Content of shot.json of the last capture. None if there is none."""
     number = _last(session)
     path = session / _SHOTS / f"{number:03d}" / _RECORD
     try:
@@ -94,10 +94,10 @@ def last_record(session: Path) -> dict[str, Any] | None:
 
 
 def require_replaceable(session: Path) -> None:
-    """Refuse a session with photographs from another source.
+    """Refuse a session whose photographs are from another source.
 
     Raises:
-        SessionError: a file in ``capture`` is not from a firing.
+        SessionError: a file in ``capture`` is not from one of our captures.
     """
     _recover(session)
     taken = {file_digest(path) for path in _pictures(session / _SHOTS, "*/*")}
@@ -112,10 +112,10 @@ def require_replaceable(session: Path) -> None:
 
 
 def add_pose(session: Path, shot: Path) -> str:
-    """Make a firing the next pose of the session's calibration.
+    """Use a capture as the next pose of the session's calibration.
 
     Returns:
-        The pose's name.
+        Name of the pose.
 
     Raises:
         StorageError: the disk is full or refuses; the poses are then unchanged.
@@ -134,7 +134,7 @@ def add_pose(session: Path, shot: Path) -> str:
 
 
 def accept(session: Path, shot: Path) -> None:
-    """Make a firing the session's capture.
+    """Use a capture as the session's capture.
 
     Raises:
         StorageError: the disk is full or refuses; ``capture`` is then unchanged.
@@ -156,13 +156,13 @@ def _link(shot: Path, folder: Path) -> None:
     for path in _pictures(shot, "*"):
         try:
             os.link(path, folder / path.name)
-        except OSError:  # a disk without links
+        except OSError:  # a disk without hard links
             shutil.copy2(path, folder / path.name)
     sync_tree(folder)
 
 
 def _recover(session: Path) -> None:
-    """Finish a replacement that a power cut interrupted."""
+    """Finish a replacement that a power failure interrupted."""
     old, new, capture = session / _OLD, session / _NEW, session / _CAPTURE
     if old.is_dir() and not capture.exists():
         (new if new.is_dir() else old).rename(capture)
@@ -182,7 +182,7 @@ def _last(session: Path) -> int:
 
 
 def _encoded(content: bytes | Photograph, suffix: str) -> tuple[bytes, str]:
-    """A picture's file and its suffix. A camera's own file is kept unchanged."""
+    """File of a picture, and its suffix. A camera's own file is kept unchanged."""
     if isinstance(content, bytes):
         return content, next((end for begin, end in _BEGIN.items() if content.startswith(begin)), ".bin")
     file = io.BytesIO()
@@ -211,36 +211,36 @@ class Delivered:
     features: Keypoints | None
     """None without a calibration to compare with."""
     seconds: float
-    """From the pulse until it is on the disk."""
+    """Time from the pulse until the picture is on the disk."""
 
 
 @value(eq=False)
 class Firing:
-    """A firing: the pictures of all cameras, and failures."""
+    """The pictures of all cameras from one exposure, and failures."""
 
     fired_s: float
-    """By ``time.time()``."""
+    """Time of the exposure (``time.time()``)."""
     frames: Mapping[str, Delivered]
     """Camera → its picture. Read-only."""
     faults: Mapping[str, MammometryError]
     """Camera → its failure. Read-only."""
     seconds: float
-    """From the pulse until all are on the disk and analysed."""
+    """Time from the pulse until all pictures are on the disk and analysed."""
 
 
 def take(
     backend: Backend, cameras: tuple[str, ...], shot: PendingShot, *, timeout_s: float, features: bool = True
 ) -> Firing:
-    """Arm, fire and fetch all cameras.
+    """Arm and expose all cameras, and fetch their pictures.
 
     If one camera or its file fails, the pictures of the others are still written.
 
     Args:
-        backend: open.
-        cameras: of the rig.
+        backend: the open cameras.
+        cameras: names of the rig's cameras.
         shot: folder for the pictures.
-        timeout_s: for one picture from the pulse to this computer.
-        features: whether to find the features for comparing pairs.
+        timeout_s: time limit for one picture, from the pulse until it is on this computer.
+        features: whether to find the features by which pairs are compared.
     """
     backend.arm()
     fired_s = backend.fire()
@@ -255,7 +255,7 @@ def take(
         except MammometryError as error:
             return error
 
-    # Waiting for a slow camera blocks a thread, and must not delay the others.
+    # Waiting for a slow camera blocks its thread but must not delay the others.
     with ThreadPoolExecutor(max(1, len(cameras))) as pool:
         got = dict(zip(cameras, pool.map(one, cameras), strict=True))
     return Firing(

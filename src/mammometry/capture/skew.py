@@ -1,4 +1,4 @@
-"""Time differences of the cameras' exposures, from counting lamps in their pictures."""
+"""Time differences between the cameras' exposures, measured with counting lamps in their pictures."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Skew:
     offset_ms: Mapping[str, float]
     """Camera → start of its exposure relative to the median camera's. Read-only."""
     std_ms: float
-    """Standard uncertainty of one offset, the largest of all."""
+    """Standard uncertainty of an offset, the largest of all cameras."""
     measured: str
     """Time of the measurement, UTC, ISO 8601."""
     exposure_ms: float
@@ -40,7 +40,7 @@ class Skew:
 
     @property
     def spread_ms(self) -> float:
-        """From the first to the last exposure."""
+        """Time between the first and the last exposure."""
         return max(self.offset_ms.values()) - min(self.offset_ms.values())
 
     @property
@@ -49,7 +49,7 @@ class Skew:
         return max(self.offset_ms, key=lambda name: abs(self.offset_ms[name]))
 
     def as_table(self) -> dict[str, object]:
-        """The skew as JSON."""
+        """The time differences as JSON."""
         return {
             "format": _FORMAT,
             "measured": self.measured,
@@ -96,21 +96,22 @@ def read_skew(folder: Path) -> Skew | None:
         raise SessionError(str(path), found="no record of a measured skew", expected=expected, remedy=remedy) from None
 
 
-_STEPS_MS = (0.1, 0.01)  # between tried moments: over the whole count, then around the best
-_WITHIN = 0.9  # of the pitch: side of the square whose light counts as the lamp's
-_CLIPPED = 0.98  # of full scale: a brighter reference lamp may be saturated, and shares are then wrong
-_LEAST_CONTRAST = 0.02  # of full scale, between a reference lamp and its surroundings
-_LEAST_STD = 0.01  # of a share: lamps differ in brightness by viewing angle, even without noise
-_MISFIT = 0.15  # RMS of the shares' residuals above which the lamps show no count
-_LONGEST_SHARE = 0.25  # of the period: largest difference between cameras; beyond it, the order is unknown
+_STEPS_MS = (0.1, 0.01)  # steps between tested times: first over the whole count, then around the best one
+_WITHIN = 0.9  # side of the square in which a lamp's light is summed, relative to the pitch
+_CLIPPED = 0.98  # share of full scale above which a reference lamp may be saturated, so that shares are wrong
+_LEAST_CONTRAST = 0.02  # least contrast between a reference lamp and its surroundings, as a share of full scale
+# least standard deviation of a share: lamps differ in brightness by viewing angle, even without noise
+_LEAST_STD = 0.01
+_MISFIT = 0.15  # RMS residual of the shares above which the lamps show no valid count
+_LONGEST_SHARE = 0.25  # largest difference between cameras, as a share of the period; beyond it, their order is unknown
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Moment:
-    """Time at which one picture's exposure began."""
+    """Time at which the exposure of one picture started."""
 
     begin_ms: float
-    """After the counter's 0, modulo the period."""
+    """Time since the counter's 0, modulo its period."""
     std_ms: float
 
 
@@ -118,10 +119,10 @@ def read_moment(photograph: Photograph, board: Board, exposure_ms: float, *, cam
     """Read the time of a picture's exposure.
 
     Args:
-        photograph: of the board with its strip of lamps.
-        board: with the strip.
+        photograph: picture of the board with its strip of lamps.
+        board: the board, which has the strip.
         exposure_ms: exposure time.
-        camera: its name, for messages.
+        camera: name of the camera, for messages.
 
     Raises:
         CaptureError: board or lamps are not in the picture, or too bright.
@@ -144,20 +145,20 @@ def read_moment(photograph: Photograph, board: Board, exposure_ms: float, *, cam
     across = np.linspace(0.0, 1.0, len(totals))[1:-1]
     full = (1 - across) * totals[0] + across * totals[
         -1
-    ]  # brightness varies linearly along the strip, by distance and angle
+    ]  # brightness varies linearly along the strip, with distance and angle
     return moment_of(totals[1:-1] / full, exposure_ms, camera=camera)
 
 
 def moment_of(shares: Float64[Array, " bits"], exposure_ms: float, *, camera: str = "it") -> Moment:
-    """The time whose shares of light fit best, by least squares.
+    """The time that fits the shares of light best, by least squares.
 
     Args:
-        shares: of the exposure for which each counting lamp was lit, the highest bit first.
+        shares: share of the exposure for which each counting lamp was lit, highest bit first.
         exposure_ms: exposure time.
-        camera: its name, for messages.
+        camera: name of the camera, for messages.
 
     Raises:
-        CaptureError: no moment fits.
+        CaptureError: no time fits.
     """
     coarse, table = _table(exposure_ms)
     begun = float(coarse[((table - shares) ** 2).sum(axis=1).argmin()])
@@ -178,21 +179,21 @@ def moment_of(shares: Float64[Array, " bits"], exposure_ms: float, *, camera: st
 
 @lru_cache(maxsize=4)
 def _table(exposure_ms: float) -> tuple[Float64[Array, " n"], Float64[Array, "n bits"]]:
-    """Times over the whole count, and the lamps' state at each."""
+    """Times over the whole count, and the state of the lamps at each."""
     moments = np.arange(0.0, LAMPS.period_ms, _STEPS_MS[0])
     return moments, LAMPS.lit_share(moments, exposure_ms)
 
 
 def skew_of(firings: Sequence[Mapping[str, Moment]], exposure_ms: float, *, when: str | None = None) -> Skew:
-    """Differences of the cameras, from one or several firings.
+    """Time differences between the cameras, from one or several exposures.
 
     Args:
-        firings: camera → time, for each firing.
-        exposure_ms: of all pictures.
-        when: UTC, ISO 8601; now, if not given.
+        firings: camera → time, for each exposure.
+        exposure_ms: exposure time of all pictures.
+        when: time of the measurement, UTC, ISO 8601. None: now.
 
     Raises:
-        CaptureError: fewer than two cameras, or more than a quarter of the counter's period between them.
+        CaptureError: there are fewer than two cameras, or they differ by more than a quarter of the counter's period.
     """
     cameras = list(dict.fromkeys(name for moments in firings for name in moments))
     if len(cameras) < 2:
@@ -226,7 +227,7 @@ def _lamp(
     half_mm: float,
     who: str,
 ) -> tuple[float, float]:
-    """Light of one lamp over its surroundings: sum, px, and peak, both of full scale."""
+    """Light of one lamp above its surroundings: sum over pixels and peak, as shares of full scale."""
     corners = place + half_mm * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     uv = _mapped(image_from_board, corners)
     (left, top), (right, bottom) = np.floor(uv.min(axis=0)).astype(int), np.ceil(uv.max(axis=0)).astype(int) + 1
@@ -238,7 +239,7 @@ def _lamp(
 
 
 def _homography(xy: Float64[Array, "n 2"], uv: Float64[Array, "n 2"]) -> Float64[Array, "3 3"]:
-    """Homography of a plane into a picture (Hartley and Zisserman 2004, algorithm 4.2)."""
+    """Homography from a plane to a picture (Hartley and Zisserman 2004, algorithm 4.2)."""
     (norm_xy, a), (norm_uv, b) = _normalised(xy), _normalised(uv)
     ones, none = np.ones(len(a)), np.zeros((len(a), 3))
     p = np.column_stack([a, ones])

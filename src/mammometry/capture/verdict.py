@@ -1,7 +1,7 @@
-"""Verdict on a firing, before the patient dresses.
+"""Verdict on a capture, available before the patient dresses.
 
-It checks that all cameras delivered their own picture of this firing, exposed together, sharp and well exposed, and
-that the subject did not move and is completely in view. Each sentence says what to do.
+It checks that every camera delivered its own picture of this capture, that all were exposed together, sharp and well
+exposed, and that the subject did not move and is completely in view. Each sentence states what to do.
 """
 
 import statistics
@@ -20,7 +20,7 @@ from mammometry.capture.shots import Firing
 from mammometry.capture.skew import Skew
 from mammometry.geometry.camera import Rig
 
-_OLD_S = 2.0  # before the pulse: shared clocks differ by far less
+_OLD_S = 2.0  # largest time before the pulse: shared clocks differ by far less
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,18 +28,18 @@ class CaptureVerdict:
     """All findings, worst first."""
 
     findings: tuple[tuple[str, Finding], ...]
-    """Camera, or empty for all together; the finding."""
+    """Camera, or empty if it is about all together, and the finding."""
     seconds: float
-    """From the pulse to the verdict."""
+    """Time from the pulse to the verdict."""
 
     @property
     def may_be_measured(self) -> bool:
-        """Whether no finding is a refusal."""
+        """Whether there is no refusal."""
         return not refuses(finding for _, finding in self.findings)
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Sentences for the technician, worst first. Each passed check is mentioned once."""
+        """Sentences for the technician, worst first. Each check that passed is mentioned once."""
         bad = [(who, finding) for who, finding in self.findings if finding.level in ("refuse", "warn")]
         lines = [f"{who}: {finding.sentence}" if who else finding.sentence for who, finding in bad]
         for check in dict.fromkeys(finding.check for _, finding in self.findings):
@@ -71,27 +71,27 @@ _WELL = {
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Expected:
-    """Reference for checking a firing."""
+    """What a capture is compared with."""
 
     cameras: tuple[str, ...]
     subject_kind: str
     rig: Rig | None = None
-    """From the calibration. None: not calibrated yet."""
+    """Cameras from the calibration. None if the rig is not calibrated yet."""
     serials: Mapping[str, str] | None = None
     """Camera → serial number in the rig's file."""
     before: Mapping[str, Any] | None = None
-    """The last firing's record."""
+    """Record of the last capture."""
     skew: Skew | None = None
-    """Measured skew of this rig."""
+    """Measured time differences between this rig's cameras."""
     skew_limit_ms: float = 1.0
 
 
 def judge(taken: Firing, expected: Expected) -> CaptureVerdict:
-    """Decide whether a firing may be measured.
+    """Decide whether a capture may be measured.
 
     Args:
-        taken: the firing.
-        expected: the rig's known facts.
+        taken: the capture.
+        expected: what is known about the rig.
     """
     begun = time.monotonic()
     findings = [
@@ -147,7 +147,7 @@ def _serials(taken: Firing, expected: Expected) -> Iterator[tuple[str, Finding]]
 
 
 def _fresh(taken: Firing, expected: Expected) -> Iterator[tuple[str, Finding]]:
-    """Whether each picture is of this firing."""
+    """Check whether each picture is from this capture."""
     before = (expected.before or {}).get("cameras", {})
     counts = {name: frame.number for name, frame in taken.frames.items() if frame.number is not None}
     usual = statistics.mode(counts.values()) if counts else None

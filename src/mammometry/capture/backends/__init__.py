@@ -1,1 +1,1 @@
-"""Back-ends that fire cameras: one file per kind, registered in `capture.camera`."""
+"""Back-ends for cameras: one file per kind, registered in `capture.camera`."""

@@ -1,9 +1,9 @@
-"""GenICam cameras of any maker by Aravis.
+"""GenICam cameras of any maker, through Aravis.
 
-Extra ``genicam``, or Debian's ``gir1.2-aravis-0.8`` and ``python3-gi``.
+Needs the extra ``genicam``, or Debian's ``gir1.2-aravis-0.8`` and ``python3-gi``.
 
-``ids`` are from ``arv-tool-0.8``: an identifier, or an IP address. Option ``line``: the input for the pulse
-(``Line1``). ``ptp = true`` turns on the cameras' common clock.
+``ids`` are those that ``arv-tool-0.8`` lists: identifiers or IP addresses. The option ``line`` is the input for the
+trigger pulse (``Line1``). ``ptp = true`` synchronises the cameras' clocks.
 """
 
 import sys
@@ -17,15 +17,15 @@ from mammometry.base.photograph import Photograph
 from mammometry.capture.camera import BACKENDS, CameraSettings, Devices, Frame, Health, failed, library, missing
 from mammometry.io.photographs.images import demosaiced
 
-_DEBIAN = Path("/usr/lib/python3/dist-packages")  # where python3-gi is; not on the path of a virtual environment
-_BUFFERS = 4  # pictures in the queue
-_LIVE_US = 1_000_000  # µs, for a live picture; slower is of no use for aiming
+_DEBIAN = Path("/usr/lib/python3/dist-packages")  # python3-gi; not on a virtual environment's path
+_BUFFERS = 4  # number of pictures in the queue
+_LIVE_US = 1_000_000  # time limit for a live picture, µs; slower pictures are of no use for aiming
 _MONO8, _RGB8 = 0x01080001, 0x02180014  # pixel formats, GigE Vision 2.0 appendix; GenICam PFNC 2.4
 _BAYER8 = {0x01080008: "GR", 0x01080009: "RG", 0x0108000A: "GB", 0x0108000B: "BG"}
 
 
 def _library() -> Any:
-    """The Aravis library, by introspection."""
+    """The Aravis library, through GObject introspection."""
     try:
         import gi
     except ImportError:
@@ -44,7 +44,7 @@ def _library() -> Any:
 
 
 def attached() -> list[str]:
-    """Identifiers of the cameras that can be reached.
+    """Identifiers of the cameras that are connected.
 
     Raises:
         SettingsError: Aravis is not installed.
@@ -70,14 +70,14 @@ class AravisRig:
         self._streams: dict[str, Any] = {}
         self._absent: dict[str, str] = {}
         self._settings = CameraSettings()
-        for interface in devices.options.get("interfaces", ()):  # such as Fake, which is off by default
+        for interface in devices.options.get("interfaces", ()):  # for example Fake, which is off by default
             self._aravis.enable_interface(str(interface))
         self._aravis.update_device_list()
         for name in devices.cameras:
             self._open(name, devices.ids.get(name, ""))
 
     def settings(self, wanted: CameraSettings) -> None:
-        """Exposure, gain and trigger of all."""
+        """Set exposure, gain and trigger of all cameras."""
         self._settings = wanted
         for name, camera in self._cameras.items():
             try:
@@ -91,14 +91,14 @@ class AravisRig:
                 raise failed(name, f"a setting refused ({_words(error)})", "Correct the rig's file") from None
 
     def arm(self) -> None:
-        """Drop pictures of an earlier pulse."""
+        """Drop pictures from earlier pulses."""
         for name, camera in self._cameras.items():
             self._stop(name)
             camera.set_trigger("Software" if self._settings.trigger == "software" else self._line)
             self._start(name)
 
     def fire(self) -> float:
-        """Send the command, unless a wire triggers."""
+        """Send the trigger command, unless the cameras are triggered by wire."""
         fired_s = time.time()
         if self._settings.trigger == "software":
             for camera in self._cameras.values():
@@ -106,7 +106,7 @@ class AravisRig:
         return fired_s
 
     def fetch(self, camera: str, timeout_s: float) -> Frame:
-        """The picture of the pulse."""
+        """Return the picture triggered by the last pulse."""
         self._require(camera)
         buffer = self._streams[camera].timeout_pop_buffer(round(1e6 * timeout_s))
         if buffer is None:
@@ -124,7 +124,7 @@ class AravisRig:
             self._streams[camera].push_buffer(buffer)
 
     def live(self, camera: str) -> Photograph:
-        """One picture without a pulse."""
+        """Take one picture without a pulse."""
         self._require(camera)
         self._stop(camera)
         self._cameras[camera].clear_triggers()
@@ -138,7 +138,7 @@ class AravisRig:
             self._streams[camera].push_buffer(buffer)
 
     def health(self, camera: str) -> Health:
-        """Model, serial number, size."""
+        """Report model, serial number and picture size."""
         if camera in self._absent:
             return Health(fault=f"{self._absent[camera][:1].upper()}{self._absent[camera][1:]}.")
         device = self._cameras[camera]
@@ -171,7 +171,7 @@ class AravisRig:
         self._cameras[name] = camera
 
     def _start(self, name: str) -> None:
-        """Start waiting for pictures with a new stream, so that old ones are dropped."""
+        """Start waiting for pictures with a new stream, which contains no old ones."""
         camera = self._cameras[name]
         stream = camera.create_stream(None, None)
         for _ in range(_BUFFERS):
@@ -184,7 +184,7 @@ class AravisRig:
             try:
                 self._cameras[name].stop_acquisition()
             except self._error:
-                return  # it was unplugged: `fetch` and `health` report it
+                return  # it was unplugged, which `fetch` and `health` report
 
     def _require(self, camera: str) -> None:
         if camera not in self._cameras:

@@ -1,7 +1,7 @@
-"""A folder that other software fills.
+"""A folder into which other software writes photographs.
 
-Tethering programs write each camera's photographs into a folder. Only a complete set is taken: one new file of every
-camera, by name or serial number, with EXIF times of one exposure.
+Tethering programs write each camera's photographs into a folder. Only a complete set is accepted: one new file from
+every camera, identified by name or serial number, whose EXIF times show a single exposure.
 """
 
 import threading
@@ -18,8 +18,9 @@ from mammometry.io.photographs.images import EXTENSIONS, UNREAD_ENDINGS, read_he
 from mammometry.io.photographs.tags import read_exposure
 
 _TOGETHER_S = 20.0
-"""Clocks that are not synchronised differ by seconds: `capture.checks` has the same limit."""
-_LOOK_S = 0.05  # between two looks at the folder
+"""Largest difference of EXIF times within a set. Unsynchronised clocks differ by seconds; `capture.checks` has the same
+limit."""
+_LOOK_S = 0.05  # time between two checks of the folder
 _STILL_S = 0.2  # a file that has not grown for this long is complete
 
 
@@ -33,7 +34,7 @@ class _File:
 
 @BACKENDS.add("folder")
 class WatchedFolder:
-    """Photographs that appear in a folder. Options: ``path``, ``together_s``."""
+    """Photographs that other software writes into a folder. Options: ``path``, ``together_s``."""
 
     def __init__(self, devices: Devices) -> None:
         self._folder = Path(str(devices.options.get("path", "")))
@@ -54,20 +55,20 @@ class WatchedFolder:
         self._lock = threading.Lock()
 
     def settings(self, wanted: CameraSettings) -> None:
-        """Do nothing: the other software has the settings."""
+        """Do nothing: exposure is set in the other software."""
 
     def arm(self) -> None:
-        """Treat all files now in the folder as old."""
+        """Treat all files that are in the folder now as old."""
         with self._lock:
             self._known = {path: _stamp(path) for path in self._files()}
             self._taken = None
 
     def fire(self) -> float:
-        """Do nothing: the user presses the other software's button."""
+        """Do nothing: the user starts the exposure in the other software."""
         return time.time()
 
     def fetch(self, camera: str, timeout_s: float) -> Frame:
-        """This camera's file of the first complete set."""
+        """Return this camera's file in the first complete set."""
         end = time.monotonic() + timeout_s
         while True:
             with self._lock:
@@ -92,19 +93,19 @@ class WatchedFolder:
         )  # fmt: skip
 
     def live(self, camera: str) -> Photograph:
-        """The newest photograph of the camera."""
+        """Return the newest photograph of the camera."""
         mine = [file for file in self._all() if file.camera == camera]
         if not mine:
             raise failed(camera, "no photograph yet", "Take one with the tethering program")
         return read_photograph(max(mine, key=lambda arrival: arrival.path.stat().st_mtime_ns).path, camera)
 
     def health(self, camera: str) -> Health:
-        """Whether the folder is there."""
+        """Report whether the folder exists."""
         fault = "" if self._folder.is_dir() else f"The folder {self._folder.name} no longer exists."
         return Health(fault=fault, model="a watched folder", serial=self._ids.get(camera, ""))
 
     def close(self) -> None:
-        """Do nothing: a folder needs no release."""
+        """Do nothing: a folder need not be released."""
 
     def _files(self) -> list[Path]:
         try:
@@ -115,7 +116,7 @@ class WatchedFolder:
             return []
 
     def _unread(self, camera: str) -> str:
-        """Name of a camera's picture in an unsupported format, such as NEF. Empty if none."""
+        """Name of a camera's picture in an unsupported format, such as NEF. Empty if there is none."""
         names = [path.name for path in visible(self._folder) if path.suffix.lower() in UNREAD_ENDINGS]
         return next((name for name in names if camera_of_name(name, self._cameras) == camera), "")
 
@@ -156,14 +157,14 @@ class WatchedFolder:
         return True
 
     def _complete(self) -> dict[str, _File] | None:
-        """The earliest set of all cameras, which is kept until the next `arm`."""
+        """The earliest complete set, which is kept until the next `arm`."""
         if self._taken is None:
             best = self._best()
             self._taken = best if len(best) == len(self._cameras) else None
         return self._taken
 
     def _best(self) -> dict[str, _File]:
-        """The most complete set of one exposure, or the earliest of several."""
+        """The set of one exposure with most cameras, and of several the earliest."""
         files = self._all()
         best: dict[str, _File] = {}
         for anchor in sorted(files, key=_when):

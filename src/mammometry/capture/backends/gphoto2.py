@@ -1,7 +1,7 @@
-"""Tethered cameras by gphoto2 (extra ``tethered``), set up by USB and fired by wire.
+"""Tethered cameras through gphoto2 (extra ``tethered``), set by USB and triggered by wire.
 
-``ids`` are ports from ``gphoto2 --auto-detect`` (``usb:001,004``). Each camera has its own process: the library blocks
-during a transfer, and a camera that hangs must not stop the others.
+``ids`` are ports listed by ``gphoto2 --auto-detect`` (``usb:001,004``). Each camera has its own process, because the
+library blocks during transfers, and a camera that hangs must not stop the others.
 """
 
 import io
@@ -19,11 +19,11 @@ from mammometry.capture.camera import BACKENDS, CameraSettings, Devices, Frame, 
 from mammometry.io.photographs.images import FORMATS
 
 _OPEN_S = 20.0  # a sleeping camera takes some seconds to answer
-_ANSWER_S = 5.0  # for settings and health
-_GRACE_S = 2.0  # after the camera's own time limit, until its process counts as hung
-_POLL_MS = 100  # of the library's wait for an event
-_EXPOSURES = ("shutterspeed", "shutterspeed2")  # names used by makers
-_SPOOL = "capturetarget"  # storage of pictures: the camera's memory, so that a full card does not matter
+_ANSWER_S = 5.0  # time for settings and health
+_GRACE_S = 2.0  # additional time after the camera's own limit before its process counts as hung
+_POLL_MS = 100  # duration of the library's wait for an event
+_EXPOSURES = ("shutterspeed", "shutterspeed2")  # names in different makers' cameras
+_SPOOL = "capturetarget"  # where pictures are stored: in the camera's memory, so that a full card does not matter
 
 
 def _library() -> Any:
@@ -34,7 +34,7 @@ def _library() -> Any:
 
 
 def attached() -> list[str]:
-    """Ports of the cameras that can be reached.
+    """Ports of the cameras that are connected.
 
     Raises:
         SettingsError: gphoto2 is not installed.
@@ -44,7 +44,7 @@ def attached() -> list[str]:
 
 @BACKENDS.add("gphoto2")
 class TetheredRig:
-    """Reflex cameras on USB."""
+    """Reflex cameras connected by USB."""
 
     def __init__(self, devices: Devices) -> None:
         _library()
@@ -61,13 +61,14 @@ class TetheredRig:
                 worker.ask("settings", wanted.exposure_ms, within_s=_ANSWER_S)
 
     def arm(self) -> None:
-        """Drop pictures of earlier firings."""
+        """Drop pictures from earlier exposures."""
         for worker in self._workers.values():
             if not worker.fault:
                 worker.ask("arm", within_s=_ANSWER_S)
 
     def fire(self) -> float:
-        """Send the command, unless a wire triggers. By USB it takes 0.3 to 8 s: only for tests."""
+        """Send the trigger command, unless cameras are triggered by wire. By USB it takes 0.3 to 8 s: for tests
+        only."""
         fired_s = time.time()
         if self._software:
             for worker in self._workers.values():
@@ -76,7 +77,7 @@ class TetheredRig:
         return fired_s
 
     def fetch(self, camera: str, timeout_s: float) -> Frame:
-        """The file from the camera."""
+        """Return the camera's file."""
         worker = self._workers[camera]
         if self._software:
             worker.receive(timeout_s + _GRACE_S)
@@ -84,7 +85,7 @@ class TetheredRig:
         return Frame(camera=camera, content=content, number=number, serial=worker.serial)
 
     def live(self, camera: str) -> Photograph:
-        """The camera's own live picture, a small JPEG."""
+        """Return the camera's own live picture, a small JPEG."""
         content = self._workers[camera].ask("live", within_s=_ANSWER_S)
         try:
             with Image.open(io.BytesIO(content), formats=FORMATS) as image:
@@ -93,7 +94,7 @@ class TetheredRig:
             raise failed(camera, "a damaged live picture", "Switch live view on in the camera's menu") from None
 
     def health(self, camera: str) -> Health:
-        """Model, serial number, free space on the card."""
+        """Report model, serial number and free space on the card."""
         worker = self._workers[camera]
         if worker.fault:
             return Health(fault=f"{worker.fault[:1].upper()}{worker.fault[1:]}.")
@@ -110,7 +111,7 @@ class TetheredRig:
 
 
 class _Worker:
-    """A camera's process, from the caller's side."""
+    """Connection to a camera's process."""
 
     def __init__(self, camera: str, port: str) -> None:
         self.camera, self.serial = camera, ""
@@ -124,7 +125,7 @@ class _Worker:
             theirs.close()
 
     def wait_open(self) -> None:
-        """Wait until the camera answers, or its fault is known."""
+        """Wait until the camera has answered or reported a fault."""
         if self.fault:
             return
         try:
@@ -133,7 +134,7 @@ class _Worker:
             self.fault = error.found
 
     def ask(self, what: str, *arguments: Any, within_s: float) -> Any:
-        """Send a request to the camera's process, and receive its answer.
+        """Send a request to the camera's process, and return its answer.
 
         Raises:
             CaptureError: it failed, hung or ended.
@@ -142,7 +143,7 @@ class _Worker:
         return self.receive(within_s)
 
     def send(self, what: str, *arguments: Any) -> None:
-        """Send a request to the camera's process."""
+        """Send a request to the camera's process without waiting for the answer."""
         self._require_well()
         try:
             self._ours.send((what, *arguments))
@@ -150,7 +151,7 @@ class _Worker:
             raise self._gone() from None
 
     def receive(self, within_s: float) -> Any:
-        """Receive the next answer of the camera's process."""
+        """Receive the next answer from the camera's process."""
         self._require_well()
         try:
             if not self._ours.poll(within_s):
@@ -184,7 +185,7 @@ class _Worker:
 
 
 def _serve(pipe: Connection, port: str) -> None:
-    """Main loop of the camera's process: answer until the pipe is closed."""
+    """Main loop of a camera's process: answer requests until the pipe is closed."""
     gphoto2: Any = library("gphoto2")
     camera: Any = None
     try:
@@ -231,7 +232,7 @@ def _opened(gphoto2: Any, port: str) -> Any:
 
 
 def _set(gphoto2: Any, camera: Any, exposure_ms: float | None) -> None:
-    """Set the nearest available shutter time, and storage in the camera's memory."""
+    """Set the nearest available shutter time, and store pictures in the camera's memory."""
     for name in _EXPOSURES if exposure_ms is not None else ():
         try:
             widget = camera.get_single_config(name)
@@ -254,11 +255,11 @@ def _set(gphoto2: Any, camera: Any, exposure_ms: float | None) -> None:
             widget.set_value(memory[0])
             camera.set_single_config(_SPOOL, widget)
     except gphoto2.GPhoto2Error:
-        return  # it only has a card
+        return  # the camera stores pictures only on its card
 
 
 def _seconds(choice: str) -> float | None:
-    """Seconds of ``1/250``, ``0.0100s`` or ``2``. None for words."""
+    """Convert ``1/250``, ``0.0100s`` or ``2`` to seconds. None for words."""
     text = choice.strip().removesuffix("s")
     try:
         above, _, below = text.partition("/")
@@ -268,7 +269,7 @@ def _seconds(choice: str) -> float | None:
 
 
 def _drain(gphoto2: Any, camera: Any) -> None:
-    for _ in range(100):  # events in the queue; a limit for cameras that never stop reporting
+    for _ in range(100):  # events in the queue; limited, because some cameras never stop reporting
         kind, _data = camera.wait_for_event(1)
         if kind == gphoto2.GP_EVENT_TIMEOUT:
             return

@@ -1,7 +1,7 @@
-"""Basler cameras by pypylon (extra ``basler``).
+"""Basler cameras through pypylon (extra ``basler``).
 
-``ids`` are serial numbers. Option ``line``: the input for the pulse (``Line1``). Cameras that follow PTP stamp their
-pictures with a common time.
+``ids`` are serial numbers. The option ``line`` is the input for the trigger pulse (``Line1``). Cameras synchronised by
+PTP add a common time to their pictures.
 """
 
 import time
@@ -13,9 +13,9 @@ from mammometry.base.errors import SettingsError
 from mammometry.base.photograph import Photograph
 from mammometry.capture.camera import BACKENDS, CameraSettings, Devices, Frame, Health, failed, library, missing
 
-_READY_MS = 1000  # until a camera waits for its pulse; it takes some ms
-_LIVE_MS = 1000  # for a live picture; slower is of no use for aiming
-_QUEUE = 4  # pictures in the queue; one is needed, `arm` drops others
+_READY_MS = 1000  # time limit until a camera waits for its pulse, which takes some ms
+_LIVE_MS = 1000  # time limit for a live picture; slower pictures are of no use for aiming
+_QUEUE = 4  # number of pictures in the queue; one is needed, `arm` drops others
 _INSTALL = "python -m pip install 'mammometry[basler]'"
 
 
@@ -27,7 +27,7 @@ def _library() -> Any:
 
 
 def attached() -> list[str]:
-    """Serial numbers of the cameras that can be reached.
+    """Serial numbers of the cameras that are connected.
 
     Raises:
         SettingsError: pypylon is not installed.
@@ -37,7 +37,7 @@ def attached() -> list[str]:
 
 @BACKENDS.add("pylon")
 class PylonRig:
-    """Basler cameras, by cable or on one network."""
+    """Basler cameras, connected by cable or in one network."""
 
     def __init__(self, devices: Devices) -> None:
         pylon = _library()
@@ -64,13 +64,13 @@ class PylonRig:
                 camera = pylon.InstantCamera(factory.CreateDevice(attached[serial]))
                 camera.MaxNumBuffer.Value = _QUEUE
                 camera.Open()
-            except pylon.GenericException as error:  # used by another program or another rig's computer
+            except pylon.GenericException as error:  # another program or computer uses it
                 self._absent[name] = f"a camera that does not open ({_first(error)})"
                 continue
             self._cameras[name] = camera
 
     def settings(self, wanted: CameraSettings) -> None:
-        """Exposure, gain and trigger of all."""
+        """Set exposure, gain and trigger of all cameras."""
         self._settings = wanted
         for name, camera in self._cameras.items():
             try:
@@ -84,7 +84,7 @@ class PylonRig:
                 raise failed(name, f"a setting refused ({_first(error)})", "Correct the rig's file") from None
 
     def arm(self) -> None:
-        """Drop pictures of an earlier pulse."""
+        """Drop pictures from earlier pulses."""
         for camera in self._cameras.values():
             camera.StopGrabbing()
             camera.TriggerMode.Value = "On"
@@ -92,7 +92,7 @@ class PylonRig:
             camera.WaitForFrameTriggerReady(_READY_MS, self._pylon.TimeoutHandling_Return)
 
     def fire(self) -> float:
-        """Send the command, unless a wire triggers."""
+        """Send the trigger command, unless the cameras are triggered by wire."""
         fired_s = time.time()
         if self._settings.trigger == "software":
             for camera in self._cameras.values():
@@ -100,7 +100,7 @@ class PylonRig:
         return fired_s
 
     def fetch(self, camera: str, timeout_s: float) -> Frame:
-        """The picture of the pulse."""
+        """Return the picture triggered by the last pulse."""
         device = self._require(camera)
         try:
             result = device.RetrieveResult(round(1e3 * timeout_s), self._pylon.TimeoutHandling_Return)
@@ -124,7 +124,7 @@ class PylonRig:
             result.Release()
 
     def live(self, camera: str) -> Photograph:
-        """One picture without a pulse."""
+        """Take one picture without a pulse."""
         device = self._require(camera)
         device.StopGrabbing()
         device.TriggerMode.Value = "Off"
@@ -135,7 +135,7 @@ class PylonRig:
             result.Release()
 
     def health(self, camera: str) -> Health:
-        """Model, size, temperature."""
+        """Report model, picture size and temperature."""
         if camera in self._absent:
             return Health(fault=f"{self._absent[camera][:1].upper()}{self._absent[camera][1:]}.")
         device = self._cameras[camera]

@@ -1,7 +1,7 @@
-"""The simulator as cameras.
+"""The simulator in place of cameras.
 
-A virtual rig is rendered once, when it is opened. Its pictures are then delivered as by a real rig, with times, and
-with the faults that a test or demonstration needs.
+A virtual rig is rendered once, when it is opened. Its pictures are then delivered in the same way as a real rig's, with
+times, and with faults that a test or demonstration needs.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import Studio
 
 FAULTS = ("unplugged", "slow", "wrong-size", "card-full", "lost", "late", "old", "swapped", "moved", "blurred")
-"""Possible faults of a camera; ``swapped=OTHER`` exchanges two cables, ``late=0.003`` is 3 ms."""
+"""Possible faults of a camera. ``swapped=OTHER`` swaps two cables, and ``late=0.003`` is 3 ms."""
 _RECIPE = ("rig", "subject", "scale", "seed", "poses")
-_SLOW_S = 1e6  # a transfer that never ends: longer than any time limit
+_SLOW_S = 1e6  # duration of a transfer that never ends: longer than any time limit
 _LATE_MS = 8.0  # default delay of a late camera
 _BLUR_PX = 4  # half the width of the box that blurs
-_DIM = 0.4  # of full scale, white paper while the lamps are photographed
-_NOISY_ROWS = 64  # rows with new noise
+_DIM = 0.4  # brightness of white paper while the lamps are photographed, as a share of full scale
+_NOISY_ROWS = 64  # number of rows with new noise
 _MOVED_PX = 12  # rows by which a moved patient is displaced
 
 
@@ -67,9 +67,9 @@ class VirtualRig:
     """Cameras of a rendered session.
 
     Options:
-        session: a folder with photographs to deliver. Without it, one is rendered from ``rig``, ``subject``, ``scale``,
-            ``seed`` and ``poses``.
-        scene: ``capture`` (the subject), a pose of the target, or ``lamps`` (the board with its counting lamps).
+        session: a folder with photographs to deliver. Without it, a session is rendered from ``rig``, ``subject``,
+            ``scale``, ``seed`` and ``poses``.
+        scene: ``capture`` (the subject), a pose of the target, or ``lamps`` (the board with the counting lamps).
         faults: camera → fault.
         skew_ms: camera → delay of its exposure.
     """
@@ -95,11 +95,11 @@ class VirtualRig:
         self._noise = secrets.randbits(32)
 
     def settings(self, wanted: CameraSettings) -> None:
-        """Store them only: a rendered picture has its own exposure."""
+        """Store the settings without effect: a rendered picture has its own exposure."""
         self._settings = wanted
 
     def show(self, scene: str) -> None:
-        """Show the cameras another scene.
+        """Choose the scene that the cameras see.
 
         ``capture``, a pose of the target, or ``lamps``.
 
@@ -130,7 +130,7 @@ class VirtualRig:
         return self._fired_s
 
     def fetch(self, camera: str, timeout_s: float) -> Frame:
-        """The rendered picture, changed by the camera's fault."""
+        """Return the rendered picture, modified by the camera's fault."""
         fault = self._faults.get(camera, _Fault(kind=""))
         if fault.kind == "unplugged":
             raise failed(camera, "no camera at the end of the cable", "Plug it in and switch it on")
@@ -160,20 +160,20 @@ class VirtualRig:
         return Frame(camera=camera, content=photograph, taken_s=taken_s, clock="ptp", number=number, serial=serial)
 
     def live(self, camera: str) -> Photograph:
-        """The rendered picture at full size, as from a fast camera."""
+        """Return the rendered picture at full size, as a fast camera would."""
         if self._faults.get(camera, _Fault(kind="")).kind == "unplugged":
             raise failed(camera, "no camera at the end of the cable", "Plug it in and switch it on")
         return self._picture(camera)
 
     def health(self, camera: str) -> Health:
-        """A camera's fault in words."""
+        """Report a camera's fault as text."""
         words = {"unplugged": "No camera answers at this cable.", "card-full": "The memory card is full."}
         fault = words.get(self._faults.get(camera, _Fault(kind="")).kind, "")
         size_wh = None if fault else self._picture(camera).size_wh
         return Health(fault=fault, model="virtual camera", serial=self._ids.get(camera, ""), size_wh=size_wh)
 
     def close(self) -> None:
-        """Remove the pictures rendered for this rig."""
+        """Delete the pictures rendered for this rig."""
         if self._made is not None:
             shutil.rmtree(self._made, ignore_errors=True)
 
@@ -191,7 +191,7 @@ class VirtualRig:
             return self._pictures[camera]
 
     def _of_lamps(self, camera: str, taken_ms: float) -> Photograph:
-        """The board in the middle of the rig, at a moment of its count."""
+        """Picture of the board at the centre of the rig, with the lamps as they are at a time of their count."""
         with self._lock:
             if self._lamps is None:
                 rig = open_session(self._folder).calibrate().rig
@@ -231,10 +231,10 @@ def _moved_px(photograph: Photograph) -> int:
 
 
 def _noisy(photograph: Photograph, seed: tuple[int, int]) -> Photograph:
-    """Another exposure of the same scene, with new noise in some rows, which is quick and enough to differ."""
+    """Another exposure of the same scene, with new noise in some rows only, which is fast."""
     pixels = photograph.pixels.copy()
     rows = pixels[::_NOISY_ROWS]
-    rows ^= np.random.default_rng(seed).integers(0, 2, rows.shape, dtype=pixels.dtype)  # the lowest bit
+    rows ^= np.random.default_rng(seed).integers(0, 2, rows.shape, dtype=pixels.dtype)  # only the lowest bit changes
     return replace(photograph, pixels=pixels)
 
 
