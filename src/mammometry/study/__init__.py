@@ -1,1 +1,1 @@
-"""Agreement with other methods and accuracy against truth."""
+"""Studies: agreement with other methods, repeatability, and accuracy against a truth."""

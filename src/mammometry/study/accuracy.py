@@ -1,7 +1,7 @@
-"""Comparison of a measured surface, volume or rig with the truth of a simulated or rendered capture.
+"""Compare a measured surface, volume or rig with the true one of a simulated or rendered capture.
 
-For studies and tests only: no measuring code may import it. Cameras have no absolute frame, so they are first aligned
-rigidly with the true ones over the working volume. The remaining difference is the calibration's error.
+Only studies and tests use it: no measuring code may import it. Cameras have no absolute frame, so they are first
+aligned rigidly with the true ones over the working volume. The remaining difference is the calibration's error.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from mammometry.study.rays import inside
 
 COMPLETE_MM = 0.5
 """Largest distance from the measured surface at which a true point counts as measured, mm."""
-_ALIGN_POINTS = 20_000  # vertices used to align two surfaces
+_ALIGN_POINTS = 20_000  # number of vertices used to align two surfaces
 _ALIGN_ROUNDS = 4  # most iterations
-_ALIGNED_MM = 1e-4  # largest last step
-_TANGENT_MM = 1.0  # largest distance at which the height over the nearest face is used
+_ALIGNED_MM = 1e-4  # displacement by the last iteration, at most
+_TANGENT_MM = 1.0  # largest distance at which the distance from the nearest face's plane is used
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +48,7 @@ class SurfaceAccuracy:
     points: int
     """Number of true points compared."""
     claimed_percent: float = 100.0
-    """Share of the true area that the measurement claims as skin. The other figures are of this part."""
+    """Share of the true area that the measurement claims as skin. The other figures are for this part."""
 
 
 @value(eq=False)
@@ -58,19 +58,19 @@ class ErrorMap:
     signed_mm: Float64[Array, " n"]
     """Distance of each measured vertex from the true surface, mm, positive outside; NaN if not evaluated."""
     judged: Bool[Array, " n"]
-    """Evaluated vertices: their closest true vertex should have been measured."""
+    """Vertices that are evaluated, because their closest true vertex should have been measured."""
     stray_percent: float
     """Share of the evaluated vertices farther than `COMPLETE_MM` from the truth."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VolumeAccuracy:
-    """A measured volume and the true one."""
+    """A measured volume compared with the true one."""
 
     measured_cc: float
     true_cc: float
     covered: bool | None
-    """Whether the 95 % interval contains the truth. None without an interval."""
+    """Whether the 95 % interval contains the true volume. None without an interval."""
 
     @property
     def error_cc(self) -> float:
@@ -79,7 +79,7 @@ class VolumeAccuracy:
 
     @property
     def error_percent(self) -> float:
-        """The error in per cent of the truth."""
+        """The error in per cent of the true volume."""
         return 100 * self.error_cc / self.true_cc
 
 
@@ -103,12 +103,12 @@ def compare_surfaces(
     Args:
         measured: the surface under test, mm.
         truth: the true surface, its faces counter-clockwise seen from outside.
-        at: vertices of `truth` that should be measured (for example those that two cameras see); None: all.
-        truth_from_measured: pose of the measured surface; None if both are in one frame.
-        claimed: vertices of the measured surface that count as skin. True points nearest to others are excluded.
+        at: vertices of `truth` that should be measured, for example those that two cameras see; None: all.
+            truth_from_measured: pose of the measured surface; None if both are in the same frame. claimed: vertices of
+            the measured surface that count as skin. True points nearest to other vertices are excluded.
 
     Raises:
-        ValueError: nothing is left to compare.
+        ValueError: there is nothing to compare.
     """
     chosen = np.arange(len(truth.vertices)) if at is None else at
     if not len(chosen) or not len(measured.faces):
@@ -143,10 +143,10 @@ def compare_surfaces(
 
 
 def align_surfaces(measured: TriangleMesh, truth: TriangleMesh, at: Int64[Array, " k"]) -> Transform:
-    """Rigid motion of a measured surface onto the truth: point-to-plane ICP with Huber's weights.
+    """Rigid motion of a measured surface onto the true one, by point-to-plane ICP with Huber's weights.
 
     Args:
-        measured: the surface under test, mm, within a few mm of its place.
+        measured: the surface under test, mm, a few mm from its place at most.
         truth: the true surface.
         at: vertices of `truth` that should be measured.
     """
@@ -161,7 +161,8 @@ def align_surfaces(measured: TriangleMesh, truth: TriangleMesh, at: Int64[Array,
         weight = np.minimum(1.0, 2.0 * scale / np.maximum(np.abs(gap), 1e-12))
         origin = measured_from_truth.apply(middle)
         design = np.concatenate([np.cross(here - origin, facing), facing], axis=1)
-        # The pseudo-inverse keeps undetermined motions at zero: a sphere's rotation, a plane's translation.
+        # The pseudo-inverse keeps undetermined motions at zero, such as rotations of a sphere and translations of a
+        # plane.
         step = np.linalg.pinv(design.T @ (weight[:, None] * design), rcond=1e-9) @ (design.T @ (weight * gap))
         turn = Transform.from_rotation_vector(step[:3], np.zeros(3))
         about = Transform(rotation=turn.rotation.copy(), translation_mm=origin - turn.rotate(origin) + step[3:])
@@ -174,16 +175,16 @@ def align_surfaces(measured: TriangleMesh, truth: TriangleMesh, at: Int64[Array,
 def map_errors(
     measured: TriangleMesh, truth: TriangleMesh, seen: Bool[Array, " m"], *, truth_from_measured: Transform
 ) -> ErrorMap:
-    """Signed distance of each measured vertex from the true surface, to some 0.01 mm, for figures.
+    """Signed distance of each measured vertex from the true surface, to about 0.01 mm, for figures.
 
-    Near the truth it is the distance from the tangent plane at the closest true vertex, farther away the distance from
-    that vertex itself.
+    Near the true surface, this is the distance from the tangent plane at the closest true vertex. Farther away, it is
+    the distance from that vertex.
 
     Args:
         measured: the surface under test.
-        truth: the true surface, with vertices every half millimetre or so.
+        truth: the true surface, with vertices about every half millimetre.
         seen: its vertices that should have been measured.
-        truth_from_measured: motion of the measured surface onto the truth.
+        truth_from_measured: motion of the measured surface onto the true one.
     """
     points = truth_from_measured.apply(measured.vertices)
     distance, nearest = (np.asarray(found) for found in cKDTree(truth.vertices).query(points))
@@ -197,7 +198,7 @@ def map_errors(
 def compare_volumes(
     measured_cc: float, true_cc: float, interval_cc: tuple[float, float] | None = None
 ) -> VolumeAccuracy:
-    """Comparison of a measured volume and its 95 % interval, if any, with the true volume, all in cc."""
+    """Compare a measured volume, and its 95 % interval if there is one, with the true volume. All in cc."""
     covered = None if interval_cc is None else bool(interval_cc[0] <= true_cc <= interval_cc[1])
     return VolumeAccuracy(measured_cc=measured_cc, true_cc=true_cc, covered=covered)
 
@@ -224,7 +225,7 @@ class RigAccuracy:
     """Error of the whole rig after rigid alignment."""
 
     cameras: Mapping[str, CameraAccuracy]
-    """By name."""
+    """Camera → error. Read-only."""
     triangulation_rms_mm: Mapping[str, float]
     """Pair → RMS distance between true points and those triangulated from their true projections, mm."""
     projection_rms_px: float
@@ -249,7 +250,7 @@ class RigAccuracy:
 
 
 def working_volume(mesh: TriangleMesh) -> Float64[Array, "n 3"]:
-    """Grid of 7³ points over the subject's bounding box enlarged by a fifth, mesh frame, mm."""
+    """Grid of 7³ points over the subject's bounding box, enlarged by a fifth, mesh frame, mm."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     middle, half = (low + high) / 2, _MARGIN * (high - low) / 2
     axes = [np.linspace(centre - reach, centre + reach, _GRID) for centre, reach in zip(middle, half, strict=True)]
@@ -307,10 +308,10 @@ def compare_rigs(calibrated: Rig, true: Rig, points_rig: Float64[Array, "n 3"]) 
 def nearest_points(
     pair: StereoPair, left_uv: Float64[Array, "n 2"], right_uv: Float64[Array, "n 2"]
 ) -> Float64[Array, "n 3"]:
-    """Points whose projections are nearest to given pixels of both images, world frame, mm (Gauss–Newton)."""
+    """Points whose projections are closest to given pixels in both images, world frame, mm (Gauss–Newton)."""
     origins = np.stack([pair.left.centre_world, pair.right.centre_world])
     rays = np.stack([pair.left.rays_world(left_uv), pair.right.rays_world(right_uv)], axis=1)
-    across = np.eye(3) - rays[..., :, None] * rays[..., None, :]  # start: midpoint of both rays
+    across = np.eye(3) - rays[..., :, None] * rays[..., None, :]  # start at the midpoint of both rays
     points = np.linalg.solve(across.sum(axis=1), np.einsum("nkij,kj->ni", across, origins)[..., None])[..., 0]
     for _ in range(_TRIANGULATION_STEPS):
         gaps = np.concatenate([pair.left.project(points) - left_uv, pair.right.project(points) - right_uv], axis=1)
@@ -337,7 +338,7 @@ def _aligned(
     pixels: Mapping[str, Array],
     seen: Mapping[str, Array],
 ) -> Transform:
-    """rig_from_world that aligns the projections: initially from centres and axes, then by least squares."""
+    """rig_from_world that aligns the projections: first from centres and axes, then by least squares."""
     reach = float(np.linalg.norm(np.ptp(points_rig, axis=0)))
     here, there = (
         np.concatenate(

@@ -1,7 +1,8 @@
 """Errors of disparities, ranges and silhouettes against the true surface, per pixel.
 
-The photograph's pixel is projected through the *true* camera onto the true surface and back into the other photograph;
-only there the calibrated cameras give the rectified pixel. So the matcher's error is separate from the calibration's.
+A pixel of the photograph is projected through the *true* camera onto the true surface, and from there into the other
+photograph. Only there do the calibrated cameras give the rectified pixel. So the matcher's error is separate from the
+calibration's.
 """
 
 from __future__ import annotations
@@ -26,19 +27,19 @@ EDGE_PX = 5.0
 """Least distance of an evaluated pixel from an occluding edge in either image, px."""
 INCIDENCE_DEG = 70.0
 """Largest angle of incidence of an evaluated pixel in either camera, degrees."""
-_NEAR_EDGE_PX, _RIM_PX = 20.0, 8.0  # distances from an occluding edge within which errors and bias are given separately
-_JUMP_MM = 3.0  # least difference in range of neighbouring pixels at an occluding edge
-_JUDGED_WIDTH_PX = 1400  # wider images are evaluated at every n-th pixel
+_NEAR_EDGE_PX, _RIM_PX = 20.0, 8.0  # distances from an occluding edge within which error and bias are given separately
+_JUMP_MM = 3.0  # least difference in range between neighbouring pixels at an occluding edge
+_JUDGED_WIDTH_PX = 1400  # image width above which only every n-th pixel is evaluated
 
 
 @value(eq=False)
 class TrueDisparity:
-    """Truth of the pixels of one rectified left image."""
+    """True values at the pixels of one rectified left image."""
 
     step: int
     """Spacing of the evaluated pixels, in rows and columns of the map."""
     focal_px: float
-    """Focal length of the map, in its pixels, from which the subsampling of a range image follows."""
+    """Focal length of the map in its pixels, which gives the subsampling of a range image."""
     d_h_px: Float64[Array, "h w"]
     """True horizontal disparity, pixels of the map; NaN without surface."""
     range_mm: Float64[Array, "h w"]
@@ -48,7 +49,7 @@ class TrueDisparity:
     visible: Bool[Array, "h w"]
     """Pixels whose point is visible in both images, at any incidence and distance from an edge."""
     edge_px: Float64[Array, "h w"]
-    """Distance to the nearest occluding edge in either picture, pixels of the photographs."""
+    """Distance to the nearest occluding edge in either photograph, pixels."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,7 +82,7 @@ class MatchingAccuracy:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RangeAccuracy:
-    """Errors of one pair's range image over the evaluated pixels, mm, from matching and cameras together."""
+    """Errors of one pair's range image at evaluated pixels, mm, due to matching and cameras together."""
 
     bias_mm: float
     """Median of measured minus true range."""
@@ -93,7 +94,7 @@ class RangeAccuracy:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SilhouetteAccuracy:
-    """Distance of a found silhouette from the true one, without the image's border."""
+    """Distance between a found silhouette and the true one. The image's border is excluded."""
 
     mean_px: float
     """Mean signed distance, px, positive outside."""
@@ -149,8 +150,8 @@ def judge_disparity(truth: TrueDisparity, found: DisparityMap) -> MatchingAccura
     """Errors of one pair's disparities. None if no evaluated pixel was matched.
 
     Args:
-        truth: of the same rectified left camera.
-        found: result of the matcher.
+        truth: true values for the same rectified left camera.
+        found: the matcher's result.
     """
     some = slice(None, None, truth.step)
     d_h, sigma, valid = (field[some, some] for field in (found.d_h_px, found.sigma_px, found.valid))
@@ -186,7 +187,7 @@ def judge_disparity(truth: TrueDisparity, found: DisparityMap) -> MatchingAccura
 def judge_range(truth: TrueDisparity, found: RangeImage) -> RangeAccuracy | None:
     """Errors of one pair's range image. None if no evaluated pixel has a range.
 
-    Distances from the perspective centre need no common frame, so alignment does not affect them.
+    Distances from the perspective centre do not depend on the frame, so no alignment is needed.
     """
     thinned = round(truth.focal_px / float(found.camera.matrix[0, 0]))  # subsampling of the range image
     common = math.lcm(truth.step, thinned)
@@ -203,14 +204,14 @@ def judge_range(truth: TrueDisparity, found: RangeImage) -> RangeAccuracy | None
 
 
 def judge_silhouette(scene: RayScene, true: Camera, foreground: Foreground) -> SilhouetteAccuracy | None:
-    """Distance of a found silhouette from the true one, photograph pixels. None without a contour.
+    """Distance between a found silhouette and the true one, photograph pixels. None without a contour.
 
-    The true contour is that of half coverage, from 8 × 8 rays in each pixel near the edge.
+    The true contour is at half coverage, computed with 8 × 8 rays in each pixel near the edge.
 
     Args:
         scene: the true surface.
         true: the camera, in the scene's frame.
-        foreground: found in its photograph.
+        foreground: silhouette found in its photograph.
     """
     coverage = scene.cast(true.centre_world, true.rays_world(pixel_grid(true))).hit.astype(np.float64)
     band = ndimage.binary_dilation(coverage > 0, iterations=2)
@@ -234,7 +235,7 @@ def judge_silhouette(scene: RayScene, true: Camera, foreground: Foreground) -> S
 
 
 def silhouette_overlap(scene: RayScene, true: Camera, foreground: Foreground) -> tuple[float, float]:
-    """Areas of the intersection and of the union of the found and the true silhouette, px²."""
+    """Areas of intersection and union of the found and the true silhouette, px²."""
     step = max(1, true.size_wh[0] // 300)
     seen = scene.cast(true.centre_world, true.rays_world(pixel_grid(true, step))).hit
     found = foreground.coverage[::step, ::step] >= foreground.contour_level

@@ -1,8 +1,8 @@
 """Agreement of a method of measurement with a reference method on the same subjects (paper 2.7).
 
-After Bland and Altman, Lancet 327 (1986) 307 and Statistical Methods in Medical Research 8 (1999) 135, with exact
-intervals of the limits after Carkeet, Optometry and Vision Science 92 (2015) e71. If a subject has several pairs, such
-as both breasts of a woman, the form for multiple observations per individual is used (`study.repeated`).
+Based on Bland and Altman, Lancet 327 (1986) 307 and Statistical Methods in Medical Research 8 (1999) 135, with exact
+intervals of the limits by Carkeet, Optometry and Vision Science 92 (2015) e71. If a subject has several pairs, such as
+both breasts of a woman, the form for multiple observations per individual is used (`study.repeated`).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy  # it imports scipy.stats, which takes half a second, when that is used
+import scipy  # scipy.stats, which takes half a second to import, is imported on first use
 
 from mammometry.base.notices import Notice
 from mammometry.base.value import value
@@ -31,7 +31,7 @@ class PairedMeasurements:
     """Two methods' measurements of the same subjects.
 
     Raises:
-        ValueError: fewer than three subjects, different lengths, or a value that is not finite.
+        ValueError: there are fewer than three subjects, lengths differ, or a value is not finite.
     """
 
     names: tuple[str, ...]
@@ -43,11 +43,11 @@ class PairedMeasurements:
     reference_name: str
     measured_name: str
     unit: str
-    """Unit of both; may be empty."""
+    """Unit of both. May be empty."""
     subjects: tuple[str, ...] = ()
-    """Subject of each pair. Pairs of one subject are not independent. Empty: all are of different subjects."""
+    """Subject of each pair. Pairs of the same subject are not independent. Empty: all subjects are different."""
     notices: tuple[Notice, ...] = ()
-    """Warnings about the table of the measurements."""
+    """Warnings about the table with the measurements."""
 
     def __post_init__(self) -> None:
         lengths = {len(self.names), len(self.reference), len(self.measured), len(self.subjects or self.names)}
@@ -71,7 +71,7 @@ class PairedMeasurements:
 
     @property
     def means(self) -> Float64[Array, " n"]:
-        """Mean of both methods, the best estimate of the true value if neither is exact."""
+        """Mean of both methods: the best estimate of the true value if neither is exact."""
         return (self.measured + self.reference) / 2
 
 
@@ -85,12 +85,12 @@ class IntervalEstimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trend:
-    """Straight line through the differences. NaN if the abscissae are all equal."""
+    """Straight line through the differences. NaN if all abscissae are equal."""
 
     slope: IntervalEstimate
     intercept: float
     p: float
-    """p of the null hypothesis that the slope is 0."""
+    """p value for the null hypothesis that the slope is 0."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,23 +99,23 @@ class Agreement:
 
     subjects: int
     pairs: int
-    """At least the number of subjects."""
+    """Number of pairs, at least that of the subjects."""
     mean_difference: IntervalEstimate
     """The bias, with Student's interval."""
     sd: IntervalEstimate
-    """Standard deviation of the differences (n − 1), with its χ² interval. With several pairs per subject: of one pair,
-    between and within subjects together."""
+    """Standard deviation of the differences (n − 1), with its χ² interval. With several pairs per subject, that of a
+    single pair, between and within subjects together."""
     sem: float
     """Standard error of the mean difference, SD / √n."""
     t: float
     """Paired Student's t. NaN if all differences are 0, infinite if they are all equal."""
     df: int
     p: float
-    """Two-sided."""
+    """Two-sided p value."""
     student_95: float
-    """Two-sided 95 % threshold of Student's t."""
+    """Two-sided 95 % quantile of Student's t."""
     student_99: float
-    """Two-sided 99 % threshold."""
+    """Two-sided 99 % quantile of Student's t."""
     lower_limit: IntervalEstimate
     """Lower limit of agreement, bias − 1.96 SD, with the exact interval of that percentile."""
     upper_limit: IntervalEstimate
@@ -123,18 +123,19 @@ class Agreement:
     trend: Trend
     """Regression of the differences on the means of both methods (proportional bias)."""
     trend_on_reference: Trend
-    """Regression on the reference; correct if the reference is exact."""
+    """Regression of the differences on the reference. It is correct if the reference is exact."""
     sem_of_measurement: IntervalEstimate
-    """Standard error of measurement, SD / √2: error of one measurement if both methods are equally exact."""
+    """Standard error of measurement, SD / √2: the error of one measurement if both methods are equally exact."""
     mdc: IntervalEstimate
-    """Minimal (smallest) detectable change at 95 %: 1.96 √2 times the standard error of measurement, i.e. 1.96 SD."""
+    """Minimal (smallest) detectable change at 95 %: 1.96 √2 times the standard error of measurement, which is 1.96
+    SD."""
     mdc_of_mean: float
-    """1.96 √2 times the standard error of the *mean*: not a detectable change, but the paper's figure."""
+    """1.96 √2 times the standard error of the *mean*. The paper gives it, but it is not a detectable change."""
     icc: tuple[IntraclassCorrelation, ...]
-    """All forms. With several pairs per subject they have no intervals and tests, which need independent rows."""
+    """All forms. With several pairs per subject, they have no intervals and tests, which need independent rows."""
     normality_p: float
-    """Shapiro and Wilk's p of the differences (their means by subject): the limits assume normality. NaN if all are
-    equal."""
+    """Shapiro and Wilk's p value for the differences, or for their means by subject: the limits assume a normal
+    distribution. NaN if all are equal."""
 
     def figures(self) -> dict[str, float]:
         """Figures by name, for comparison with published ones."""
@@ -164,11 +165,11 @@ class PublishedFigure:
     """One figure of a publication."""
 
     what: str
-    """Its name in the publication."""
+    """Name in the publication."""
     figure: str
-    """Its name in `Agreement.figures`."""
+    """Name in `Agreement.figures`."""
     published: str
-    """As printed, with its number of digits."""
+    """Value as printed, with all its digits."""
     note: str = ""
     """Remark for the reader."""
 
@@ -184,7 +185,7 @@ class CheckedFigure:
 
 
 def agreement(data: PairedMeasurements) -> Agreement:
-    """Statistics of the agreement of two methods."""
+    """Compute the agreement of two methods."""
     clusters = data.clusters
     pairs, subjects = len(clusters), int(clusters.max()) + 1
     if pairs > subjects:
@@ -193,7 +194,7 @@ def agreement(data: PairedMeasurements) -> Agreement:
 
 
 def _once(data: PairedMeasurements) -> Agreement:
-    """Agreement with one pair per subject."""
+    """Agreement if each subject has one pair."""
     difference = data.differences
     n = len(difference)
     mean, sd = float(difference.mean()), float(difference.std(ddof=1))
@@ -216,9 +217,9 @@ def _once(data: PairedMeasurements) -> Agreement:
 
 
 def _repeated(data: PairedMeasurements, clusters: Int64[Array, " n"]) -> Agreement:
-    """Agreement with several pairs per subject.
+    """Agreement if subjects have several pairs.
 
-    Trends and Shapiro and Wilk's test use the subjects' means, which are independent.
+    Trends and Shapiro and Wilk's test are computed from the subjects' means, which are independent.
     """
     found = repeated_differences(data.differences, clusters)
     counts = np.bincount(clusters)
@@ -256,16 +257,16 @@ def _assembled(
     limits: tuple[float, float, float, float],
     icc: tuple[IntraclassCorrelation, ...],
 ) -> Agreement:
-    """Statistics from mean, standard error and spread.
+    """Compute all statistics from mean, standard error and spread.
 
     Args:
         data: all pairs.
-        independent: means of both methods, reference and differences, one of each per subject.
+        independent: mean of both methods, reference and difference, with one value of each per subject.
         mean: the bias.
         sem: its standard error.
         spread: standard deviation of one difference.
         limits: intervals of the lower and of the upper limit of agreement.
-        icc: all forms.
+        icc: all forms of the intraclass correlation.
     """
     means, reference, difference = independent
     df = len(difference) - 1
@@ -297,10 +298,10 @@ def _assembled(
 
 
 def check_published(found: Agreement, published: Sequence[PublishedFigure]) -> tuple[CheckedFigure, ...]:
-    """Published figures with the recomputed ones.
+    """Compare published figures with recomputed ones.
 
     Raises:
-        ValueError: a name that is not in `Agreement.figures`, or a published value that is not a number.
+        ValueError: a name is not in `Agreement.figures`, or a published value is not a number.
     """
     figures = found.figures()
     checked = []
@@ -315,7 +316,7 @@ def check_published(found: Agreement, published: Sequence[PublishedFigure]) -> t
 
 
 def _trend(abscissae: Float64[Array, " n"], differences: Float64[Array, " n"]) -> Trend:
-    """Least-squares line, with Student's interval of the slope."""
+    """Least-squares line, with Student's interval for the slope."""
     centred = abscissae - abscissae.mean()
     total = float(centred @ centred)
     if total <= (1e-9 * float(np.abs(abscissae).max())) ** 2:

@@ -1,4 +1,4 @@
-"""An agreement study as sentences, tables for page and terminal, and JSON."""
+"""A study of agreement as sentences, tables and JSON."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mammometry.study.agreement import Agreement, CheckedFigure, IntervalEstimat
 from mammometry.study.icc import IntraclassCorrelation
 from mammometry.study.tables import TextTable, number, p_words, plain, probability
 
-_P = "p"  # format of a probability
+_P = "p"  # format of probabilities
 
 
 def summary(data: PairedMeasurements, found: Agreement) -> list[str]:
@@ -150,7 +150,7 @@ def agreement_tables(
 
 
 def agreement_json(data: PairedMeasurements, found: Agreement, checked: Sequence[CheckedFigure] = ()) -> dict[str, Any]:
-    """All results as plain JSON-ready data. Unknown values are null."""
+    """All results as data for JSON. Unknown values are null."""
     table: dict[str, Any] = plain(
         {
             "reference": data.reference_name,

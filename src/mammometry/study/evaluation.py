@@ -1,4 +1,4 @@
-"""Comparison of all results of a session with its truth, stage by stage."""
+"""Compare all results of a session with the truth, stage by stage."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ class Truth:
     rig_from_target: Mapping[str, Transform]
     """Pose → placement of the calibration target. Empty if unknown."""
     mesh: TriangleMesh
-    """Surface of the subject in its pose."""
+    """Surface of the subject, in its pose."""
     volumes_cc: Mapping[str, float]
     """``model``, or the patient's ``left`` and ``right`` → true volume, cc. May be empty."""
     boundaries: Mapping[str, Float64[Array, "n 3"]]
-    """The same names → true closed boundary curve. May be empty."""
+    """The same names → true closed boundary. May be empty."""
 
 
-_STEP_MM = 0.1  # spacing of a compared curve's points: far below its errors
+_STEP_MM = 0.1  # spacing of points on a compared curve: far below its errors
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,8 +75,8 @@ class BoundaryAccuracy:
     worst_mm: float
     """Hausdorff distance of the curves."""
     height_bias_mm: float
-    """Mean height of the measured curve over the true one, along the normal of the true curve's best plane, mm. For a
-    cast 0.1 mm is about 1 cc."""
+    """Mean height of the measured curve above the true one, along the normal of the true curve's best plane, mm. For a
+    cast, 0.1 mm is about 1 cc."""
 
 
 def compare_boundaries(
@@ -85,9 +85,9 @@ def compare_boundaries(
     """Distances between two closed curves in one frame, mm.
 
     Args:
-        measured: the curve under test, the first point not repeated.
+        measured: the curve under test. Its first point is not repeated.
         truth: the true curve.
-        towards_front: approximate direction of the subject's front, which gives the sign of the height.
+        towards_front: approximate direction of the subject's front, which determines the sign of the height.
     """
     dense, true_dense = resampled(measured), resampled(truth)
     distance, back = curve_distances(dense, true_dense)
@@ -110,12 +110,12 @@ def curve_distances(
 
 
 def resampled(curve: Float64[Array, "n 3"], step_mm: float = _STEP_MM) -> Float64[Array, "k 3"]:
-    """Closed curve resampled at `step_mm` or a little less."""
+    """Resample a closed curve at `step_mm` or slightly less."""
     return evenly_spaced(curve, max(3, int(np.ceil(closed_length_mm(curve) / step_mm))))
 
 
-_POINTS = 60_000  # true points at which a surface is evaluated
-_OTHER_RIG_SHARE = 0.02  # RMS projection error, relative to the image width, from which the rig is another one
+_POINTS = 60_000  # number of true points at which a surface is evaluated
+_OTHER_RIG_SHARE = 0.02  # RMS projection error, relative to the image width, above which the rig is a different one
 _OTHER_SUBJECT_OVERLAP = 0.95  # overlap (intersection over union) of silhouettes below which the subject may differ
 _OTHER_SUBJECT_MM = 3.0  # median distance of the surface from which the subject may differ
 _REMEDY = "Name the truth of this session with --truth, or measure the session again"
@@ -123,7 +123,7 @@ _REMEDY = "Name the truth of this session with --truth, or measure the session a
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SessionResults:
-    """Existing results of a session, mm, world frame. Large values are loaded when called."""
+    """Existing results of a session, mm, world frame. Large values are loaded on call."""
 
     rig: Rig
     """The calibrated cameras."""
@@ -138,7 +138,7 @@ class SessionResults:
     surfaces: Mapping[str, TriangleMesh]
     """``first`` and ``repaired``, in this order."""
     claimed: Bool[Array, " n"] | None
-    """Vertices that the repaired surface claims as skin. None without one."""
+    """Vertices that the repaired surface claims as skin. None without a repaired surface."""
     boundaries: Sequence[Boundary]
     measurements: Sequence[VolumeMeasurement]
     absent: Sequence[str] = ()
@@ -151,26 +151,26 @@ class SurfaceJudgement:
 
     unaligned: SurfaceAccuracy
     claimed: SurfaceAccuracy | None
-    """As measured, only skin that the surface claims. None for the first surface."""
+    """Errors as measured, only where the surface claims skin. None for the first surface."""
     aligned: SurfaceAccuracy
-    """After ICP: shape alone."""
+    """Errors after ICP alignment: shape alone."""
     aligned_by_mm: float
     """Shift of the subject's centre by the alignment, mm."""
     aligned_by_deg: float
     """Rotation by the alignment, degrees."""
     stray_percent: float
-    """Share of the vertices on skin that a pair sees which are more than 0.5 mm from the truth."""
+    """Share of the vertices on skin seen by a pair that are more than 0.5 mm from the true surface."""
 
 
 @value(eq=False)
 class Evaluation:
-    """Errors of the instrument by stage. A stage without current results is empty."""
+    """Errors of the instrument by stage. Empty for stages without current results."""
 
     frame: str
-    """How the truth was transformed into the world frame."""
+    """How the truth was transformed to the world frame."""
     cameras: RigAccuracy
     silhouettes: Mapping[str, SilhouetteAccuracy | None]
-    """Camera → error of its silhouette. None without one."""
+    """Camera → error of its silhouette. None without a contour."""
     matching: Mapping[str, MatchingAccuracy | None]
     """Pair → error of its disparities. None if no evaluated pixel was matched."""
     ranges: Mapping[str, RangeAccuracy | None]
@@ -178,14 +178,14 @@ class Evaluation:
     boundaries: Mapping[str, BoundaryAccuracy]
     volumes: Mapping[str, VolumeAccuracy]
     intervals_cc: Mapping[str, tuple[float, float] | None]
-    """Breast → the 95 % interval of the result."""
+    """Breast → 95 % interval of the result."""
     absent_cc: Mapping[str, float]
-    """Side on which no breast was found → its true volume, cc; 0 if that is right."""
+    """Side on which no breast was found → its true volume, cc. 0 if there is indeed none."""
     error_map: ErrorMap | None
-    """Errors of the latest surface at each vertex."""
+    """Errors at each vertex of the latest surface."""
 
     def as_table(self) -> dict[str, Any]:
-        """All figures as JSON-ready data, with null for unknown ones."""
+        """All figures as data for JSON, with null for unknown ones."""
         pair, worst_mm = self.cameras.worst_pair
         table: dict[str, Any] = plain(
             {
@@ -220,11 +220,11 @@ class Evaluation:
 
 
 def evaluate(results: SessionResults, truth: Truth, *, progress: Progress = no_progress) -> Evaluation:
-    """Errors of all results of a session.
+    """Compute the errors of all results of a session.
 
     Args:
-        results: as far as they exist.
-        truth: of the same capture.
+        results: those that exist.
+        truth: truth of the same capture.
         progress: called with the fraction done.
 
     Raises:
@@ -316,7 +316,7 @@ def _compare_pairs(
 
 
 def _truths_place(results: SessionResults, truth: Truth, cameras: RigAccuracy) -> tuple[Transform, str]:
-    """world_from_rig and its source: the target that defines the world, or else the cameras."""
+    """world_from_rig, and its origin in words: the target that defines the world, or else the cameras."""
     for pose, world_from_target in results.world_from_target.items():
         if pose in truth.rig_from_target and np.allclose(world_from_target.matrix, np.eye(4), atol=1e-9):
             return truth.rig_from_target[pose].inverse(), f"the true place of the target in pose {pose}"
@@ -356,9 +356,9 @@ def _require_same_subject(
     foregrounds: Mapping[str, Foreground],
     surfaces: Mapping[str, SurfaceJudgement],
 ) -> None:
-    """Raise an error if the truth is of another subject: both surface and silhouettes differ.
+    """Raise an error if the truth is of another subject, so that both surface and silhouettes differ.
 
-    A bad measurement of the right subject is evaluated: its silhouettes are those of the truth.
+    A bad measurement of the right subject is accepted, because its silhouettes agree with the truth.
     """
     names = [found.name for found in results.measurements]
     if any(name not in truth.volumes_cc for name in names):

@@ -1,11 +1,12 @@
-"""Intraclass correlation in all its forms, with intervals.
+"""All forms of the intraclass correlation, with intervals.
 
-Shrout and Fleiss, Psychological Bulletin 86 (1979) 420. Mean squares, F tests and intervals are those of McGraw and
-Wong, Psychological Methods 1 (1996) 30. Two-way random and two-way mixed models have the same estimates.
+By Shrout and Fleiss, Psychological Bulletin 86 (1979) 420. Mean squares, F tests and intervals are by McGraw and Wong,
+Psychological Methods 1 (1996) 30. Two-way random and two-way mixed models have the same estimates.
 
 k measurements with equal correlations ρ have a covariance matrix only if ρ ≥ −1/(k − 1) (Fisher, Statistical Methods
-for Research Workers, 1925, section 38). Mean squares of few subjects may give less for absolute agreement, so estimates
-and interval bounds are limited to it. At that limit the mean of the k measurements is constant, and its coefficient −∞.
+for Research Workers, 1925, section 38). Mean squares of few subjects may give a smaller value for absolute agreement,
+so estimates and bounds of intervals are limited to it. At that limit, the mean of the k measurements is constant, and
+its coefficient is −∞.
 """
 
 from __future__ import annotations
@@ -13,11 +14,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # it imports scipy.stats, which takes half a second, when that is used
+import scipy  # scipy.stats, which takes half a second to import, is imported on first use
 
 from mammometry.geometry.arrays import Array, Float64
 
-_ROUNDING = 1e-12  # variance, relative to its largest value k, below which it is 0
+_ROUNDING = 1e-12  # variance, relative to its largest value k, below which it is treated as 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,17 +42,17 @@ class IntraclassCorrelation:
     """One form of the coefficient."""
 
     shrout_fleiss: str
-    """``ICC(2,1)``."""
+    """Such as ``ICC(2,1)``."""
     mcgraw_wong: str
-    """``ICC(A,1)``."""
+    """Such as ``ICC(A,1)``."""
     meaning: str
-    """Model, error and measurement, in words."""
+    """Model, error and measurement, as text."""
     value: float
-    """NaN if nothing varies. −∞ for a mean of measurements that does not vary."""
+    """NaN if nothing varies. −∞ for the mean of measurements if it does not vary."""
     interval: tuple[float, float]
     """Confidence interval. NaN if rows are not independent."""
     f: float
-    """F statistic of the null hypothesis that the coefficient is 0."""
+    """F statistic for the null hypothesis that the coefficient is 0."""
     df: tuple[float, float]
     p: float
 
@@ -84,8 +85,8 @@ def intraclass_correlations(
     """The six forms of the intraclass correlation after Shrout and Fleiss, (1,1) … (3,k).
 
     Args:
-        ratings: one row per subject, one column per method; complete.
-        confidence: of the intervals.
+        ratings: one row per subject, one column per method, without gaps.
+        confidence: confidence level of the intervals.
 
     Raises:
         ValueError: see `mean_squares`.
@@ -151,12 +152,12 @@ def _agreement(ms: MeanSquares, confidence: float) -> IntraclassCorrelation:
         upper = (1 + confidence) / 2
         f_low, f_high = scipy.stats.f.ppf(upper, n - 1, df), scipy.stats.f.ppf(upper, df, n - 1)
         rest = k * methods + (k * n - k - n) * noise
-        interval = (  # divided by the quantiles, which may be infinite with few degrees of freedom
+        interval = (  # divided by quantiles, which may be infinite with few degrees of freedom
             float(n * (signal / f_low - noise) / (rest + n * signal / f_low)),
             float(n * (signal - noise / f_high) / (rest / f_high + n * signal)),
         )
     else:
-        interval = (value, value)  # only the subjects vary, or nothing
+        interval = (value, value)  # only the subjects vary, or nothing varies
     least = -1 / (k - 1)
     value, interval = max(value, least), (max(interval[0], least), max(interval[1], least))
     f, f_df = _divided(signal, noise), (n - 1, (n - 1) * (k - 1))
@@ -173,10 +174,10 @@ def _agreement(ms: MeanSquares, confidence: float) -> IntraclassCorrelation:
 
 
 def _of_the_mean(single: IntraclassCorrelation, k: int) -> IntraclassCorrelation:
-    """The form for the mean of k measurements (Spearman–Brown), monotonic in that of one."""
+    """The form for the mean of k measurements (Spearman–Brown), which increases with that for one."""
 
     def stepped(value: float) -> float:
-        variance = 1 + (k - 1) * value  # of the mean, times k
+        variance = 1 + (k - 1) * value  # variance of the mean, times k
         return -np.inf if variance <= _ROUNDING else float(k * value / variance)
 
     return IntraclassCorrelation(

@@ -1,4 +1,4 @@
-"""Score landmarks and borders that any program found on meshes with a known truth.
+"""Score landmarks and borders found by any program on meshes whose truth is known.
 
 ::
 
@@ -38,65 +38,65 @@ FORMS: Mapping[str, Form] = {
     **{f"border_{side}": "curve" for side in SIDES},
 }
 """Names in both files → form. Left and right are the patient's."""
-_ANOTHER_FRAME_MM = 100.0  # median error from which frame or unit differ: a breast's width
+_ANOTHER_FRAME_MM = 100.0  # median error above which frame or unit must differ: the width of a breast
 _LINE_STEP_MM = 0.1  # spacing of a compared line's points, as of a closed curve
 
 
 @value(eq=False)
 class TrueWoman:
-    """One mesh with its true landmarks and borders."""
+    """One mesh with true landmarks and borders."""
 
     kind: str
-    """Kind of input, e.g. ``clean`` or ``telephone``."""
+    """Kind of input, such as ``clean`` or ``telephone``."""
     generator: str
     """Program that made the woman."""
     mesh: str
-    """File of the mesh, relative to the truth file."""
+    """File with the mesh, relative to the truth file."""
     places: Places
     """Her true landmarks and borders, without unknown and absent ones."""
     absent: tuple[str, ...] = ()
-    """Landmarks that she does not have: a proposal is a false positive."""
+    """Landmarks that she does not have. If a program proposes one, it is a false positive."""
 
 
 @value(eq=False)
 class Score:
-    """Errors of one landmark on one kind of input and one generator."""
+    """Errors of one landmark for one kind of input and one generator."""
 
     landmark: str
     """Its name without the side."""
     kind: str
     generator: str
     true: int
-    """Number of places with a truth."""
+    """Number of true landmarks."""
     invented: int
     """Number of false positives."""
     distances_mm: Float64[Array, " n"]
-    """Error of each place found. Point: its distance. Line: mean distance of the true line from it. Closed curve: mean
-    of both curves' mean distances from each other."""
+    """Error of each landmark that was found. Point: distance from the true one. Line: mean distance of the true line
+    from it. Closed curve: mean of both curves' mean distances from each other."""
 
     @property
     def found(self) -> int:
-        """Number of true places that were found."""
+        """Number of true landmarks that were found."""
         return len(self.distances_mm)
 
     @property
     def mean_mm(self) -> float | None:
-        """Mean of the distances, mm. None if no place was found."""
+        """Mean of the distances, mm. None if none was found."""
         return float(self.distances_mm.mean()) if self.found else None
 
     @property
     def median_mm(self) -> float | None:
-        """Median of the distances, mm. None if no place was found."""
+        """Median of the distances, mm. None if none was found."""
         return self._quantile(0.5)
 
     @property
     def p95_mm(self) -> float | None:
-        """95th percentile of the distances, mm. None if no place was found."""
+        """95th percentile of the distances, mm. None if none was found."""
         return self._quantile(0.95)
 
     @property
     def worst_mm(self) -> float | None:
-        """Largest distance, mm. None if no place was found."""
+        """Largest distance, mm. None if none was found."""
         return self._quantile(1.0)
 
     def _quantile(self, share: float) -> float | None:
@@ -104,7 +104,7 @@ class Score:
 
 
 def distance_mm(form: Form, found: Float64[Array, "k 3"], true: Float64[Array, "m 3"]) -> float:
-    """Error of one place, mm: see `Score.distances_mm`."""
+    """Error of one landmark, mm (see `Score.distances_mm`)."""
     if form == "point":
         return float(np.linalg.norm(found[0] - true[0]))
     if form == "curve":
@@ -122,10 +122,10 @@ def _dense(line: Float64[Array, "k 3"]) -> Float64[Array, "n 3"]:
 def scores(found: Mapping[str, Places], truth: Mapping[str, TrueWoman]) -> tuple[Score, ...]:
     """Errors of a program's landmarks, by landmark, kind of input and generator.
 
-    A woman or a place that is missing in `found` counts as not found.
+    A woman or a landmark that is missing in `found` counts as not found.
 
     Raises:
-        TableError: a woman who is not in the truth, or places in another frame or unit.
+        TableError: a woman is not in the truth, or positions are in another frame or unit.
     """
     unknown = sorted(found.keys() - truth.keys())
     if unknown:
@@ -188,7 +188,7 @@ PUBLISHED: tuple[tuple[str, str, str], ...] = (
         "doi 10.1007/s00238-018-1431-2",
     ),
 )
-"""Published figures of raters: what, mm, source. No error of an automatic fold or midline is published."""
+"""Published figures for raters: what, mm, source. There is no published error of an automatic fold or midline."""
 
 
 def score_tables(found: Sequence[Score]) -> tuple[TextTable, ...]:
@@ -210,7 +210,7 @@ def _row(one: Score) -> tuple[str, ...]:
 
 
 def scores_json(found: Sequence[Score]) -> dict[str, Any]:
-    """All figures as JSON-ready data, with null for unknown ones."""
+    """All figures as data for JSON, with null for unknown ones."""
     table: dict[str, Any] = plain(
         {
             "scores": [

@@ -1,8 +1,8 @@
 """Scatter between observers' drawings: volumes, and curves by region.
 
-The variance components are those of a one-way analysis of variance within each breast, pooled over breasts: MS_W of one
-observer's repeats, MS_B of the observers' means, with n₀ drawings per observer (Searle, Casella and McCulloch, Variance
-Components, 1992, chapter 3, for unequal numbers).
+The variance components are those of a one-way analysis of variance within each breast, pooled over breasts: MS_W for
+repeats by one observer, MS_B for the observers' means, with n₀ drawings per observer (Searle, Casella and McCulloch,
+Variance Components, 1992, chapter 3, for unequal numbers).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # it imports scipy.stats, which takes half a second, when that is used
+import scipy  # scipy.stats, which takes half a second to import, is imported on first use
 from scipy.spatial import cKDTree
 
 from mammometry.base.value import value
@@ -25,27 +25,28 @@ from mammometry.study.icc import IntraclassCorrelation, intraclass_correlations
 REGIONS = ("lateral", "upper", "medial", "lower")
 WHOLE = "whole curve"
 _STEP_MM = 1.0  # spacing of a curve's points for distances
-_DETECTABLE_95 = 1.96 * math.sqrt(2)  # minimal detectable change over the standard error of measurement
-_LONGEST_NUMBER = 16  # most digits of a repeat that is sorted as a number
+_DETECTABLE_95 = 1.96 * math.sqrt(2)  # ratio of minimal detectable change to standard error of measurement
+_LONGEST_NUMBER = 16  # most digits of a repeat's name that is sorted as a number
 _ICC = "ICC(2,1)"  # absolute agreement of single measurements, random observers
 
 
 @value(eq=False)
 class ObservedCurve:
-    """One curve around one breast, and the volume that it gives."""
+    """One curve around one breast, and the resulting volume."""
 
     breast: str
-    """Subject and side: "anna, left"."""
+    """Subject and side, such as "anna, left"."""
     observer: str
-    """Observer who drew it."""
+    """Person who drew it."""
     repeat: str
-    """Number or name of that observer's drawing of this breast."""
+    """Number or name of this drawing among those of the same observer and breast."""
     volume_cc: float
-    """Volume in front of a wall of the same kind for all drawings, cc."""
+    """Volume in front of a wall, of the same kind for all drawings, cc."""
     base_cm2: float
     """Area of that wall within the curve, cm²."""
     lateral_up_mm: Float64[Array, "n 3"]
-    """The closed curve, mm: towards the armpit, towards the head, straight ahead; one origin per breast."""
+    """The closed curve, mm: towards the armpit, towards the head, straight ahead. All curves of a breast have one
+    origin."""
 
 
 @value(eq=False)
@@ -55,9 +56,9 @@ class DrawnSurface:
     name: str
     """Name of its file, without the suffix."""
     mesh: TriangleMesh
-    """mm, the file's frame."""
+    """Mesh in the file's frame, mm."""
     frame: Float64[Array, "3 3"]
-    """Body frame, rows: the patient's left, the head, straight ahead."""
+    """Body frame; rows are the patient's left, the head, and straight ahead."""
     curves: tuple[tuple[str, Float64[Array, "n 3"]], ...]
     """Observer and closed curve, mm."""
 
@@ -69,9 +70,9 @@ class Scatter:
     sem: IntervalEstimate
     """Standard error of measurement (standard deviation of one measurement), cc."""
     df: float
-    """Its degrees of freedom."""
+    """Degrees of freedom of `sem`."""
     percent: float
-    """The same in % of the mean volume."""
+    """`sem` in % of the mean volume."""
 
     @property
     def mdc(self) -> IntervalEstimate:
@@ -84,7 +85,7 @@ class Scatter:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Apart:
-    """Distance of two curves around one breast by region, over all pairs of drawings."""
+    """Distance between two curves around one breast by region, over all pairs of drawings."""
 
     pairs: int
     mean_mm: float
@@ -92,12 +93,12 @@ class Apart:
     q95_mm: float
     """95th percentile, mm."""
     across_mm: float
-    """Standard uncertainty of one curve across itself, mm: RMS distance / √2. Compare with `measure.observers`."""
+    """Standard uncertainty of a curve across its direction, mm: RMS distance / √2 (see also `measure.observers`)."""
 
 
 @value
 class ObserverStudy:
-    """Agreement of observers who draw."""
+    """Agreement between observers' drawings."""
 
     breasts: tuple[str, ...]
     observers: tuple[str, ...]
@@ -105,24 +106,24 @@ class ObserverStudy:
     mean_cc: float
     """Mean of all volumes, cc."""
     within: Scatter | None
-    """Same observer; None without repeats."""
+    """Scatter of drawings by the same observer. None without repeats."""
     between: Scatter | None
-    """Any observer; None if no breast was drawn by two observers."""
+    """Scatter of drawings by any observers. None if no breast was drawn by two observers."""
     icc_between: IntraclassCorrelation | None
-    """ICC(2,1) of first drawings, breasts by observers; None without two breasts drawn by the same two observers."""
+    """ICC(2,1) of first drawings, breasts by observers. None unless the same two observers drew two breasts."""
     icc_within: Mapping[str, IntraclassCorrelation]
-    """Observer → ICC(2,1) of repeats, breasts by repeats, of those who drew two breasts twice."""
+    """Observer → ICC(2,1) of repeats, breasts by repeats, for those who drew two breasts twice."""
     apart_within: Mapping[str, Apart]
-    """Region → distance between curves of one observer; empty without repeats."""
+    """Region → distance between curves by one observer. Empty without repeats."""
     apart_between: Mapping[str, Apart]
-    """Region → distance between curves of two observers; empty with one observer."""
+    """Region → distance between curves by two observers. Empty with one observer."""
 
 
 def observer_study(drawings: Sequence[ObservedCurve]) -> ObserverStudy:
-    """Agreement of observers from their drawings, in the order of `repeat` (numbers first, 2 before 10).
+    """Agreement between observers from their drawings, in the order of `repeat` (numbers first, 2 before 10).
 
     Raises:
-        ValueError: no breast was drawn twice, or a drawing occurs twice.
+        ValueError: no breast was drawn twice, or a drawing is duplicated.
     """
     table: dict[str, dict[str, dict[str, ObservedCurve]]] = {}
     for drawing in sorted(drawings, key=lambda drawing: _order(drawing.repeat)):
@@ -159,10 +160,10 @@ def _order(repeat: str) -> tuple[bool, int, str]:
 
 
 def scatter_of(groups: Sequence[Sequence[Float64[Array, " _"]]]) -> tuple[Scatter | None, Scatter | None]:
-    """Scatter within one observer, and between any observers, pooled over breasts.
+    """Scatter within observers and between any observers, pooled over breasts.
 
     Args:
-        groups: breast → observer → volumes of that observer's drawings, cc.
+        groups: breast → observer → volumes from that observer's drawings, cc.
     """
     mean_cc = float(np.mean(np.concatenate([own for persons in groups for own in persons])))
     repeats_df = sum(len(own) - 1 for persons in groups for own in persons)
@@ -179,7 +180,7 @@ def scatter_of(groups: Sequence[Sequence[Float64[Array, " _"]]]) -> tuple[Scatte
         ss_between += float((counts * (means - (counts * means).sum() / counts.sum()) ** 2).sum())
         n0 += float(counts.sum() - (counts**2).sum() / counts.sum())
     ms_between, n0 = ss_between / persons_df, n0 / persons_df
-    if ms_between <= ms_within:  # observers differ no more than repeats: all drawings are equivalent
+    if ms_between <= ms_within:  # observers differ no more than repeats, so all drawings are equivalent
         df = persons_df + repeats_df
         return within, _scatter((ss_between + ss_within) / df, df, mean_cc)
     share = 1 / n0
@@ -203,7 +204,7 @@ def _volumes(own: Mapping[str, ObservedCurve]) -> list[float]:
 
 
 def _icc(rows: Sequence[Mapping[str, float]]) -> IntraclassCorrelation | None:
-    """ICC(2,1) of the raters who rated all breasts."""
+    """ICC(2,1) for the raters who rated all breasts."""
     common = [name for name in rows[0] if all(name in row for row in rows)]
     if len(rows) < 2 or len(common) < 2:
         return None
@@ -247,9 +248,9 @@ def _apart(pairs: Sequence[tuple[ObservedCurve, ObservedCurve]]) -> dict[str, Ap
 
 
 def distances_by_region_mm(first: ObservedCurve, second: ObservedCurve) -> dict[str, Float64[Array, " n"]]:
-    """Distances of each of two curves from the other, mm, by region.
+    """Distances of the points of each curve from the other curve, mm, by region.
 
-    A point's region is its direction from the centre of both curves, seen from the front.
+    The region of a point is its direction from the centre of both curves, as seen from the front.
     """
     curves = [evenly(drawing.lateral_up_mm) for drawing in (first, second)]
     middle = (curves[0].mean(axis=0) + curves[1].mean(axis=0)) / 2
@@ -263,11 +264,11 @@ def distances_by_region_mm(first: ObservedCurve, second: ObservedCurve) -> dict[
 
 
 def regions_of(from_middle_mm: Float64[Array, "n 3"]) -> Int64[Array, " n"]:
-    """Index into `REGIONS` of directions from a breast's centre, by quarters."""
+    """Index into `REGIONS` for directions from a breast's centre, by quarters."""
     turn = np.arctan2(from_middle_mm[:, 1], from_middle_mm[:, 0])
     return np.asarray(np.round(turn / (np.pi / 2)).astype(np.int64) % 4)
 
 
 def evenly(curve: Float64[Array, "n 3"]) -> Float64[Array, "m 3"]:
-    """Closed curve resampled at about 1 mm."""
+    """Resample a closed curve at about 1 mm."""
     return points_along(curve, np.arange(0.0, closed_length_mm(curve), _STEP_MM))

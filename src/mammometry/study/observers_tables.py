@@ -1,4 +1,4 @@
-"""Scatter between observers in sentences, tables and JSON."""
+"""Scatter between observers as sentences, tables and JSON."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def observers_tables(found: ObserverStudy, drawings: Sequence[ObservedCurve]) ->
 
 
 def observers_json(found: ObserverStudy, drawings: Sequence[ObservedCurve]) -> dict[str, Any]:
-    """All results as JSON-ready data, with null for unknown ones."""
+    """All results as data for JSON, with null for unknown ones."""
 
     def scatter(spread: Scatter | None) -> dict[str, Any] | None:
         return None if spread is None else {**asdict(spread), "mdc": asdict(spread.mdc)}

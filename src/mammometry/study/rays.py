@@ -1,4 +1,4 @@
-"""Ray casting at a true mesh: visibility of its points in the cameras."""
+"""Ray casting on a true mesh: which of its points the cameras see."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from mammometry.base.value import value
 from mammometry.geometry import Array, Bool, Camera, Float64, Int64, Rig, TriangleMesh
 
 _AT_ONCE = 1_000_000  # rays per call, to limit memory
-_SEEN_MM = 0.3  # largest distance between a visible point and its ray's hit
+_SEEN_MM = 0.3  # largest distance between a visible point and the hit of its ray
 SEEN_INCIDENCE_DEG = 75.0
-"""Largest angle of incidence of visible skin, degrees."""
+"""Largest angle of incidence of skin that counts as visible, degrees."""
 
 
 @value(eq=False)
@@ -23,7 +23,7 @@ class RayHits:
     range_mm: Float64[Array, "*n"]
     """Distance from the ray's origin, mm; NaN without a hit."""
     cosine: Float64[Array, "*n"]
-    """Cosine of incidence: 1 if the surface faces the origin, negative from inside; NaN without a hit."""
+    """Cosine of the angle of incidence: 1 if the surface faces the origin, negative from inside; NaN without a hit."""
 
     @property
     def hit(self) -> Bool[Array, "*n"]:
@@ -32,7 +32,7 @@ class RayHits:
 
 
 class RayScene:
-    """A mesh prepared for ray casting by embree, with distances in double precision."""
+    """A mesh prepared for ray casting with embree. Distances have double precision."""
 
     def __init__(self, mesh: TriangleMesh) -> None:
         from embreex import rtcore_scene
@@ -51,8 +51,8 @@ class RayScene:
         """First hits of rays from one point, mesh frame, mm.
 
         Args:
-            origin: of all rays.
-            directions: of unit length; rays of NaN have no hit.
+            origin: origin of all rays.
+            directions: unit vectors. Rays of NaN have no hit.
         """
         shape = directions.shape[:-1]
         flat = directions.reshape(-1, 3)
@@ -72,13 +72,13 @@ class RayScene:
         return RayHits(range_mm=ranges.reshape(shape), cosine=cosines.reshape(shape))
 
     def hides(self, origin: Float64[Array, 3], points: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
-        """Mask of the mesh's own points that it hides, even if a ray slips between two triangles there."""
+        """Mask of the mesh's own points that it hides, even if a ray passes between two triangles there."""
         offsets = points - origin
         distance = np.linalg.norm(offsets, axis=-1)
         return self.cast(origin, offsets / distance[:, None]).range_mm < distance - _SEEN_MM
 
     def seen_from(self, origin: Float64[Array, 3], points: Float64[Array, "*n 3"]) -> RayHits:
-        """Hits of rays towards given points, none for hidden points and NaN."""
+        """Hits of rays towards given points. Hidden points and NaN have no hit."""
         offsets = points - origin
         distance = np.linalg.norm(offsets, axis=-1)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -88,14 +88,14 @@ class RayScene:
 
 
 def pixel_grid(camera: Camera, step: int = 1) -> Float64[Array, "h w 2"]:
-    """`uv` of every `step`-th pixel of every `step`-th row."""
+    """`uv` of every `step`-th pixel in every `step`-th row."""
     width, height = camera.size_wh
     u, v = np.meshgrid(np.arange(0, width, step, dtype=np.float64), np.arange(0, height, step, dtype=np.float64))
     return np.stack([u, v], axis=-1)
 
 
 def inside(camera: Camera, uv: Float64[Array, "*n 2"]) -> Bool[Array, "*n"]:
-    """Mask of the positions inside the image, false for NaN."""
+    """Mask of the positions inside the image. False for NaN."""
     with np.errstate(invalid="ignore"):
         return np.all((uv >= 0) & (uv <= np.array(camera.size_wh) - 1), axis=-1)
 

@@ -1,10 +1,10 @@
 """Differences of two methods if a subject has several pairs of measurements.
 
-The true value may vary between the pairs of a subject, such as both breasts of a woman: Bland and Altman, Journal of
+The true value may differ between the pairs of a subject, such as both breasts of a woman: Bland and Altman, Journal of
 Biopharmaceutical Statistics 17 (2007) 571, section 3. The variance of one difference is the sum of the variances
 between and within subjects, from a one-way analysis of variance with m₀ pairs per subject. The intervals of both mean
 squares are combined by MOVER: Zou, Statistical Methods in Medical Research 22 (2013) 630. With one pair per subject,
-mean and standard deviation are the usual ones.
+these are the usual mean and standard deviation.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # it imports scipy.stats, which takes half a second, when that is used
+import scipy  # scipy.stats, which takes half a second to import, is imported on first use
 
 from mammometry.geometry.arrays import Array, Float64, Int64
 
@@ -25,9 +25,9 @@ class RepeatedDifferences:
     mean: float
     """Mean of all pairs."""
     sem: float
-    """Standard error of the mean, with pairs of one subject correlated."""
+    """Standard error of the mean, if the pairs of a subject are correlated."""
     df_quantile: float
-    """Two-sided 95 % quantile of Student's t with one degree of freedom less than subjects."""
+    """Two-sided 95 % quantile of Student's t; its degrees of freedom are the number of subjects minus 1."""
     sd: float
     """Standard deviation of one difference."""
     sd_interval: tuple[float, float]
@@ -42,7 +42,7 @@ def repeated_differences(differences: Float64[Array, " n"], subjects: Int64[Arra
         subjects: index of each pair's subject, from 0, without gaps.
 
     Raises:
-        ValueError: fewer than two subjects, or no subject with two pairs.
+        ValueError: there are fewer than two subjects, or no subject has two pairs.
     """
     counts = np.bincount(subjects)
     total, n = int(counts.sum()), len(counts)
@@ -52,7 +52,7 @@ def repeated_differences(differences: Float64[Array, " n"], subjects: Int64[Arra
     own = np.bincount(subjects, differences) / counts
     between = float(counts @ (own - mean) ** 2) / (n - 1)
     within = float(((differences - own[subjects]) ** 2).sum()) / (total - n)
-    alike = float(counts @ counts) / total  # expected number of pairs of a random pair's subject
+    alike = float(counts @ counts) / total  # expected number of pairs of the subject to which a random pair belongs
     pairs_each = (total - alike) / (n - 1)  # m₀
     of_subjects = max((between - within) / pairs_each, 0.0)
     variances = np.array([between / pairs_each, (1 - 1 / pairs_each) * within])

@@ -7,12 +7,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-_LEAST_P = 0.001  # smaller ones are written "< 0.001": style of the American Medical Association and most journals
+_LEAST_P = 0.001  # smaller values are written "< 0.001", as by the American Medical Association and most journals
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TextTable:
-    """A table of text. The first column names the row."""
+    """A table of text. The first column contains the rows' names."""
 
     title: str
     columns: tuple[str, ...]
@@ -25,7 +25,7 @@ class TextTable:
 
 
 def number(value: float | None, form: str = ".3f") -> str:
-    """A number with a true minus sign, or a dash if unknown."""
+    """A number with a proper minus sign, or a dash if unknown."""
     if value is None or math.isnan(value):
         return "–"
     return format(value, form).replace("inf", "∞").replace("-", "−")
@@ -42,7 +42,7 @@ def p_words(p: float) -> str:
 
 
 def signed(value: float, digits: int = 1) -> str:
-    """A number with its sign and a true minus, zero without a sign."""
+    """A number with its sign (a proper minus). Zero has no sign."""
     words = number(value, f"+.{digits}f")
     return words.lstrip("+−") if value == value and not float(f"{value:.{digits}f}") else words
 
@@ -53,7 +53,7 @@ def thousands(count: int) -> str:
 
 
 def plain(value: Any) -> Any:
-    """JSON-ready data: null for an unknown or infinite number, lists for tuples."""
+    """Convert to data for JSON: null for unknown or infinite numbers, lists for tuples."""
     if isinstance(value, Mapping):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, Iterable) and not isinstance(value, str):

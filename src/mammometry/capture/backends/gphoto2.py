@@ -67,8 +67,7 @@ class TetheredRig:
                 worker.ask("arm", within_s=_ANSWER_S)
 
     def fire(self) -> float:
-        """Send the trigger command, unless cameras are triggered by wire. By USB it takes 0.3 to 8 s: for tests
-        only."""
+        """Send the trigger command, unless a wire triggers. By USB it takes 0.3 to 8 s: for tests only."""
         fired_s = time.time()
         if self._software:
             for worker in self._workers.values():

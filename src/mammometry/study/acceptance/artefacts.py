@@ -19,10 +19,10 @@ Quantity: TypeAlias = Literal["form", "size", "spacing", "length", "flatness", "
 QUANTITIES: Mapping[Kind, tuple[Quantity, ...]] = MappingProxyType(
     {"sphere": ("form", "size"), "bar": ("spacing", "length"), "plane": ("flatness",), "cast": ("volume",)}
 )
-"""Artefact → the errors that it shows."""
+"""Artefact → quantities whose errors it shows."""
 
 BREAST_CC = 400.0
-"""Volume of the breast for which an error is translated into cc: near the median of published series."""
+"""Volume of the breast for which errors are converted to cc: near the median of published series."""
 VOLUME_MM = (450.0, 450.0, 250.0)
 """Working volume: width, height and depth in front of the device, mm, of a trunk with both breasts."""
 _PER_MM3 = 1000.0  # mm³ in 1 cc
@@ -30,13 +30,13 @@ _PER_MM3 = 1000.0  # mm³ in 1 cc
 
 @value
 class Position:
-    """A place of an artefact in the working volume."""
+    """Position of an artefact in the working volume."""
 
     name: str
-    """Its number, with which the names of its files begin."""
+    """Its number. File names for the position start with it."""
     words: str
     centre: tuple[float, float, float]
-    """Right, up and towards the device, as shares of the working volume's sides from its middle."""
+    """Right, up and towards the device, from the centre of the working volume, as shares of its sides."""
     axis: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Direction of a bar, or of a plane's normal, in the same axes. Zero for a sphere and a cast."""
 
@@ -99,18 +99,18 @@ class Plane:
     flatness_std_mm: float
     """Standard uncertainty of its own flatness, mm."""
     source: str
-    """Where the values come from."""
+    """Origin of the values."""
 
 
 @value
 class Sphere:
-    """A ball."""
+    """A ball of known diameter."""
 
     diameter_mm: float
     diameter_std_mm: float
-    """Standard uncertainty, mm."""
+    """Standard uncertainty of the diameter, mm."""
     form_std_mm: float
-    """Standard uncertainty of its own roundness, mm."""
+    """Standard uncertainty of the ball's own roundness, mm."""
     source: str
 
 
@@ -119,10 +119,10 @@ class Bar:
     """Two equal balls on a bar."""
 
     distance_mm: float
-    """Between the balls' centres, mm."""
+    """Distance between the balls' centres, mm."""
     distance_std_mm: float
     diameter_mm: float
-    """Of both balls, mm."""
+    """Diameter of both balls, mm."""
     diameter_std_mm: float
     source: str
 
@@ -141,23 +141,23 @@ Artefact: TypeAlias = Plane | Sphere | Bar | Cast
 
 @value
 class Limits:
-    """Largest errors at which a device is accepted.
+    """Largest errors of an accepted device.
 
-    The defaults follow from the volume of a breast of 400 cc. 0.1 % of length is 0.3 % of volume, 1.2 cc. Form and
-    flatness may change the volume by 1 %, 4 cc, at most, if the error has the same sign on the whole breast. The limit
-    of size is half as large, since that error always has the same sign.
+    The defaults follow from a breast of 400 cc. 0.1 % in length is 0.3 % in volume, 1.2 cc. An error of form or
+    flatness changes the volume by at most 1 %, 4 cc, even if it has the same sign on the whole breast. The limit of
+    size is half as large, because this error always has the same sign.
     """
 
     form_mm: float = 0.4
-    """Width of the shell that holds 95 % of a sphere's points."""
+    """Thickness of the shell that contains 95 % of a sphere's points."""
     size_mm: float = 0.2
     """Error of a sphere's diameter."""
     length_share: float = 0.001
-    """Error of a length, relative to it."""
+    """Error of a length, as a share of it."""
     flatness_mm: float = 0.4
-    """Distance of two planes that hold 95 % of a plane's points."""
+    """Distance between two planes that contain 95 % of a plane's points."""
     volume_share: float = 0.01
-    """Error of a volume, relative to it."""
+    """Error of a volume, as a share of it."""
 
 
 @value
@@ -170,28 +170,28 @@ class AcceptanceTest:
     person: str
     date: datetime.date
     units: str
-    """Of meshes whose file states none. Empty: none is given."""
+    """Unit of meshes whose file states none. Empty: not given."""
     artefacts: Mapping[Kind, Artefact]
     limits: Limits = Limits()
 
 
 def breast_area_mm2(volume_cc: float = BREAST_CC) -> float:
-    """Skin of a breast, mm²: a half ball of this volume."""
+    """Area of a breast's skin, mm²: that of a hemisphere of this volume."""
     radius_mm = (3 * volume_cc * _PER_MM3 / (2 * math.pi)) ** (1 / 3)
     return 2 * math.pi * radius_mm**2
 
 
 def effect_cc(quantity: Quantity, error: float, reference: float, volume_cc: float = BREAST_CC) -> float:
-    """Change of a breast's volume by an error, cc.
+    """Change of a breast's volume due to an error, cc.
 
-    An error of length scales the breast, one of size moves its whole skin outwards by half of it, and one of form or
-    flatness moves it by at most half its width.
+    An error of length scales the breast. An error of size moves all skin outwards by half of it. An error of form or
+    flatness moves it by at most half the error.
 
     Args:
-        quantity: of the error.
-        error: mm; cc of a volume.
-        reference: the value at which it was found, same unit. Not used for form and flatness.
-        volume_cc: of the breast.
+        quantity: quantity that has the error.
+        error: mm, or cc for a volume.
+        reference: measured reference value, in the same unit. Not used for form and flatness.
+        volume_cc: volume of the breast.
     """
     if quantity in ("form", "flatness", "size"):
         return error / 2 * breast_area_mm2(volume_cc) / _PER_MM3

@@ -41,7 +41,7 @@ from mammometry.study.acceptance.spheres import find_sphere, find_two_spheres
 Decision: TypeAlias = Literal["accept", "reject", "undecided"]
 _WORST: tuple[Decision, ...] = ("reject", "undecided", "accept")
 COVERAGE = 2.0
-"""Expanded uncertainty in standard uncertainties: 95 % (ISO 14253-1)."""
+"""Ratio of expanded to standard uncertainty: 95 % (ISO 14253-1)."""
 
 
 @value
@@ -52,34 +52,34 @@ class AcceptanceFinding:
     position: str
     quantity: Quantity
     measured: float
-    """mm; cc of a volume."""
+    """mm, or cc for a volume."""
     reference: float
-    """Value of the artefact, same unit. 0 for form and flatness."""
+    """Value of the artefact, in the same unit. 0 for form and flatness."""
     limit: float
-    """Largest error at which the device is accepted, same unit."""
+    """Largest error of an accepted device, in the same unit."""
     artefact_std: float
-    """Standard uncertainty of the reference, same unit."""
+    """Standard uncertainty of the reference, in the same unit."""
     fit_std: float
-    """Standard uncertainty of the measured value from the finite number of points, same unit."""
+    """Standard uncertainty of the measured value due to the finite number of points, in the same unit."""
 
     @property
     def error(self) -> float:
-        """Measured minus reference, same unit."""
+        """Measured minus reference, in the same unit."""
         return self.measured - self.reference
 
     @property
     def expanded(self) -> float:
-        """Expanded uncertainty of the error (95 %), same unit."""
+        """Expanded uncertainty of the error (95 %), in the same unit."""
         return COVERAGE * float(np.hypot(self.artefact_std, self.fit_std))
 
     @property
     def decision(self) -> Decision:
-        """Decision by ISO 14253-1."""
+        """Decision according to ISO 14253-1."""
         return decide(self.error, self.expanded, self.limit)
 
     @property
     def effect_cc(self) -> float:
-        """Change of a breast of 400 cc by this error, cc."""
+        """Change of a breast of 400 cc due to this error, cc."""
         return effect_cc(self.quantity, self.error, self.reference)
 
 
@@ -95,13 +95,13 @@ class PositionResult:
 
     @property
     def widest_mm(self) -> float | None:
-        """Width that contains all points without the 0.3 % farthest ones, mm. None for a cast."""
+        """Width that contains all points except the 0.3 % farthest ones, mm. None for a cast."""
         widths = [np.ptp(patch.deviations_mm[within_rule(patch.deviations_mm)]) for patch in self.patches]
         return float(max(widths)) if widths else None
 
     @property
     def share_left_out(self) -> float:
-        """Share of points too far from the surface to belong to it. The rule allows 0.3 %."""
+        """Share of points that are too far from the surface to belong to it. The rule allows 0.3 %."""
         return max((patch.share_left_out for patch in self.patches), default=0.0)
 
 
@@ -130,12 +130,12 @@ class Outcome:
 
     @property
     def left_out(self) -> tuple[PositionResult, ...]:
-        """Positions at which more points are left out than the rule allows."""
+        """Positions at which more points are excluded than the rule allows."""
         return tuple(result for result in self.results if result.share_left_out > LEFT_OUT)
 
     @property
     def worst(self) -> Mapping[tuple[Kind, Quantity], AcceptanceFinding]:
-        """Error that decides on each quantity."""
+        """The decisive error for each quantity."""
         return {
             (kind, quantity): worst_of(found)
             for kind in KINDS
@@ -145,7 +145,7 @@ class Outcome:
 
     @property
     def decision(self) -> Decision:
-        """Decision on the device. An incomplete test accepts nothing."""
+        """Decision on the device. An incomplete test never leads to acceptance."""
         decisions = {finding.decision for finding in self.findings}
         if self.missing or self.left_out or not decisions:
             decisions.add("undecided")
@@ -153,16 +153,16 @@ class Outcome:
 
 
 def decide(error: float, expanded: float, limit: float) -> Decision:
-    """Decide by ISO 14253-1: a device passes or fails only beyond the uncertainty.
+    """Decide by ISO 14253-1: to pass or fail, the error must differ from the limit by its uncertainty.
 
     Args:
-        error: measured.
+        error: measured error.
         expanded: its expanded uncertainty.
-        limit: largest error that is allowed.
+        limit: largest allowed error.
 
     Returns:
-        ``accept`` if error and uncertainty together are within the limit, ``reject`` if the error exceeds the limit by
-        more than the uncertainty, otherwise ``undecided``.
+        ``accept`` if error plus uncertainty is within the limit, ``reject`` if the error exceeds the limit by more than
+        the uncertainty, otherwise ``undecided``.
     """
     if abs(error) + expanded <= limit:
         return "accept"
@@ -175,7 +175,7 @@ def worst_of(findings: Iterable[AcceptanceFinding]) -> AcceptanceFinding:
 
 
 def severity(error: float, expanded: float, limit: float) -> tuple[int, float]:
-    """Sort key that puts the worst error first: by the decision, then by the error relative to its limit."""
+    """Sort key that puts the worst error first: by decision, then by the ratio of error to limit."""
     return _WORST.index(decide(error, expanded, limit)), -abs(error) / limit
 
 
@@ -183,14 +183,14 @@ def evaluate_mesh(mesh: TriangleMesh, kind: Kind, position: str, artefact: Artef
     """Evaluate the mesh of an artefact at one position.
 
     Args:
-        mesh: mm.
-        kind: of the artefact.
-        position: its name.
-        artefact: with its reference values.
-        limits: of the errors.
+        mesh: the mesh, mm.
+        kind: kind of the artefact.
+        position: name of the position.
+        artefact: the artefact, with reference values.
+        limits: limits of the errors.
 
     Raises:
-        PatchError: the artefact is not in the mesh, or the mesh of a cast is open.
+        PatchError: the artefact is not in the mesh, or a cast's mesh is open.
     """
     match artefact:
         case Sphere():
@@ -233,7 +233,7 @@ def sphere_result(patch: SpherePatch, position: str, ball: Sphere, limits: Limit
 
 
 def _width(patch: SpherePatch | PlanePatch) -> dict[str, float]:
-    """Width that holds 95 % of the points, and its standard uncertainty, mm."""
+    """Width that contains 95 % of the points, and its standard uncertainty, mm."""
     deviations = patch.deviations_mm
     shifts = [width_shifts(deviations, patch.weights, cells, DISPERSION) for cells in patch.cells]
     width = narrowest_width(deviations, patch.weights, DISPERSION)
@@ -241,7 +241,7 @@ def _width(patch: SpherePatch | PlanePatch) -> dict[str, float]:
 
 
 def _shifts(patch: SpherePatch) -> list[Float64[Array, "c 4"]]:
-    """Changes of centre and radius when each cell is left out, for each size of cells."""
+    """Changes of centre and radius as each cell is left out in turn, for each size of cells."""
     return [sphere_shifts(patch.fit, patch.points, patch.weights, cells) for cells in patch.cells]
 
 
@@ -251,7 +251,7 @@ def bar_result(patches: tuple[SpherePatch, SpherePatch], position: str, bar: Bar
     distance = float(np.linalg.norm(between))
     variances = np.zeros(2)
     for patch, sign in zip(patches, (-1.0, 1.0), strict=True):
-        to_ends = np.zeros((4, 2))  # along the bar: of the centre, and of the outer end
+        to_ends = np.zeros((4, 2))  # along the bar, of the centre and of the outer end
         to_ends[:3], to_ends[3, 1] = (between / distance)[:, None], sign
         variances += jackknife_std(shifts @ to_ends for shifts in _shifts(patch)) ** 2
     length = distance + patches[0].fit.radius_mm + patches[1].fit.radius_mm

@@ -1,4 +1,4 @@
-"""Fits of spheres and planes, widths, and uncertainties by leaving cells out."""
+"""Fits of spheres and planes, widths, and their uncertainties, found by leaving cells out."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 
 LEFT_OUT = 0.003
-"""Share of the points, those with the largest deviations, that a fit may exclude (VDI/VDE 2634)."""
+"""Share of the points, those with the largest deviations, that may be excluded from a fit (VDI/VDE 2634)."""
 DISPERSION = 0.95
-"""Share of the points within a form error (ISO 10360-13)."""
-_STEPS = 30  # of Gauss and Newton at most; four are usual
+"""Share of the points that a form error must contain (ISO 10360-13)."""
+_STEPS = 30  # most Gauss–Newton steps; four are usual
 _CONVERGED = 1e-10  # change of the parameters, relative to the radius
 
 
@@ -41,19 +41,19 @@ class PlaneFit:
     """Unit length, towards the front of the surface."""
 
     def deviations(self, points: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
-        """Distances of points from the plane, mm, positive on the normal's side."""
+        """Distances of points from the plane, mm, positive on the side of the normal."""
         return np.asarray((points - self.point) @ self.normal)
 
 
 def fit_sphere(
     points: Float64[Array, "n 3"], weights: Float64[Array, " n"], start: SphereFit | None = None
 ) -> SphereFit:
-    """Fit the sphere with the least weighted sum of squared distances.
+    """Fit the sphere with the smallest weighted sum of squared distances.
 
     Args:
-        points: at least four, not in one plane, mm.
-        weights: of the points, such as the area that each stands for.
-        start: near the result; None: the algebraic fit.
+        points: at least four points that are not in a plane, mm.
+        weights: weights of the points, such as the area that each represents.
+        start: sphere near the result; None: the algebraic fit.
 
     Raises:
         numpy.linalg.LinAlgError: the points do not determine a sphere.
@@ -84,12 +84,12 @@ def _solved(
 
 
 def fit_plane(points: Float64[Array, "n 3"], weights: Float64[Array, " n"], front: Float64[Array, 3]) -> PlaneFit:
-    """Fit the plane with the least weighted sum of squared distances.
+    """Fit the plane with the smallest weighted sum of squared distances.
 
     Args:
-        points: at least three, not in one line, mm.
-        weights: of the points.
-        front: a direction on the side to which the normal is to point.
+        points: at least three points that are not on a line, mm.
+        weights: weights of the points.
+        front: a direction on the side to which the normal points.
     """
     middle = np.average(points, axis=0, weights=weights)
     moved = points - middle
@@ -99,7 +99,7 @@ def fit_plane(points: Float64[Array, "n 3"], weights: Float64[Array, " n"], fron
 
 
 def narrowest_width(deviations: Float64[Array, " n"], weights: Float64[Array, " n"], share: float) -> float:
-    """Width of the narrowest interval that holds a share of the weight, mm."""
+    """Width of the narrowest interval that contains a share of the weight, mm."""
     order = np.argsort(deviations)
     return _narrowest(deviations[order], weights[order], share)
 
@@ -113,7 +113,7 @@ def _narrowest(ordered: Float64[Array, " n"], weights: Float64[Array, " n"], sha
 
 
 def within_rule(deviations: Float64[Array, " n"], share: float = LEFT_OUT) -> Bool[Array, " n"]:
-    """Mask of the points used in a fit: without the 0.3 % farthest from the median deviation."""
+    """Mask of the points used in a fit: all but the 0.3 % farthest from the median deviation."""
     few = int(share * len(deviations))
     kept = np.ones(len(deviations), dtype=bool)
     if few:
@@ -125,15 +125,15 @@ def within_rule(deviations: Float64[Array, " n"], share: float = LEFT_OUT) -> Bo
 def sphere_shifts(
     fit: SphereFit, points: Float64[Array, "n 3"], weights: Float64[Array, " n"], cells: Int64[Array, " n"]
 ) -> Float64[Array, "c 4"]:
-    """Change of a sphere's centre and radius, mm, when each cell of points is left out.
+    """Change of a sphere's centre and radius, mm, as each cell of points is left out in turn.
 
-    One step of Gauss and Newton from the fit of all points.
+    One Gauss–Newton step from the fit to all points.
 
     Args:
-        fit: of all points.
+        fit: fit to all points.
         points: mm.
-        weights: of the points.
-        cells: of each point, from 0.
+        weights: weights of the points.
+        cells: cell of each point, from 0.
     """
     away = points - fit.centre
     distance = np.linalg.norm(away, axis=1)
@@ -152,7 +152,7 @@ def sphere_shifts(
 def width_shifts(
     deviations: Float64[Array, " n"], weights: Float64[Array, " n"], cells: Int64[Array, " n"], share: float
 ) -> Float64[Array, "c 1"]:
-    """Width that holds a share of the points, mm, when each cell is left out."""
+    """Width that contains a share of the points, mm, as each cell is left out in turn."""
     order = np.argsort(deviations)
     ordered, weights, cells = deviations[order], weights[order], cells[order]
     kept = (cells != cell for cell in range(int(cells.max()) + 1))
@@ -160,14 +160,15 @@ def width_shifts(
 
 
 def jackknife_std(partitions: Iterable[Float64[Array, "c k"]]) -> Float64[Array, " k"]:
-    """Standard uncertainties of estimates, from their values when each cell of points is left out.
+    """Standard uncertainties of estimates, from their values as each cell of points is left out in turn.
 
-    Errors of neighbouring points are alike, so that cells and not points are taken as independent. How far they are
-    alike is unknown: of several sizes of cells the largest uncertainty counts. Few cells estimate their own scatter
-    poorly, so each is multiplied by the 97.5 % quantile of Student's t over that of the normal distribution.
+    Errors of neighbouring points are correlated, so cells instead of points are treated as independent. The range of
+    the correlation is unknown, so the largest uncertainty over several sizes of cells is used. The scatter of few cells
+    is uncertain, so each is multiplied by the ratio of the 97.5 % quantile of Student's t to that of the normal
+    distribution.
 
     Args:
-        partitions: for each size of cells, the estimates when each is left out.
+        partitions: for each size of cells, the estimates as each cell is left out in turn.
     """
     found = []
     for values in partitions:

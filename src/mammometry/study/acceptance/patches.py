@@ -1,6 +1,6 @@
 """Measured part of a sphere or a plane in a mesh.
 
-Stands, tables and edges are excluded by their position alone, never by the deviation of a point.
+Stands, tables and edges are excluded by their position alone, never because of a point's deviation.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ MOSTLY = 0.6  # smallest share of a cell's area on the surface; with less, anoth
 
 
 class PatchError(ValueError):
-    """The artefact is not in the mesh, as one phrase."""
+    """The artefact is not in the mesh. The message is a phrase."""
 
 
 @value(eq=False)
@@ -29,15 +29,15 @@ class ArtefactPatch:
     points: Float64[Array, "n 3"]
     """Positions, mm, mesh's frame."""
     weights: Float64[Array, " n"]
-    """Area of the surface that belongs to each point, mm²."""
+    """Surface area that each point represents, mm²."""
     cells: tuple[Int64[Array, " n"], ...]
-    """Number of the part of the surface that contains each point, for several sizes of parts."""
+    """Index of the part of the surface that contains each point, for several sizes of parts."""
     share_seen: float
     """Share of a sphere's surface that was evaluated. 1 for a plane."""
     share_left_out: float
-    """Share of the points in front of or behind this part of the surface that are too far away to belong to it."""
+    """Share of the points in front of or behind this part of the surface that are too far from it to belong to it."""
     fit: SphereFit | PlaneFit
-    """Fit to the points without the 0.3 % with the largest deviations."""
+    """Fit to all points except the 0.3 % with the largest deviations."""
 
     @property
     def deviations_mm(self) -> Float64[Array, " n"]:
@@ -60,5 +60,5 @@ class PlanePatch(ArtefactPatch):
 
 
 def numbered(cells: Any) -> Int64[Array, " n"]:
-    """Cells numbered from 0 without gaps."""
+    """Renumber cells from 0 without gaps."""
     return np.unique(cells, return_inverse=True)[1].ravel().astype(np.int64)

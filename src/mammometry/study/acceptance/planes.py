@@ -13,13 +13,13 @@ from mammometry.study.acceptance.fits import PlaneFit, fit_plane, within_rule
 from mammometry.study.acceptance.patches import LEAST_POINTS, MOSTLY, REFITS, PatchError, PlanePatch, numbered
 from mammometry.study.accuracy import vertex_areas_mm2
 
-_NEAR_MM = 5.0  # half thickness of the slab that counts as the plane's surface
-_AROUND_MM = 15.0  # half thickness of the slab whose points are the plane's neighbourhood
+_NEAR_MM = 5.0  # half the thickness of the slab that counts as the plane's surface
+_AROUND_MM = 15.0  # half the thickness of the slab whose points are the plane's neighbourhood
 _CELLS = 48  # cells along the longer side of a plane
 _EDGE = 2  # cells that are excluded at the edge of a plane
-_DIRECTIONS = 1500  # normals that are compared: cells of 6°
+_DIRECTIONS = 1500  # number of normals that are compared: 6° apart
 _LEAST_SHARE = 0.2  # smallest share of the mesh's area
-_PARTS = (64, 32, 16)  # approximate numbers of parts of a plane, for the uncertainty
+_PARTS = (64, 32, 16)  # approximate numbers of parts of a plane, used for the uncertainty
 
 
 def find_plane(mesh: TriangleMesh) -> PlanePatch:
@@ -104,6 +104,6 @@ def _in_plane(points: Float64[Array, "n 3"], fit: PlaneFit) -> Float64[Array, "n
 def _mostly(
     cell: Int64[Array, " n"], weights: Float64[Array, " n"], on: Bool[Array, " n"], count: int
 ) -> Bool[Array, " k"]:
-    """Cells with points, most of whose area lies on the surface."""
+    """Cells with points of which most of the area is on the surface."""
     total = np.bincount(cell, weights, minlength=count)
     return np.asarray((total > 0) & (np.bincount(cell, weights * on, minlength=count) > MOSTLY * total))

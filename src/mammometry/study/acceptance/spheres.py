@@ -21,30 +21,31 @@ from mammometry.study.accuracy import vertex_areas_mm2
 _VOTES = 15_000  # most vertices that vote for a centre
 _BIN = 0.1  # side of a bin for votes, relative to the radius
 _CANDIDATES = 6  # peaks that are examined
-_NEAR = 0.05  # half thickness of the shell that counts as the sphere's surface, relative to the radius
-_AROUND = 0.2  # half thickness of the shell whose points are the ball's neighbourhood, relative to the radius
-_CELLS = 3000  # directions over a whole sphere: cells of 4°
+_NEAR = 0.05  # half the thickness of the shell that counts as the sphere's surface, relative to the radius
+_AROUND = 0.2  # half the thickness of the shell whose points are the ball's neighbourhood, relative to the radius
+_CELLS = 3000  # number of directions over a whole sphere: cells of 4°
 _BLUR_RAD = np.radians(8.0)  # radius around a cell over which the share of its surface is averaged
-_LARGEST_AREA = 2.0  # largest area of a point in the search, relative to their median: faces at outliers are large
-_OUTWARDS = 0.5  # smallest cosine between a ball's normal and its radius: rods and tables have less
-_EDGE_RAD = np.radians(14.0)  # excluded around what is not the ball: with the blur, 6° at its rim
+_LARGEST_AREA = 2.0  # largest area of a point in the search, relative to the median: faces at outliers are large
+_OUTWARDS = 0.5  # smallest cosine between normal and radius of a ball: rods and tables have less
+_EDGE_RAD = np.radians(14.0)  # width excluded next to other objects: with the blur, 6° at the ball's rim
 _LEAST_SHARE = 0.08  # smallest visible share of a sphere
 _ROBUST_POINTS = 10_000  # most points of a ball in the robust fit
 _TUKEY = 4.685  # robust standard deviations beyond which a point has no weight
 _PARTS = (150, 75, 40, 20, 14)
-"""Cells of a whole sphere, for the uncertainty: half as many on a patch. The largest are 28 mm wide on a ball of 60 mm:
-with the usual three sizes alone, errors that points share over 8 mm made the uncertainty a fifth too small."""
+"""Numbers of cells on a whole sphere, used for the uncertainty; half as many on a patch. The largest are 28 mm wide on
+a ball of 60 mm. With only the first three sizes, errors common to points within 8 mm made the uncertainty a fifth too
+small."""
 
 
 def find_sphere(mesh: TriangleMesh, diameter_mm: float) -> SpherePatch:
-    """Find a ball in a mesh that may hold its stand and a table too.
+    """Find a ball in a mesh that may contain its stand and a table, too.
 
     Args:
         mesh: mm.
-        diameter_mm: of the ball, within 10 %.
+        diameter_mm: diameter of the ball, to within 10 %.
 
     Raises:
-        PatchError: there is no such ball, or too little of it.
+        PatchError: there is no such ball, or too little of it is visible.
     """
     found = _candidates(mesh, diameter_mm)
     if not found:
@@ -53,12 +54,12 @@ def find_sphere(mesh: TriangleMesh, diameter_mm: float) -> SpherePatch:
 
 
 def find_two_spheres(mesh: TriangleMesh, diameter_mm: float, distance_mm: float) -> tuple[SpherePatch, SpherePatch]:
-    """Find two equal balls whose distance is nearest to the given one.
+    """Find two equal balls whose distance is closest to the given one.
 
     Args:
         mesh: mm.
-        diameter_mm: of both balls, within 10 %.
-        distance_mm: of their centres, within 10 %.
+        diameter_mm: diameter of both balls, to within 10 %.
+        distance_mm: distance between their centres, to within 10 %.
 
     Raises:
         PatchError: there are no such balls.
@@ -82,7 +83,7 @@ def _candidates(mesh: TriangleMesh, diameter_mm: float) -> list[SpherePatch]:
     step = max(1, len(areas) // _VOTES)
     radius = diameter_mm / 2
     found: list[SpherePatch] = []
-    for sign in (-1.0, 1.0):  # of a mesh that is inside out
+    for sign in (-1.0, 1.0):  # 1: the mesh is inside out
         votes = (mesh.vertices + sign * radius * normals)[::step]
         for centre in _peaks(votes, areas[::step], radius):
             try:
@@ -97,7 +98,7 @@ def _candidates(mesh: TriangleMesh, diameter_mm: float) -> list[SpherePatch]:
 
 
 def _peaks(votes: Float64[Array, "n 3"], weights: Float64[Array, " n"], radius: float) -> list[Float64[Array, 3]]:
-    """Places where most votes meet, the most first, at least a diameter apart."""
+    """Points with most votes, in decreasing order, at least a diameter apart."""
     keys, place = np.unique(np.floor(votes / (_BIN * radius)).astype(np.int64), axis=0, return_inverse=True)
     mass = np.bincount(place.ravel(), weights, minlength=len(keys))
     tree = cKDTree(keys.astype(np.float64))
@@ -170,7 +171,7 @@ def _sphere_patch(
 
 @cache
 def _sphere_cells() -> tuple[Float64[Array, "k 3"], Any]:
-    """Directions of cells, and which cells are close to one another, as a sparse matrix."""
+    """Directions of the cells, and which cells are near each other, as a sparse matrix."""
     directions = even_directions(_CELLS)
     pairs = cKDTree(directions).query_pairs(2 * np.sin(_BLUR_RAD / 2), output_type="ndarray")
     rows, columns = np.concatenate([pairs, pairs[:, ::-1], np.arange(_CELLS)[:, None].repeat(2, axis=1)]).T
@@ -178,7 +179,7 @@ def _sphere_cells() -> tuple[Float64[Array, "k 3"], Any]:
 
 
 def _robust(start: SphereFit, points: Float64[Array, "n 3"], weights: Float64[Array, " n"]) -> SphereFit:
-    """Sphere of most of the points near the start, with Tukey's weights."""
+    """Sphere that fits most of the points near the start, with Tukey's weights."""
     fit, gate = start, _AROUND * start.radius_mm
     for _ in range(REFITS):
         deviations = fit.deviations(points)

@@ -1,4 +1,4 @@
-"""Acceptance test in words, tables, JSON and CSV, and the history of a device."""
+"""Acceptance test as text, tables, JSON and CSV, and the history of a device."""
 
 from __future__ import annotations
 
@@ -53,12 +53,12 @@ _CSV = ("device", "date", "artefact", "position", "quantity", "unit", "measured"
 
 
 def unit_of(quantity: Quantity) -> str:
-    """Unit of an error: mm, or cc of a volume."""
+    """Unit of an error: mm, or cc for a volume."""
     return "cc" if quantity == "volume" else "mm"
 
 
 def shown(quantity: Quantity, value: float, *, sign: bool = False) -> str:
-    """A value with its unit: 0.01 mm or 0.1 cc."""
+    """A value with its unit, rounded to 0.01 mm or 0.1 cc."""
     digits = 1 if quantity == "volume" else 2
     return f"{signed(value, digits) if sign else number(value, f'.{digits}f')} {unit_of(quantity)}"
 
@@ -69,7 +69,7 @@ def headline(outcome: Outcome) -> str:
 
 
 def missing_sentences(outcome: Outcome) -> list[str]:
-    """Sentences on missing positions, missing artefacts, and points that were left out."""
+    """Sentences about missing positions, missing artefacts, and excluded points."""
     lines = []
     for kind, names in outcome.missing.items():
         words = {place.name: place.words for place in POSITIONS[kind]}
@@ -90,7 +90,7 @@ def missing_sentences(outcome: Outcome) -> list[str]:
 
 
 def meaning(finding: AcceptanceFinding) -> str:
-    """An error, its uncertainty, limit and decision, and what it means for a breast of 400 cc."""
+    """An error, its uncertainty, limit and decision, and its effect on a breast of 400 cc."""
     spoken = shown(finding.quantity, finding.error, sign=finding.reference != 0)
     around = shown(finding.quantity, finding.expanded)
     name = QUANTITY_WORDS[finding.quantity]
@@ -101,7 +101,7 @@ def meaning(finding: AcceptanceFinding) -> str:
 
 
 def effect_words(finding: AcceptanceFinding) -> str:
-    """Effect of an error on the volume of a breast of 400 cc, one sentence."""
+    """Effect of an error on the volume of a breast of 400 cc, in one sentence."""
     error, cc = shown(finding.quantity, abs(finding.error)), number(abs(finding.effect_cc), ".1f")
     most = "at most" if finding.quantity in ("form", "flatness") else "about"
     return f"{error} here is {most} ± {cc} cc on a breast of {BREAST_CC:.0f} cc."
@@ -124,7 +124,7 @@ def reference_words(artefact: Artefact) -> str:
 
 
 def acceptance_tables(outcome: Outcome) -> tuple[TextTable, dict[Kind, TextTable]]:
-    """Worst errors, and all errors of each artefact that has any."""
+    """Worst errors, and all errors for each artefact that was measured."""
     columns = ("error", "value ± 95 %", "limit", "decision", f"on a breast of {BREAST_CC:.0f} cc")
     worst = tuple(
         (f"{TITLES[one.kind]}: {QUANTITY_WORDS[one.quantity]}", *_cells(one)) for one in outcome.worst.values()
@@ -154,7 +154,7 @@ def _cells(one: AcceptanceFinding) -> tuple[str, ...]:
 
 
 def acceptance_json(outcome: Outcome) -> dict[str, Any]:
-    """All results, JSON-ready."""
+    """All results as data for JSON."""
     import mammometry
 
     test = outcome.test
@@ -212,11 +212,11 @@ class PastTest:
     date: datetime.date
     decision: str
     worst: Mapping[str, tuple[float, float, float]]
-    """``artefact/quantity`` → error, expanded uncertainty and limit at the position that decides, mm or cc."""
+    """``artefact/quantity`` → error, expanded uncertainty and limit at the decisive position, mm or cc."""
 
 
 def worst_errors(test: PastTest) -> list[str]:
-    """Worst errors of a test with uncertainty and limit, one line each."""
+    """Worst errors of a test with their uncertainties and limits, one line each."""
     lines = []
     for kind in KINDS:
         for quantity in QUANTITIES[kind]:
@@ -228,7 +228,7 @@ def worst_errors(test: PastTest) -> list[str]:
 
 
 def as_past(outcome: Outcome) -> PastTest:
-    """This test, as it stands in the device's history."""
+    """This test as an entry of the device's history."""
     return PastTest(
         date=outcome.test.date,
         decision=outcome.decision,
@@ -247,7 +247,7 @@ def acceptance_csv(outcome: Outcome) -> bytes:
 
 
 def history_csv(device: str, history: Sequence[PastTest]) -> bytes:
-    """Worst errors of all tests of a device, one per row, the oldest first."""
+    """Worst errors of all tests of a device, one per row, oldest first."""
     columns = ("device", "date", "decision", "artefact", "quantity", "error", "expanded_uncertainty", "limit")
     rows = (
         [device, past.date.isoformat(), past.decision, *name.split("/"), *(round(part, 4) for part in values)]
@@ -258,7 +258,7 @@ def history_csv(device: str, history: Sequence[PastTest]) -> bytes:
 
 
 def summary(outcome: Outcome) -> list[str]:
-    """Decision, worst errors and what is missing, one sentence or two each."""
+    """Decision, worst errors and missing measurements, in one or two sentences each."""
     return [headline(outcome), *map(meaning, outcome.worst.values()), *missing_sentences(outcome)]
 
 

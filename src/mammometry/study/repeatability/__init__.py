@@ -1,1 +1,1 @@
-"""Repeatability of volumes of women who are captured again."""
+"""Repeatability of volumes, from women who are captured repeatedly."""

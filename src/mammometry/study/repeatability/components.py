@@ -1,10 +1,10 @@
-"""Components of variance of a table with random effects, balanced or not.
+"""Variance components of a table with random effects, balanced or not.
 
-Estimates by restricted maximum likelihood (REML) with Fisher scoring, components of 0 or more: Searle, Casella and
+Estimates by restricted maximum likelihood (REML) with Fisher scoring and components of 0 or more: Searle, Casella and
 McCulloch, Variance Components, 1992, chapter 6. The analysis of variance (Henderson's method 3, chapter 5) is the
-closed form on balanced tables, where both are equal if no component is negative: each checks the other. Intervals are
-those of Graybill and Wang for sums of mean squares (Journal of the American Statistical Association 75 (1980) 869),
-which hold with two or three raters, where Satterthwaite's are too short.
+closed form for balanced tables, where both give the same unless a component is negative, so each checks the other.
+Intervals are by Graybill and Wang for sums of mean squares (Journal of the American Statistical Association 75 (1980)
+869). They are valid with two or three raters, where Satterthwaite's are too short.
 """
 
 from __future__ import annotations
@@ -12,42 +12,42 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import scipy  # it imports scipy.stats, which takes half a second, when that is used
+import scipy  # scipy.stats, which takes half a second to import, is imported on first use
 
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Float64, Int64
 
 MOST_ROWS = 1500
-"""Largest table: time grows with the third power of its rows; 1,500 rows take about a minute."""
-_STEPS = 200  # of scoring; balanced tables need fewer than 20
+"""Most rows of a table: time grows with the third power, and 1,500 rows take about a minute."""
+_STEPS = 200  # most scoring steps; balanced tables need fewer than 20
 _CONVERGED = 1e-9  # relative change of all components
-_LEAST_SHARE = 1e-9  # of the total variance: smaller components are 0
-_SINGULAR = 1e-9  # least reciprocal condition of the equations: below it components cannot be separated
-_ROUNDING = 1e-10  # of weights of mean squares: smaller ones are 0
-_TAIL = 0.025  # probability on either side of a 95 % interval
+_LEAST_SHARE = 1e-9  # share of the total variance below which a component is 0
+_SINGULAR = 1e-9  # least reciprocal condition number of the equations: below it, components cannot be separated
+_ROUNDING = 1e-10  # weights of mean squares below this are 0
+_TAIL = 0.025  # probability on each side of a 95 % interval
 
 
 @value(eq=False)
 class Components:
-    """Variances of the random effects, and last of the residual. Squared unit of the values."""
+    """Variances of the random effects, and last of the residual, in the square of the values' unit."""
 
     variances: Float64[Array, " k"]
-    """By REML, 0 or more."""
+    """Estimates by REML, 0 or more."""
     moments: Float64[Array, " k"]
-    """By the analysis of variance; negative ones are left as they are."""
+    """Estimates by the analysis of variance, which may be negative."""
     mean_squares: Float64[Array, " k"]
-    """Of the analysis of variance, each adjusted for the effects that are not finer."""
+    """Mean squares of the analysis of variance, each adjusted for the effects that are not finer."""
     degrees: Float64[Array, " k"]
     """Their degrees of freedom."""
     expected: Float64[Array, "k k"]
     """Row → coefficients of the variances in the expectation of that mean square."""
 
     def sum_of(self, places: Sequence[int]) -> float:
-        """Sum of some variances by REML."""
+        """Sum of some variances, estimated by REML."""
         return float(self.variances[list(places)].sum())
 
     def interval_of(self, places: Sequence[int]) -> tuple[float, float]:
-        """95 % interval of a sum of variances. It contains the estimate by REML."""
+        """95 % interval of a sum of variances. It includes the estimate by REML."""
         terms = self._weights(places) * self.mean_squares
         low, high = (np.array([bounds[side] for bounds in map(chi_square_bounds, self.degrees)]) for side in (0, 1))
         below, above = 1 - low, high - 1
@@ -59,18 +59,18 @@ class Components:
         return max(min(bounds[0], own), 0.0), max(bounds[1], own)
 
     def degrees_of(self, places: Sequence[int]) -> float:
-        """Satterthwaite's degrees of freedom of a sum of variances. 0 if the sum is not positive."""
+        """Satterthwaite's degrees of freedom for a sum of variances. 0 if the sum is not positive."""
         terms = self._weights(places) * self.mean_squares
         total = float(terms.sum())
         return total**2 / float((terms**2 / self.degrees).sum()) if total > 0 else 0.0
 
     def deviation(self, places: Sequence[int]) -> tuple[float, tuple[float, float], float]:
-        """Square root of a sum of variances, its 95 % interval, degrees of freedom."""
+        """Square root of a sum of variances, its 95 % interval, and degrees of freedom."""
         low, high = self.interval_of(places)
         return self.sum_of(places) ** 0.5, (low**0.5, high**0.5), self.degrees_of(places)
 
     def _weights(self, places: Sequence[int]) -> Float64[Array, " k"]:
-        """Weights of the mean squares whose sum has the expectation of the sum of these variances."""
+        """Weights with which the mean squares' expectations add up to the sum of these variances."""
         chosen = np.zeros(len(self.variances))
         chosen[list(places)] = 1.0
         found = np.linalg.solve(self.expected.T, chosen)
@@ -78,7 +78,7 @@ class Components:
 
 
 def chi_square_bounds(df: float) -> tuple[float, float]:
-    """Factors of the 95 % interval of a variance with these degrees of freedom."""
+    """Factors for the 95 % interval of a variance with these degrees of freedom."""
     with np.errstate(divide="ignore", over="ignore"):
         low, high = (float(df / scipy.stats.chi2.ppf(q, df)) for q in (1 - _TAIL, _TAIL))
     return low, high
@@ -88,11 +88,11 @@ def components(values: Float64[Array, " n"], groups: Sequence[Int64[Array, " n"]
     """Estimate the components of variance.
 
     Args:
-        values: one a row.
+        values: one value per row.
         groups: for each random effect, the group of each row, from 0.
 
     Raises:
-        ValueError: more than `MOST_ROWS` rows, or effects that cannot be separated from one another.
+        ValueError: there are more than `MOST_ROWS` rows, or effects cannot be separated.
     """
     n = len(values)
     if n > MOST_ROWS:
@@ -116,7 +116,8 @@ def _analysis(
 ) -> tuple[Float64[Array, " k"], Float64[Array, " k"], Float64[Array, "k k"]]:
     """Mean squares, their degrees of freedom and expectations.
 
-    Each effect is adjusted for all that are not finer, so that no spread of women enters another effect's mean square.
+    Each effect is adjusted for all effects that are not finer, so that differences between women do not affect the mean
+    squares of other effects.
     """
     n, k = len(y), len(kernels)
     squares, degrees, expected = np.zeros(k), np.zeros(k), np.zeros((k, k))
@@ -136,12 +137,12 @@ def _analysis(
 
 
 def _finer(kernels: Sequence[Float64[Array, "n n"]], one: int, other: int) -> bool:
-    """Whether rows that share a group of one effect share a group of the other."""
+    """Whether rows in the same group of one effect are in the same group of the other."""
     return bool((kernels[one] <= kernels[other]).all())
 
 
 def _range(columns: Float64[Array, "n m"]) -> Float64[Array, "n r"]:
-    """Orthonormal basis of what the columns span."""
+    """Orthonormal basis of the space spanned by the columns."""
     vectors, sizes, _ = np.linalg.svd(columns, full_matrices=False)
     return np.asarray(vectors[:, sizes > _SINGULAR * len(columns)])
 
@@ -162,7 +163,7 @@ def _information(projection: Float64[Array, "n n"], kernels: Sequence[Float64[Ar
 def _likelihood(
     y: Float64[Array, " n"], kernels: Sequence[Float64[Array, "n n"]], variances: Float64[Array, " k"]
 ) -> float:
-    """Restricted log-likelihood but for a constant."""
+    """Restricted log-likelihood, apart from a constant."""
     total = sum(variance * kernel for variance, kernel in zip(variances, kernels, strict=True) if variance)
     factor, lower = scipy.linalg.cho_factor(total, lower=True)
     ones = scipy.linalg.cho_solve((factor, lower), np.ones(len(y)))
@@ -175,9 +176,9 @@ def _likelihood(
 def _scored(
     y: Float64[Array, " n"], kernels: Sequence[Float64[Array, "n n"]], start: Float64[Array, " k"]
 ) -> Float64[Array, " k"]:
-    """Fisher scoring. A component that would become negative leaves the model until the likelihood asks for it."""
+    """Fisher scoring. Components that would become negative are removed while the likelihood favours it."""
     variances = np.where(start > _LEAST_SHARE, start, 0.0)
-    variances[-1] = max(variances[-1], 1e-3)  # of the values' variance 1: the residual stays positive
+    variances[-1] = max(variances[-1], 1e-3)  # the values have variance 1; the residual stays positive
     best = _likelihood(y, kernels, variances)
     for _ in range(_STEPS):
         projection = _projection(kernels, variances)
@@ -193,7 +194,7 @@ def _scored(
             found[-1] = max(found[-1], _LEAST_SHARE)
             found[:-1][found[:-1] < _LEAST_SHARE] = 0.0
             reached = _likelihood(y, kernels, found)
-            if reached >= best - 1e-12 or length < 1e-6:  # rounding of a likelihood of the order of its rows
+            if reached >= best - 1e-12 or length < 1e-6:  # rounding error of a likelihood of the order of its rows
                 break
             length /= 2
         moved = float(np.abs(found - variances).max()) / float(found.sum())

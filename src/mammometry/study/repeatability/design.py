@@ -1,4 +1,4 @@
-"""Captures of a study of repeatability, and the random effects that its design can separate."""
+"""Captures of a repeatability study, and the random effects that its design can separate."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Float64, Int64
 
 LEAST_WOMEN = 3
-"""With fewer there is no spread between women and no useful interval."""
+"""Fewest women: fewer give no spread between women and no useful interval."""
 
 
 @value
@@ -19,17 +19,17 @@ class Reading:
 
     woman: str
     side: str = ""
-    """``left`` or ``right``. Empty: one breast a woman."""
+    """``left`` or ``right``. Empty: one breast per woman."""
     device: str = ""
     rater: str = ""
-    """Who places the woman and takes the capture."""
+    """Person who positions the woman and takes the capture."""
     day: str = ""
     capture: str
-    """Which capture of this woman by this rater with this device on this day."""
+    """Number or name of this capture among those with the same woman, rater, device and day."""
     reader: str = ""
-    """Who draws the borders; several may draw on one capture."""
+    """Person who draws the borders. Several may draw on one capture."""
     reading: str = ""
-    """Which reading of this capture by this reader."""
+    """Number or name of this reading among those with the same capture and reader."""
     volume_cc: float
     conditions: tuple[tuple[str, str], ...] = ()
     """Conditions of the capture, from the table or the results: name → value, such as posture → standing."""
@@ -41,7 +41,7 @@ class Reading:
 
     @property
     def cell(self) -> tuple[str, ...]:
-        """Labels that all captures under the same conditions have in common."""
+        """Labels shared by all captures under the same conditions."""
         return (self.woman, self.side, self.device, self.rater, self.day, self.reader)
 
 
@@ -49,9 +49,9 @@ WOMAN, BREAST, DEVICE, RATER, READER, DAY = "woman", "side", "device", "rater", 
 DEVICE_WOMAN, RATER_WOMAN, READER_WOMAN = "device × woman", "rater × woman", "reader × woman"
 CAPTURE, SIDE_IN_CAPTURE, RESIDUAL = "repositioning", "side × repositioning", "residual"
 SUBJECT = (WOMAN, BREAST)
-"""Effects that are no error: the breast itself."""
+"""Effects that are not errors: differences between breasts."""
 REPEATABILITY = (CAPTURE, SIDE_IN_CAPTURE, RESIDUAL)
-"""Effects that differ in a new capture by the same rater with the same device on the same day."""
+"""Effects that change in a new capture by the same rater with the same device on the same day."""
 
 SAME_DAY, ANOTHER_DAY, ANYBODY = "new capture", "another day", "any rater and device"
 _LEVELS = {
@@ -59,13 +59,13 @@ _LEVELS = {
     ANOTHER_DAY: {*REPEATABILITY, DAY},
     ANYBODY: {*REPEATABILITY, DAY, DEVICE, RATER, READER, DEVICE_WOMAN, RATER_WOMAN, READER_WOMAN},
 }
-"""What a repetition changes → the effects that differ then."""
+"""What a repetition changes → the effects that then change."""
 _MARKS = {
     SAME_DAY: {CAPTURE},
     ANOTHER_DAY: {DAY},
     ANYBODY: {DEVICE, RATER, READER, DEVICE_WOMAN, RATER_WOMAN, READER_WOMAN},
 }
-"""Effects of which the design must separate one."""
+"""Effects of which the design must be able to separate at least one."""
 
 
 @value(eq=False)
@@ -73,21 +73,21 @@ class Design:
     """The random effects of a table."""
 
     effects: tuple[str, ...]
-    """Those that can be separated, the residual last. The residual has the name of the finest effect."""
+    """Effects that can be separated, the residual last. The residual is named after the finest effect."""
     groups: tuple[Int64[Array, " n"], ...]
-    """For each effect but the residual, the group of each row."""
+    """For each effect except the residual, the group of each row."""
     levels: tuple[int, ...]
-    """Number of groups of each effect; of the residual, rows."""
+    """Number of groups of each effect. For the residual, the number of rows."""
     merged: tuple[tuple[str, str], ...]
-    """An effect that the design cannot separate, and the one that contains it."""
+    """Each effect that the design cannot separate, and the effect that includes it."""
     balanced: bool
-    """Whether every breast has equally many rows of each rater, device, day and reader."""
+    """Whether all breasts have the same number of rows for each rater, device, day and reader."""
 
     def levels_of_repetition(self) -> dict[str, tuple[int, ...]]:
-        """Effects that differ between two captures, by the kind of repetition.
+        """Effects that change between two captures, by the kind of repetition.
 
-        The kinds: a new capture; a capture on another day; a capture by anybody with any device. A kind that the design
-        does not contain, or that adds nothing to the one before, is left out.
+        The kinds are: a new capture, a capture on another day, a capture by anyone with any device. A kind that the
+        design does not contain, or that adds nothing to the previous one, is left out.
         """
         found: dict[str, tuple[int, ...]] = {}
         for level, differing in _LEVELS.items():
@@ -101,11 +101,11 @@ class Design:
 def design(readings: Sequence[Reading]) -> Design:
     """Find the effects that a table can separate.
 
-    Effects with one group only are left out. Of two effects with the same groups the first one stays. An effect that
-    has as many groups as there are rows is the residual.
+    Effects with only one group are left out. Of two effects with the same groups, the first one is kept. An effect with
+    as many groups as there are rows is the residual.
 
     Raises:
-        ValueError: fewer than three women, one row a breast, or one capture twice.
+        ValueError: there are fewer than three women, only one row per breast, or a capture is duplicated.
     """
     women = len({reading.woman for reading in readings})
     if women < LEAST_WOMEN:
@@ -146,7 +146,7 @@ def design(readings: Sequence[Reading]) -> Design:
 
 
 def _candidates(readings: Sequence[Reading]) -> Iterator[tuple[str, list[tuple[str, ...]]]]:
-    """Effects from the coarsest to the finest, and the label of each row."""
+    """Effects from the coarsest to the finest, each with the label of each row."""
     yield WOMAN, [(one.woman,) for one in readings]
     yield BREAST, [(one.woman, one.side) for one in readings]
     varied = {what: len({getattr(one, what) for one in readings}) > 1 for what in ("device", "rater", "reader", "day")}
@@ -168,7 +168,7 @@ def _numbered(labels: Sequence[tuple[str, ...]]) -> Int64[Array, " n"]:
 
 
 def _crossed(readings: Sequence[Reading]) -> bool:
-    """Whether every breast has the same raters, devices and readers, and every woman equally many days."""
+    """Whether all breasts have the same raters, devices and readers, and all women equally many days."""
     of_breast: dict[str, set[tuple[str, ...]]] = {}
     days: dict[str, set[str]] = {}
     for one in readings:

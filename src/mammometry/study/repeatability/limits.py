@@ -1,8 +1,8 @@
-"""Limits of agreement of two raters or two devices whose measurements are repeated.
+"""Limits of agreement between two raters or devices whose measurements are repeated.
 
 Bland and Altman, Statistical Methods in Medical Research 8 (1999) 135, section 5.2: the true value of a breast is
-constant, and the numbers of repetitions may differ. Intervals by MOVER: Zou, Statistical Methods in Medical Research 22
-(2013) 630.
+constant, and the numbers of repetitions may differ. Intervals are by MOVER: Zou, Statistical Methods in Medical
+Research 22 (2013) 630.
 """
 
 from __future__ import annotations
@@ -12,21 +12,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # it imports scipy.stats, which takes half a second, when that is used
+import scipy  # scipy.stats, which takes half a second to import, is imported on first use
 
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.study.agreement import IntervalEstimate
 from mammometry.study.repeatability.components import chi_square_bounds
 
 _Z95 = float(scipy.special.ndtri(0.975))
-_LEAST = 3  # breasts that both measured
+_LEAST = 3  # fewest breasts that both measured
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RepeatedLimits:
-    """Agreement of single measurements by two raters, devices or readers. Second less first.
+    """Agreement of single measurements by two raters, devices or readers: second minus first.
 
-    In the unit of the measurements, or in per cent of the first.
+    In the unit of the measurements, or in per cent of the first one.
     """
 
     what: str
@@ -34,12 +34,12 @@ class RepeatedLimits:
     first: str
     second: str
     breasts: int
-    """Measured by both."""
+    """Number of breasts that both measured."""
     bias: IntervalEstimate
     sd: IntervalEstimate
-    """Standard deviation of the difference of two single measurements."""
+    """Standard deviation of the difference between two single measurements."""
     lower: IntervalEstimate
-    """Lower limit of agreement: 95 % of single differences are between both."""
+    """Lower limit of agreement. 95 % of single differences are between the limits."""
     upper: IntervalEstimate
 
 
@@ -54,12 +54,12 @@ def repeated_limits(
 
     Args:
         first: breast → its measurements by the first method.
-        second: likewise.
-        women: number of women with breasts that both measured; both breasts of a woman are not independent.
-        names: what is compared, and the name of either.
+        second: the same for the second method.
+        women: number of women with breasts that both methods measured. A woman's breasts are not independent.
+        names: what is compared, and the names of both.
 
     Returns:
-        None for fewer than three breasts, or two women, that both measured.
+        None if both methods measured fewer than three breasts or two women.
     """
     common = [breast for breast in first if breast in second]
     n = len(common)
@@ -100,7 +100,7 @@ def repeated_limits(
 
 
 def _within(own: Sequence[Float64[Array, " m"]]) -> tuple[float, float, float]:
-    """Variance within breasts, its degrees of freedom, and 1 − the mean of 1/m."""
+    """Variance within breasts, its degrees of freedom, and 1 − mean of 1/m."""
     df = float(sum(len(values) - 1 for values in own))
     if not df:
         return 0.0, 0.0, 0.0

@@ -1,7 +1,7 @@
-"""How many women and captures a claim needs, and whether a study supports it.
+"""Number of women and captures that a claim needs, and whether a study supports the claim.
 
-The claim is that the smallest detectable change is at most a stated one. It is shown if the upper 95 % bound of the
-standard error of measurement, from χ², supports it, as in tests of conformance with a QIBA profile: Raunig et al.,
+The claim is that the smallest detectable change is at most a stated value. It is shown if the upper 95 % bound of the
+standard error of measurement, from χ², is small enough, as in tests of conformance with a QIBA profile: Raunig et al.,
 Statistical Methods in Medical Research 24 (2015) 27.
 """
 
@@ -13,38 +13,38 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
-import scipy  # it imports scipy.stats, which takes half a second, when that is used
+import scipy  # scipy.stats, which takes half a second to import, is imported on first use
 
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Float64
 
 DETECTABLE = float(scipy.special.ndtri(0.975)) * math.sqrt(2)
-"""Smallest detectable change by standard errors of measurement: 1.96 √2."""
+"""Ratio of smallest detectable change to standard error of measurement: 1.96 √2."""
 CAPTURES = (2, 3, 4, 5)
-"""Numbers of captures that a plan shows."""
-_CONFIDENCE = 0.95  # one-sided, of the upper bound
-_MOST_WOMEN = 2000  # a plan with more women is not shown
+"""Numbers of captures for which a plan is shown."""
+_CONFIDENCE = 0.95  # one-sided confidence of the upper bound
+_MOST_WOMEN = 2000  # plans with more women are not shown
 Verdict: TypeAlias = Literal["shown", "undecided", "contradicted"]
 
 
 @value
 class CapturePlan:
-    """Women and captures for a claim."""
+    """Numbers of women and captures for a claim."""
 
     claim_cc: float
-    """Smallest detectable change that is to be shown, cc."""
+    """Smallest detectable change to be shown, cc."""
     sem_cc: float
-    """Standard error of measurement that is expected, cc."""
+    """Expected standard error of measurement, cc."""
     power: float
-    """Probability that the study shows the claim if the expectation is right."""
+    """Probability that the study shows the claim if the expected error is right."""
     sizes: tuple[tuple[int, int], ...]
-    """Captures of each woman, and the number of women. Empty: the expected error does not allow the claim."""
+    """Captures per woman, and number of women. Empty: the expected error is too large for the claim."""
 
 
 def plan(claim_cc: float, sem_cc: float, power: float = 0.8) -> CapturePlan:
     """Find the least number of women for each number of captures.
 
-    Each woman counts once, even if both breasts are measured: they share a capture.
+    Each woman counts once, even if both breasts are measured, because they are in the same capture.
     """
     return CapturePlan(claim_cc=claim_cc, sem_cc=sem_cc, power=power, sizes=tuple(_sizes(claim_cc, sem_cc, power)))
 
@@ -58,7 +58,7 @@ def _sizes(claim_cc: float, sem_cc: float, power: float) -> Iterator[tuple[int, 
 
 
 def chance_to_show(claim_cc: float, sem_cc: float, df: Float64[Array, " n"]) -> Float64[Array, " n"]:
-    """Probability that the upper bound of the detectable change is at most the claim."""
+    """Probability that the upper bound of the detectable change does not exceed the claim."""
     ratio = (claim_cc / (DETECTABLE * sem_cc)) ** 2
     return np.asarray(scipy.stats.chi2.cdf(ratio * scipy.stats.chi2.ppf(1 - _CONFIDENCE, df), df))
 
@@ -75,7 +75,7 @@ def lower_bound(deviation: float, df: float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClaimCheck:
-    """Whether a study supports a claim."""
+    """Result of checking whether a study supports a claim."""
 
     claim_cc: float
     detectable_cc: float
@@ -83,7 +83,7 @@ class ClaimCheck:
     upper_cc: float
     """Its one-sided upper 95 % bound, cc."""
     verdict: Verdict
-    """``shown``: the upper bound is at most the claim. ``contradicted``: the lower bound is above it."""
+    """``shown``: the upper bound does not exceed the claim. ``contradicted``: the lower bound exceeds it."""
 
 
 def check_claim(claim_cc: float, sem_cc: float, df: float) -> ClaimCheck:

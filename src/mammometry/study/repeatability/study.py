@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy  # it imports scipy.stats, which takes half a second, when that is used
+import scipy  # scipy.stats, which takes half a second to import, is imported on first use
 
 from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Float64
@@ -19,11 +19,11 @@ from mammometry.study.repeatability.limits import RepeatedLimits, repeated_limit
 from mammometry.study.repeatability.plan import DETECTABLE
 
 SIZES_CC = ((0.0, 250.0), (250.0, 500.0), (500.0, math.inf))
-"""Classes of the breast's volume, cc: small, medium and large. A definition."""
+"""Classes of volumes of breasts, cc: small, medium and large. By definition."""
 MOVED_MM = 4.0
-"""Spread of a length of one woman between captures that is listed, mm: as breathing in moves a nipple (Wang et al.,
-Aesthetic Plastic Surgery 43 (2019) 53)."""
-_FAR = 50.0  # of logarithms of ratios of variances: e⁵⁰ is as good as infinite
+"""Spread of a woman's length between captures above which it is listed, mm. Breathing in moves a nipple by as much
+(Wang et al., Aesthetic Plastic Surgery 43 (2019) 53)."""
+_FAR = 50.0  # logarithm of a ratio of variances that replaces infinity
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,34 +49,34 @@ class _Scatter:
 
     @property
     def detectable_cc(self) -> IntervalEstimate:
-        """Smallest detectable change, cc: 1.96 √2 SEM. Two repetitions have the limits of agreement ± this."""
+        """Smallest detectable change, cc: 1.96 √2 SEM. Two repetitions have limits of agreement of ± this."""
         low, high = self.sem_cc.interval
         return IntervalEstimate(value=DETECTABLE * self.sem_cc.value, interval=(DETECTABLE * low, DETECTABLE * high))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Repetition(_Scatter):
-    """Scatter of one measurement if some things change and others do not."""
+    """Scatter of one measurement if some conditions change and others do not."""
 
     level: str
-    """What changes: see `design`."""
+    """What changes (see `design`)."""
     effects: tuple[str, ...]
     sem_cc: IntervalEstimate
     """Standard error of measurement, cc."""
     df: float
     """Its degrees of freedom."""
     cv_percent: IntervalEstimate
-    """Coefficient of variation, %: √(exp s² − 1) of the logarithms."""
+    """Coefficient of variation, %: √(exp s² − 1), with s from the logarithms."""
     detectable_percent: IntervalEstimate
     """Smallest detectable increase, %: exp(1.96 √2 s) − 1."""
     icc: IntervalEstimate
-    """Share of the variance that two measurements at this level have in common: intraclass correlation for absolute
-    agreement, single measurement, all effects random: ICC(A,1). For a new capture by the same rater, ICC(1)."""
+    """Share of the variance that two measurements at this level have in common: the intraclass correlation for absolute
+    agreement of single measurements with all effects random, ICC(A,1). For a new capture by the same rater, ICC(1)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SizeClass(_Scatter):
-    """Scatter of repeated captures of breasts of some size."""
+    """Scatter of repeated captures of breasts in one class of size."""
 
     from_cc: float
     to_cc: float
@@ -84,24 +84,24 @@ class SizeClass(_Scatter):
     sem_cc: IntervalEstimate
     """Standard error of a new capture, cc."""
     cv_percent: IntervalEstimate
-    """Coefficient of variation, %, of the logarithms."""
+    """Coefficient of variation, %, from the logarithms."""
     detectable_percent: IntervalEstimate
     """Smallest detectable increase, %."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConditionChange:
-    """Something that was not the same at all captures of a woman."""
+    """A condition that was not the same in all captures of a woman."""
 
     woman: str
     condition: str
     found: tuple[str, ...]
-    """Values that occurred, or the least and the largest length."""
+    """Values that occurred, or the smallest and the largest length."""
 
 
 @value
 class RepeatabilityStudy:
-    """Everything about the repeatability of volumes."""
+    """All results about the repeatability of volumes."""
 
     women: int
     breasts: int
@@ -110,17 +110,17 @@ class RepeatabilityStudy:
     mean_cc: float
     balanced: bool
     merged: tuple[tuple[str, str], ...]
-    """Effects that the design cannot separate from another one."""
+    """Effects that the design cannot separate from another effect."""
     components: tuple[Component, ...]
     repetitions: tuple[Repetition, ...]
     """From the narrowest to the widest."""
     sizes: tuple[SizeClass, ...]
     size_trend_p: float
-    """Of Kendall's correlation of scatter and size: below 0.05, percentages describe it better. NaN: unknown."""
+    """p value of Kendall's correlation of scatter and size. Below 0.05, use percentages. NaN: unknown."""
     limits: tuple[RepeatedLimits, ...]
-    """Of each pair of raters, devices and readers, cc."""
+    """For each pair of raters, devices and readers, cc."""
     limits_percent: tuple[RepeatedLimits, ...]
-    """The same of the logarithms, as per cent of the first one's volume."""
+    """The same from the logarithms, in per cent of the first one's volume."""
     changes: tuple[ConditionChange, ...]
 
 
@@ -128,7 +128,7 @@ def repeatability(readings: Sequence[Reading]) -> RepeatabilityStudy:
     """Analyse repeated captures.
 
     Raises:
-        ValueError: see `design` and `components`; a volume that is not positive.
+        ValueError: see `design` and `components`; or a volume is not positive.
     """
     volumes = volumes_of(readings)
     if not (volumes > 0).all():
@@ -192,20 +192,20 @@ def _repetition(
 
 
 def _mapped(function: Callable[[float], float], value: float, bounds: tuple[float, float]) -> IntervalEstimate:
-    """An estimate and its interval under an increasing function."""
+    """Apply an increasing function to an estimate and its interval."""
     return IntervalEstimate(value=function(value), interval=(function(bounds[0]), function(bounds[1])))
 
 
 def _cv(deviation: float) -> float:
-    return 100 * math.sqrt(math.expm1(deviation**2)) if deviation < 10 else math.inf  # larger ones overflow
+    return 100 * math.sqrt(math.expm1(deviation**2)) if deviation < 10 else math.inf  # larger values overflow
 
 
 def _increase(deviation: float) -> float:
-    return 100 * math.expm1(DETECTABLE * deviation) if deviation < 10 else math.inf  # larger ones overflow
+    return 100 * math.expm1(DETECTABLE * deviation) if deviation < 10 else math.inf  # larger values overflow
 
 
 def _icc(found: Components, places: tuple[int, ...]) -> IntervalEstimate:
-    """Common variance by all of it. Interval of the logarithm of the ratio of both by MOVER (Zou 2013)."""
+    """Common variance over the whole variance, with an interval by MOVER (Zou 2013) of its logarithm."""
     common = [place for place in range(len(found.variances)) if place not in places]
     shared, error = found.sum_of(common), found.sum_of(places)
     if not shared or not error:
@@ -223,7 +223,7 @@ def _icc(found: Components, places: tuple[int, ...]) -> IntervalEstimate:
 
 
 def _log_ratio(larger: float, smaller: float) -> float:
-    """Logarithm of a ratio. A bound of 0, or an infinite one, counts as `_FAR`."""
+    """Logarithm of a ratio. If a bound is 0 or infinite, `_FAR` is used."""
     return min(math.log(larger / smaller), _FAR) if smaller > 0 else _FAR
 
 
@@ -272,7 +272,7 @@ def _limits(readings: Sequence[Reading], values: Float64[Array, " n"]) -> Iterat
 
 
 def _in_percent(logarithms: RepeatedLimits) -> RepeatedLimits:
-    """Limits of differences of logarithms as per cent."""
+    """Convert limits of differences of logarithms to per cent."""
 
     def percent(estimate: IntervalEstimate) -> IntervalEstimate:
         return _mapped(lambda value: 100 * math.expm1(value), estimate.value, estimate.interval)
@@ -287,9 +287,9 @@ def _in_percent(logarithms: RepeatedLimits) -> RepeatedLimits:
 
 
 def condition_changes(readings: Sequence[Reading]) -> Iterator[ConditionChange]:
-    """Yield what differs between the captures of a woman.
+    """Yield the conditions that differ between the captures of a woman.
 
-    Words that differ, and lengths that spread by `MOVED_MM`.
+    These are words that differ, and lengths whose spread is at least `MOVED_MM`.
     """
     found: dict[tuple[str, str], dict[str, None]] = {}
     for one in readings:

@@ -1,4 +1,4 @@
-"""A study of repeatability in sentences, tables, JSON and CSV, and its claim sheet."""
+"""A repeatability study as sentences, tables, JSON and CSV, and its claim sheet."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _WHO = {
     ANOTHER_DAY: "the same person captures her again with the same device on another day",
     ANYBODY: "anybody of the study captures her again with any device of the study",
 }
-_FEW = 20  # degrees of freedom below which the interval is more than about half the figure wide
-_LEAST_WOMEN = 10  # of a study of conformance; a choice
-_USUAL_WOMEN = 35  # of a study of conformance, as in QIBA's profiles, where the plan gives no number
+_FEW = 20  # degrees of freedom below which the interval is wider than about half the figure
+_LEAST_WOMEN = 10  # fewest women in a study of conformance; a choice
+_USUAL_WOMEN = 35  # women in a study of conformance, as in QIBA's profiles, if the plan gives no number
 _PRECONDITIONS = (
     "same posture, stand or seat, and arm position at every capture",
     "captured at the end of a normal breath out",
@@ -72,7 +72,7 @@ def repeatability_summary(found: RepeatabilityStudy, claim: ClaimCheck | None = 
 
 
 def repeatability_tables(found: RepeatabilityStudy) -> list[TextTable]:
-    """Repetition, components, sizes, limits of agreement, what differed."""
+    """Repetition, components, sizes, limits of agreement, and conditions that differed."""
     tables = [
         TextTable(
             title="Repeatability",
@@ -179,7 +179,7 @@ def _limits_table(limits: Sequence[RepeatedLimits], unit: str) -> TextTable:
 
 
 def claim_sheet(found: RepeatabilityStudy) -> list[tuple[str, str]]:
-    """Parts of the claim sheet: claim, activities, assessment, conformance, as in profiles of QIBA."""
+    """Parts of the claim sheet: claim, activities, assessment, conformance, as in QIBA's profiles."""
     one = found.repetitions[0]
     detectable, upper = one.detectable_cc, one.detectable_cc.interval[1]
     return [
@@ -234,7 +234,7 @@ def plan_table(planned: CapturePlan) -> TextTable:
 
 
 def repeatability_json(found: RepeatabilityStudy, claim: ClaimCheck | None = None) -> dict[str, Any]:
-    """All results as plain JSON-ready data. Unknown values are null."""
+    """All results as data for JSON. Unknown values are null."""
     table = asdict(found)
     for one, row in zip(found.repetitions, table["repetitions"], strict=True):
         row["detectable_cc"] = asdict(one.detectable_cc)
@@ -244,7 +244,7 @@ def repeatability_json(found: RepeatabilityStudy, claim: ClaimCheck | None = Non
 
 
 def readings_csv(readings: Sequence[Reading]) -> str:
-    """All volumes, one a row. `read_repeated` reads it again."""
+    """All volumes, one per row. `read_repeated` can read it."""
     conditions = tuple(dict.fromkeys(name for one in readings for name, _ in one.conditions))
     columns = ("woman", "side", "device", "rater", "day", "capture", "reader", "reading")
     used = [column for column in columns if any(getattr(one, column) for one in readings)]
@@ -257,7 +257,7 @@ def readings_csv(readings: Sequence[Reading]) -> str:
 
 
 def repeatability_remarks(found: RepeatabilityStudy) -> list[str]:
-    """How the figures were computed, and what they do not contain."""
+    """How the figures were computed, and what they do not include."""
     lines = [
         "SEM, standard error of measurement: square root of the sum of the variances of all effects that change. "
         "Components by restricted maximum "

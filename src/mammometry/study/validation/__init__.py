@@ -1,1 +1,1 @@
-"""Validation against a hospital's own truth: specimens in water or on a scale, segmentations."""
+"""Validation against a hospital's own reference: specimens in water or on a scale, segmentations."""

@@ -1,8 +1,8 @@
 """Straight lines with errors in both methods: Deming, and Passing and Bablok.
 
-Deming's line by the ratio of both error variances, intervals by the jackknife: Linnet, Clinical Chemistry 39 (1993)
-424. Passing and Bablok, Journal of Clinical Chemistry and Clinical Biochemistry 21 (1983) 709, without assumptions
-about the distribution of errors.
+Deming's line uses the ratio of both error variances, with intervals by the jackknife: Linnet, Clinical Chemistry 39
+(1993) 424. Passing and Bablok, Journal of Clinical Chemistry and Clinical Biochemistry 21 (1983) 709, make no
+assumption about the distribution of errors.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # it imports scipy.stats, which takes half a second, when that is used
+import scipy  # scipy.stats, which takes half a second to import, is imported on first use
 
 from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.study.agreement import IntervalEstimate
@@ -19,7 +19,7 @@ from mammometry.study.agreement import IntervalEstimate
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Line:
-    """Measured = intercept + slope × truth. NaN where it cannot be found."""
+    """Measured = intercept + slope × truth. NaN if it cannot be determined."""
 
     slope: IntervalEstimate
     intercept: IntervalEstimate
@@ -37,10 +37,10 @@ def deming(
     """Fit Deming's line.
 
     Args:
-        truth: by the reference.
-        measured: by the method under test.
-        women: number of each row's woman, from 0: the jackknife leaves out one woman at a time.
-        ratio: error variance of `measured` by that of `truth`.
+        truth: values by the reference method.
+        measured: values by the method under test.
+        women: index of each row's woman, from 0. The jackknife leaves out one woman at a time.
+        ratio: error variance of `measured` divided by that of `truth`.
     """
     whole = _deming(truth, measured, ratio)
     count = int(women.max()) + 1
@@ -60,12 +60,13 @@ def _deming(x: Float64[Array, " n"], y: Float64[Array, " n"], ratio: float) -> F
         return np.full(2, np.nan)
     apart = syy - ratio * sxx
     root = math.sqrt(apart**2 + 4 * ratio * sxy**2)
-    slope = (apart + root) / (2 * sxy) if apart > 0 else 2 * ratio * sxy / (root - apart)  # without cancellation
+    # in the form without cancellation
+    slope = (apart + root) / (2 * sxy) if apart > 0 else 2 * ratio * sxy / (root - apart)
     return np.array([slope, y.mean() - slope * x.mean()])
 
 
 def passing_bablok(truth: Float64[Array, " n"], measured: Float64[Array, " n"]) -> Line:
-    """Fit Passing and Bablok's line. Rows count as independent."""
+    """Fit Passing and Bablok's line. All rows are treated as independent."""
     n = len(truth)
     first, second = np.triu_indices(n, 1)
     across, up = truth[second] - truth[first], measured[second] - measured[first]

@@ -1,4 +1,4 @@
-"""Agreement with a truth, for every definition of the volume, and the offsets between the definitions."""
+"""Agreement with a truth for every definition of the volume, and offsets between the definitions."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from mammometry.study.validation.regression import Line, concordance, deming, pa
 
 @value
 class ValidationCase:
-    """One breast with its truth, and measured by one or several definitions of its volume."""
+    """One breast: its true volume, and its volumes measured by one or several definitions."""
 
     woman: str
     side: str = ""
     truth_cc: float
     truth_sd_cc: float
-    """Standard uncertainty of the truth, cc. NaN: not known."""
+    """Standard uncertainty of the true volume, cc. NaN if unknown."""
     measured_cc: Mapping[str, float]
     """Definition → volume, cc."""
 
@@ -42,16 +42,17 @@ class DefinitionAgreement:
     agreement: Agreement
     deming: Line
     passing_bablok: Line
-    """Rows count as independent, both breasts of a woman too."""
+    """All rows are treated as independent, even both breasts of a woman."""
     concordance: float
     """Lin's coefficient."""
     truth_sd_cc: float
-    """Root mean square of the truth's own standard uncertainty, cc: part of the scatter. NaN: not known."""
+    """Root mean square of the true volumes' own standard uncertainties, cc, which are part of the scatter. NaN if
+    unknown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Offset:
-    """One definition less another one for the same breasts, cc.
+    """One definition minus another one for the same breasts, cc.
 
     Neither is wrong: they measure different things.
     """
@@ -60,10 +61,10 @@ class Offset:
     second: str
     breasts: int
     mean_cc: float
-    """Second less first."""
+    """Second minus first."""
     sd_cc: float
     percent: float
-    """Of the mean of the first, %."""
+    """Offset in % of the mean of the first."""
     concordance: float
 
 
@@ -74,9 +75,9 @@ class ValidationStudy:
     truth: str
     """Kind of truth: ``water``, ``weight``, ``segmentation`` or ``volume``."""
     cases: tuple[ValidationCase, ...]
-    """One a breast."""
+    """One per breast."""
     ratio: float
-    """Error variance of the measurement by that of the truth, for Deming's line."""
+    """Error variance of the measurement divided by that of the truth, for Deming's line."""
     definitions: tuple[DefinitionAgreement, ...]
     offsets: tuple[Offset, ...]
 
@@ -87,16 +88,16 @@ class ValidationStudy:
 
 
 def validation(cases: Sequence[ValidationCase], truth: str, sem_cc: float | None = None) -> ValidationStudy:
-    """Compare measured volumes with their truth.
+    """Compare measured volumes with true ones.
 
     Args:
-        cases: one a breast.
+        cases: one per breast.
         truth: kind of truth.
-        sem_cc: standard error of the measurement from a study of repeatability: with the truth's own uncertainty it
-            gives the ratio of errors for Deming's line. None: the errors are taken to be equal.
+        sem_cc: standard error of the measurement from a repeatability study. With the truth's own uncertainty, it gives
+            the ratio of errors for Deming's line. None: equal errors are assumed.
 
     Raises:
-        ValueError: fewer than three women with a truth and one definition.
+        ValueError: there are fewer than three women with a true volume and a common definition.
     """
     own = math.sqrt(float(np.mean([case.truth_sd_cc**2 for case in cases]))) if cases else math.nan
     ratio = (sem_cc / own) ** 2 if sem_cc is not None and own > 0 else 1.0

@@ -1,4 +1,4 @@
-"""A validation in sentences, tables and JSON."""
+"""A validation as sentences, tables and JSON."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _REMARKS = {
 
 
 def validation_summary(found: ValidationStudy) -> list[str]:
-    """The main results in sentences, one for each definition."""
+    """The main results in sentences, one per definition."""
     lines = [f"{len(found.cases)} breasts of {found.women} women against {_TRUTHS[found.truth]}."]
     for one in found.definitions:
         bias, sizes = one.agreement.mean_difference, one.data.reference
@@ -139,7 +139,7 @@ def _volumes(found: ValidationStudy) -> TextTable:
 
 
 def validation_csv(found: ValidationStudy) -> str:
-    """All volumes, one row per breast. `read_truths` reads it again."""
+    """All volumes, one row per breast. `read_truths` can read it."""
     names = tuple(one.definition for one in found.definitions)
     rows = (
         [
@@ -159,7 +159,7 @@ def _cell(volume_cc: float) -> str:
 
 
 def validation_remarks(found: ValidationStudy) -> list[str]:
-    """Where the truth comes from, and how the lines were fitted."""
+    """Origin of the truth, and how the lines were fitted."""
     return [
         _REMARKS[found.truth],
         f"Deming's line: errors in both, ratio of error variances {number(found.ratio, '.2f')} (measured by truth); "
@@ -170,7 +170,7 @@ def validation_remarks(found: ValidationStudy) -> list[str]:
 
 
 def validation_json(found: ValidationStudy) -> dict[str, Any]:
-    """All results as plain JSON-ready data. Unknown values are null."""
+    """All results as data for JSON. Unknown values are null."""
     return dict(
         plain(
             {
