@@ -104,8 +104,8 @@ def compare_surfaces(
         measured: the surface under test, mm.
         truth: the true surface, its faces counter-clockwise seen from outside.
         at: vertices of `truth` that should be measured, for example those that two cameras see; None: all.
-            truth_from_measured: pose of the measured surface; None if both are in the same frame. claimed: vertices of
-            the measured surface that count as skin. True points nearest to other vertices are excluded.
+        truth_from_measured: pose of the measured surface; None if both are in the same frame.
+        claimed: vertices of the measured surface that count as skin. True points nearest to others are excluded.
 
     Raises:
         ValueError: there is nothing to compare.

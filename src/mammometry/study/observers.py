@@ -120,7 +120,7 @@ class ObserverStudy:
 
 
 def observer_study(drawings: Sequence[ObservedCurve]) -> ObserverStudy:
-    """Agreement between observers from their drawings, in the order of `repeat` (numbers first, 2 before 10).
+    """Agreement between observers' drawings, in the order of `repeat` (numbers first, 2 before 10).
 
     Raises:
         ValueError: no breast was drawn twice, or a drawing is duplicated.
