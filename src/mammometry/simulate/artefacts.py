@@ -8,7 +8,7 @@ from mammometry.base.value import value
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 
-_WAVES = 64  # cosines of which errors are made that neighbouring points share
+_WAVES = 64  # number of cosines of which errors common to neighbouring points are composed
 
 
 DEMO_DEVICE = """\
@@ -46,17 +46,17 @@ class DeviceErrors:
     """Errors of a virtual device."""
 
     scale: float = 0.0
-    """Relative error of all lengths."""
+    """Relative error of lengths."""
     noise_mm: float = 0.0
-    """Standard deviation along the normal, independent from point to point."""
+    """Standard deviation of errors along the normal, independent from point to point."""
     shared_mm: float = 0.0
-    """The same of errors that neighbouring points share."""
+    """Standard deviation of errors common to neighbouring points."""
     shared_over_mm: float = 8.0
-    """Distance over which they are alike."""
+    """Distance within which points have similar errors."""
 
 
 def measured_mesh(mesh: TriangleMesh, errors: DeviceErrors, rng: np.random.Generator) -> TriangleMesh:
-    """A mesh as a device with these errors gives it."""
+    """A mesh as measured by a device with these errors."""
     offsets = errors.noise_mm * rng.normal(size=len(mesh.vertices))
     offsets += errors.shared_mm * shared_errors(mesh.vertices, errors.shared_over_mm, rng)
     vertices = mesh.vertices + offsets[:, None] * mesh.vertex_normals()
@@ -70,4 +70,4 @@ def shared_errors(points: Float64[Array, "n 3"], alike_mm: float, rng: np.random
 
 
 DEMO_ERRORS = DeviceErrors(scale=0.0003, noise_mm=0.03, shared_mm=0.03)
-"""Errors of the demo's device, about those of a calibrated rig."""
+"""Errors of the demo's device, similar to those of a calibrated rig."""

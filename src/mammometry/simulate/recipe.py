@@ -1,7 +1,7 @@
-"""Recipe of a virtual session, and its disturbances as written on the command line.
+"""Recipe of a virtual session, and its disturbances in the notation of the command line.
 
-A disturbance has a name and may have a size. ``rail,drift=0.02,removed=right`` is a rail in front of the body, all
-cameras turned by 0.02° after the calibration, and the right breast removed. The names are those of
+A disturbance has a name and may have a size. ``rail,drift=0.02,removed=right`` is a rail in front of the body, a
+rotation of all cameras by 0.02° after the calibration, and a right breast that was removed. The names are those of
 `disturbances.registry.DISTURBANCES`.
 """
 
@@ -28,7 +28,7 @@ class Disturbance:
     name: str
     """Its name in the registry."""
     size: str = ""
-    """Size or kind: a number or a word. Empty: the usual one."""
+    """Size or kind: a number or a word. Empty: the default."""
 
     def __str__(self) -> str:
         return f"{self.name}={self.size}" if self.size else self.name
@@ -39,13 +39,13 @@ class Situation:
     """All disturbances of one capture."""
 
     disturbances: tuple[Disturbance, ...] = ()
-    """Each name once. Their order does not matter."""
+    """Each name occurs once. Their order does not matter."""
 
     def __str__(self) -> str:
         return ",".join(map(str, self.disturbances))
 
     def without(self, names: Collection[str]) -> Situation:
-        """The situation without some disturbances, to compare bodies with and without them."""
+        """The situation without some disturbances, to compare captures with and without them."""
         return Situation(
             disturbances=tuple(disturbance for disturbance in self.disturbances if disturbance.name not in names)
         )
@@ -55,7 +55,7 @@ def parse_situation(text: str) -> Situation:
     """Parse ``rail,drift=0.02``.
 
     Raises:
-        ValueError: a part has no name, or a name is repeated.
+        ValueError: a part has no name, or a name occurs twice.
     """
     found: dict[str, Disturbance] = {}
     for part in filter(None, (part.strip() for part in text.split(","))):
@@ -71,7 +71,7 @@ _UNDISTURBED = Situation()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionRecipe:
-    """Recipe of a virtual session: everything except how pictures are taken (`studio.Studio`)."""
+    """Recipe of a virtual session: everything except how the pictures are taken (`studio.Studio`)."""
 
     rig: str = "reference"
     """``reference`` (eight cameras, four pairs) or a rig's TOML file. ``reference:front,floor`` keeps only these pairs.
@@ -85,13 +85,13 @@ class SessionRecipe:
     poses: int = 8
     """Number of poses of the calibration target."""
     mesh_file: MeshFile | None = None
-    """Unit and orientation of a mesh file that is the subject."""
+    """Unit and orientation, if the subject is a mesh file."""
     situation: Situation = _UNDISTURBED
     """Disturbances of the capture."""
 
     @property
     def line(self) -> str:
-        """Comment in session.toml that states how the session was made."""
+        """Comment for session.toml that states how the session was made."""
         rig, subject = (json.dumps(Path(name).name if "/" in name else name) for name in (self.rig, self.subject))
         made = f"# rig {rig}, subject {subject}, scale {self.scale}, seed {self.seed}, {self.poses} poses"
         return f"{made}, disturbed by {self.situation}" if self.situation.disturbances else made

@@ -1,7 +1,7 @@
-"""Scans of a virtual body: its clean front, and a scan by a telephone.
+"""Scans of a virtual body: its front without errors, or scanned with a telephone.
 
-Scans resemble those of telephones: neighbouring pixels share noise, folds are bridged because a pixel averages over its
-surroundings, and rims at flat angles are ragged. Walks and light here are made up; no measurement uses them.
+They resemble scans by telephones: neighbouring pixels have common noise, folds are bridged because a pixel averages
+over its surroundings, and edges seen at flat angles are ragged. Walks and light are made up; no measurement uses them.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from mammometry.simulate.subjects.solid import SubjectSolid
 from mammometry.study.rays import RayScene
 from mammometry.surface.fusion.marching import march
 
-_FIELD_RAD = math.radians(50.0)  # horizontal field of view, as of the front cameras of telephones
+_FIELD_RAD = math.radians(50.0)  # horizontal field of view, like that of telephones' front cameras
 _DISTANCE_MM = (480.0, 620.0)  # from the chest
 _FRONT_DEG = (
     *((-65, 0), (-45, 0), (-22, 0), (0, 0), (22, 0), (45, 0), (65, 0)),
     *((50, -32), (18, -35), (-18, -35), (-50, -32)),
     *((-45, 28), (-15, 30), (15, 30), (45, 28)),
-)  # azimuths and elevations of a walk around the front: below the breasts as well as above
+)  # azimuths and elevations of a walk around the front, below as well as above the breasts
 _BELOW_DEG = (
     *((-78, -22), (-50, -20), (-18, -12), (18, -12), (50, -20), (78, -22)),
     *((-70, -45), (-35, -45), (0, -45), (35, -45), (70, -45)),
@@ -40,7 +40,7 @@ _BELOW_DEG = (
 )  # of a second walk at the height of the hips, looking up
 Walk: TypeAlias = Literal["front", "below"]
 _WALKS: Mapping[Walk, Sequence[tuple[int, int]]] = MappingProxyType({"front": _FRONT_DEG, "below": _BELOW_DEG})
-_STEP_MM = 20.0  # depth difference between neighbouring pixels from which there is an edge of the body
+_STEP_MM = 20.0  # depth difference between neighbouring pixels above which there is an edge of the body
 _BLUR_PX = 1.1  # Gaussian σ over which a pixel averages
 _SHARED_PX, _SHARED = 2.5, 0.15  # Gaussian σ of the shared noise, and its share of the variance
 _SLANT = (0.22, 0.12)  # cosine of incidence below which skin is lost, and standard deviation of this limit
@@ -54,11 +54,11 @@ class DepthPicture:
     """One depth picture."""
 
     depth_mm: Float32[Array, "h w"]
-    """Depth along the camera's axis, mm. NaN where nothing is seen."""
+    """Depth along the camera's axis, mm. NaN where nothing was measured."""
     trust: Float32[Array, "h w"]
     """Weight of each pixel: cosine of incidence."""
     camera_from_world: Transform
-    """Pose of the picture, with the telephone's error."""
+    """Pose of the picture, including the telephone's error."""
     focal_px: float
     """Focal length. The axis meets the picture's centre."""
 
@@ -121,7 +121,7 @@ def _picture(scene: RayScene, camera: Transform, noise_mm: float, width: int, rn
 
 
 def _blurred(depth: Float64[Array, "h w"], seen: Array) -> Float64[Array, "h w"]:
-    """Mean depth around each pixel, over pixels with depth."""
+    """Mean depth around each pixel, over the pixels that have a depth."""
     share = ndimage.gaussian_filter(seen.astype(np.float64), _BLUR_PX)
     return np.asarray(ndimage.gaussian_filter(depth, _BLUR_PX) / np.maximum(share, 1e-9))
 
@@ -136,15 +136,15 @@ def _field(shape: tuple[int, ...], alike_px: float, rng: np.random.Generator) ->
 
 
 _TRUNCATION_CUBES = 4.0  # as in voxel grids of telephones; ARKit's and Open3D's examples have 3 to 5
-_MARGIN_CUBES = 3  # around the body, so that the level does not meet the grid's edge
-_OFF_LEVEL = 1e-3  # share of a cube by which values near 0 are moved, which marching cubes requires
+_MARGIN_CUBES = 3  # cubes around the body, so that the surface does not reach the edge of the grid
+_OFF_LEVEL = 1e-3  # share of a cube by which values near 0 are moved, because marching cubes requires it
 _LEAST_WEIGHT = 0.5  # least weight of a corner: about one picture at nearly normal incidence
 
 
 def fuse(
     pictures: Sequence[DepthPicture], low: Float64[Array, 3], high: Float64[Array, 3], cube_mm: float
 ) -> TriangleMesh:
-    """Largest piece of the surface from depth pictures, fused on a grid of cubes.
+    """Largest piece of the surface from depth pictures that are fused on a grid of cubes.
 
     Args:
         pictures: depth pictures with the telephone's poses.
@@ -185,10 +185,10 @@ def add_picture(
     focal_px: float,
     truncation_mm: float,
 ) -> None:
-    """Add a picture's truncated signed distances, weighted by its trust in each pixel.
+    """Add the truncated signed distances of a picture, weighted by its trust in each pixel.
 
-    A corner gets the nearest pixel's depth minus its own, at most `truncation_mm`. Corners farther behind the skin are
-    hidden and get nothing.
+    For each corner, the distance is the nearest pixel's depth minus the corner's, at most `truncation_mm`. Corners
+    farther behind the skin are hidden and unchanged.
 
     Args:
         total: sum of weighted distances, mm. Changed in place.
@@ -216,14 +216,14 @@ def add_picture(
                 if row < 0 or column < 0 or row >= height or column >= width:
                     continue
                 distance = depth[row, column] - z
-                if not distance > -truncation_mm:  # also NaN: nothing seen
+                if not distance > -truncation_mm:  # also false for NaN, where nothing was measured
                     continue
                 share = trust[row, column]
                 total[i, j, k] += share * min(distance, truncation_mm)
                 weight[i, j, k] += share
 
 
-_LIGHT, _AMBIENT = 1.5, 0.45  # strength of the room's lamp, and the share of it from all directions
+_LIGHT, _AMBIENT = 1.5, 0.45  # strength of the room's lamp, and share of it that comes from all directions
 _LAMP = np.array([0.25, 0.55, 0.8])  # direction of the lamp: above, in front
 _ASIDE_MM, _BELOW_MM, _ABOVE_MM, _BACK_MM = 235.0, 235.0, 190.0, 150.0  # scanned box around the chest's centre
 
@@ -246,7 +246,7 @@ QUALITIES: Mapping[str, ScanQuality] = MappingProxyType(
         "telephone": ScanQuality(noise_mm=1.0, cube_mm=4.0, width_px=320),
     }
 )
-"""Name → kind of scan. fine: a good scanner, or a new telephone at its best. telephone: a usual telephone."""
+"""Name → kind of scan. fine: a good scanner, or a new telephone at its best. telephone: an ordinary telephone."""
 
 
 @value(eq=False)
@@ -264,7 +264,7 @@ class VirtualScan:
 
 
 def clean_front(solid: SubjectSolid) -> VirtualScan:
-    """The body's own triangles in front of the back's edge, without noise."""
+    """The body's own triangles in front of the edge of its back, without noise."""
     low, high = _box(solid)
     inside = np.all((solid.mesh.vertices > low) & (solid.mesh.vertices < high), axis=1)
     mesh = solid.mesh.submesh(inside[solid.mesh.faces].all(axis=1) & _faces_ahead(solid))
@@ -280,8 +280,8 @@ def scan(solid: SubjectSolid, quality: ScanQuality, seed: int, walk: Walk = "fro
         solid: the body.
         quality: quality of the depth pictures and of their fusion.
         seed: seed of all random values. Another seed gives another scan of the same body.
-        walk: ``front``: around the front. ``below``: with the telephone at the height of the hips, looking up, as for
-            the fold of a hanging breast.
+        walk: ``front``: around the front. ``below``: at the height of the hips, looking up, to see the fold of a
+            hanging breast.
     """
     rng = np.random.default_rng([seed, 101])
     low, high = _box(solid)
@@ -299,7 +299,7 @@ def scan(solid: SubjectSolid, quality: ScanQuality, seed: int, walk: Walk = "fro
 def _box(solid: SubjectSolid) -> tuple[Float64[Array, 3], Float64[Array, 3]]:
     """Lower and upper corner of the scanned box, mm.
 
-    It contains a body's front with the shoulders and the upper arms, and the whole of anything else.
+    For a body, it contains the front with shoulders and upper arms. For other subjects, it contains everything.
     """
     vertices = solid.mesh.vertices
     if "midline" not in solid.landmarks:
@@ -311,7 +311,7 @@ def _box(solid: SubjectSolid) -> tuple[Float64[Array, 3], Float64[Array, 3]]:
 
 
 def _faces_ahead(solid: SubjectSolid) -> Bool[Array, " m"]:
-    """Faces of the front: all that do not face back, and all of the breasts."""
+    """Faces of the front: all that do not face backwards, and all of the breasts."""
     vectors = solid.mesh.face_vectors()
     length = np.maximum(np.linalg.norm(vectors, axis=1), 1e-12)
     ahead = np.asarray(vectors[:, 2] / length > -0.6)

@@ -1,7 +1,7 @@
 """Write a complete session of a virtual rig: manifest, photographs and truth.
 
-The folder has the documented format of a real rig's, plus ``truth/``, which only ``mammometry evaluate`` reads. The
-same arguments give the same bytes with any number of threads.
+The folder has the documented format of a real rig's session, and also ``truth/``, which only ``mammometry evaluate``
+reads. The same arguments give the same bytes with any number of threads.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ from mammometry.simulate.subjects.solid import SubjectSolid, rig_from_solid
 from mammometry.simulate.truth import write_truth
 
 _POSES_ENOUGH = 5
-"""Number of poses from which each camera must see the target at least once. Quick looks have fewer."""
+"""Number of poses from which on each camera must see the target at least once. Quick previews have fewer."""
 _PICTURES_SHARE, _DEPTHS_SHARE = 0.93, 0.99
-"""Values of the progress bar after the pictures, and after the depth maps: roughly proportional to time."""
+"""Values of the progress bar after the pictures, and after the depth maps, roughly proportional to time."""
 _SHARP_RIM = """\
 rim_radius_mm = 0.0   # the mesh ends in a sharp edge; measure a real cast with a radius gauge
 """
@@ -51,7 +51,7 @@ class SimulatedSession:
     rig: Rig
     """The true cameras, rig frame."""
     rig_from_board: Mapping[str, Transform]
-    """Pose → rig from board. The first pose's board is the world frame of the results."""
+    """Pose → rig from board. The board in the first pose is the world frame of the results."""
     scene: StudioScene
     """The scene with the subject, rig frame."""
     true_volumes_cc: Mapping[str, float]
@@ -67,17 +67,18 @@ def write_session(
     truth: bool = True,
     progress: Progress = no_progress,
 ) -> SimulatedSession:
-    """Render a virtual rig's session, with truth, into a new folder.
+    """Render a virtual rig's session with its truth into a new folder.
 
-    Everything is made in a temporary folder next to `out` and renamed at the end, so `out` is complete or missing.
+    Everything is written to a temporary folder next to `out`, which is renamed at the end, so `out` is complete or
+    missing.
 
     Args:
-        out: session folder to make. It must not exist, or be empty.
+        out: session folder to create. It must not exist, or must be empty.
         recipe: rig, subject, scale, seed and poses.
         studio: the calibration target, and how pictures are taken.
-        subject: photographed instead of the recipe's. None: the recipe's.
+        subject: photographed instead of the recipe's subject. None: the recipe's.
         truth: whether to write ``truth/``, which takes as long as some pictures.
-        progress: written fraction of the pictures.
+        progress: called with the fraction of the pictures that are written.
 
     Raises:
         SessionError: `out` is not empty, or an argument is unknown.
@@ -148,7 +149,7 @@ def true_volumes_cc(recipe: SessionRecipe) -> dict[str, float]:
 
 
 def _subject(recipe: SessionRecipe) -> SubjectSolid:
-    """The subject, with the situation's operations."""
+    """The subject, with the operations of the situation."""
     operated = any(DISTURBANCES[disturbance.name].stage == "patient" for disturbance in recipe.situation.disturbances)
     return make_subject(
         recipe.subject,
@@ -165,7 +166,7 @@ def _edge_mm(scale: float) -> float:
 
 
 def _check_cameras_see_target(rig: Rig, target: Target, poses: Mapping[str, Transform]) -> None:
-    """Refuse a rig with a camera that never sees the target, since it could not be calibrated.
+    """Refuse a rig with a camera that never sees the target, because it could not be calibrated.
 
     Raises:
         SessionError: a camera sees the target in none of at least `_POSES_ENOUGH` poses.
@@ -181,7 +182,7 @@ def _check_cameras_see_target(rig: Rig, target: Target, poses: Mapping[str, Tran
 
 
 def _manifest(rig: Rig, target: Target, solid: SubjectSolid, made_by: str) -> str:
-    """Text of session.toml for a rig, its target and the subject. `made_by` is its recipe."""
+    """Text of session.toml for a rig, its target and the subject. `made_by` is the recipe."""
     pairs = ",\n".join(
         f'  {{ name = "{name}", left = "{left}", right = "{right}" }}' for name, (left, right) in rig.pair_names.items()
     )

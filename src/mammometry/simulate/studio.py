@@ -34,9 +34,9 @@ class Arrangement:
     """Positions of everything in a virtual session, rig frame, mm."""
 
     exposure: CaptureConditions
-    """Cameras at calibration and capture, films, flashes and moments."""
+    """Cameras at calibration and capture, films, flashes and times."""
     lights: Float64[Array, "l 4"]
-    """Each calibration flash: position, and irradiance × mm² at distance 1."""
+    """Each flash at the calibration: position, and irradiance × mm² at distance 1."""
     rig_from_target: Mapping[str, Transform]
     """Pose → placement of the calibration target."""
     solid: SubjectSolid
@@ -55,14 +55,14 @@ class Arrangement:
 _SKIN, _FILM = SkinReflectance(), Film()
 _BACKGROUNDS = ("dark", "clutter")
 _IMAGE_FORMATS = ("jpg", "png", "tif")
-_WORKERS_AT_MOST = 8  # most threads: each stores a picture's radiance, 160 MB at full size
+_WORKERS_AT_MOST = 8  # most threads, each of which stores a picture's radiance: 160 MB at full size
 _MEASURED_PX = 0.03
-"""Standard deviation of a dotted frame's points, as from a measuring program, px. Made up."""
+"""Standard deviation of the given points of a dotted frame, as from a measuring program, px. Made up."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Studio:
-    """Target, skin, film and files of a session's pictures, whatever the scene."""
+    """Target, skin, film and files for a session's pictures, independent of the scene."""
 
     target: Target = BOARD
     """Object that is photographed for the calibration."""
@@ -71,14 +71,14 @@ class Studio:
     film: Film = _FILM
     """Lens and sensor."""
     background: str = "dark"
-    """Background behind the subject: ``dark``, nothing. ``clutter``, a room full of objects."""
+    """Background behind the subject. ``dark``: nothing; ``clutter``: a room full of objects."""
     renderer: str = BUILT_IN
-    """Renderer of the subject's pictures: a name in `rendering.registry.RENDERERS`."""
+    """Renderer of the subject's pictures, a name in `rendering.registry.RENDERERS`."""
     image_format: str = "jpg"
     """Format of the picture files: ``jpg``, ``png``, or ``tif`` with 16 bits per channel."""
 
     def __post_init__(self) -> None:
-        """Check the words.
+        """Check the values.
 
         Raises:
             ValueError: a word is unknown.
@@ -109,16 +109,16 @@ def photograph(
 ) -> StudioScene:
     """Write ``calibration/`` and ``capture/``, and return the capture's scene, rig frame.
 
-    The scene is lit while the target is photographed. The same arguments give the same pictures with any number of
+    The light is computed while the target is photographed. The same arguments give the same pictures with any number of
     threads. No program can identify the points of a dotted frame in a picture, so they are given: a table ``id,u,v`` of
-    the visible ones for each photograph, with a little noise.
+    the visible points for each photograph, with a little noise.
 
     Args:
         folder: session folder, which exists.
         arrangement: positions of everything.
         studio: how pictures are taken.
         seed: seed of skin and noise.
-        progress: written fraction of the pictures.
+        progress: called with the fraction of the pictures that are written.
     """
     exposure, lights, solid = arrangement.exposure, arrangement.lights, arrangement.solid
     suffix = f".{studio.image_format}"
@@ -156,7 +156,7 @@ def photograph(
                 taking.append(pool.submit(take_picture, path, render, film, noise))
                 if studio.target.body.comes_measured:
                     taking.append(pool.submit(_measure, path, camera, placed, studio.target, noise))
-        # Submitted last: when the first of them starts, the scene is ready, or nearly so.
+        # Submitted last: when the first of them starts, the light is computed, or nearly so.
         for index, name in enumerate(exposure.rig.cameras):
             path, film = folder / "capture" / f"{name}{suffix}", exposure.films[name]
             render = partial(_capture, lit, name, exposure, studio, seed)
@@ -166,7 +166,7 @@ def photograph(
 
 
 def finish(pool: ThreadPoolExecutor, taking: Sequence[Future[None]], progress: Progress) -> None:
-    """Wait for all pictures, and cancel the others if one cannot be taken."""
+    """Wait for all pictures. If one cannot be taken, cancel the others."""
     try:
         for done, future in enumerate(as_completed(taking), start=1):
             future.result()
@@ -204,7 +204,7 @@ def take_picture(path: Path, render: Callable[[], Float32[Array, "h w *c"]], fil
 
 
 def _measure(path: Path, camera: Camera, placed: Transform, target: Target, seed: int) -> None:
-    """Write the table of visible points, as a measuring program does."""
+    """Write the table of visible points, in the same way as a measuring program."""
     seen = np.flatnonzero(visible_points(camera, placed, target))
     uv = camera.project(placed.apply(target.points_target[seen]))
     uv += np.random.default_rng([seed, 1]).normal(0.0, _MEASURED_PX, uv.shape)

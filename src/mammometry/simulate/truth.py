@@ -1,4 +1,4 @@
-"""Truth of a virtual session, with the depth of every pixel, for ``mammometry evaluate``."""
+"""Truth of a virtual session, including the depth of every pixel, for ``mammometry evaluate``."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _STEPS_PER_MM = 1024.0  # depths are rounded to a micrometre, so that the file c
 
 
 def true_depth(scene: StudioScene, camera: Camera) -> Float32[Array, "h w"]:
-    """Depth z of the subject along every pixel's ray, camera's frame, mm. NaN where it is not seen.
+    """Depth z of the subject along each pixel's ray, camera's frame, mm. NaN where it is not visible.
 
     Rounded to 1/1024 mm, a twentieth of the precision of a float32 ray.
     """
@@ -80,12 +80,12 @@ def write_truth(
     """Write the truth of a session, rig frame, mm. The files are listed in docs/how-to/simulate.md.
 
     Args:
-        folder: folder to make.
+        folder: folder to create.
         arrangement: positions of everything.
         scene: the photographed scene.
         studio: how the pictures were taken.
         recipe: recipe of the session.
-        progress: written fraction of the depth maps.
+        progress: called with the fraction of the depth maps that are written.
     """
     folder.mkdir()
     rig, solid, rig_from_solid = arrangement.rig, arrangement.solid, arrangement.rig_from_solid
@@ -143,7 +143,7 @@ def write_truth(
 
 
 def _at_capture(arrangement: Arrangement) -> dict[str, dict[str, object]]:
-    """Camera → its changes between calibration and capture."""
+    """Camera → what changed between calibration and capture."""
     exposure, lit = arrangement.exposure, arrangement.lights[:, 3] * arrangement.exposure.lights[:, 3] > 0
     front = arrangement.rig_from_solid.apply(
         arrangement.solid.mesh.vertices[:: max(1, len(arrangement.solid.areola) // 2000)]
@@ -215,7 +215,8 @@ def _write_rig(
 
 
 def _write_json(path: Path, value: object) -> None:
-    path.write_text(json.dumps(value, indent=1, default=dict) + "\n", encoding="utf-8")  # `dict`: frozen mappings
+    # `dict` converts frozen mappings
+    path.write_text(json.dumps(value, indent=1, default=dict) + "\n", encoding="utf-8")
 
 
 def _write_mesh(path: Path, mesh: TriangleMesh) -> None:

@@ -1,7 +1,7 @@
 """Photographs by a virtual telephone during a walk around a standing woman.
 
-She wears the printed board. The folder has the input of `mammometry photos`, and ``truth/``. The body's frame is the
-solid's: y up, z ahead, mm. The sizes of walk, light and telephone are made up; no measurement uses them.
+She wears the printed board. The folder contains the input for `mammometry photos`, and ``truth/``. The body's frame is
+that of the solid: y up, z ahead, mm. The sizes of walk, light and telephone are made up; no measurement uses them.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ _DISTORTION = (0.05, -0.1, 0.0, 0.0, 0.0)  # about 1 % in the corners
 _ARC_DEG, _HEIGHTS_DEG = 62.0, (-30.0, 12.0)  # largest angle to either side, and elevations of the two passes
 _JITTER_DEG, _AIM_MM, _ROLL_RAD = 1.5, 15.0, 0.03  # standard deviations of the telephone's position and direction
 _DISTANCE_MM = (560.0, 640.0)  # smallest and largest, from the midpoint between breasts and board
-_LAMPS_MM = ((-900.0, 700.0, 1300.0), (900.0, 600.0, 1300.0), (0.0, 150.0, 1700.0))  # in front of the chest
+_LAMPS_MM = ((-900.0, 700.0, 1300.0), (900.0, 600.0, 1300.0), (0.0, 150.0, 1700.0))  # positions in front of the chest
 _BRIGHTNESS = 1.1  # radiance of white paper that faces the middle lamp; full scale is 1
-_BELOW_FOLD_MM = 50.0  # from the lowest fold to the card's upper edge
-_GAP_MM = 2.0  # between the card and the nearest skin
+_BELOW_FOLD_MM = 50.0  # distance of the board's upper edge from the lowest fold
+_GAP_MM = 2.0  # distance between the board and the nearest skin
 _EDGE_MM = 0.4  # edge of the triangles on the breasts for photographs at full size: about two pixels
 _CARD_GREYS = {"grey": 0.3, "white": 0.75, "black": 0.03}  # reflectance of bank cards
-_CARD_ASIDE_MM, _CARD_TURN_RAD = np.array([0.8, -0.6]), 0.017  # from the field: a card laid by hand
+_CARD_ASIDE_MM, _CARD_TURN_RAD = np.array([0.8, -0.6]), 0.017  # offset from the field, as of a card placed by hand
 _BREATH_AHEAD = (0.0, 0.3, 0.95)  # direction in which the chest moves when breathing in
 
 
@@ -102,7 +102,7 @@ def woman_of(recipe: WalkRecipe) -> SubjectSolid:
     """The standing woman of a walk.
 
     Raises:
-        ValueError: the subject is unknown, or not a patient.
+        ValueError: the subject is unknown, or is not a patient.
     """
     posed = replace(recipe.situation, disturbances=(*_STANDING.disturbances, *recipe.situation.disturbances))
     reshape = partial(disturbed, stage="patient", situation=posed, seed=recipe.seed)
@@ -112,12 +112,12 @@ def woman_of(recipe: WalkRecipe) -> SubjectSolid:
 
 
 def write_walk(out: Path, recipe: WalkRecipe = WalkRecipe(), *, progress: Progress = no_progress) -> SimulatedWalk:
-    """Render a walk, with truth, into a new folder: ``photos/`` with ``board.toml``, and ``truth/``.
+    """Render a walk with its truth into a new folder: ``photos/`` with ``board.toml``, and ``truth/``.
 
     Args:
-        out: folder to make. It must be empty or not exist.
+        out: folder to create. It must be empty or not exist.
         recipe: the woman and the walk.
-        progress: written fraction of the photographs.
+        progress: called with the fraction of the photographs that are written.
 
     Raises:
         SessionError: `out` is not empty, or the recipe cannot be rendered.
@@ -174,7 +174,7 @@ def write_walk(out: Path, recipe: WalkRecipe = WalkRecipe(), *, progress: Progre
 
 
 def _printed(scale: float) -> FlatBody:
-    """The telephone's board, printed at a scale."""
+    """The telephone's board, printed at a given scale."""
     table = dict(TELEPHONE_BOARD)
     sizes = {name: scale * table[name] for name in ("square_mm", "marker_mm")}
     body = target_from_table({**table, **sizes}).body
@@ -183,7 +183,7 @@ def _printed(scale: float) -> FlatBody:
 
 
 def _print(board: FlatBody, placed: Transform, walk: WalkConditions) -> tuple[Prop, ...]:
-    """The board, and the bank card on it."""
+    """The board, and the bank card on it if there is one."""
     printed = partial(printed_board, board, placed, stretch=walk.stretch, bow_mm=walk.bow_mm)
     if not walk.card:
         return (printed(),)
@@ -202,7 +202,7 @@ def _described(recipe: WalkRecipe) -> str:
 
 
 def _worn(woman: SubjectSolid, board: FlatBody) -> Transform:
-    """Pose of the board on the belly: below the folds, resting on the skin, its text upright."""
+    """Pose of the board on the belly: below the folds, resting on the skin, with its text upright."""
     mesh = woman.mesh
     lowest = min(float(mesh.vertices[breast.boundary, 1].min()) for breast in woman.breasts.values())
     (left, top), (right, bottom) = board.paper_mm
@@ -212,10 +212,10 @@ def _worn(woman: SubjectSolid, board: FlatBody) -> Transform:
     behind = (np.abs(x - middle) < 0.5 * (right - left)) & (y < upper) & (y > upper - (bottom - top))
     third = (bottom - top) / 3.0
     above, below = (float(z[behind & near].max()) for near in (y > upper - third, y < upper - 2.0 * third))
-    lean = math.atan2(below - above, 2.0 * third)  # its lower edge is as far in front as the belly
+    lean = math.atan2(below - above, 2.0 * third)  # its lower edge is as far forward as the belly
     across = np.array([1.0, 0.0, 0.0])
     down = np.array([0.0, -math.cos(lean), math.sin(lean)])
-    away = np.cross(across, down)  # from the reader of the print
+    away = np.cross(across, down)  # away from the reader of the print
     out = -away
     start = np.array([middle, upper, 0.0])
     lift = float(((mesh.vertices[behind] - start) @ out).max()) + _GAP_MM
@@ -298,12 +298,12 @@ def _photograph(
 
 
 def skewed(image: Float32[Array, "h w 3"], last_row_px: Float64[Array, 2]) -> Float32[Array, "h w 3"]:
-    """The image of a camera that turns while its rows are read.
+    """The image of a camera that rotates while its rows are read.
 
     Each row is shifted in proportion to its number.
 
     Args:
-        image: image with all rows read at once, as at the middle row.
+        image: image with all rows read at the same time as the middle row.
         last_row_px: shift (column, row) of the last row relative to the first, pixels.
     """
     if not last_row_px.any():

@@ -31,7 +31,7 @@ class Surroundings:
 
     @cached_property
     def outside(self) -> Outside:
-        """The subject's skin, solid's frame."""
+        """The subject's skin, in the solid's frame."""
         return Outside(self.solid.mesh)
 
     @property
@@ -41,7 +41,7 @@ class Surroundings:
         return 0.5 * (float(known) if isinstance(known, float) else float(np.ptp(self.solid.mesh.vertices[:, 0])))
 
     def front_mm(self, low_y: float, high_y: float, reach_x: float) -> float:
-        """Position of the skin farthest to the front between two heights, solid's frame, mm."""
+        """Coordinate z of the foremost skin between two heights, solid's frame, mm."""
         x, y, z = self.solid.mesh.vertices.T
         near = (y > low_y) & (y < high_y) & (np.abs(x) < reach_x)
         return float(z[near].max() if near.any() else z.max())

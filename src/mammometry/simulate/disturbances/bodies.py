@@ -1,4 +1,4 @@
-"""Patients: mastectomy, mounds without fold, flaps, ptosis, build, arm positions, posture.
+"""Patients: mastectomy, mounds without a fold, flaps, ptosis, build, arm positions, posture.
 
 All sizes here are made up; no measurement uses them.
 """

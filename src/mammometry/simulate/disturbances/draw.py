@@ -1,9 +1,9 @@
-"""Draw a patient, surroundings and cameras by seed and difficulty.
+"""Draw a patient, surroundings and cameras at random, by seed and difficulty.
 
-The patient depends on the seed alone. The difficulty, 0 to 3, adds objects around the body and faults of the cameras,
-more and larger ones. At difficulty 0 only the patient differs from a clean capture. Seeds with remainder 2 after
-division by 3, and all from 9000, are held out: they are measured once, at the end, and not used for development. All
-shares here are made up; no measurement uses them.
+The patient depends on the seed alone. The difficulty, 0 to 3, adds objects around the body and faults of the cameras.
+With higher difficulty, they are more and larger. At difficulty 0, only the patient differs from a clean capture. Seeds
+that leave remainder 2 when divided by 3, and all from 9000, are held out: they are measured only once, at the end, and
+never used for development. All shares here are made up; no measurement uses them.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from mammometry.simulate.disturbances.registry import DISTURBANCES, DisturbanceK
 from mammometry.simulate.recipe import Disturbance, Situation
 
 OF_OTHER_CAPTURES = ("board", "grey", "lens", "soft-focus", "table")
-"""Disturbances of heads, figures, casts and artefacts, which a clinic's captures do not get."""
+"""Disturbances for heads, figures, casts and artefacts, which captures of a clinic do not get."""
 HARDEST = 3
 """Greatest difficulty."""
-_THIRD, _HELD_OUT_FROM = 3, 9000  # one seed in three is held out, and all from this one
-_NOT_AT_RANDOM = ("rail", "upright")  # parts of a posing frame: at most one, else too much is hidden
+_THIRD, _HELD_OUT_FROM = 3, 9000  # every third seed is held out, and all from this one on
+_NOT_AT_RANDOM = ("rail", "upright")  # parts of a posing frame: at most one of them, because both would hide too much
 _ROLLED = "mounted"
 _ROLLED_FROM, _ROLLED_SHARE = 2, 0.2  # least difficulty at which rigs are rolled, and share of rolled rigs
 # Shares below are guesses for a clinic that rebuilds breasts, not from a register.
@@ -29,12 +29,12 @@ _SIDES = {"both": 0.3, "removed": 0.27, "mound": 0.23, "flap": 0.12, "no-nipple"
 
 
 def is_held_out(seed: int) -> bool:
-    """Whether a seed is reserved for the measurement at the end."""
+    """Whether a seed is reserved for the final measurement."""
     return seed % _THIRD == _THIRD - 1 or seed >= _HELD_OUT_FROM
 
 
 def draw(seed: int, difficulty: int) -> Situation:
-    """Random situation for the torso of a seed.
+    """Draw a random situation for the torso of a seed.
 
     Args:
         seed: seed of the patient and the disturbances.
@@ -104,5 +104,5 @@ def _of(stage: Stage) -> list[str]:
 
 
 def _sized(kind: DisturbanceKind, rng: np.random.Generator, share: float = 1.0) -> Disturbance:
-    """A disturbance with a random size from the lowest `share` of its range."""
+    """A disturbance with a random size from the lower `share` of its range."""
     return Disturbance(name=kind.name, size=kind.size.drawn(rng, share))

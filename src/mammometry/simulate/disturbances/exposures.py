@@ -1,8 +1,8 @@
-"""Disturbances of rigs and cameras: drift, moments, mounting, films, flashes.
+"""Disturbances of rigs and cameras: drift, times, mounting, films, flashes.
 
-Drift is that of mounts that warm up or are pushed. Sway and breath are some mm/s, as of people who stand still. Lens
+Drift is that of mounts that warm up or are pushed. Sway and breathing are some mm/s, as in people who stand still. Lens
 effects scale with the picture. Effects of sensor and software (mosaic, sharpening, JPEG, noise) are per pixel at any
-size. All sizes here are made up; no measurement uses them.
+scale. All sizes here are made up; no measurement uses them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from mammometry.simulate.rendering.scene import SubjectMotion
 from mammometry.simulate.rigs.build import FULL_SIZE_WH
 
 _FRONT = (0.0, -math.sin(math.radians(35.0)), math.cos(math.radians(35.0)))
-"""Direction out of the chest of a body that leans forward by 35°, rig frame."""
+"""Direction out of the chest for a body that leans forward by 35°, rig frame."""
 _SWAY_MM_S, _TURN_DEG_S, _BREATH_MM_S = (4.0, 10.0), (0.2, 0.8), (3.0, 8.0)
 """Ranges of the speeds of a moving patient (uniform distribution), mm/s and degrees/s."""
 _ROLLS_DEG = {"upside-down": 180.0, "portrait-left": 90.0, "portrait-right": -90.0}
@@ -138,7 +138,7 @@ def _mounted(exposure: CaptureConditions, how: str, rng: np.random.Generator) ->
     rig, capture = (
         with_cameras(rig, lambda camera: turned(camera, roll)) for rig in (exposure.rig, exposure.capture_rig)
     )
-    if how == "upside-down":  # left and right are exchanged in the pictures, and so within pairs
+    if how == "upside-down":  # left and right are swapped in the pictures, and so within pairs
         names = {pair: (right, left) for pair, (left, right) in rig.pair_names.items()}
         rig, capture = (Rig(name=chosen.name, cameras=chosen.cameras, pair_names=names) for chosen in (rig, capture))
     return replace(exposure, rig=rig, capture_rig=capture)
@@ -209,7 +209,7 @@ def _white_balance(exposure: CaptureConditions, spread: float, rng: np.random.Ge
     Number(usual=4.0, within=(0.0, 50.0), likely=(1.0, 8.0), unit="px of 4504"),
 )
 def _out_of_focus(exposure: CaptureConditions, blur_px: float, rng: np.random.Generator) -> CaptureConditions:
-    """Blur one camera's pictures by the same angle at every size.
+    """Blur one camera's pictures by the same angle at every scale.
 
     The reference rig's lens at f/11, focused half a metre behind the body, blurs by 4 px.
     """
@@ -241,7 +241,7 @@ def _flash_failed(exposure: CaptureConditions, number: float, rng: np.random.Gen
 def _turned(
     exposure: CaptureConditions, angle_deg: float, names: tuple[str, ...], rng: np.random.Generator
 ) -> CaptureConditions:
-    """Turn each camera about its own random axis."""
+    """Rotate each camera about its own random axis."""
     turns = {name: math.radians(angle_deg) * _direction(rng) for name in names}
     return replace(
         exposure,
@@ -267,7 +267,7 @@ def _gains(exposure: CaptureConditions, gains: Float64[Array, "n 3"]) -> Capture
 
 
 def _motion(rng: np.random.Generator) -> SubjectMotion:
-    """A body that sways and breathes."""
+    """Motion of a body that sways and breathes."""
     return SubjectMotion(
         sway_mm_s=rng.uniform(*_SWAY_MM_S) * _direction(rng),
         turn_rad_s=math.radians(rng.uniform(*_TURN_DEG_S)) * _direction(rng),

@@ -1,4 +1,4 @@
-"""Skins and marks on them: dark, pale, older, wet, hairy, tattooed.
+"""Skin types and marks on skin: dark, pale, older, wet, hairy, tattooed.
 
 All sizes here are made up; no measurement uses them.
 """

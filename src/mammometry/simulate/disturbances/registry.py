@@ -1,8 +1,8 @@
-"""Registry of the disturbances.
+"""Registry of disturbances.
 
 A new one is a function in one of these files, or in a new file with one line here. Each changes one value between a
-recipe and the photographs: the torso's shape, its skin, the objects around it, or how a rig or a telephone takes the
-pictures. Its random values depend on the session's seed and its own name, so that removing a disturbance changes
+recipe and the photographs: the torso's shape, its skin, the objects around it, or how a rig or a telephone takes
+pictures. Its random values depend only on the session's seed and its own name, so that removing one disturbance changes
 nothing else.
 """
 
@@ -20,7 +20,7 @@ from mammometry.base.registry import Registry
 from mammometry.simulate.recipe import Disturbance, Situation
 
 Stage: TypeAlias = Literal["patient", "skin", "thing", "shoot", "walk"]
-"""Value that a disturbance changes."""
+"""Which value a disturbance changes."""
 Size: TypeAlias = "float | str"
 
 
@@ -33,7 +33,7 @@ class Number:
     within: tuple[float, float]
     """Smallest and largest size."""
     likely: tuple[float, float] | None = None
-    """Range of random sizes. None: `within`."""
+    """Range of random sizes. None: the same as `within`."""
     unit: str = ""
     whole: bool = False
     """Whether only whole numbers are allowed."""
@@ -56,7 +56,7 @@ class Number:
         return number
 
     def drawn(self, rng: np.random.Generator, share: float = 1.0) -> str:
-        """A random size from the lowest `share` of its likely range."""
+        """A random size from the lower `share` of its likely range."""
         low, high = self.likely or self.within
         number = rng.uniform(low, low + share * (high - low))
         return f"{round(number) if self.whole else number:.3g}"
@@ -64,7 +64,7 @@ class Number:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Word:
-    """A size that is one of some words."""
+    """A size that is one of several words."""
 
     usual: str
     """Default word."""
@@ -82,7 +82,7 @@ class Word:
         return text
 
     def drawn(self, rng: np.random.Generator, share: float = 1.0) -> str:
-        """A random word. `share` has no effect, since words have no order."""
+        """A random word. `share` has no effect, because words have no order."""
         return str(rng.choice(self.words))
 
 
@@ -93,10 +93,10 @@ class DisturbanceKind:
     name: str
     stage: Stage
     what: str
-    """Description, for the documentation and the truth."""
+    """Description for the documentation and the truth."""
     size: Number | Word
     order: int = 0
-    """Order of application, lowest first: reconstructions before the marks on them."""
+    """Order of application, lowest first: reconstructions come before the marks on them."""
     apply: Callable[..., Any]
     """Function of the value to change, the size, and a random generator. Returns the changed value."""
 
@@ -104,7 +104,7 @@ class DisturbanceKind:
         """Size of a disturbance of this kind.
 
         Raises:
-            ValueError: the word is unknown, or the number not in the range.
+            ValueError: the word is unknown, or the number is outside the range.
         """
         return self.size.read(self.name, item.size) if item.size else self.size.usual
 
@@ -132,7 +132,7 @@ def disturbance(
 
 
 def disturbed(value: Any, stage: Stage, situation: Situation, seed: int) -> Any:
-    """Apply a situation's disturbances of one stage, by order and name.
+    """Apply a situation's disturbances of one stage, in order and then by name.
 
     Raises:
         ValueError: a disturbance or its size is unknown.
@@ -146,7 +146,7 @@ def disturbed(value: Any, stage: Stage, situation: Situation, seed: int) -> Any:
 
 
 def check(situation: Situation, without: Stage | None = None) -> None:
-    """Refuse unknown names and sizes.
+    """Refuse unknown names and invalid sizes.
 
     Args:
         situation: the disturbances.
@@ -163,7 +163,7 @@ def check(situation: Situation, without: Stage | None = None) -> None:
 
 
 def own_rng(seed: int, name: str) -> np.random.Generator:
-    """Random generator of one disturbance of one session."""
+    """Random generator for one disturbance of one session."""
     return np.random.default_rng([seed, 95, zlib.crc32(name.encode())])
 
 

@@ -1,4 +1,4 @@
-"""Meshes of objects, in the frame of their points: bars, sheets, boxes, cloth around a body.
+"""Meshes of objects in the frame of the given points: bars, sheets, boxes, cloth around a body.
 
 All sizes here are made up; no measurement uses them.
 """
@@ -17,18 +17,18 @@ from scipy.spatial import ConvexHull
 from mammometry.geometry import Array, Float64, Int32, TriangleMesh
 from mammometry.simulate.rendering.props import Props
 
-_NOT_FOUND_MM = 150.0  # radius assumed where a ray from the axis hits no skin, as beyond a body's cut ends, mm
+_NOT_FOUND_MM = 150.0  # radius assumed if a ray from the axis hits no skin, as beyond the ends of a body, mm
 _BOX_STEP_MM, _AROUND_CLOTH = 40.0, 180  # edge length on a box's faces, and points around the trunk
 
 
 def bar(line: Float64[Array, "j 3"], radius_mm: float | Sequence[float], sides: int = 16) -> Props:
-    """Round bar along a line, closed at its ends. A radius for each point, or one for all."""
+    """Round bar along a line, with closed ends. One radius for each point, or one for all."""
     radius = np.broadcast_to(np.asarray(radius_mm, dtype=np.float64), len(line))
     along = np.gradient(line, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     across = np.cross(along[0], [0.31, 0.52, 0.79])
     frames = []
-    for direction in along:  # propagate the frame without twist
+    for direction in along:  # propagates the frame without twist
         across = across - across @ direction * direction
         across = across / np.linalg.norm(across)
         frames.append((across, np.cross(direction, across)))
@@ -86,7 +86,7 @@ def ball(middle: ArrayLike, radius_mm: float) -> Props:
 
 
 def together(pieces: Sequence[Props]) -> Props:
-    """Several meshes as one. Each keeps its material's number."""
+    """Several meshes as one. Each keeps the numbers of its materials."""
     starts = np.cumsum([0, *(len(piece.vertices) for piece in pieces[:-1])])
     faces = [piece.faces + start for piece, start in zip(pieces, starts, strict=True)]
     return Props(
@@ -98,13 +98,13 @@ def together(pieces: Sequence[Props]) -> Props:
 
 
 def merged(pieces: Sequence[Props]) -> TriangleMesh:
-    """Several meshes as one, without their colours."""
+    """Several meshes as one, without colours."""
     whole = together(pieces)
     return TriangleMesh(vertices=whole.vertices, faces=whole.faces)
 
 
 class Outside:
-    """The skin of a body, y up, as the base for cloth."""
+    """The skin of a body, y up, on which cloth is placed."""
 
     def __init__(self, mesh: TriangleMesh) -> None:
         self.mesh = mesh
@@ -112,7 +112,7 @@ class Outside:
         EmbreeMesh(self._rays, mesh.vertices.astype(np.float32), mesh.faces)
 
     def radius_mm(self, height_mm: Array, angle_rad: Array, axis_z_mm: float = 0.0) -> Float64[Array, " n"]:
-        """Distance of the skin from the point (0, height, axis_z), at angles from straight ahead to the left."""
+        """Distance of the skin from the point (0, height, axis_z), by angle from straight ahead to the left."""
         height, angle = (np.ravel(array) for array in np.broadcast_arrays(height_mm, angle_rad))
         origins = np.stack([np.zeros(len(height)), height, np.full(len(height), axis_z_mm)], axis=1)
         ahead = np.stack([np.sin(angle), np.zeros(len(height)), np.cos(angle)], axis=1)
@@ -136,7 +136,7 @@ class Outside:
         return _props(mesh.vertices, mesh.vertex_normals(), mesh.faces)
 
     def shell(self, covered: Array, gap_mm: Array) -> Props:
-        """Cloth over the completely covered faces, at a distance from the skin."""
+        """Cloth over the faces that are completely covered, at a distance from the skin."""
         chosen = self.mesh.faces[covered[self.mesh.faces].all(axis=1)]
         used = np.unique(chosen)
         gap = np.broadcast_to(gap_mm, len(self.mesh.vertices))[used]

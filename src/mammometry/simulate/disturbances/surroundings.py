@@ -1,7 +1,7 @@
 """Disturbances around the body: rails, bands, cloth, walls, a hand.
 
-In the solid's frame y = 0 is about the nipples' height, and z points out of the chest. All sizes here are made up; no
-measurement uses them.
+In the solid's frame, y = 0 is at about the nipples' height, and z points out of the chest. All sizes here are made up;
+no measurement uses them.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ _CLOTHS = MappingProxyType(
 )
 _WALL_Z_MM = -600.0  # position of a wall behind the body, rig frame
 _DAYLIGHT = 8.0  # brightness of a window relative to the room's light on a white wall
-_ABOVE_TABLE_MM = 1.6  # gap between a cast and the table for the dark board of a flat back
+_ABOVE_TABLE_MM = 1.6  # gap between a cast and the table, in which the dark board of a flat back fits
 _BOARD_HALF_MM, _BOARD_CELL_MM = 210.0, 3.0
 """Half the side of a board below a cast, and the side of a cell of its texture."""
-_UNDER_CAST_MM = 0.4  # gap between a cast and a board, above the dark board of a flat back
-_CHECK_CELLS = 5  # cells per square of a patterned board: 15 mm
+_UNDER_CAST_MM = 0.4  # gap between a cast and a board, larger than that to the dark board of a flat back
+_CHECK_CELLS = 5  # cells per square of a patterned board, which is 15 mm wide
 _BOARDS = MappingProxyType(
     {  # reflectances, and shares of the cells with each
         "plain": ((0.10,), (1.0,)),

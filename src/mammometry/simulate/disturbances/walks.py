@@ -1,4 +1,4 @@
-"""Disturbances of a walk with a telephone: breathing, lens, shutter, blur, the print.
+"""Disturbances of a walk with a telephone: breathing, lens, shutter, blur, print.
 
 All sizes here are made up; no measurement uses them.
 """
@@ -18,7 +18,7 @@ class WalkConditions:
     """Breathing, lens, shutter and blur at each photograph, and size and shape of the printed board."""
 
     breath_mm: Float64[Array, " n"]
-    """Displacement of the front of the chest at each photograph, mm. Positive: forwards."""
+    """Displacement of the front of the chest at each photograph, mm. Positive is forwards."""
     focal: Float64[Array, " n"]
     """Focal length at each photograph, relative to its usual value."""
     centre_px: Float64[Array, "n 2"]
@@ -28,11 +28,11 @@ class WalkConditions:
     blur_px: Float64[Array, " n"]
     """Standard deviation of the blur of each photograph, pixels of a photograph at full size."""
     ghost_px: Float64[Array, "n 2"]
-    """Shift between the two exposures that each photograph is the mean of, pixels of a photograph at full size."""
+    """Shift between the two exposures of which each photograph is the mean, pixels of a photograph at full size."""
     print_scale: float = 1.0
     """Size of the print relative to its stated size."""
     stretch: float = 1.0
-    """Length of the print along its rows, relative to that of an evenly scaled one."""
+    """Length of the print along its rows, relative to that of a print with the same scale in both directions."""
     bow_mm: float = 0.0
     """How far the middle of the board is in front of its left and right edges, mm."""
     card: str = ""
@@ -40,7 +40,7 @@ class WalkConditions:
 
 
 def still_walk(pictures: int) -> WalkConditions:
-    """Conditions of a walk without breathing, with a locked lens and a correct print."""
+    """Conditions of a walk without breathing, with fixed focus and a correct print."""
     none_px = np.zeros((pictures, 2))
     return WalkConditions(
         breath_mm=np.zeros(pictures),

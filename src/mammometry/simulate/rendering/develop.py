@@ -1,4 +1,4 @@
-"""From radiance to a photograph: lens, sensor, and the camera's processing.
+"""Convert radiance to a photograph: lens, sensor, and the camera's processing.
 
 Blur, vignetting, noise, exposure, white balance, colour fringes, Bayer mosaic, sharpening, transfer curve.
 """
@@ -42,7 +42,7 @@ def arriving(radiance: Float32[Array, "h w c"], film: Film) -> Float32[Array, "h
 
 
 def magnified(plane: Float32[Array, "h w"], larger: float) -> Float32[Array, "h w"]:
-    """A picture magnified by 1 + `larger` about its centre. Cubic splines."""
+    """A picture magnified by 1 + `larger` about its centre, with cubic splines."""
     height, width = plane.shape
     row, column = (np.arange(size) - 0.5 * (size - 1) for size in (height, width))
     at = [
@@ -54,7 +54,7 @@ def magnified(plane: Float32[Array, "h w"], larger: float) -> Float32[Array, "h 
 
 
 def processed(counted: UInt16[Array, "h w 3"], film: Film, bits: Literal[8, 16]) -> Array:
-    """Picture that the camera writes, from linear counts (full scale 65535)."""
+    """The picture that the camera writes, from linear counts (full scale 65535)."""
     light = counted.astype(np.float64) / 65535.0
     if film.mosaic:
         light = demosaicked(mosaicked(light))
@@ -67,7 +67,7 @@ def processed(counted: UInt16[Array, "h w 3"], film: Film, bits: Literal[8, 16])
 
 
 def mosaicked(light: Float64[Array, "h w 3"]) -> Float64[Array, "h w"]:
-    """One colour per pixel (RGGB): red at even rows and columns, blue at odd ones, green elsewhere."""
+    """One colour per pixel (RGGB): red in even rows and columns, blue in odd ones, green elsewhere."""
     raw = light[:, :, 1].copy()
     raw[0::2, 0::2] = light[0::2, 0::2, 0]
     raw[1::2, 1::2] = light[1::2, 1::2, 2]
@@ -97,7 +97,7 @@ def srgb_encoded(linear: Float64[Array, "*n"]) -> Float64[Array, "*n"]:
 def develop(
     radiance: Float32[Array, "h w *c"], film: Film, *, name: str, seed: int, bits: Literal[8, 16] = 8
 ) -> Photograph:
-    """Photograph from radiance.
+    """Make a photograph from radiance.
 
     Args:
         radiance: linear, full scale 1; grey (h, w) or RGB (h, w, 3).
@@ -120,7 +120,7 @@ def develop(
 
 
 def _count(image: Float32[Array, "h w c"], film: Film, seed: int, table: Array, pixels: Array) -> None:
-    """Blur, vignetting, photon and read-out noise, then a transfer curve."""
+    """Apply blur, vignetting, photon noise, read-out noise, and a transfer curve."""
     develop_kernel(
         np.ascontiguousarray(image),
         _taps(film.blur_px),
@@ -146,4 +146,4 @@ _ENCODED = srgb_encoded(np.arange(65536) / 65535.0)
 _SRGB: Mapping[int, Array] = MappingProxyType(
     {8: np.round(_ENCODED * 255.0).astype(np.uint8), 16: np.round(_ENCODED * 65535.0).astype(np.uint16)}
 )
-"""Bits → encoded value of each of 65536 levels of light."""
+"""Bits → encoded value for each of 65536 levels of light."""

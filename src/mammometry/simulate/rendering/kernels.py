@@ -1,7 +1,7 @@
 """Compiled inner loops of the renderer: rays, board patterns, sensor.
 
-Plain NumPy versions: tests/unit/simulate/test_kernels.py. The kernels release the interpreter's lock, so that images
-are rendered by as many threads as there are cores. Every result depends on its own seed alone.
+Plain NumPy versions are in tests/unit/simulate/test_kernels.py. The kernels release the GIL, so that images are
+rendered by as many threads as there are cores. Every result depends only on its own seed.
 """
 
 import math
@@ -13,7 +13,7 @@ from mammometry.geometry.arrays import Array
 from mammometry.geometry.lens_kernels import undistorted
 
 POISSON_BELOW = 40.0
-"""Photons above which the shares of a normal distribution differ from Poisson's by less than 1.1 %."""
+"""Number of photons above which a normal distribution differs from Poisson's by less than 1.1 %."""
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -31,7 +31,7 @@ def mixed(state: np.uint64) -> np.uint64:
 
 @kernel
 def rays(uv: Array, lens: Array, rotation: Array, directions: Array) -> None:
-    """Unit directions (n, 3), world, through distorted pixels `uv` (n, 2).
+    """Unit directions (n, 3), world frame, through distorted pixels `uv` (n, 2).
 
     `lens` is fx, fy, cx, cy, k1, k2, p1, p2, k3; `rotation` is camera from world. Written to `directions` (float32).
     """
@@ -61,10 +61,10 @@ def in_plane(
     second: Array,
     third: Array,
 ) -> None:
-    """Intersections of n pixels' rays with the planes of their faces.
+    """Intersections of the rays of n pixels with the planes of their faces.
 
-    The rays go through the pixels' squares; the faces are those at the pixels' centres. The lens is linearised within a
-    pixel, which shifts nothing by a thousandth of a pixel.
+    The rays go through the pixels' areas. The faces are those at the pixels' centres. The lens is linearised within a
+    pixel, with an error below a thousandth of a pixel.
 
     Args:
         row: (n,) of the pixels.
@@ -185,13 +185,13 @@ def board(
         uxx, uyx = 0.0, 0.0
         for column in range(window[2], window[3]):
             xd = (column - lens[2]) / lens[0]
-            x += uxx  # the previous pixel's, extrapolated: a good start
+            x += uxx  # extrapolated from the previous pixel, a good start
             y += uyx
             x, y, jxx, jxy, jyy = undistorted(xd, yd, coefficients, x, y)
             dx = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2]
             dy = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2]
             dz = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2]
-            if dz <= 1e-6 or origin[2] >= 0.0:  # from behind, or along the plane
+            if dz <= 1e-6 or origin[2] >= 0.0:  # seen from behind, or along the plane
                 continue
             t = -origin[2] / dz
             bx, by = origin[0] + t * dx, origin[1] + t * dy
@@ -246,7 +246,7 @@ def board(
 
 @kernel
 def _poisson(mean: float, bits: np.uint64) -> float:
-    """Number of photons: the smallest whose Poisson distribution function reaches a uniform random number."""
+    """Number of photons: the smallest whose Poisson distribution function reaches a random number."""
     left = (np.float64(bits >> np.uint64(11)) + 0.5) * 2.0**-53
     term, count = math.exp(-mean), 0.0
     while left > term and count < 200.0:

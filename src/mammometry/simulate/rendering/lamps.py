@@ -17,7 +17,7 @@ from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.poses import draw_poses
 
 _FILM = Film()
-_ABOVE_MM = 70.0  # height of the rig's centre above the lamps: half a picture's height is about 130 mm there
+_ABOVE_MM = 70.0  # height of the rig's centre above the lamps: half a picture is about 130 mm high there
 _SAMPLES = 16  # rays per pixel: a lamp's edge is accurate to a few hundredths
 
 
@@ -31,7 +31,7 @@ class LampScene:
     """Flashes, rig frame."""
     strip: LampStrip = LAMPS
     lamp_light: float = 0.6
-    """Radiance of a lamp that is always lit, full scale 1."""
+    """Radiance of a lamp that is always on; full scale is 1."""
     film: Film = _FILM
     """The sensor."""
 
@@ -39,7 +39,7 @@ class LampScene:
 def hold_lamps(rig: Rig, board: Board, strip: LampStrip = LAMPS) -> Transform:
     """Rig from board, placed so that the lamps are in all pictures.
 
-    The board faces all cameras as well as possible, with a point above the lamps in the rig's centre. Markers outside a
+    The board faces all cameras as well as possible, with a point above the lamps at the rig's centre. Markers outside a
     picture are not needed.
 
     Args:

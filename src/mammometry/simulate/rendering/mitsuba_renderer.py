@@ -1,8 +1,8 @@
 """Physically based pictures by Mitsuba 3 (optional extra ``sim``).
 
-Scene and lens are the built-in renderer's. Mitsuba has no sensor with lens distortion, so it traces the built-in
+Scene and lens are those of the built-in renderer. Mitsuba has no sensor with lens distortion, so it traces the built-in
 renderer's rays through the scene (path tracing with interreflection, area lights, a microfacet sheen). The scalar
-variant needs no LLVM library. A picture of a quarter of the size takes about a minute.
+variant does not need the LLVM library. A picture at a quarter of the size takes about a minute.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def render_by_mitsuba(
     """Radiance of the scene at the camera by path tracing, like `render.render_subject`.
 
     Args:
-        scene: lit scene, rig frame. Of its lighting only the flashes' positions and strengths are used.
+        scene: lit scene, rig frame. Only the positions and strengths of the flashes are used of its lighting.
         camera: camera in the rig's frame.
         skin: appearance of the subject.
         seed: seed of the mottling and of the paths.
@@ -73,7 +73,7 @@ def render_by_mitsuba(
     import mitsuba as mi
 
     image = np.full((*camera.shape_hw, 3), background, dtype=np.float32)
-    with _LOCK:  # the variant is global, and the work holds the interpreter's lock anyway
+    with _LOCK:  # the variant is global, and the work holds the GIL anyway
         mi.set_variant(_VARIANT)
         world = _world(scene, skin, seed)
         integrator, sampler = world.integrator(), mi.load_dict({"type": "independent"})
@@ -81,7 +81,7 @@ def render_by_mitsuba(
         parameters = mi.traverse(world)
         emitters = [f"flash_{number}.emitter" for number in range(len(scene.lights))] + ["surroundings"]
         radiances = {name: np.array(parameters[f"{name}.radiance.value"]) for name in emitters}
-        # One light at a time: a random choice of lights would cause most of the noise.
+        # One light at a time: choosing lights at random would cause most of the noise.
         for emitter in emitters:
             for name, radiance in radiances.items():
                 parameters[f"{name}.sampling_weight"] = float(name == emitter)
@@ -106,7 +106,7 @@ def render_by_mitsuba(
 
 @lru_cache(maxsize=1)
 def _world(scene: StudioScene, skin: SkinReflectance, seed: int) -> Any:
-    """The scene in Mitsuba's form."""
+    """The scene in Mitsuba's format."""
     import mitsuba as mi
 
     mi.set_variant(_VARIANT)
@@ -148,7 +148,7 @@ def _world(scene: StudioScene, skin: SkinReflectance, seed: int) -> Any:
 
 
 def _painted_subject(scene: StudioScene, skin: SkinReflectance, seed: int, bsdf: Any) -> Any:
-    """The subject with each face divided into four, and with colours at the vertices."""
+    """The subject with each face divided into four, and with colours at its vertices."""
     mesh = TriangleMesh(
         vertices=scene.mesh.vertices[: scene.subject_vertices], faces=scene.mesh.faces[: scene.subject_faces]
     )

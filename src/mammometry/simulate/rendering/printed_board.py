@@ -24,14 +24,14 @@ def printed_board(
     stretch: float = 1.0,
     bow_mm: float = 0.0,
 ) -> Prop:
-    """Sheet of a board of squares, cut along all edges of the print into rectangles of one colour.
+    """Sheet of a board of squares, cut along all edges of the print into rectangles of a single colour.
 
     Args:
         body: a board without circles.
         rig_from_board: its pose.
-        field: what is printed below the squares, and makes the paper longer.
-        stretch: factor of all lengths along the rows, about the print's middle.
-        bow_mm: how far the middle is in front of the left and right edges, mm: a parabola.
+        field: print below the squares, which makes the paper longer.
+        stretch: factor of all lengths along the rows, about the centre of the print.
+        bow_mm: how far the centre is in front of the left and right edges, mm (parabola).
 
     Raises:
         ValueError: the board has circles.
@@ -53,7 +53,7 @@ def printed_board(
     row, column = (grid.ravel() for grid in np.mgrid[0 : len(y) - 1, 0 : len(x) - 1])
     a = row * len(x) + column
     b, c, d = a + 1, a + len(x), a + len(x) + 1
-    # The printed side is −z: seen from there the corners run a, b, d, c.
+    # The printed side is −z. Seen from there, the corners run a, b, d, c.
     faces = np.concatenate([np.stack([a, d, b], axis=1), np.stack([a, c, d], axis=1)]).astype(np.int32)
     return Prop(
         props=Props(
@@ -71,10 +71,10 @@ def bank_card(middle: Float64[Array, 2], turn_rad: float, rig_from_board: Transf
     """A bank card of nominal size on a board, without rounded corners.
 
     Args:
-        middle: its place on the board, mm.
-        turn_rad: its turn in the board's plane.
+        middle: position of its centre on the board, mm.
+        turn_rad: rotation in the board's plane.
         rig_from_board: pose of the board.
-        grey: reflectance of its printed side; its side walls are white.
+        grey: reflectance of its printed side. Its side walls are white.
     """
     half = 0.5 * np.array(CARD_MM)
     along = np.array([math.cos(turn_rad), math.sin(turn_rad)])

@@ -1,4 +1,4 @@
-"""Objects other than the subject, in plain colours: a dark board, a cluttered room, hair.
+"""Objects other than the subject, in uniform colours: a dark board, a cluttered room, hair.
 
 All sizes here are made up; no measurement uses them.
 """
@@ -32,7 +32,7 @@ class Props:
     normals: Float64[Array, "n 3"]
     faces: Int32[Array, "m 3"]
     material: UInt8[Array, " m"]
-    """Number of each face's colour, from 0."""
+    """Index of each face's colour, from 0."""
 
 
 def board(z: float) -> Props:
@@ -51,14 +51,14 @@ def board(z: float) -> Props:
 
 
 def room(seed: int) -> tuple[Props, Float64[Array, "k 3"]]:
-    """Boxes around the rig, each of its own material, and the materials' reflectances."""
+    """Boxes around the rig, each with its own material, and the reflectances of the materials."""
     rng = np.random.default_rng([seed, 81])
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     sides = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
     vertices, normals = [], []
     faces: list[list[list[int]]] = []
     for number in range(_OBJECTS):
-        # Uniformly over all directions, so that something is behind the subject from every side.
+        # Uniformly over all directions, so that there is something behind the subject from every side.
         height = 1.0 - (2 * number + 1) / _OBJECTS
         azimuth = number * math.pi * (3.0 - math.sqrt(5.0)) + rng.uniform(-0.3, 0.3)
         towards = np.array([math.sqrt(1 - height**2) * math.cos(azimuth), height, 0.0])

@@ -1,4 +1,4 @@
-"""Pictures of a scene by ray casting: lens, shading, fine edges."""
+"""Pictures of a scene by ray casting: lens, shading, antialiased edges."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ _PLAIN_SAMPLES = 4  # rays per pixel within the subject, through a pinhole
 _EDGE_SAMPLES = 16  # rays per pixel on an edge
 _UNSHARP_PLAIN_SAMPLES = 16  # rays per pixel within the subject, through a lens's aperture
 _UNSHARP_EDGE_SAMPLES = 64  # rays per pixel on an edge, through a lens's aperture
-_PLAIN_CONTRAST = 0.2  # mottling of everything but skin, logarithm of lightness; made up
+_PLAIN_CONTRAST = 0.2  # mottling of everything except skin, logarithm of lightness; made up
 AMBIENT = 0.10
-"""Radiance of a white surface in the light of the surroundings."""
+"""Radiance of a white surface under ambient light."""
 _STRIP_PIXELS = 150_000  # pixels traced at a time; limits memory
-_JUMP = 0.004  # relative difference of range between neighbouring pixels from which there is an edge
+_JUMP = 0.004  # relative difference of range between neighbouring pixels above which there is an edge
 
 
 @add_renderer(BUILT_IN)
@@ -69,7 +69,7 @@ class PixelBlock:
     row: Int64[Array, " n"]
     column: Int64[Array, " n"]
     is_edge: bool
-    """Whether a silhouette, fold or rim may cross the pixels, including by defocus."""
+    """Whether a silhouette, fold or rim may cross the pixels, also by defocus."""
     face: Int32[Array, " n"]
     """First face along the ray of each pixel's centre. −1 for none, or at edges."""
     second: Float32[Array, " n"]
@@ -114,7 +114,7 @@ def blocks(scene: StudioScene, camera: Camera, aperture: Aperture) -> Iterator[P
 def sample_rays(
     camera: Camera, row: Int64[Array, " n"], column: Int64[Array, " n"], samples: int, aperture: Aperture
 ) -> tuple[Float32[Array, "k 3"], Float32[Array, "k 3"]]:
-    """Origins and directions of `samples` rays per pixel, through its square and the lens's aperture."""
+    """Origins and directions of `samples` rays per pixel, through its area and the lens's aperture."""
     offsets = net_offsets(samples)
     uv = np.stack([column[:, None] + offsets[:, 0], row[:, None] + offsets[:, 1]], axis=-1).reshape(-1, 2)
     return _rays(camera, uv, aperture, np.tile(disc_offsets(samples), (len(row), 1)))
@@ -126,7 +126,7 @@ def paint_seed(seed: int) -> np.uint64:
 
 
 def subject_coverage(scene: StudioScene, camera: Camera, samples: int = 64) -> Float32[Array, "h w"]:
-    """Share of every pixel's square that the subject fills, by counting rays: the true silhouette."""
+    """Share of each pixel's area that the subject covers, by counting rays: the true silhouette."""
     coverage = np.zeros(camera.shape_hw, dtype=np.float32)
     top, bottom, left, right = _frame(scene, camera)
     row, column = (grid.ravel() for grid in np.mgrid[top:bottom, left:right])
@@ -139,7 +139,7 @@ def subject_coverage(scene: StudioScene, camera: Camera, samples: int = 64) -> F
 
 
 def _frame(scene: StudioScene, camera: Camera) -> tuple[int, int, int, int]:
-    """Rows and columns (from, to) in which the scene can be. Uses every tenth vertex of the subject."""
+    """Rows and columns (from, to) in which the scene may be, from every tenth vertex of the subject."""
     vertices = scene.mesh.vertices
     few = np.concatenate([vertices[: scene.subject_vertices : 10], vertices[scene.subject_vertices :]])
     return picture_window(camera, few, margin_px=8)
@@ -183,7 +183,7 @@ def _edges(
 
 
 def _hairs(scene: StudioScene, camera: Camera, window: tuple[int, int, int, int]) -> Bool[Array, "h w"]:
-    """Pixels that a hair may cross. Hairs are too thin for the rays through the pixels' centres."""
+    """Pixels that a hair may cross. Hairs are too thin to be hit by the rays through pixels' centres."""
     top, bottom, left, right = window
     mask = np.zeros((bottom - top, right - left), dtype=bool)
     if not len(scene.strands):
@@ -215,7 +215,7 @@ def _sampled(
     if shared == 1:
         hit = scene.rays.run(*sample_rays(camera, block.row, block.column, samples, aperture), output=True)
         face, second, third = hit["primID"], hit["u"], hit["v"]
-    else:  # on a smooth piece the face at the pixel's centre is used, and no ray is cast
+    else:  # on a smooth piece, the face at the pixel's centre is used, and no rays are cast
         face, second, third = block.face, np.repeat(block.second, samples), np.repeat(block.third, samples)
         kernels.in_plane(
             block.row,

@@ -16,8 +16,8 @@ from mammometry.geometry import Array, Camera, Float32, Float64, read_only
 class Aperture:
     """Aperture of a thin lens: rays through it meet in the sharp plane.
 
-    The ray through its centre is the camera model's, so defocus does not shift anything. A point at the depth z becomes
-    a disc with a diameter of ``diameter_mm · fx · |1/z − 1/focus_mm|`` pixels.
+    The ray through its centre is that of the camera model, so defocus does not shift the image. A point at depth z
+    becomes a disc with a diameter of ``diameter_mm · fx · |1/z − 1/focus_mm|`` pixels.
     """
 
     diameter_mm: float = 0.0
@@ -60,8 +60,8 @@ def lens_rays(
 def disc_offsets(count: int) -> Float64[Array, "n 2"]:
     """Positions on the unit disc, one for each of `net_offsets`.
 
-    Their mean (0) and covariance (a quarter) are those of the disc, and their order is uncorrelated with the net's, so
-    defocus does not shift anything.
+    Their mean (0) and covariance (a quarter) are those of the disc. Their order is uncorrelated with that of the net,
+    so defocus does not shift the image.
     """
     if count == 1:
         return read_only(np.zeros((1, 2)))
@@ -76,10 +76,10 @@ def disc_offsets(count: int) -> Float64[Array, "n 2"]:
 
 
 def net_offsets(count: int) -> Float64[Array, "n 2"]:
-    """Sample positions in a pixel, −0.5 … 0.5: Hammersley's net.
+    """Sample positions in a pixel, −0.5 … 0.5 (Hammersley's net).
 
     Each of `count` rows and columns has one sample. So the share of a pixel on one side of a horizontal or vertical
-    edge is right to half a sample, and the mean is exact.
+    edge is accurate to half a sample, and the mean is exact.
 
     Raises:
         ValueError: the number is not a power of two.
@@ -95,9 +95,9 @@ def net_offsets(count: int) -> Float64[Array, "n 2"]:
 def picture_window(
     camera: Camera, points_world: Float64[Array, "n 3"], margin_px: int = 4
 ) -> tuple[int, int, int, int]:
-    """Part of a picture in which points can be: rows from and to, columns from and to. Empty if none.
+    """Part of a picture that may show points: rows from and to, columns from and to. Empty if none.
 
-    A point behind the camera gives the whole picture.
+    If a point is behind the camera, this is the whole picture.
     """
     height, width = camera.shape_hw
     uv = camera.project(points_world)

@@ -1,6 +1,6 @@
-"""Scene in front of the cameras: one mesh with shading attributes.
+"""Scene in front of the cameras: one mesh with attributes for shading.
 
-Light is computed once per scene, since the visible share of each flash and of the surroundings at a vertex, and the
+Light is computed once per scene, because the visible share of each flash and of the surroundings at a vertex, and the
 light below the skin, do not depend on the camera. Flashes are soft boxes, so shadows have soft edges.
 """
 
@@ -26,7 +26,7 @@ from mammometry.simulate.subjects.solid import SubjectSolid
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SubjectMotion:
-    """Velocities of the subject, rig frame. Sway and breath do not reverse within a fifth of a second."""
+    """Velocities of the subject, rig frame. Sway and breathing do not reverse within a fifth of a second."""
 
     sway_mm_s: Float64[Array, 3]
     """Velocity of the whole body."""
@@ -37,7 +37,7 @@ class SubjectMotion:
     chest: Float64[Array, 3]
     """Point with the largest motion by breathing, mm."""
     reach_mm: float = 130.0
-    """Gaussian σ of the motion by breathing around its centre, mm: about a chest's. Made up."""
+    """Gaussian σ of the motion by breathing around its centre, mm: about the size of a chest. Made up."""
 
     def at(self, points: Float64[Array, "n 3"], seconds: float) -> Float64[Array, "n 3"]:
         """Positions of points after some seconds. Second-order terms (a micrometre) are neglected."""
@@ -55,13 +55,13 @@ class Prop:
     colours: Float64[Array, "k 3"]
     """Reflectance of each material of `props`, RGB."""
     smooth: float = 0.5
-    """Evenness of its colours: 0 mottled like cloth, 1 uniform."""
+    """Uniformity of its colours: 0 is mottled like cloth, 1 is uniform."""
     curved: bool = False
-    """Whether its faces form one smooth surface, not flat sides with edges."""
+    """Whether its faces form one smooth surface instead of flat sides with edges."""
     moves: bool = False
     """Whether it moves with the subject."""
     glow: float = 0.0
-    """Emitted light, relative to its brightness in the light of the surroundings."""
+    """Emitted light, relative to its brightness under ambient light."""
 
 
 SOFT_BOX_RADIUS_MM = 90.0
@@ -92,7 +92,7 @@ class StudioScene:
     vertices: Float32[Array, "n 3"]
     """The mesh's vertices, as used by the rays."""
     painted: Float32[Array, "n 3"]
-    """Positions of the vertices to which their colours belong: others only if the subject has moved since."""
+    """Positions of the vertices to which their colours belong. They differ if the subject has moved since."""
     moves: Bool[Array, " n"]
     """Vertices that move with the subject."""
     attributes: Float32[Array, "n a"]
@@ -101,9 +101,9 @@ class StudioScene:
     material: UInt8[Array, " m"]
     """Per face: 0 is skin, k row k of `plain_colours`, from 1."""
     piece: Int32[Array, " m"]
-    """Per face: number of its smooth piece, 0 for the subject. Edges between pieces are sharp."""
+    """For each face, the index of its smooth piece, 0 for the subject. Edges between pieces are sharp."""
     plain_colours: Float64[Array, "k 3"]
-    """Reflectance of everything but skin, RGB. The backdrop and the hairs come first."""
+    """Reflectance of everything except skin, RGB. The backdrop and the hairs come first."""
     strands: Float32[Array, "h j 3"]
     """Centre lines of the hairs."""
     lights: Float64[Array, "l 4"]
@@ -140,7 +140,7 @@ def light_scene(
     skin: SkinReflectance = SkinReflectance(),
     seed: int = 0,
 ) -> StudioScene:
-    """Place a solid in the rig and compute the light.
+    """Place a solid in the rig, and compute the light.
 
     Args:
         solid: the subject.
@@ -239,9 +239,9 @@ def light_scene(
 
 
 def moved(scene: StudioScene, motion: SubjectMotion, seconds: float) -> StudioScene:
-    """The scene at another time, with moved colours and light.
+    """The scene at another time, with its colours and light moved along.
 
-    The light is not computed again: within some millimetres flashes and shadows do not change.
+    The light is not computed again, because within some millimetres flashes and shadows do not change.
     """
     placed = scene.painted.astype(np.float64)
     placed[scene.moves] = motion.at(placed[scene.moves], seconds)
@@ -289,10 +289,10 @@ def _scattered(
     seen: Float32[Array, "n l"],
     skin: SkinReflectance,
 ) -> Float64[Array, "n 3"]:
-    """Irradiance change at each vertex by light below the surface, RGB.
+    """Change of irradiance at each vertex due to light below the surface, RGB.
 
-    Diffusion along the mesh, in steps that halve the difference to the neighbours' mean. Each step adds a quarter of
-    the edges' mean square to the variance along each axis of the surface.
+    Diffusion along the mesh, in steps that halve the difference from the neighbours' mean. Each step adds a quarter of
+    the mean square length of the edges to the variance along each axis of the surface.
     """
     towards = lights[:, :3] - mesh.vertices[:, None]
     distance = np.linalg.norm(towards, axis=2)
@@ -315,7 +315,7 @@ def _scattered(
 
 
 def _smooth_normals(solid: SubjectSolid, rig_from_solid: Transform) -> Float64[Array, "n 3"]:
-    """Normals for shading. The rim has the front's normals, since that side is visible."""
+    """Normals for shading. The rim has the front's normals, because that side is visible."""
     mesh = solid.mesh
     normals = mesh.vertex_normals()
     if solid.back_vertices:

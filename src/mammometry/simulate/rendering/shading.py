@@ -1,8 +1,8 @@
 """Compiled inner loops of the renderer: colour and light on surfaces.
 
-The colour is a function of the position on the surface. All sizes here are made up; no measurement uses them.
-Plain NumPy versions: tests/unit/simulate/test_kernels.py and test_shading.py. The kernels release the interpreter's
-lock, so that images are rendered by as many threads as there are cores.
+Colour is a function of the position on the surface. All sizes here are made up; no measurement uses them. Plain NumPy
+versions are in tests/unit/simulate/test_kernels.py and test_shading.py. The kernels release the GIL, so that images are
+rendered by as many threads as there are cores.
 """
 
 import math
@@ -18,7 +18,7 @@ OCTAVES = 9
 COARSEST_MM = 40.0
 CHROMA_OCTAVES = 5
 COARSE_FOOTPRINTS = 6.0
-"""Pixels over which coarser patterns are linear, so that their mean is their value at the centre."""
+"""Pixels over which coarser patterns are treated as linear, so that their mean is their value at the centre."""
 FACET_MM = 0.8
 """Size of the facets that make the sheen rough."""
 _DARK = 1e-6  # share of the sheen's peak below which it is not computed
@@ -57,7 +57,7 @@ def mottling(
 ) -> float:
     """Sum of octaves of noise at a point, mm, from `first` to below `octaves`.
 
-    An octave fades out as its wavelength approaches the pixel's footprint.
+    An octave fades as its wavelength approaches the pixel's footprint.
     """
     total = 0.0
     wavelength = COARSEST_MM
@@ -79,7 +79,7 @@ def mottling(
 
 @kernel
 def spots(x: float, y: float, z: float, cell: float, least: float, most: float, share: float, seed: np.uint64) -> float:
-    """Depth of a point in one of the balls in space: 1 inside, falling to 0 at the rim.
+    """Depth of a point in one of the balls that fill space: 1 inside, falling to 0 at the edge.
 
     A share `share` of the cells has a ball of radius `least` … `most`, completely within its cell.
     """
@@ -107,7 +107,7 @@ def spots(x: float, y: float, z: float, cell: float, least: float, most: float, 
 
 @kernel
 def veins(x: float, y: float, z: float, seed: np.uint64) -> float:
-    """Strength of a vein at a point, mm, 0…1: soft lines where noise is zero, in some places only."""
+    """Strength of a vein at a point, mm, 0…1: soft lines where noise is zero, only in some places."""
     wander = _gradient_noise(x / 17.0, y / 17.0, z / 17.0, mixed(seed + GOLDEN))
     line = _gradient_noise(x / 48.0 + 0.25 * wander, y / 48.0, z / 48.0, seed) / 0.11
     if abs(line) > 3.0:
@@ -134,7 +134,7 @@ def paint(
 ) -> tuple[float, float, float]:
     """Reflectance of the skin at a point, mm: red, green, blue. For the arguments see `shade`.
 
-    The octaves before `first` of the mottling of lightness and colour are given as `coarse` and `coarse_tint`.
+    `coarse` and `coarse_tint` are the octaves before `first` of the mottling of lightness and colour.
     """
     lightness = math.exp(coarse + mottling(x, y, z, footprint, first, OCTAVES, spectrum[0], seed))
     tint = math.exp(coarse_tint + mottling(x, y, z, footprint, first, CHROMA_OCTAVES, spectrum[1], chroma_seed))
@@ -147,12 +147,12 @@ def paint(
         green *= math.exp(-0.45 * depth)
         blue *= math.exp(-0.12 * depth)
     if marks[0] > 0.0:
-        fade = min(1.0, 0.25 / footprint)  # narrower than a pixel: only a share of the pixel is dark
+        fade = min(1.0, 0.25 / footprint)  # if narrower than a pixel, only a share of the pixel is dark
         pore = spots(x, y, z, 0.75, 0.12, 0.3, 1.0, mixed(seed + np.uint64(107)))
         shadow = 1.0 - marks[0] * fade * pore
         red, green, blue = red * shadow, green * shadow, blue * shadow
     if marks[1] > 0.0:
-        # An irregular outline: moles are not round.
+        # An irregular outline, because moles are not round.
         wobble = 0.5 * _gradient_noise(x / 2.5, y / 2.5, z / 2.5, chroma_seed)
         mole = spots(x + wobble, y - wobble, z + 0.6 * wobble, 20.0, 0.6, 2.6, marks[1], mixed(seed + np.uint64(108)))
         red *= 1.0 - 0.62 * mole
@@ -214,7 +214,7 @@ def _light(
     if bare and sheen_here > 0.0 and patches > 0.0:
         patch = _gradient_noise(px / 11.0, py / 11.0, pz / 11.0, mixed(seed + np.uint64(105)))
         sheen_here *= max(0.0, 1.0 + patches * patch)
-    # Specular light below a millionth of its peak is skipped, since the power is expensive.
+    # Specular light below a millionth of its peak is skipped, because the power is expensive.
     least = math.exp(math.log(_DARK) / exponent)
 
     diffuse, glint = ambient * values[4], 0.0

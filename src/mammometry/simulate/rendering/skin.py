@@ -1,7 +1,7 @@
 """Appearance of a surface: colours, mottling, pores, moles, veins, sheen, softness, hair.
 
-Only parameters: kernels compute the colours, as a function of the position on the surface, so that all cameras see the
-same. All sizes here are made up; no measurement uses them.
+These are only parameters. Kernels compute the colours as a function of the position on the surface, so that all cameras
+see the same. All sizes here are made up; no measurement uses them.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class SkinReflectance:
     contrast: float = 0.045
     """Standard deviation of the logarithm of lightness in one octave of the mottling. 0.005 is nearly textureless."""
     colour_contrast: float = 0.022
-    """The same for the balance of red and blue, in the coarse octaves only."""
+    """The same for the balance between red and blue, in the coarse octaves only."""
     specular: float = 0.012
     """Reflectance of the sheen at its peak, relative to white. Sweat has about 0.1."""
     exponent: float = 24.0
@@ -43,10 +43,10 @@ class SkinReflectance:
     roughness: float = 0.0
     """Tilt of the smallest facets, 0.8 mm wide, in the sheen: standard deviation, radians."""
     wrap: float = 0.06
-    """Softness of grazing light: how far it reaches beyond the terminator (cosine)."""
+    """Softness of grazing light: cosine by which it extends beyond the terminator."""
     scatter_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Light below the surface: standard deviation of its path along the surface for red, green and blue, mm. Red
-    travels farthest in skin."""
+    """Light below the surface: standard deviation of its path along the surface for red, green and blue, mm. In skin,
+    red travels farthest."""
     pores: float = 0.0
     """Relative darkness of pores, 0…1. They are 0.1–0.3 mm wide."""
     moles: float = 0.0
@@ -80,8 +80,8 @@ class SkinReflectance:
 
     def marks(self) -> Float64[Array, 3]:
         """Pores, share of cells with a mole, and veins, for the kernel."""
-        # A surface crosses a cell of 20 mm in about 1.5 · 400 mm². Of the cells with a ball (mean diameter 5.3 mm), it
-        # hits the ball in a quarter.
+        # A surface intersects a cell of 20 mm in about 1.5 · 400 mm². If the cell has a ball (mean diameter 5.3 mm),
+        # the surface hits it in a quarter of the cases.
         return np.array([self.pores, min(1.0, self.moles * 600.0 / (1e5 * 0.25)), self.veins])
 
 

@@ -1,4 +1,4 @@
-"""Pictures of calibration targets: rays are intersected with their exact shape, not with facets."""
+"""Pictures of calibration targets. Rays are intersected with their exact shapes instead of facets."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from mammometry.simulate.rendering.sampling import (
 )
 
 INKS = (0.032, 0.72)
-"""Reflectance of black ink and white paper: typical of laser prints. No result depends on it."""
+"""Reflectance of black ink and white paper, typical of laser prints. No result depends on it."""
 _UNSHARP_EDGE_SAMPLES = 64  # rays per pixel on an edge, through a lens's aperture
 _LIGHT_STEP_MM = 10.0
 """Distance of the points where light is computed, mm. Linear interpolation is accurate to 1e-4."""
-_RIM_STEPS = 21  # points along each edge of the paper, so that the picture's window contains edges bent by distortion
+_RIM_STEPS = 21  # points along each edge of the paper, so that the window includes edges bent by distortion
 _GRIDS = {"squares": 0.0, "circles": 1.0, "staggered": 2.0}  # number of a pattern's grid in the kernel's layout
 
 
@@ -94,7 +94,7 @@ def irradiance(
     positions: Float64[Array, "l 3"],
     strengths: Float64[Array, " l"],
 ) -> Float64[Array, "*n"]:
-    """Irradiance by point lights: cosine over squared distance. White in full light is 1."""
+    """Irradiance by point lights: cosine divided by squared distance. White in full light is 1."""
     towards = positions - points[..., None, :]
     cosine = (towards * normals[..., None, :]).sum(axis=-1)
     total: Float64[Array, "*n"] = (strengths * np.maximum(cosine, 0.0) / np.linalg.norm(towards, axis=-1) ** 3).sum(
@@ -105,7 +105,7 @@ def irradiance(
 
 _EDGE_SAMPLES = 16
 """Rays per pixel near an edge, through a pinhole. Other pixels have one."""
-_EDGE_STEP = 1.05  # ratio of neighbours that marks a pixel near an edge: light alone changes less
+_EDGE_STEP = 1.05  # ratio between neighbours above which a pixel is near an edge: light alone changes less
 _MARGIN_PX = 4  # margin of the window around the target's picture in addition to the defocus, px
 _CHUNK = 500_000  # rays traced at a time: limits memory to some hundred megabytes
 
@@ -121,7 +121,7 @@ def render_target(
 ) -> Float32[Array, "h w"]:
     """Radiance of a calibration target at the camera, full scale 1, without blur.
 
-    A regular pattern on a board has a kernel of its own. Other targets are traced, with more rays near edges.
+    Regular patterns on boards have their own kernel. Other targets are traced, with more rays near edges.
 
     Args:
         camera: camera in the rig's frame.

@@ -1,1 +1,1 @@
-"""Virtual rigs, and poses of their targets."""
+"""Virtual rigs, and poses of their calibration targets."""

@@ -26,7 +26,7 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LensPlan:
-    """A camera and its lens as designed: full size, without errors."""
+    """A camera and its lens as designed, at full size and without errors."""
 
     size_wh: tuple[int, int] = FULL_SIZE_WH
     """Width and height of the picture, pixels."""
@@ -40,7 +40,7 @@ class LensPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraPlan:
-    """One camera, by its position."""
+    """One camera, given by its position."""
 
     name: str
     centre_mm: Triple
@@ -54,7 +54,7 @@ class CameraPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairPlan:
-    """A convergent pair, by the position of its centre. Directions are in the rig frame."""
+    """A convergent pair, given by the position of its centre. Directions are in the rig frame."""
 
     name: str
     """Its cameras are named NAME_left and NAME_right."""
@@ -65,7 +65,7 @@ class PairPlan:
     distance_mm: float = DISTANCE_MM
     """Distance of each camera from the rig's centre, mm."""
     distance_spread: float = 0.0
-    """Relative half-width of the uniform distribution of the distance."""
+    """Half-width of the uniform distribution of the distance, as a share of it."""
     convergence_deg: tuple[float, float] = (16.0, 16.0)
     """Range of the angle between the two lines of sight, degrees."""
     lens: LensPlan = LensPlan()
@@ -84,7 +84,7 @@ class RigErrors:
     focal: float = 0.01
     """Focal length, relative."""
     aspect: float = 1e-4
-    """Height of a pixel over its width."""
+    """Ratio of a pixel's height to its width."""
     principal_point: float = 0.007
     """Principal point, each coordinate, in heights of the picture."""
     distortion: tuple[float, float, float, float] = (0.03, 0.1, 3e-4, 3e-4)
@@ -97,7 +97,7 @@ class RigPlan:
 
     name: str
     stations: tuple[PairPlan | CameraPlan, ...]
-    """Pairs, and single cameras that `pairs` names."""
+    """Pairs, and single cameras that `pairs` refers to."""
     pairs: tuple[tuple[str, str, str], ...] = ()
     """Name, left and right camera of each pair made of single cameras."""
     flashes_mm: tuple[Triple, ...]
@@ -105,7 +105,7 @@ class RigPlan:
     strengths: tuple[float, ...] | None = None
     """Strengths of the flashes relative to each other. None: all equal."""
     facing: Triple
-    """Normal of the white surface in the rig's centre to which the flashes are adjusted."""
+    """Normal of the white surface at the rig's centre for which the flashes are adjusted."""
     errors: RigErrors = RigErrors()
     lean_rad: float | None = None
     """Forward lean of the subject, rad. None: the subject's own."""
@@ -187,7 +187,7 @@ def pairs_of(rig: Rig, names: tuple[str, ...]) -> Rig:
 def flashes(brightness: float = 1.0, plan: RigPlan = REFERENCE) -> Float64[Array, "l 4"]:
     """Positions of the flashes, rig frame, mm, and their strength: irradiance × mm² at distance 1.
 
-    Together they give a white surface in the rig's centre that faces `plan.facing` the radiance `brightness`, where 1
+    Together, they give a white surface at the rig's centre that faces `plan.facing` the radiance `brightness`, where 1
     is the sensor's full scale.
 
     Raises:
@@ -216,7 +216,7 @@ def _camera(plan: CameraPlan, errors: RigErrors, scale: float, rng: np.random.Ge
     width, height = (round(scale * side) for side in lens.size_wh)
     focal = lens.focal_px * scale * rng.normal(1.0, errors.focal)
     middle = np.array([0.5 * (width - 1), 0.5 * (height - 1)])
-    if lens.principal_point_px is not None:  # (u + ½) scales with the image
+    if lens.principal_point_px is not None:  # u + ½ scales with the image
         middle = (np.array(lens.principal_point_px) + 0.5) * scale - 0.5
     cx, cy = middle + rng.normal(0.0, errors.principal_point * height, 2)
     aspect = rng.normal(1.0, errors.aspect)

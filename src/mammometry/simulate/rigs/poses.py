@@ -1,4 +1,4 @@
-"""Poses of the target such that all cameras see it and neighbouring pairs share it.
+"""Poses of the target with which all cameras see it, and neighbouring pairs share views.
 
 All numbers here are made up; no measurement uses them.
 """
@@ -14,29 +14,29 @@ from mammometry.calibration.targets.target import Target
 from mammometry.geometry import Array, Camera, Float64, Rig, Transform
 from mammometry.simulate.rigs.targets import useful_points
 
-_GRAZING_DEG = 65.0  # angle between a board's normal and the line of sight above which a view is useless
+_GRAZING_DEG = 65.0  # angle between a board's normal and the line of sight above which a view is of no use
 _FADE_DEG = 5.0  # degrees below `_GRAZING_DEG` over which a view's value falls to 0
 _CANDIDATES = 30  # candidates for each pose
-_ATTEMPTS = 6  # most draws of all poses, of which the best is taken
+_ATTEMPTS = 6  # most draws of all poses, of which the best is used
 _WELL_SEEN_SHARE = 5 / 8  # share of the poses that every camera should see well: five of the default eight
-_BALANCE = 1.5  # weight of a camera that has seen one pose fewer: e to this power
+_BALANCE = 1.5  # weight of a camera that has seen one pose fewer: e to the power of this
 _SHIFT_MM = 35.0  # largest shift of a target from the rig's centre along each axis
 _SMALL_SHIFT_MM = 20.0  # largest shift of an upright target, mm: it must be completely in the picture
 _CYLINDER_TILT_DEG = 12.0
 """Standard deviation of an upright target's tilt about each axis. `find_cylinder` allows about 40° in all."""
-_TURN_DEG = 8.0  # largest turn, to both sides, of a board whose x axis must point right
+_TURN_DEG = 8.0  # largest rotation in both directions of a board whose x axis must point right
 _MIXING = 0.8
-"""Concentration of the mixture of pairs that a board faces. Below 1 it mostly faces one of them."""
-_MIDDLE_SHARE = 0.6  # weight of the direction that faces all pairs, relative to the mixture's
+"""Concentration of the mixture of pairs that a board faces. Below 1, it mostly faces one of them."""
+_MIDDLE_SHARE = 0.6  # weight of the direction that faces all pairs, relative to that of the mixture
 _FACING_STD = 0.12  # standard deviation of each coordinate of the direction that a board faces
 
 
 def draw_poses(rig: Rig, target: Target, count: int, seed: int) -> dict[str, Transform]:
     """Draw poses of a target in the centre of the rig.
 
-    Of many candidates the best are taken, so that all cameras see the target and neighbouring pairs share views. The
+    The best of many candidates are used, so that all cameras see the target and neighbouring pairs share views. The
     first pose faces all cameras as well as a board can. If the rig allows it, every camera sees a flat board within 65°
-    of its normal in at least five of eight poses. The target's orientation follows its `Body.attitude`.
+    of its normal in at least five of eight poses. The target's orientation follows its `ConvexBody.attitude`.
 
     Returns:
         Name of the pose ("00", "01", …) → rig from target.
@@ -62,11 +62,11 @@ def draw_poses(rig: Rig, target: Target, count: int, seed: int) -> dict[str, Tra
 def _drawn(
     rig: Rig, target: Target, pair_axes: Float64[Array, "p 3"], count: int, rng: np.random.Generator
 ) -> tuple[list[Transform], int]:
-    """All poses, and the number that the camera with the fewest good views sees well."""
+    """All poses, and the number of good views of the camera that has fewest."""
     poses: list[Transform] = []
     seen = np.zeros(len(rig.cameras))
     for index in range(count):
-        # Each candidate faces a random mixture of pairs; cameras with few good views so far get more weight.
+        # Each candidate faces a random mixture of pairs. Cameras with few good views so far have more weight.
         draw = _HELD[target.body.attitude]
         candidates = [draw(rig, target, pair_axes, index == 0, rng) for _ in range(_CANDIDATES)]
         good = np.array([[_usefulness(camera, pose, target) for camera in rig.cameras.values()] for pose in candidates])
@@ -96,7 +96,7 @@ def _turned_at_random(
 def _facing(
     rig: Rig, target: Target, pair_axes: Float64[Array, "p 3"], first: bool, rng: np.random.Generator
 ) -> Transform:
-    """Placement that faces a mixture of the pairs, in the first pose all of them."""
+    """Placement that faces a mixture of the pairs, or all of them in the first pose."""
     middle = _unit(pair_axes.sum(axis=0))
     mixture = _unit(rng.dirichlet(np.full(len(pair_axes), _MIXING)) @ pair_axes)
     facing = middle if first else _unit(mixture + _MIDDLE_SHARE * middle + rng.normal(0.0, _FACING_STD, 3))
@@ -109,11 +109,11 @@ def _facing(
 
 
 _HELD = {"facing": _facing, "upright": _upright, "any": _turned_at_random}
-"""`Body.attitude` → function that draws a candidate pose."""
+"""`ConvexBody.attitude` → function that draws a candidate pose."""
 
 
 def _usefulness(camera: Camera, pose: Transform, target: Target) -> float:
-    """Share of the points that are well seen, falling to 0 where the view is too oblique."""
+    """Share of the points that are seen well, falling to 0 where the view is too oblique."""
     straightness = 1.0
     if not target.is_surveyed:
         straightness = float(np.clip((_GRAZING_DEG - _obliquity_deg(camera, pose, target)) / _FADE_DEG, 0.0, 1.0))
@@ -129,7 +129,7 @@ def _obliquity_deg(camera: Camera, pose: Transform, target: Target) -> float:
 
 
 def _placed(target: Target, z: Float64[Array, 3], turn_rad: float, at_mm: Float64[Array, 3]) -> Transform:
-    """Rig from target, its centre at `at_mm` and its z axis along `z`, turned about that axis."""
+    """Rig from target, with its centre at `at_mm` and its z axis along `z`, rotated about that axis."""
     a, b = _plane(z)
     x = math.cos(turn_rad) * a + math.sin(turn_rad) * b
     rotation = np.stack([x, np.cross(z, x), z], axis=1)
@@ -151,12 +151,12 @@ def _unit(vector: Array) -> Float64[Array, 3]:
 def looking(centre: Float64[Array, 3], target: Float64[Array, 3], roll_rad: float = 0.0) -> Transform:
     """Pose of a camera that looks at a point: x right, y down, z ahead.
 
-    Without a roll the camera is upright where y is up in the world.
+    Without a roll, the camera is upright in a world with y up.
 
     Args:
-        centre: of the camera, mm.
-        target: the point, mm.
-        roll_rad: turn about its line of sight.
+        centre: centre of the camera, mm.
+        target: point that it looks at, mm.
+        roll_rad: rotation about its line of sight.
     """
     ahead = (target - centre) / np.linalg.norm(target - centre)
     right = np.cross(ahead, [0.0, 1.0, 0.0])

@@ -1,4 +1,4 @@
-"""Virtual rigs by name, or from a TOML file (docs/how-to/simulate.md), which is checked strictly."""
+"""Virtual rigs by name, or from a TOML file (docs/how-to/simulate.md) that is checked strictly."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from mammometry.simulate.rigs.build import (
 )
 
 _WIDEST_BASELINE = 1.7
-"""Largest baseline, in distances: 116° between the lines of sight. At twice the distance, the cameras are on opposite
+"""Largest baseline relative to the distance: 116° between the lines of sight. With 2, the cameras would be on opposite
 sides."""
 _STRICT = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 Number = Annotated[float, Field(strict=False)]
-"""Integers are accepted."""
+"""A number for which integers are accepted, too."""
 Positive = Annotated[float, Field(strict=False, gt=0)]
 Deviation = Annotated[float, Field(strict=False, ge=0)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
@@ -147,8 +147,8 @@ def read_rig_plan(path: Path) -> RigPlan:
     """Read and check a rig's file.
 
     Raises:
-        SessionError: it is missing, not TOML, has an unknown or invalid key, or describes no rig. The message names the
-            file and the key, camera or pair.
+        SessionError: it is missing, is not TOML, has an unknown or invalid key, or does not describe a rig. The message
+        states the file and the key, camera or pair.
     """
     expected = "a rig described in TOML"
     table = toml_table(read_text(path, str(path), expected, most_mib=1), str(path), expected)
@@ -216,7 +216,7 @@ def _plan(path: Path, file: _RigFile) -> RigPlan:
 
 
 def _lens(subject: str, own: _Lens, common: _Lens) -> LensPlan:
-    """The camera's own lens, completed by the file's ``[lens]``."""
+    """The camera's own lens, completed by ``[lens]`` of the file."""
     size, focal = own.size or common.size, own.focal_px or common.focal_px
     if size is None or focal is None:
         missing = "size" if size is None else "focal_px"
@@ -232,14 +232,14 @@ def _lens(subject: str, own: _Lens, common: _Lens) -> LensPlan:
 
 
 def _facing(stations: list[PairPlan | CameraPlan]) -> Triple:
-    """Mean direction from the rig's middle to the cameras."""
+    """Mean direction from the rig's centre to the cameras."""
     places = [np.array(s.towards if isinstance(s, PairPlan) else s.centre_mm) for s in stations]
     total = sum(place / max(float(np.linalg.norm(place)), NO_LENGTH) for place in places)
     return triple(total / max(float(np.linalg.norm(total)), NO_LENGTH))
 
 
 def _explained(path: Path, table: dict[str, Any], error: ValidationError) -> SessionError:
-    """The first of the errors, with the pair or camera named."""
+    """The first of the errors, with the pair or camera stated."""
     first = error.errors()[0]
     words: list[str] = []
     here: Any = table
@@ -266,10 +266,10 @@ def _refused(subject: str, found: str, expected: str) -> SessionError:
 
 
 def make_rig(name: str, scale: float, seed: int) -> Rig:
-    """A rig by name, ``reference``, or some of its pairs, ``reference:front,floor``.
+    """A rig by name (``reference``), or some of its pairs (``reference:front,floor``).
 
     Raises:
-        ValueError: a rig or pair of that name does not exist.
+        ValueError: there is no rig or pair of that name.
     """
     plan, pairs = find_plan(name)
     rig = build_rig(plan, scale, seed)
@@ -280,7 +280,7 @@ def find_plan(name: str) -> tuple[RigPlan, tuple[str, ...]]:
     """Rig plan and pairs of ``reference``, ``reference:front``, ``rig.toml`` or ``rig.toml:front,floor``.
 
     Raises:
-        ValueError: a rig of that name does not exist.
+        ValueError: there is no rig of that name.
         SessionError: the file does not describe a rig.
     """
     base, _, pairs = name.partition(":")

@@ -1,4 +1,4 @@
-"""Calibration targets of the virtual rig, and their visible points."""
+"""Calibration targets for virtual rigs, and their visible points."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from mammometry.geometry import Array, Bool, Camera, Float64, Transform
 _USEFUL_DEG = 70.0
 """Largest angle between a board's normal and the line of sight. Made up."""
 _DOT_USEFUL_DEG = 60.0
-"""The same for a dot on a body. `find_cylinder` measures none beyond it."""
+"""The same for a dot on a body. `find_cylinder` measures none at larger angles."""
 _USEFUL_POINTS = 12
-"""Fewest points of a picture that is kept: more than a target's `least_points`, since some will be missed."""
+"""Fewest visible points of a picture that is kept: more than a target's `least_points`, because some are not found."""
 _RIGHTWARD_DEG = 60.0
-"""Largest angle between the x axis and the picture's right for a board that looks the same after half a turn: below
+"""Largest angle between the x axis and the picture's right for a board that looks the same after half a turn: less than
 90°, with a margin for the camera's roll."""
 
 
@@ -49,7 +49,7 @@ BOARD = CharucoTarget(squares=(14, 10), square_mm=25.0, marker_mm=18.0, dictiona
 VIRTUAL_TARGETS: Mapping[str, Target] = MappingProxyType(
     {
         "charuco": BOARD,
-        # An odd sum of columns and rows: half a turn does not give the same pattern.
+        # With an odd sum of columns and rows, the pattern is not the same after half a turn.
         "chessboard": ChessboardTarget(squares=(11, 8), square_mm=22.0),
         "circles": CirclesTarget(grid=(11, 8), pitch_mm=20.0, diameter_mm=11.0),
         "circles-asymmetric": CirclesTarget(grid=(5, 11), pitch_mm=17.0, diameter_mm=13.0, asymmetric=True),
@@ -74,7 +74,7 @@ def make_target(name: str) -> Target:
 
 
 def described(target: Target) -> dict[str, object]:
-    """Table ``[target]`` of session.toml: the target's kind, and fields other than the defaults."""
+    """Table ``[target]`` for session.toml: the target's kind, and fields that differ from the defaults."""
     defaults = {field.name: field.default for field in fields(target)}  # type: ignore[arg-type]  # every kind is a dataclass
     values = {name: getattr(target, name) for name in defaults}
     return {"kind": target.kind} | {name: value for name, value in values.items() if value != defaults[name]}
@@ -83,7 +83,7 @@ def described(target: Target) -> dict[str, object]:
 def visible_points(camera: Camera, rig_from_target: Transform, target: Target) -> Bool[Array, " n"]:
     """Mask of the target points that are in the picture and face the camera, not too obliquely.
 
-    All targets are convex, so nothing else can hide a point.
+    All targets are convex, so that nothing else can hide a point.
     """
     points = rig_from_target.apply(target.points_target)
     towards = camera.centre_world - points
@@ -101,10 +101,10 @@ def sees_target(camera: Camera, rig_from_target: Transform, target: Target) -> b
 
 
 def useful_points(camera: Camera, rig_from_target: Transform, target: Target) -> Bool[Array, " n"] | None:
-    """Mask of the visible points of a picture that is kept. None if it is not.
+    """Mask of the visible points, if the picture is kept. None if it is not.
 
-    It must have enough points and everything that detection needs. A target that looks the same after half a turn must
-    also have its x axis to the right in every picture.
+    The picture must have enough points and everything that detection needs. If a target looks the same after half a
+    turn, its x axis must point to the right in every picture.
     """
     seen = visible_points(camera, rig_from_target, target)
     if int(seen.sum()) < _USEFUL_POINTS:

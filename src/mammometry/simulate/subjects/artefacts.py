@@ -1,6 +1,6 @@
 """Artefacts of an acceptance test: a ball, a bar with two balls, a plate, a cast.
 
-Frame: right, up and towards the device, origin in the middle of the working volume, mm.
+Frame: right, up and towards the device, with the origin at the centre of the working volume, mm.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from mammometry.study.acceptance.artefacts import (
     Sphere,
 )
 
-_EDGE_MM = 2.0  # edge of the triangles, as on a rig's surfaces
+_EDGE_MM = 2.0  # edge of the triangles, similar to that of a rig's surfaces
 _BALL_EDGE_MM = 1.0  # largest edge of an artefact to be photographed: error up to 0.006 mm on a ball of 60 mm
 _SEEN = -0.2  # least cosine between a visible face's normal and the device's direction: its cameras are spread out
 _ROD_MM = 8.0  # radius of a bar's rod, and of a ball's stem
@@ -42,7 +42,7 @@ _NAME = "test-"  # prefix of their names
 
 
 def artefact_mesh(artefact: Artefact, position: Position, *, edge_mm: float = _EDGE_MM) -> TriangleMesh:
-    """Exact surface of an artefact at a position: the part that the device sees, or a whole cast."""
+    """Exact surface of an artefact at a position: the part that the device sees, or all of a cast."""
     centre = np.array(position.centre) * VOLUME_MM
     match artefact:
         case Sphere():
@@ -62,7 +62,7 @@ def artefact_mesh(artefact: Artefact, position: Position, *, edge_mm: float = _E
 
 
 def _whole(artefact: Artefact, position: Position, edge_mm: float) -> TriangleMesh:
-    """Whole artefact for photographs: a ball with its stem, a bar, or a plate with its back."""
+    """Complete artefact for photographs: a ball with its stem, a bar, or a plate with its back."""
     centre = np.array(position.centre) * VOLUME_MM
     match artefact:
         case Sphere():
@@ -123,7 +123,7 @@ def _rod(
 
 
 def _turned(axis: Float64[Array, 3]) -> Float64[Array, "3 3"]:
-    """Rotation that turns the z axis into this direction."""
+    """Rotation that takes the z axis to this direction."""
     z = axis / np.linalg.norm(axis)
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
     x /= np.linalg.norm(x)
@@ -131,7 +131,7 @@ def _turned(axis: Float64[Array, 3]) -> Float64[Array, "3 3"]:
 
 
 def _seen(mesh: TriangleMesh) -> TriangleMesh:
-    """Faces that look towards the device, or a little away from it."""
+    """Faces that face the device, or slightly away from it."""
     vectors = mesh.face_vectors()
     return mesh.submesh(vectors[:, 2] > _SEEN * np.linalg.norm(vectors, axis=1))
 

@@ -1,7 +1,7 @@
 """A trunk with shoulders, upper arms and neck, without breasts. Its skin is the zero level of a field.
 
-Solid's frame: x to the patient's left, y to the head, z out of the chest, mm. y = 0 is about the nipples' height, z = 0
-the trunk's axis there. All sizes here are made up; no measurement uses them.
+Solid's frame: x to the patient's left, y to the head, z out of the chest, mm. y = 0 is at about the nipples' height,
+z = 0 at the trunk's axis there. All sizes here are made up; no measurement uses them.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _SECTIONS = np.array(
     ]
 )
 _TOP_MM, _BOTTOM_MM = 250.0, -370.0  # heights at which neck and trunk are cut
-_CUT_ROUNDING_MM = 14.0  # radius of these cuts' edges
+_CUT_ROUNDING_MM = 14.0  # radius of the edges of these cuts
 _SHOULDER_Y_MM = 138.0  # height of the shoulders' joints
 NOTCH_Y_MM = 172.0
 """Height of the sternal notch."""
@@ -46,15 +46,15 @@ class BodyShape:
     half_width_mm: float = 148.0
     """Half the chest's width at the breasts."""
     depth: float = 0.70
-    """The chest's depth over its width."""
+    """Ratio of the chest's depth to its width."""
     flatness: float = 2.5
-    """Exponent of the sections: 2 is an ellipse, 3 a flat chest with round sides."""
+    """Exponent of the sections: 2 is an ellipse, 3 is a flat chest with round sides."""
     skew: float = 0.0
     """Relative extra depth of the left half of the chest."""
     arm_out_rad: float = 0.6
-    """Angle of the upper arms from hanging to the sides."""
+    """Angle of the upper arms to the side, from hanging."""
     arm_back_rad: float = 0.2
-    """Angle of the upper arms from hanging to the back."""
+    """Angle of the upper arms to the back, from hanging."""
     arm_mm: float = 46.0
     """Radius of the upper arm below the shoulder."""
     sternum_mm: float = 4.0
@@ -66,7 +66,7 @@ class BodyShape:
     unevenness_mm: float = 1.0
     """Amplitude of the random unevenness."""
     belly_mm: float = 0.0
-    """Height of the belly in front of the trunk."""
+    """How far the belly extends in front of the trunk."""
     seed: int = 0
     """Seed of the unevenness."""
 
@@ -100,12 +100,12 @@ class TrunkField:
         return -_union(-_cut(both, y - _TOP_MM), -_cut(both, _BOTTOM_MM - y), 1.0)
 
     def in_arm(self, points: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
-        """Mask of the points that belong to an arm, not to the trunk."""
+        """Mask of the points that belong to an arm instead of the trunk."""
         trunk, arm = self._parts(points)
         return arm < trunk
 
     def gradient(self, points: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-        """Gradient of the field by differences."""
+        """Gradient of the field, by finite differences."""
         here = self(points)
         steps = np.eye(3) * _STEP_MM
         return np.stack([(self(points + step) - here) / _STEP_MM for step in steps], axis=1)
@@ -122,7 +122,7 @@ class TrunkField:
     def outwards(
         self, start: Float64[Array, "n 3"], direction: Float64[Array, 3], reach_mm: float
     ) -> Float64[Array, "n 3"]:
-        """Points of the skin between inner points and those `reach_mm` farther in a direction, by bisection."""
+        """Points of the skin between inner points and those `reach_mm` farther in a direction (bisection)."""
         low, high = np.zeros(len(start)), np.full(len(start), reach_mm)
         for _ in range(40):
             middle = 0.5 * (low + high)
@@ -147,7 +147,7 @@ class TrunkField:
         )
         vertices = vertices.astype(np.float64) + low
         faces = faces.astype(np.int32)
-        for _ in range(4):  # smooth the slivers of marching cubes along the skin
+        for _ in range(4):  # smooths the slivers of marching cubes along the skin
             vertices = self.onto(_smoothed(vertices, faces), self.gradient(vertices))
         mesh = TriangleMesh(vertices=vertices, faces=faces)
         return mesh if mesh.volume_mm3() > 0 else TriangleMesh(vertices=vertices, faces=faces[:, ::-1].copy())
@@ -198,13 +198,13 @@ def _capsule(points: Array, start: Array, end: Array, first_mm: float, last_mm: 
 
 
 def _union(a: Array, b: Array, blend_mm: float) -> Float64[Array, " n"]:
-    """Smaller of two fields, rounded where they are close. Cubic, twice differentiable."""
+    """The smaller of two fields, rounded where they are close. Cubic, twice differentiable."""
     near = np.maximum(blend_mm - np.abs(a - b), 0.0) / blend_mm
     return np.minimum(a, b) - near**3 * (blend_mm / 6.0)
 
 
 def _cut(field: Array, beyond: Array) -> Float64[Array, " n"]:
-    """Part of a field on a plane's negative side, with a rounded rim."""
+    """Part of a field on the negative side of a plane, with a rounded edge."""
     return -_union(-field, -beyond, _CUT_ROUNDING_MM)
 
 

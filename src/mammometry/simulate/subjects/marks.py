@@ -1,7 +1,7 @@
 """Marks on the skin: scars, folds of loose skin, drains' marks, paddles, tattoos.
 
 They are in the plane of a breast's (former) base: x to the side, y up, mm from its centre. They raise or lower the
-skin, and change its colour by factors.
+skin, and multiply its colour by factors.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ class SkinMark:
     line_mm: tuple[Point, ...]
     """Points along it."""
     half_width_mm: float
-    """Half-width of its colour."""
+    """Half-width of the coloured area."""
     colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Factors on the skin's red, green and blue."""
     height_mm: float = 0.0
-    """Height above the skin. Negative for a groove."""
+    """Height above the skin, negative for a groove."""
     slope_mm: float = 4.0
     """Distance over which the relief fades (standard deviation)."""
     filled: bool = False
-    """Whether the line is closed and everything inside is marked."""
+    """Whether the line is closed and its interior is marked."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -51,7 +51,7 @@ class Marked:
 
 
 def mark(marks: Sequence[SkinMark], places_mm: Mapping[str, Float64[Array, "n 2"]]) -> Marked | None:
-    """Sum of marks on vertices with positions in each breast's plane. None without marks."""
+    """Sum of the marks at vertices with positions in each breast's plane. None without marks."""
     if not marks:
         return None
     count = len(next(iter(places_mm.values())))

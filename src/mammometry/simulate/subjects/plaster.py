@@ -24,16 +24,16 @@ _OF_VOLUME = re.compile(r"plaster_([0-9]{1,4})cc")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlasterShape:
-    """Volume of a plaster breast, and proportions that scaling to it keeps."""
+    """Volume of a plaster breast, and proportions that do not change with its scale."""
 
     volume_cc: float = 400.0
     """Volume of the finished solid, cc."""
     projection: float = 0.85
     """Height above the back, in radii of the base."""
     width: float = 1.05
-    """Width of the base over its height."""
+    """Ratio of the base's width to its height."""
     sag: float = 0.45
-    """Sagging of the mass, in projections: 0 is a hemisphere, 0.8 ptotic with a deep undercut."""
+    """Sagging of the mass, in projections: 0 is a hemisphere, 0.8 is ptotic with a deep undercut."""
     fold: float = 0.10
     """Depth of the groove under the breast, in radii of the base."""
     lateral: float = 0.10
@@ -45,7 +45,7 @@ class PlasterShape:
     back_radius_mm: float | None = None
     """Radius of the cylinder (axis along y) over which the back is bent. None: a flat back."""
     irregularity_mm: float = 0.5
-    """Amplitude of the hand-made unevenness, mm."""
+    """Amplitude of the unevenness of a hand-made model, mm."""
     nipple_mm: float = 4.0
     """Height of the nipple above the areola, mm."""
     areola_mm: float = 17.0
@@ -150,7 +150,7 @@ def plaster(shape: PlasterShape, *, name: str = "plaster", seed: int = 0, edge_m
     vertices *= (shape.volume_cc * 1000.0 / _volume(vertices, all_faces)) ** (1.0 / 3.0)
     if shape.back_radius_mm is not None:
         vertices = _bent(vertices, shape.back_radius_mm)
-        # Edges on a bent surface are straight: a last scaling by about a millionth.
+        # Edges on a bent surface are straight, so a last scaling by about a millionth is needed.
         vertices *= (shape.volume_cc * 1000.0 / _volume(vertices, all_faces)) ** (1.0 / 3.0)
     mesh = rounded_mesh(vertices, all_faces)
     vertices = mesh.vertices
@@ -181,7 +181,7 @@ def _plaster(wanted: SubjectRequest) -> SubjectSolid:
 
 
 def _dome(rho: Array, theta: Array, shape: PlasterShape) -> Float64[Array, "n 3"]:
-    """Breast side over the unit disc (rho, theta), about final size, with its rim in z = 0."""
+    """Breast side over the unit disc (rho, theta), at about its final size, with the rim in z = 0."""
     radius = _base_radius(shape)
     height = shape.projection * radius
     angle = 0.5 * math.pi * rho
@@ -216,9 +216,9 @@ def _flat_back(rim: Float64[Array, "r 3"], rho: Array, theta: Array) -> Float64[
 
 
 def _bent(vertices: Float64[Array, "n 3"], radius_mm: float) -> Float64[Array, "n 3"]:
-    """Shift every point by the sagitta of a cylinder along y, which the plane z = 0 becomes.
+    """Shift every point by the sagitta of a cylinder along y, into which the plane z = 0 is bent.
 
-    This shear keeps the volume, and the sides do not flare, so that the rim remains the widest part.
+    This shear preserves the volume. The sides do not flare, so that the rim remains the widest part.
     """
     sagitta = radius_mm - np.sqrt(radius_mm**2 - vertices[:, 0] ** 2)
     return np.stack([vertices[:, 0], vertices[:, 1], vertices[:, 2] - sagitta], axis=1)

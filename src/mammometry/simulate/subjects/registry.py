@@ -1,4 +1,4 @@
-"""Registry of the virtual subjects by family. A new one is one file in this folder and one line here."""
+"""Registry of virtual subjects by family. A new family is one file in this folder and one line here."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ class SubjectRequest:
     mesh_file: MeshFile | None = None
     """How to read a mesh file. None for a built-in subject."""
     reshape: Callable[[Any], Any] | None = None
-    """Change of a random shape before it is made: an operation. Only torsos can be reshaped."""
+    """Change of a random shape before the subject is made: an operation. Only torsos can be reshaped."""
 
 
 MakeSubject: TypeAlias = "Callable[[SubjectRequest], SubjectSolid]"
-"""Function that makes a subject. A ValueError means that the name is wrong, such as ``plaster_12``."""
+"""Function that makes a subject. A ValueError means that the name is invalid, such as ``plaster_12``."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SubjectFamily:
-    """Subjects made by one function."""
+    """Subjects that are made by one function."""
 
     make: MakeSubject
     has: Callable[[str], bool]

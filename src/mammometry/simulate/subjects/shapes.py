@@ -1,4 +1,4 @@
-"""Plain solids (ball, bar, plate, head), and the triangulated disc for them and the casts."""
+"""Plain solids (ball, bar, plate, head), and the triangulated disc used for them and for casts."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ def disc(rings: int) -> tuple[Array, Array, Int32[Array, "m 3"], int]:
 
 
 def back_faces(faces: Int32[Array, "m 3"], front: int, rim: int) -> Int32[Array, "m 3"]:
-    """Faces of the back: the front's, reversed, with interior vertices of their own."""
+    """Faces of the back: those of the front, reversed, with their own interior vertices."""
     interior = front - rim
     index = np.concatenate([front + np.arange(interior), interior + np.arange(rim)])
     return index[faces[:, ::-1]].astype(np.int32)

@@ -1,4 +1,4 @@
-"""A subject: a closed body with its colours and known facts.
+"""A subject: a closed body with colours and known facts.
 
 Frame of a solid: x right as seen by the front camera (a patient's left), y up, z forward out of the back, mm. Vertices
 are rounded to float32 before the volume is computed, so that the rendered solid, the mesh on disk and the volume in the
@@ -30,13 +30,13 @@ def waves(points: Array, rng: np.random.Generator, *, shortest_mm: float, longes
 
 
 def smoothstep(low: float, high: float, value: Array) -> Array:
-    """Ease from 0 at `low` to 1 at `high`, flat at both. `low` may be the larger."""
+    """Smooth transition from 0 at `low` to 1 at `high`, with zero slope at both. `low` may be larger."""
     t = np.clip((value - low) / (high - low), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
 
 
 def sagged(height: Array, sag: float) -> Array:
-    """Share of a breast's fall by the share of its height: equal for a `sag` of 1, else larger."""
+    """Share of a breast's fall by share of its height: the same for a `sag` of 1, otherwise larger."""
     return height if sag == 1.0 else 1.0 - np.clip(1.0 - height, 0.0, None) ** sag
 
 
@@ -56,19 +56,19 @@ class SubjectSolid:
 
     name: str
     subject_kind: str
-    """As in the manifest: "model" has a base, "torso" two breasts, "surface" neither."""
+    """As in the manifest: "model" has a base, "torso" two breasts, "surface" none of these."""
     mesh: TriangleMesh
     """Solid's frame, mm. Coordinates are float32 numbers."""
     back_vertices: int
-    """Number of the back's vertices without the rim, which come last."""
+    """Number of the vertices on the back, without the rim. They come last."""
     areola: Float32[Array, " n"]
     """Share of areola colour at each vertex, 0…1."""
     base_boundary: Float64[Array, "b 3"] | None
-    """Closed curve between front and back in order, solid's frame, mm. None if there is no base."""
+    """Closed curve between front and back, in order, solid's frame, mm. None if there is no base."""
     facts: Mapping[str, object]
     """Further facts for the truth file."""
     wall_vertices: Float64[Array, "n 3"] | None = None
-    """A torso's vertices without breasts, solid's frame, mm. Others are unchanged."""
+    """A torso's vertices without breasts, solid's frame, mm. Vertices elsewhere are the same."""
     breasts: Mapping[str, Breast] = field(default_factory=dict)
     """"left" and "right", the patient's own."""
     landmarks: Mapping[str, Float64[Array, "k 3"]] = field(default_factory=dict)
@@ -93,12 +93,12 @@ class SubjectSolid:
         return {"model": self.volume_cc} if self.mesh.is_watertight() else {}
 
     def chest_wall(self, name: str) -> TriangleMesh:
-        """Skin without the breast inside its boundary: an open mesh that faces outwards."""
+        """The skin with the breast inside its boundary removed: an open mesh that faces outwards."""
         body = TriangleMesh(vertices=self._wall(), faces=self.mesh.faces)
         return body.submesh(self.breasts[name].skin_faces)
 
     def closed_breast(self, name: str) -> TriangleMesh:
-        """Closed solid between a breast's skin and its chest wall."""
+        """The closed solid between a breast's skin and its chest wall."""
         breast, count = self.breasts[name], len(self.mesh.vertices)
         skin = self.mesh.faces[breast.skin_faces]
         behind = np.arange(count, 2 * count, dtype=np.int32)
@@ -127,7 +127,7 @@ class SubjectSolid:
 
 
 def rig_from_solid(solid: SubjectSolid, seed: int) -> Transform:
-    """Pose of a solid in the rig, leaning forward over the floor pair, with small random errors by seed."""
+    """Pose of a solid in the rig, leaning forward over the floor pair, with small random errors."""
     rng = np.random.default_rng([seed, 73])
     turn = Transform.from_rotation_vector(
         np.array([solid.lean_rad, 0.0, 0.0]) + np.radians(rng.normal(0.0, 2.0, 3)), np.zeros(3)

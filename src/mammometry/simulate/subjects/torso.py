@@ -1,7 +1,7 @@
 """Torsos: a leaning trunk with two breasts of exactly known volume.
 
-The skin has the triangles of the chest wall, with the breasts' vertices moved outwards. The space between the two
-surfaces is closed, and its volume is that of its triangles.
+The skin has the same triangles as the chest wall, with the vertices of the breasts moved outwards. The space between
+the two surfaces is closed, and its volume is that of its triangles.
 """
 
 from __future__ import annotations
@@ -25,28 +25,29 @@ _COARSE_MM = 7.0  # edges of the body before it is refined
 _DEEPEST_MM, _HIGHEST_MM = 110.0, 45.0  # range of the chest wall's height relative to a breast's tangent plane
 _SNAP = 0.2  # share of an edge: a vertex closer than this to the boundary is moved onto it
 _VOLUME_ROUNDS = 3  # rounds of scaling a breast to its volume
-_HANG_ROUNDS = 2  # rounds of pulling a breast down: the nipple's height is almost linear in the pull
+_HANG_ROUNDS = 2  # rounds of pulling a breast down: the nipple's height is almost a linear function of the pull
 _ARMPIT_MM = 25.0  # height above the lowest junction of arm and trunk in which the armpit's front is searched
 # Made up:
 _FORWARD = 0.6  # weight of straight ahead, relative to the chest's normal, in a breast's direction
-_SLACK = 0.6  # pull down the chest relative to gravity, as stretched skin yields there
+_SLACK = 0.6  # pull down along the chest relative to gravity, because stretched skin yields
 
 
 class _Mound:
-    """One breast as a mapping from chest wall to skin."""
+    """One breast, as a mapping from the chest wall to the skin."""
 
     def __init__(self, body: TrunkField, shape: BreastDesign, side: str, lean_rad: float, seed: int) -> None:
         self.shape, self.sign, self._seed = shape, 1.0 if side == "left" else -1.0, seed
         aside, height = shape.apex_mm
         self.foot = body.on_front(np.array([self.sign * aside]), np.array([height]))[0]
         normal = body.gradient(self.foot[None])[0]
-        # Between the chest's normal and straight ahead.
+        # A direction between the chest's normal and straight ahead.
         ahead = normal / np.linalg.norm(normal) + np.array([0.0, 0.0, _FORWARD])
         self.ahead = ahead / np.linalg.norm(ahead)
         up = np.array([0.0, 1.0, 0.0]) - self.ahead[1] * self.ahead
         self.up = up / np.linalg.norm(up)
         self.aside = self.sign * np.cross(self.up, self.ahead)
-        # Along gravity, and down the chest since stretched skin yields. Lying, the breast slides sideways on the chest.
+        # Along gravity, and down the chest because stretched skin yields. When lying, the breast slides sideways on the
+        # chest.
         pull = np.array([0.0, -math.cos(lean_rad) - _SLACK * (lean_rad >= 0), math.sin(lean_rad)])
         pull -= min(float(pull @ self.ahead), 0.0) * (lean_rad < 0) * self.ahead
         self._pull = pull / np.linalg.norm(pull)
@@ -62,7 +63,7 @@ class _Mound:
         self.direction = direction / np.linalg.norm(direction)
 
     def rho(self, wall: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
-        """Distance from the centre in base radii. 9 elsewhere on the wall."""
+        """Distance from the centre in base radii, or 9 elsewhere on the wall."""
         u, v, _ = self._local(wall)
         wall_mask = self._there(wall)
         return np.where(wall_mask, np.hypot(u, v), 9.0)
@@ -105,7 +106,7 @@ class _Mound:
         return body.onto(place[None], np.repeat(self.ahead[None], 1, axis=0), rounds=60)[0]
 
     def place_mm(self, wall: Float64[Array, "n 3"]) -> Float64[Array, "n 2"]:
-        """Position on the base, mm. Very far outside the breast's own part of the chest."""
+        """Position on the base, mm. Very far away for points outside the breast's own part of the chest."""
         offset = wall - self.foot
         place = np.stack([offset @ self.aside, offset @ self.up], axis=1)
         return np.where(self._there(wall)[:, None], place, 1e6)
@@ -118,15 +119,15 @@ class _Mound:
         return u / np.where(u > 0, outer, inner), v / np.where(v > 0, upper, lower), offset @ self.ahead
 
     def _there(self, wall: Array) -> Bool[Array, " n"]:
-        """Whether points are on the breast's side and front of the chest."""
+        """Whether points are on the front of the chest, on the side of the breast."""
         depth = (wall - self.foot) @ self.ahead
         return (self.sign * wall[:, 0] > 0.0) & (depth > -_DEEPEST_MM) & (depth < _HIGHEST_MM) & (wall[:, 2] > -45.0)
 
     def _dome(self, wall: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
         """Skin without nipple over points inside the boundary.
 
-        Two profiles are blended: above, a cap that runs out flat; below, a half ellipsoid that meets the chest in a
-        fold. The mass then hangs along gravity, increasingly with its distance from the chest.
+        Two profiles are blended: above, a cap that tapers into the chest; below, a half ellipsoid that meets the chest
+        in a fold. The mass then moves along gravity, more with increasing distance from the chest.
         """
         shape = self.shape
         u, v, _ = self._local(wall)
@@ -161,8 +162,8 @@ def torso(shape: TorsoShape, *, name: str = "torso", seed: int = 0, edge_mm: flo
     """Make a torso.
 
     Args:
-        shape: its measures.
-        name: its name.
+        shape: measures of the torso.
+        name: name of the torso.
         seed: seed of the skin's unevenness.
         edge_mm: approximate longest edge on the nipples and in the folds. Edges on the chest are up to twice, others up
             to five times as long.
@@ -249,7 +250,8 @@ def _sized(
         vertices, faces = _halved(body, vertices, faces)
     for _ in range(_VOLUME_ROUNDS):
         skin = mound.skin(vertices)
-        # Both have the same open rim: the breast is the difference of the volumes that they span with any one point.
+        # Both have the same open rim, so the breast is the difference between the volumes that they enclose with any
+        # point.
         middle = vertices.mean(axis=0)
         swept = _cone_mm3(skin - middle, faces) - _cone_mm3(vertices - middle, faces)
         shape = replace(mound.shape, projection_mm=mound.shape.projection_mm * shape.volume_cc * 1000.0 / swept)
@@ -258,7 +260,7 @@ def _sized(
 
 
 def _hung(body: TrunkField, shape: BreastDesign, side: str, lean_rad: float, seed: int) -> _Mound:
-    """The breast pulled down until its nipple has the wanted distance below the fold."""
+    """The breast pulled down until its nipple has the required distance below the fold."""
     mound = _Mound(body, shape, side, lean_rad, seed)
     for _ in range(_HANG_ROUNDS if shape.below_fold_mm is not None else 0):
         fold_y = mound.on_boundary(-0.5 * math.pi, body)[1]
@@ -285,7 +287,7 @@ def _halved(body: TrunkField, vertices: Array, faces: Array) -> tuple[Float64[Ar
 def _refined(
     body: TrunkField, coarse: TriangleMesh, mounds: Mapping[str, _Mound], edge_mm: float
 ) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:
-    """The chest wall, refined until the skin's edges are short."""
+    """The chest wall, refined until the edges of the skin are short."""
     wall, faces = coarse.vertices, coarse.faces
     gradient = body.gradient(wall)
     skin = _skin(wall, mounds)
@@ -315,7 +317,7 @@ def _skin(wall: Float64[Array, "n 3"], mounds: Mapping[str, _Mound]) -> Float64[
 
 
 def _edge_limit(wall: Array, skin: Array, mounds: Mapping[str, _Mound], edge_mm: float) -> Float64[Array, " n"]:
-    """Longest edge at each vertex: short on nipples and in folds."""
+    """Longest allowed edge at each vertex: short on nipples and in folds."""
     limit = np.full(len(wall), np.inf)
     for mound in mounds.values():
         rho = mound.rho(wall)
@@ -338,7 +340,7 @@ def _cut_along_boundary(
     crossing = ((rho[first] - 1.0) * (rho[second] - 1.0) < 0.0) & (np.maximum(rho[first], rho[second]) < 2.0)
     share = np.full(len(edges), 0.5)
     share[crossing] = (1.0 - rho[first[crossing]]) / (rho[second[crossing]] - rho[first[crossing]])
-    # A vertex near the crossing of one of its edges moves there, along its edge with the nearest crossing.
+    # A vertex near the crossing of one of its edges is moved to the nearest such crossing.
     near, far = np.concatenate([first, second]), np.concatenate([second, first])
     share = np.concatenate([share, 1.0 - share])
     few = np.flatnonzero(np.tile(crossing, 2) & (share < _SNAP))
@@ -353,7 +355,7 @@ def _cut_along_boundary(
 
 
 def _onto_boundary(body: TrunkField, start: Array, end: Array, mound: _Mound) -> Float64[Array, "n 3"]:
-    """Crossing of a segment with the boundary (bisection in ρ)."""
+    """Where a segment crosses the boundary (bisection in ρ)."""
     if not len(start):
         return start
     low, high = np.zeros(len(start)), np.ones(len(start))
@@ -369,7 +371,7 @@ def _onto_boundary(body: TrunkField, start: Array, end: Array, mound: _Mound) ->
 
 
 def _breast(faces: Array, rho: Float64[Array, " n"], wall: Array, mound: _Mound) -> Breast:
-    """Faces inside the boundary, and the boundary's vertices by direction."""
+    """Faces inside the boundary, and the boundary's vertices in order of direction."""
     inside = rho < 1.0 - 1e-7
     skin_faces = np.flatnonzero(inside[faces].any(axis=1))
     around = np.unique(faces[skin_faces][~inside[faces[skin_faces]]])
@@ -381,7 +383,7 @@ def _breast(faces: Array, rho: Float64[Array, " n"], wall: Array, mound: _Mound)
 def _landmarks(
     body: TrunkField, mounds: Mapping[str, _Mound], mesh: TriangleMesh, wall: Float64[Array, "n 3"]
 ) -> dict[str, Float64[Array, "k 3"]]:
-    """Points on the skin, named as in a protocol of anthropometry."""
+    """Points on the skin, named as in an anthropometric protocol."""
     zero = np.zeros(1)
     found = {"sternal_notch": body.on_front(zero, np.array([NOTCH_Y_MM - 4.0]))}
     heights = np.arange(NOTCH_Y_MM - 4.0, -131.0, -5.0)

@@ -20,7 +20,7 @@ SIDES = ("left", "right")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BreastDesign:
-    """Measures of one breast seen along its axis, mm along the chest."""
+    """Measures of one breast as seen along its axis, mm along the chest."""
 
     volume_cc: float = 400.0
     """Volume, cc. Met to 2 %."""
@@ -31,13 +31,14 @@ class BreastDesign:
     projection_mm: float = 45.0
     """Height over the chest wall. Scaled to meet the volume."""
     hang_mm: float = 20.0
-    """Distance by which gravity pulls the mass: little is young and firm, much is ptotic with an undercut."""
+    """Distance by which gravity moves the mass: small if young and firm, large if ptotic with an undercut."""
     sag: float = 1.0
-    """How the mass follows gravity: 1 in proportion to its height, larger values more evenly."""
+    """How the mass yields to gravity: 1 is in proportion to its height, larger values are more even."""
     below_fold_mm: float | None = None
-    """Height of the fold above the nipple along the body, met to 1 mm by adjusting `hang_mm`. None: not adjusted."""
+    """Height of the fold above the nipple along the body, matched to 1 mm by adjusting `hang_mm`. None: not
+    adjusted."""
     fullness: float = 0.85
-    """Fullness of the lower pole: 0 runs out flat into the chest, 1 is round and meets it in a fold."""
+    """Fullness of the lower pole: 0 tapers into the chest, 1 is round and meets it in a fold."""
     fold_mm: float = 4.0
     """Rounding of the fold."""
     nipple_place: tuple[float, float] = (0.05, -0.12)
@@ -49,7 +50,7 @@ class BreastDesign:
     unevenness_mm: float = 1.0
     """Amplitude of the skin's random unevenness."""
     cap: float = 2.6
-    """Exponent of the upper profile: the larger, the farther it is round before it runs out."""
+    """Exponent of the upper profile: the larger it is, the longer the profile stays round before it tapers."""
     bare: bool = False
     """Whether it lacks areola and nipple."""
     removed: bool = False
@@ -64,7 +65,7 @@ class TorsoShape:
     breasts: Mapping[str, BreastDesign]
     """"left" and "right", the patient's own."""
     lean_rad: float = math.radians(35.0)
-    """Lean forward: 0 standing, −π/2 lying on the back."""
+    """Forward lean: 0 is standing, −π/2 is lying on the back."""
     marks: tuple[SkinMark, ...] = ()
     """Scars, folds, tattoos and other marks on its skin."""
 
@@ -85,7 +86,7 @@ def torso_shape(name: str, seed: int) -> TorsoShape:
     rng = np.random.default_rng([seed, int(number or 0), 74])
     mean_cc = math.exp(rng.uniform(math.log(125.0), math.log(960.0)))
     ratio = math.exp(float(np.clip(rng.normal(0.0, 0.16), -0.4, 0.4)))
-    # Larger breasts are on larger chests, on average.
+    # On average, larger breasts are on larger chests.
     heaviness = math.log(mean_cc / 100.0) / math.log(12.0)
     body = BodyShape(
         half_width_mm=132.0 + 22.0 * heaviness + rng.uniform(-6.0, 10.0),
@@ -113,7 +114,7 @@ def torso_shape(name: str, seed: int) -> TorsoShape:
         radius = (volume_cc * 1000.0 / (0.45 * math.pi * slimness)) ** (1.0 / 3.0)
         inner = radius * rng.uniform(0.86, 0.96)
         apex = (inner + gap, height + rng.normal(0.0, 4.0))
-        # The base ends before flank and armpit, where the chest would no longer be a height map.
+        # The base ends before flank and armpit, where the chest cannot be described by a height map.
         outer = min(radius * rng.uniform(0.96, 1.06), body.half_width_mm + 4.0 - apex[0])
         upper = min(radius * rng.uniform(1.15, 1.4), 94.0 - apex[1])
         breasts[side] = BreastDesign(

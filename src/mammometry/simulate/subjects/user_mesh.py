@@ -18,8 +18,8 @@ from mammometry.simulate.subjects.registry import SubjectRequest, add_subject
 from mammometry.simulate.subjects.solid import SubjectSolid, rounded_mesh
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl")
-_SMALLEST_MM, _LARGEST_MM = 5.0, 3000.0  # longest side of a subject that fits a rig
-_FACES_AT_MOST = 1_500_000  # limits the splitting of long edges: the light is computed at every vertex
+_SMALLEST_MM, _LARGEST_MM = 5.0, 3000.0  # range of the longest side of a subject that fits a rig
+_FACES_AT_MOST = 1_500_000  # limit for splitting long edges, because light is computed at every vertex
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,7 +27,7 @@ class MeshFile:
     """Unit and orientation of a mesh file."""
 
     mm_per_unit: float | None = None
-    """Millimetres per unit of the file. There is no default, since the files do not state it."""
+    """Millimetres per unit of the file. There is no default, because such files do not state it."""
     turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Rotations about x, then y, then z, after which y is up and z points out of the front."""
 
@@ -40,9 +40,9 @@ def names_a_mesh(name: str) -> bool:
 def read_user_mesh(path: Path, how: MeshFile, *, edge_mm: float = 0.7) -> SubjectSolid:
     """Read a mesh as a subject.
 
-    Colours and texture of the file are not used. A closed mesh has a volume; it is turned outwards if necessary. An
-    open one is photographed too, and its truth is a surface without volume; it is turned so that most of it faces
-    ahead. Long edges are split without a change of shape, so that light is computed densely.
+    Colours and texture of the file are ignored. A closed mesh has a volume; its faces are reversed if they point
+    inwards. An open mesh is accepted, too. Its truth is a surface without volume, and it is oriented so that most of it
+    faces forwards. Long edges are split without changing the shape, so that light is computed densely.
 
     Args:
         path: a PLY, OBJ or STL file.

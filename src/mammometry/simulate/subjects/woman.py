@@ -1,7 +1,7 @@
-"""Virtual women with exactly known muscle, layer over it, and breasts.
+"""Virtual women whose muscle, layer over it, and breasts are known exactly.
 
-Three surfaces have the same triangles: the skin, the flat chest (muscle and layer, as of a chest without a breast) and
-the muscle. The space between any two within the boundary is closed, and its volume is that of its triangles.
+Three surfaces have the same triangles: the skin, the flat chest (muscle and layer, like a chest without a breast), and
+the muscle. The space between any two of them within the boundary is closed, and its volume is that of its triangles.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from mammometry.simulate.subjects.woman_shape import (
 _TALL_MM = 175.0  # distance of the trunk's ends above and below the breasts' centre
 _PROFILE_MM = 115.0  # length of a breast's profile, which is divided into edges
 _STEP_MM = 0.5  # step of the differences for a surface's normal
-_SMOOTH_ANGLE_RAD = math.radians(110.0)  # direction in which a breast runs out flattest: up and slightly inwards
+_SMOOTH_ANGLE_RAD = math.radians(110.0)  # direction in which a breast tapers most gradually: up and slightly inwards
 _NIPPLE_MM, _AREOLA_MM = 4.0, 20.0  # height of the nipple above the breast, and radius of the areola, mm
 _VOLUME_ROUNDS = 4  # rounds of scaling the height until the breast has its volume
-_BEYOND_MM = 15.0  # least depth of an open front behind the boundaries
+_BEYOND_MM = 15.0  # least depth of an open front mesh behind the boundaries
 _LAYER_BACK_MM = 15.0  # thickness of the layer at the flanks, beyond both breasts
-_SHOW_MM = 2.5  # length of edges away from the breasts, relative to those on them
+_SHOW_MM = 2.5  # ratio of edge lengths away from the breasts to those on them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,7 +46,7 @@ class Woman:
     solid: SubjectSolid
     """The closed body. Its walls are the flat chest."""
     muscle_vertices: Float64[Array, "n 3"]
-    """Points of the muscle straight behind the solid's front vertices, mm."""
+    """Points on the muscle straight behind the solid's front vertices, mm."""
     shape: WomanShape
     """Her measures."""
 
@@ -161,7 +161,7 @@ class _Chest:
         return np.asarray((1 - back) * layer + back * _LAYER_BACK_MM)
 
     def skin(self, flat: Float64[Array, "n 2"]) -> tuple[Float64[Array, "n 3"], Float64[Array, "n 3"]]:
-        """Points of the flat chest's skin and of the muscle under them."""
+        """Points on the flat chest's skin, and on the muscle under them."""
         muscle, aside, up = self.muscle(flat), *(_STEP_MM * np.eye(2))
         around = self.muscle(flat + aside) - self.muscle(flat - aside)
         along = self.muscle(flat + up) - self.muscle(flat - up)
@@ -203,7 +203,7 @@ class _Breast:
         self._power = self._powers()
 
     def _powers(self) -> float:
-        """Exponent of the profile, whose mean 1/(1 + q) is the fill."""
+        """Exponent q of the profile. Its mean 1/(1 + q) is the fill."""
         radius2 = ((self.rim - self.middle) ** 2).sum(axis=1)
         low, high = 0.05, 8.0
         for _ in range(50):
@@ -223,7 +223,7 @@ class _Breast:
         return np.interp(along * length[-1], length, self._turn)
 
     def skin(self, share: Array, turn: Array) -> tuple[Float64[Array, "n 3"], Float64[Array, "n 3"]]:
-        """Skin over the flat chest at `share`, and its own share."""
+        """Skin over the flat chest at `share`, and the skin's own share."""
         q = self._power * np.exp(self.shape.run_out * np.cos(turn - _SMOOTH_ANGLE_RAD))
         out = 1.0 - np.clip(1.0 - share, 0.0, 1.0) ** np.maximum(1.0, 1.0 / q)
         height = np.clip(1.0 - out**2, 0.0, 1.0) ** q
@@ -305,7 +305,7 @@ def woman(shape: WomanShape, *, name: str = "woman", edge_mm: float = 2.0) -> Wo
 
 
 def _straight_behind(wall: Array, muscle: Array, faces: Array) -> Float64[Array, "n 3"]:
-    """Points of the muscle straight behind the flat chest, or below it where there are none."""
+    """Points on the muscle straight behind the flat chest, or below it if there are none straight behind."""
     front = muscle[:, 2] > muscle[:, 2].max() - 90.0
     found = LinearNDInterpolator(muscle[front, :2], muscle[front, 2])(wall[:, :2])
     seen = front & np.isfinite(found)
@@ -390,7 +390,7 @@ def _near_any(points: Array, outlines: list[tuple[Array, Array]], reach_mm: floa
 
 
 def _spaced(points: Array, least_mm: float) -> Bool[Array, " n"]:
-    """The points without those that are closer than a distance to an earlier one."""
+    """The points, without those that are closer to an earlier one than a given distance."""
     keep = np.ones(len(points), dtype=bool)
     for first, second in cKDTree(points).query_pairs(least_mm):
         if keep[first]:
@@ -430,7 +430,7 @@ def _closed(
 
 
 def _in_order(faces: Array, rim: Array) -> Int32[Array, " n"]:
-    """Opening of some faces as a loop in their direction."""
+    """Boundary of some faces as a loop, in their direction."""
     a, b = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     on_rim = np.isin(a, rim) & np.isin(b, rim)
     forward = {(int(p), int(q)) for p, q in zip(a[on_rim], b[on_rim], strict=True)}
@@ -443,7 +443,7 @@ def _in_order(faces: Array, rim: Array) -> Int32[Array, " n"]:
 
 
 def _swept_mm3(skin: Array, wall: Array, faces: Array) -> float:
-    """Volume between two surfaces with the same triangles and rim."""
+    """Volume between two surfaces that have the same triangles and rim."""
     middle = wall[faces].mean(axis=(0, 1))
 
     def cone(points: Array) -> float:

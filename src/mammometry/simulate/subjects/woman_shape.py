@@ -1,8 +1,8 @@
-"""Measures of a virtual woman, drawn from statistics of 101 real ones.
+"""Measures of a virtual woman, drawn from the statistics of 101 real women.
 
-The statistics are those of breasts labelled in prone magnetic resonance images (doi 10.1371/journal.pone.0302974): the
-boundary along the crease, the pectoral muscle behind the breast, and the layer of fat and skin that a chest without a
-breast would have over it. Only means, standard deviations and correlations are used, no image.
+The statistics are of breasts that were labelled in prone magnetic resonance images (doi 10.1371/journal.pone.0302974):
+the boundary along the crease, the pectoral muscle behind the breast, and the layer of fat and skin that a chest without
+a breast would have over it. Only means, standard deviations and correlations are used, and no images.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ SIDES = ("left", "right")
 Pose: TypeAlias = Literal["prone", "leaning"]
 
 RADII = np.array([0.43, 0.54, 0.67, 0.55, 0.47, 0.58, 0.62, 0.59])
-"""Boundary's radius over the root of its area, every 45° from lateral via the head. ± 0.04 between women."""
+"""Ratio of the boundary's radius to the root of its area, every 45° from lateral via the head. ± 0.04 between women."""
 WIDTH_MM, HEIGHT_MM = (121.0, 15.0), (167.0, 9.0)
 """Width and height of the boundary: mean and standard deviation between women, mm."""
 FLAT_CC = (540.0, 0.36)
@@ -36,7 +36,7 @@ ALONG_PER_M = (2.9, 1.2)
 TWIST_PER_M = (-0.7, 0.9)
 """Twist of the muscle: mean and standard deviation, 1/m."""
 TILT_UP_DEG = (6.6, 1.8)
-"""Tilt of a boundary's plane back towards the head: mean and standard deviation, degrees."""
+"""Tilt of the boundary's plane back towards the head: mean and standard deviation, degrees."""
 LAYER_MM = np.array([24.0, 18.0, 12.0, 16.0])
 """Thickness of the layer normal to the muscle at the boundary: lateral, above, medial, below. mm."""
 LAYER_SD_MM = np.array([8.0, 4.0, 4.0, 4.0])
@@ -45,18 +45,19 @@ LAYER_SECTORS_R, LAYER_SIDES_R = 0.68, 0.92
 """Correlation of the layer between sectors of one breast, and between both breasts."""
 
 _WIDE_CC = (100.0, 1500.0)  # volumes of the wide draw: uniform in their logarithm
-_WIDTH_HEIGHT_R = 0.66  # gives the area's scatter of 28 of 170 cm²
+_WIDTH_HEIGHT_R = 0.66  # correlation that gives the area's scatter of 28 cm² in 170 cm²
 _RADII_SD = 0.045  # scatter of the relative radii before scaling to width and height; after it ± 0.04
 _VOLUME_WIDTH_R = 0.65  # correlation of the logarithms of volume and width: gives the apex's ± 18 mm
-_SIDES_R = 0.9  # correlation of a woman's sides where the statistics give none; made up
-_FILL, _FILL_SD = 0.42, 0.035  # mean over largest height in front of the flat chest: fits volume, area and apex
-_FILL_GROWTH = 0.45  # power of the mean height in it: gives the apex's ± 18 mm
+_SIDES_R = 0.9  # correlation of a woman's sides if the statistics give none; made up
+# ratio of mean to largest height in front of the flat chest, which fits volume, area and apex
+_FILL, _FILL_SD = 0.42, 0.035
+_FILL_GROWTH = 0.45  # power of the mean height in this ratio: gives the apex's ± 18 mm
 _TYPICAL_MM = 33.0  # mean height of a typical breast in front of its flat chest, mm
 _LAYER_LEAST_MM = 4.0  # thinnest layer
 _MIDLINE_MM = (8.0, 2.5)  # distance of a boundary's medial end from the midline: gives the planes' tilt of 7.7°
 _MIDLINE_LEAST_MM = 4.0  # smallest such distance
 _MUSCLE_LAYER_R = 0.85  # correlation of a deep muscle with a thick lateral layer: gives the planes' tilt of ± 3.4°
-_SLOPE_MORE_DEG = 1.2  # additional slope of the muscle relative to the boundary's plane: gives its tilt of 6.6°
+_SLOPE_MORE_DEG = 1.2  # slope of the muscle in addition to that of the boundary's plane: gives its tilt of 6.6°
 _ROUGH_MM = 1.6  # amplitude of the muscle's unevenness
 
 
@@ -65,7 +66,7 @@ class WomanBreast:
     """Measures of one breast seen from the front, mm."""
 
     volume_cc: float
-    """Volume in front of a flat chest, cc. Met exactly."""
+    """Volume in front of a flat chest, cc. It is matched exactly."""
     middle_mm: tuple[float, float]
     """Centre of the boundary: distance from the midline, height."""
     width_mm: float
@@ -77,11 +78,11 @@ class WomanBreast:
     layer_mm: tuple[float, float, float, float]
     """Thickness of the layer normal to the muscle at the boundary: lateral, above, medial, below."""
     fill: float
-    """Mean over largest height in front of the flat chest."""
+    """Ratio of mean to largest height in front of the flat chest."""
     fall_mm: tuple[float, float]
-    """Offset of the top to the side and up from the boundary's centre."""
+    """Offset of the apex from the boundary's centre, to the side and up."""
     run_out: float
-    """Additional flatness above and towards the midline, relative to below. 0: equal."""
+    """Additional flatness above and towards the midline, compared with below. 0: none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,7 +110,7 @@ class WomanShape:
     lean_rad: float
     """Forward lean towards the rig."""
     cut_mm: float
-    """Depth of an open front mesh behind the breasts' tops."""
+    """Depth of an open front mesh, from the top of the breasts."""
     seed: int
     """Seed of the unevenness."""
 
@@ -151,7 +152,7 @@ def woman_shape(number: int, seed: int, pose: Pose = "prone", *, wide: bool = Fa
         volume = FLAT_CC[0] * math.exp(FLAT_CC[1] * float(np.clip(full_one, -2.5, 2.5)))
         if wide:
             volume = wide_cc * math.exp(rng.normal(0.0, 0.1))
-            grown = (volume / FLAT_CC[0]) ** 0.2  # a base grows less than a breast does
+            grown = (volume / FLAT_CC[0]) ** 0.2  # a base grows less than its breast
             width, height = width * min(grown, 1.15), height * min(grown, 1.15)
         layer = math.sqrt(LAYER_SIDES_R) * layer_shared + _rest(math.sqrt(LAYER_SIDES_R)) * _sectors(rng)
         shape = WomanBreast(
@@ -214,11 +215,11 @@ def _rest(correlation: float) -> float:
 
 
 def _sectors(rng: np.random.Generator) -> Float64[Array, 4]:
-    """Four numbers of unit variance with the correlation of the layer's sectors."""
+    """Four numbers of unit variance, correlated like the layer's sectors."""
     return math.sqrt(LAYER_SECTORS_R) * rng.normal() + _rest(math.sqrt(LAYER_SECTORS_R)) * rng.normal(size=4)
 
 
 def _muscle(rng: np.random.Generator) -> Float64[Array, 5]:
-    """Five numbers of unit variance: heights of a muscle, correlated by distance."""
+    """Five numbers of unit variance for the heights of a muscle, correlated by distance."""
     apart = np.abs(MUSCLE_ASIDE_MM[:, None] - MUSCLE_ASIDE_MM[None])
     return np.linalg.cholesky(np.exp(-apart / 60.0)) @ rng.normal(size=5)
