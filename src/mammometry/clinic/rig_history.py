@@ -21,9 +21,7 @@ from mammometry.study.acceptance.tables import PastTest
 Answer: TypeAlias = Literal["yes", "care", "no"]
 _OLD_DAYS = 90
 """Age in days above which a calibration is reported as old: screws settle and rooms change. Not measured; the daily
-check
-finds moved cameras.
-"""
+check finds moved cameras."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

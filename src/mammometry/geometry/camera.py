@@ -111,9 +111,7 @@ class Rig:
     """Pair name → names of its left and right camera. Read-only."""
     target_middle_world: Float64[Array, 3] | None = None
     """Mean position of the calibration target, approximately where the subject is. World frame, mm. None if no target
-    was
-    seen.
-    """
+    was seen."""
 
     def __post_init__(self) -> None:
         for pair, (left, right) in self.pair_names.items():

@@ -77,9 +77,7 @@ _ROWS = (
     ("Nipple below the fold (ptosis)", ("nipple_below_fold",), "mark the nipple"),
 )
 """Title, codes of `hospital.exported.Quantity`, and remedy if it is missing. The second code is the quantity's name in
-rows
-stored by version 1.0.
-"""
+rows stored by version 1.0."""
 _NIPPLE = ("n_midline_straight", "nipple_below_fold")
 """Codes that need a marked nipple."""
 _WITH_NIPPLE = {"sn_n_straight": "mark the sternal notch", "n_imf_along_skin": "mark the fold"}
