@@ -132,7 +132,7 @@ class TriangleMesh:
         return used
 
     def submesh(self, keep_faces: Array) -> TriangleMesh:
-        """Return the faces chosen by mask or index. Unused vertices are removed; the others keep their order."""
+        """Return the faces chosen by mask or index. Unused vertices are removed. Others keep their order."""
         used = self.vertices_used_by(keep_faces)
         number = np.cumsum(used, dtype=np.int32) - 1
         return TriangleMesh(vertices=self.vertices[used], faces=number[self.faces[keep_faces]].astype(np.int32))

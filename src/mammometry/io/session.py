@@ -161,7 +161,7 @@ class Session:
         return LazyMapping(files, lambda shot, path: read_photograph(path, str(path), self.limits)), points
 
     def require(self, stage: Stage) -> None:
-        """Require all files for a stage and for the earlier ones; calibration is checked before capture.
+        """Require all files for a stage and for the earlier ones, calibration before capture.
 
         Raises:
             SessionError: there are too few calibration poses, or a camera has no photograph.

@@ -123,7 +123,7 @@ def board() -> JobNews:
 
 
 async def stream(about: Mapping[str, str], *, visits: bool = True) -> AsyncIterator[bytes]:
-    """Yield events of jobs until the last one has finished: of all unfinished jobs, or of those about one object.
+    """Yield events of all unfinished jobs, or of those about one object, until the last has finished.
 
     Args:
         about: field of a job's JSON → the value that it must have; empty: all.

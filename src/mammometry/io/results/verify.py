@@ -64,7 +64,7 @@ class Findings:
 
 
 def results_in(folder: Path) -> Path:
-    """Results folder of a session or a scan. Any other folder that a command has written is returned itself.
+    """Results folder of a session or a scan. Any other folder that a command wrote is returned itself.
 
     Raises:
         SessionError: it contains neither.

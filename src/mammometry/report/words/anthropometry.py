@@ -148,7 +148,7 @@ def projections_of(dimensions: Dimensions) -> Iterator[dict[str, Any]]:
 
 
 def length_words(value: Length | None, *, sign: bool = False) -> str:
-    """A length in mm with its interval, such as "212.3 ± 4.1"; a difference with its sign: "+4 ± 6".
+    """A length in mm with its interval, such as "212.3 ± 4.1", or a difference with its sign: "+4 ± 6".
 
     A line may break before ±, but not after it.
     """
