@@ -196,7 +196,7 @@ def check(reference: Reference, observations: Observations, settings: CheckSetti
 
 
 def _exchanged(rig: Rig, observations: Observations) -> tuple[str, ...]:
-    """Two cameras whose pictures are swapped in every exposure that shows both."""
+    """Two cameras whose pictures are swapped. Empty unless every exposure gives the same two."""
     exposures: dict[str, dict[str, Detection]] = {}
     for detection in observations.detections:
         exposures.setdefault(detection.pose, {})[detection.camera] = detection

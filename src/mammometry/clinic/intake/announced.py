@@ -20,8 +20,8 @@ class Announced:
     """A file that a sender is about to send."""
 
     name: str
-    """The sender's file name. It is stored only if a camera gave it (IMG_0001.JPG). Of others, only a rig's camera
-    is."""
+    """The sender's file name. It is stored only if a camera gave it (IMG_0001.JPG). Otherwise only the name of a rig's
+    camera that it contains is stored."""
     camera: str | None = None
     """Camera that took it. None: its name or EXIF data show the camera."""
     pose: str = ""

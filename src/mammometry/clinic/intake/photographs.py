@@ -263,7 +263,7 @@ def set_aside(upload: Upload, folder: Path, *, kept_name: str = "") -> None:
     """Set aside a photograph that has a camera, under a unique file name.
 
     Args:
-        upload: has a camera.
+        upload: its camera is known.
         folder: folder of the visit, calibration or check.
         kept_name: file that the next photograph will replace. It is not moved.
 
