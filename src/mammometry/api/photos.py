@@ -21,11 +21,13 @@ from PIL import Image
 
 from mammometry.api.walk_pictures import usable_pictures, walk_files, walk_video
 from mammometry.base.errors import SessionError
+from mammometry.base.listing import visible
 from mammometry.base.machine.cores import map_in_threads
 from mammometry.base.new_folder import require_new, whole_folder
 from mammometry.base.parse import read_text, toml_table
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress, no_progress
+from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.card_field import FIELD_MIDDLE
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.calibration.targets.table import target_from_table
@@ -39,7 +41,7 @@ from mammometry.measure.trunk.body import Mounting, camera_up
 from mammometry.walk.bank_card import find_card, has_field
 from mammometry.walk.held_lens import with_held_lens
 from mammometry.walk.inputs import LeftOut
-from mammometry.walk.pairs import choose_pairs
+from mammometry.walk.pairs import choose_pairs, require_upright
 from mammometry.walk.print_size import PRINT_STD, sized
 from mammometry.walk.region import TELEPHONE_BOARD, Region, region_above
 from mammometry.walk.stations import TELEPHONE, stations_of
@@ -47,6 +49,7 @@ from mammometry.walk.stations import TELEPHONE, stations_of
 BOARD = "board.toml"
 WALK = "walk.json"
 _VERSION = 6  # raised when the same photographs give a different session
+_ANOTHER = "a session of other photographs, another board.toml, --posture or --id, or of another version"
 _NOT_IN_A_PAIR = LeftOut(code="not-in-a-pair", found="not in a pair")
 _MARGIN_PX = 32  # margin around the region in the image, for matching windows at its edge
 
@@ -112,7 +115,7 @@ def prepare_walk(
     Raises:
         SessionError: no photographs, photographs and a video, a ``board.toml`` that is not as documented, or other
             content in `out`.
-        BoardSizeError: a bank card contradicts the size in ``board.toml``.
+        BoardSizeError: the size in ``board.toml`` is impossible, or a bank card contradicts it.
         CalibrationError: too few photographs are usable, or the cameras' positions cannot be found from them.
         ImageError: the video cannot be read.
     """
@@ -128,10 +131,11 @@ def prepare_walk(
     if earlier is not None:
         if earlier.source == source:
             return earlier
-        require_new(out, found="a session of other photographs")
+        require_new(out, found=_ANOTHER)
     target = read_board(folder)
     with usable_pictures(folder, target, progress, scratch) as pictures:
         stations, left_out = pictures.placed()
+        stations.require_distance()
         card = None
         if isinstance(target, CharucoTarget) and has_field(target):
             card = find_card(stations.rig.cameras, pictures.photographs, target, stations.plane_mm(FIELD_MIDDLE))
@@ -140,6 +144,8 @@ def prepare_walk(
                 resized = stations_of(replace(stations.calibration.observations, target=target))
                 stations = with_held_lens(resized, stations.held, stations.rig.cameras)
         region = region_above(target)
+        board_middle = target.points_target.mean(axis=0)
+        require_upright(tuple(stations.rig.cameras.values()), region.middle_world, board_middle)
         pairs = choose_pairs(_seeing(stations.rig, region), region.middle_world)
         in_pairs = sorted({name for pair in pairs.values() for name in pair})
         rig = Rig(
@@ -181,19 +187,35 @@ def read_board(folder: Path) -> Target:
     """The board of a walk: that of board.toml, else the one drawn by ``target --telephone``.
 
     Raises:
-        SessionError: ``board.toml`` is not as documented.
+        SessionError: ``board.toml`` is not as documented, or has another name.
     """
     path = folder / BOARD
     if not path.is_file():
+        _require_well_named(folder)
         return target_from_table(TELEPHONE_BOARD)
     table = toml_table(read_text(path, str(path), "TOML", most_mib=1), str(path), "a board as [target] of session.toml")
     try:
-        return target_from_table(table.get("target", table))
+        board = target_from_table(table.get("target", table))
+        if isinstance(board, Board):
+            board.sheet()  # refuses an unknown dictionary
     except SessionError as error:
         remedy = f"Correct {BOARD} next to the photographs; `mammometry target board.pdf --telephone` prints an example"
         raise SessionError(
             f"{path}: {error.subject}", found=error.found, expected=error.expected, remedy=remedy
         ) from None
+    return board
+
+
+def _require_well_named(folder: Path) -> None:
+    """Refuse a description of the board under another name, such as board.toml.txt, which would not be read."""
+    named = [path.name for path in visible(folder) if ".toml" in path.name.casefold() and path.is_file()]
+    if named:
+        raise SessionError(
+            str(folder / named[0]),
+            found="a description of the board under another name",
+            expected=BOARD,
+            remedy=f"Rename it to {BOARD}, or remove it if the board was not measured",
+        )
 
 
 def board_pdf(page: str = "A4") -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -9,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from mammometry.base.errors import ImageError, SessionError
-from mammometry.base.listing import visible
+from mammometry.base.listing import by_number, visible
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress, part
 from mammometry.base.shell import command_line
@@ -19,10 +20,11 @@ from mammometry.calibration.targets.target import Target
 from mammometry.io.looked_up import LazyMapping
 from mammometry.io.meshes.measured import can_be_opened
 from mammometry.io.photographs.heic import HEIC_EXTENSIONS
-from mammometry.io.photographs.images import EXTENSIONS
+from mammometry.io.photographs.images import EXTENSIONS, UNREAD_ENDINGS
 from mammometry.io.photographs.telephone import read_facts, read_from_sensor
 from mammometry.io.photographs.video import write_frames
 from mammometry.io.photographs.video_file import VIDEO_EXTENSIONS
+from mammometry.walk.copies import judge_copies
 from mammometry.walk.held_lens import with_held_lens
 from mammometry.walk.inputs import LeftOut, judge_files, require_enough, usual_orientation
 from mammometry.walk.one_lens import judge_lenses
@@ -75,10 +77,16 @@ class WalkPictures:
 def walk_files(folder: Path) -> dict[str, Path]:
     """The photographs of a walk in the order of their names: number ("01") → file.
 
+    Numbers in names count as numbers. Pictures in formats that are not read are among them, so that they are reported,
+    unless the same picture is there as JPEG, HEIC, PNG or TIFF.
+
     Raises:
         SessionError: there are none.
     """
     files = _files(folder, _STILLS)
+    read = {path.stem.casefold() for path in files}
+    unread = [path for path in _files(folder, UNREAD_ENDINGS) if path.stem.casefold() not in read]
+    files = sorted({*files, *unread}, key=by_number)
     if not files and can_be_opened(folder):
         raise SessionError(
             str(folder),
@@ -87,13 +95,26 @@ def walk_files(folder: Path) -> dict[str, Path]:
             remedy=f"Measure it: {command_line('mammometry', 'run', folder)}",
         )
     if not files:
-        raise SessionError(
-            str(folder),
-            found="no photographs" if folder.is_dir() else "no such folder",
-            expected="12 to 60 photographs of one walk around the patient, JPEG, HEIC or PNG, or one video",
-            remedy="Copy them from the telephone into one folder",
-        )
+        raise _none_in(folder)
     return _numbered(files)
+
+
+def _none_in(folder: Path) -> SessionError:
+    """Why a path has no photographs."""
+    found, remedy = "no such folder", "Copy them from the telephone into one folder"
+    if folder.is_file():
+        found, remedy = "a file", "Name the folder with the photographs; unpack an archive first"
+    elif folder.is_dir():
+        below = next((path for path in visible(folder) if path.is_dir() and _files(path, _STILLS)), None)
+        found = "no photographs" if below is None else f"no photographs, but some in its folder {below.name}"
+        if below is not None:
+            remedy = f"Measure that: {command_line('mammometry', 'photos', below)}"
+    return SessionError(
+        str(folder),
+        found=found,
+        expected="12 to 60 photographs of one walk around the patient, JPEG, HEIC or PNG, or one video",
+        remedy=remedy,
+    )
 
 
 def walk_video(folder: Path) -> Path | None:
@@ -105,8 +126,8 @@ def walk_video(folder: Path) -> Path | None:
         SessionError: several videos, or photographs as well.
     """
     stills = _files(folder, _STILLS)
-    of_stills = {path.stem.lower() for path in stills}
-    videos = [path for path in _files(folder, VIDEO_EXTENSIONS) if path.stem.lower() not in of_stills]
+    of_stills = {_of_live_photo(path) for path in stills}
+    videos = [path for path in _files(folder, VIDEO_EXTENSIONS) if _of_live_photo(path) not in of_stills]
     if videos and (stills or len(videos) > 1):
         many = f"{len(videos)} videos" if len(videos) > 1 else f"the video {videos[0].name}"
         raise SessionError(
@@ -149,7 +170,13 @@ def usable_pictures(
 
 
 def _files(folder: Path, endings: tuple[str, ...]) -> list[Path]:
-    return sorted(path for path in visible(folder) if path.suffix.lower() in endings and path.is_file())
+    found = (path for path in visible(folder) if path.suffix.lower() in endings and path.is_file())
+    return sorted(found, key=by_number)
+
+
+def _of_live_photo(path: Path) -> str:
+    """Name that a still and its moving part share. An iPhone calls the edited still of IMG_1234 IMG_E1234."""
+    return re.sub(r"^img_e(?=[0-9])", "img_", path.stem.lower())
 
 
 def _numbered(files: list[Path]) -> dict[str, Path]:
@@ -160,6 +187,9 @@ def _numbered(files: list[Path]) -> dict[str, Path]:
 def _usable(files: Mapping[str, Path], names: Mapping[str, str], target: Target, progress: Progress) -> WalkPictures:
     facts, out = {}, {}
     for number, path in files.items():
+        if path.suffix.lower() not in _STILLS:
+            out[number] = _in_another_format(path)
+            continue
         try:
             facts[number] = read_facts(path, number)
         except ImageError as error:
@@ -180,8 +210,14 @@ def _usable(files: Mapping[str, Path], names: Mapping[str, str], target: Target,
         else:
             break
     out |= {miss.pose: LeftOut(code=miss.code, found=miss.found, remedy=miss.remedy) for miss in observations.missed}
+    qualities = {number: of.jpeg_quality for number, of in facts.items()}
+    out |= judge_copies(observations.detections, qualities, names)
     if isinstance(target, SquaresBoard):
-        seen = {board.pose: board_image(photographs[board.pose], board, target) for board in observations.detections}
+        seen = {
+            board.pose: board_image(photographs[board.pose], board, target)
+            for board in observations.detections
+            if board.pose not in out
+        }
         out |= judge_images({number: image for number, image in seen.items() if image is not None})
     good = tuple(board for board in observations.detections if board.pose not in out)
     require_enough([board.pose for board in good], out, names, FEWEST)
@@ -202,6 +238,15 @@ def _unreadable(photographs: Mapping[str, Photograph]) -> dict[str, LeftOut]:
         except ImageError as error:
             found[number] = _damaged(error)
     return found
+
+
+def _in_another_format(path: Path) -> LeftOut:
+    return LeftOut(
+        code="photograph",
+        found=f"a picture in a format that is not read ({path.suffix[1:].upper()})",
+        expected="JPEG, HEIC or PNG",
+        remedy="Copy it from the telephone as JPEG or HEIC, at full size",
+    )
 
 
 def _damaged(error: ImageError) -> LeftOut:

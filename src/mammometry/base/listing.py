@@ -6,6 +6,7 @@ macOS writes ``._name`` next to each file on other systems' disks, and ``__MACOS
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 _LEFT_BY_SYSTEMS = ("__macosx", "thumbs.db", "desktop.ini")
@@ -14,6 +15,12 @@ _LEFT_BY_SYSTEMS = ("__macosx", "thumbs.db", "desktop.ini")
 def is_hidden(name: str) -> bool:
     """Whether a name starts with a dot or is that of an operating system's file."""
     return name.startswith(".") or name.casefold() in _LEFT_BY_SYSTEMS
+
+
+def by_number(path: Path) -> tuple[tuple[str | int, ...], str]:
+    """Sort key of a file's name in which numbers count as numbers: IMG_9 is before IMG_10."""
+    parts = re.split(r"([0-9]+)", path.name)
+    return tuple(int(part) if place % 2 else part for place, part in enumerate(parts)), path.name
 
 
 def visible(folder: Path) -> list[Path]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -58,7 +59,7 @@ def photos(
 
     if posture not in POSTURES:
         raise typer.BadParameter(f"--posture: {posture}: one of {', '.join(POSTURES)}")
-    session = folder.with_name(f"{folder.resolve().name}-session") if out is None else out
+    session = _session_beside(folder) if out is None else out
     return _measured(folder, session, options, posture=posture, subject=named_subject(subject))
 
 
@@ -104,6 +105,12 @@ def simulated_walk(out: Path, recipe: WalkRecipe, options: OutputOptions) -> Ans
     volumes = ", ".join(f"{side} {volume:.1f} cc" for side, volume in true_cc.items())
     then = command_line("mammometry", "photos", out / PHOTOGRAPHS)
     return Answer(table, [f"{out}: {len(made.cameras)} photographs, true volume {volumes}", f"Then: {then}"])
+
+
+def _session_beside(folder: Path) -> Path:
+    """FOLDER-session next to the folder, also for "." and ".."."""
+    named = folder if folder.name not in ("", "..") else Path(os.path.abspath(folder))
+    return named.parent / f"{named.name}-session"
 
 
 def _measured(folder: Path, session: Path, options: Options, *, posture: str, subject: str | None) -> Answer:

@@ -31,7 +31,9 @@ from mammometry.surface.motion.rigid_motion import Effects, Observed, observed
 from mammometry.surface.ranges.range_image import RangeImage
 from mammometry.walk.lens_freedom import pose_errors
 
-_OTHER_SKIN_MM = 12.0  # pairs that differ by more see different skin; a badly held breath causes some mm
+_OTHER_SKIN_MM = 12.0
+"""Pairs that differ by more see different skin. A body that is farther apart in two photographs did not just move: a
+badly held breath causes 3 to 6 mm; photographs of two women in one folder differed by 28 mm."""
 _SIZES_MM = (0.01, 0.03, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 2.0)
 """Standard deviations of a photograph's motion that are compared, mm."""
 _LENS_PX = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0)
@@ -77,6 +79,12 @@ class WalkMotion:
     """Standard uncertainty of a reconstructed point after the correction, mm."""
 
     @property
+    def most_apart_mm(self) -> float:
+        """Largest difference of the body's places at two photographs, mm."""
+        apart = self.shift_mm[:, None] - self.shift_mm[None]
+        return float(np.linalg.norm(apart, axis=-1).max(initial=0.0))
+
+    @property
     def moved(self) -> bool:
         """Whether the body moved enough to be reported."""
         return self.size_mm >= _REPORTED_MM
@@ -106,7 +114,8 @@ def find_motion(
         board_mm: lowest and highest corner of the board's points (x, y), mm.
 
     Raises:
-        SurfaceError: the pairs still disagree too much with these motions.
+        SurfaceError: the pairs still disagree too much with these motions, or the body is elsewhere on the board in
+            some photographs: another patient, or a board that was moved.
     """
     apart = differences(range_images, _OTHER_SKIN_MM)
     cameras = tuple(sorted({name for pair in rig.pair_names.values() for name in pair}))
@@ -139,6 +148,8 @@ def find_motion(
         point_std_mm=float(np.hypot(_robust(spread), _robust(rest)) / np.sqrt(2)),
     )
     most_mm = float(np.hypot(_REST_MM, _MATCHED * expected_mm))
+    if found.most_apart_mm > _OTHER_SKIN_MM:
+        raise _another_body(found)
     if found.rest_mm > most_mm:
         raise _moved_too_much(found, most_mm)
     return found
@@ -248,4 +259,16 @@ def _moved_too_much(found: WalkMotion, most_mm: float) -> SurfaceError:
         expected=f"at most {most_mm:.2f} mm",
         remedy="Have the patient hold her breath for each half of the walk, and photograph again. If she did, send the "
         "telephone's original files, without filters: strong compression and smoothed skin have the same effect",
+    )
+
+
+def _another_body(found: WalkMotion) -> SurfaceError:
+    apart = np.linalg.norm(found.shift_mm[:, None] - found.shift_mm[None], axis=-1)
+    first, second = (found.cameras[i] for i in sorted(np.unravel_index(int(apart.argmax()), apart.shape)))
+    return SurfaceError(
+        "the photographs",
+        found=f"the body at two places on the board, {found.most_apart_mm:.0f} mm apart in photographs {first} and "
+        f"{second}, numbered in order",
+        expected=f"one patient and one walk: at most {_OTHER_SKIN_MM:.0f} mm",
+        remedy="Keep the photographs of one patient and of one walk, in which the board was not moved, in one folder",
     )

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mammometry.base.errors import CalibrationError
+from mammometry.calibration.judge.expected_error import sees
 from mammometry.geometry import Array, Camera, Float64, Rig
 
 NARROWEST_DEG, BEST_DEG, WIDEST_DEG = 8.0, 14.0, 25.0
@@ -29,6 +30,11 @@ _AGAIN_DEG = 6.0  # cost of each other pair with the same photograph, degrees
 _NEAR_DEG = 12.0  # a pair closer than this to the direction of an earlier one adds little
 _GAP_DEG = 35.0  # largest gap between neighbouring photographs: beyond it, no pair sees the skin in between
 _ASIDE_DEG = 30.0  # least extent of the arc to either side of the board's normal: shows the breasts' sides
+
+
+_MOST_SHOW, _FEW_SHOW = 0.75, 0.25
+"""Shares of the photographs that show the skin below the board, and above it, from which on a board counts as upside
+down. Of right walks, 92 to 100 % show that above it, and at most 4 % that below it."""
 
 
 class Candidate(NamedTuple):
@@ -137,4 +143,30 @@ def require_arc(cameras: Sequence[Camera], middle_world: Float64[Array, 3]) -> N
             found=f"none between {low:+.0f}° and {high:+.0f}° (0°: in front of the board, +: the patient's left)",
             expected=f"some from {_ASIDE_DEG:.0f}° or more on either side, and gaps of at most {_GAP_DEG:.0f}°",
             remedy="Photograph again from there, with the whole board in each picture",
+        )
+
+
+def require_upright(
+    cameras: Sequence[Camera], region_middle: Float64[Array, 3], board_middle: Float64[Array, 3]
+) -> None:
+    """Refuse a board that is upside down on the patient, by which side of it is photographed.
+
+    Args:
+        cameras: in the board's frame.
+        region_middle: centre of the body's region above the board, mm.
+        board_middle: centre of the board, mm.
+
+    Raises:
+        CalibrationError: most photographs show the place below the board, and few that above it.
+    """
+    opposite = np.append((2.0 * board_middle - region_middle)[:2], region_middle[2])
+    above, below = (
+        float(np.mean([sees(camera, place[None])[0] for camera in cameras])) for place in (region_middle, opposite)
+    )
+    if below > _MOST_SHOW and above < _FEW_SHOW:
+        raise CalibrationError(
+            "the board",
+            found=f"what is below its text in {below:.0%} of the photographs, and what is above it in {above:.0%}",
+            expected="a board with its text upright, and the breasts above it",
+            remedy="Turn the board so that its text is upright, and photograph again",
         )

@@ -26,7 +26,7 @@ def sized(board: Board, card: CardScale) -> Board:
         raise BoardSizeError(
             "the printed board",
             found=f"columns of {card.scale * board.edge_mm:.1f} mm by the bank card",
-            expected=f"{board.edge_mm:.1f} ± {2 * typed * board.edge_mm:.1f} mm, as in board.toml",
+            expected=f"{board.edge_mm:.1f} ± {2 * typed * board.edge_mm:.1f} mm, as measured by hand",
             remedy="Measure the columns on the print again, and use a bank card of 85.6 × 54 mm that lies flat",
         )
     weights = (1.0 / stated**2, 1.0 / card.std**2)

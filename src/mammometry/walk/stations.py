@@ -12,13 +12,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mammometry.base.errors import CalibrationError
+from mammometry.base.errors import BoardSizeError, CalibrationError
 from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress, no_progress
+from mammometry.base.sizes import Size, fitting
 from mammometry.calibration.adjust import bundle
 from mammometry.calibration.adjust.calibrated import Calibration, ParameterCovariance
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA, POSE_NAMES_STATION
-from mammometry.calibration.detection.detect import Detection, Observations, detect, set_duplicates_aside
+from mammometry.calibration.detection.detect import Detection, Observations, detect
 from mammometry.calibration.judge.expected_error import expected_std_mm
 from mammometry.calibration.settings import CalibrateSettings
 from mammometry.calibration.targets.target import Target
@@ -32,7 +33,9 @@ FEWEST = 8
 _MOST_RMS_PX, _MOST_BOW_MM = 1.5, 3.0
 """Largest residual and bow of a usable board. Good boards fit to 0.05 px, blurred photographs to 0.3 px, a board bent
 round the belly to 8 px; a bow of 3 mm was still corrected (decision 52)."""
-_NEAR_MM = 60.0  # distance within which the board's heights are averaged: the nearest squares
+_NEAR_MM, _NEAREST = 60.0, 4  # distance within which the board's heights are averaged, and the fewest corners
+_DISTANCE_MM, _USUAL_DISTANCE_MM = (150.0, 3000.0), (300.0, 1500.0)
+"""Possible and usual distances of a telephone that sees both breasts and the board. The instructions say 500 to 650."""
 _STEPS = 7  # points along each side of the grid over which the stations' errors are averaged
 
 
@@ -61,18 +64,56 @@ class Stations:
         Args:
             rig: the cameras with their pairs.
             region: region of the body.
+
+        Raises:
+            CalibrationError: no pair sees it.
         """
         third = (region.high_world - region.low_world) / 6
         steps = [np.linspace(middle - half, middle + half, _STEPS) for middle, half in
                  zip(region.middle_world, third, strict=True)]  # fmt: skip
         points = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
         std_mm = expected_std_mm(rig, self.expanded.covariance, points)
-        return float(np.sqrt(np.nanmean(np.concatenate(list(std_mm.values())) ** 2)))
+        seen = np.concatenate(list(std_mm.values()))
+        seen = seen[np.isfinite(seen)]
+        if not len(seen):
+            raise CalibrationError(
+                "the photographs",
+                found="no two neighbouring ones that show the body above the board",
+                expected="the board and both breasts in every photograph",
+                remedy="Photograph again from 50 to 65 cm, with the board at the lower edge of the picture",
+            )
+        return float(np.sqrt(np.mean(seen**2)))
 
     def plane_mm(self, place: tuple[float, float]) -> float:
         """Height z of the board near a position (x, y) on it, mm. Not 0 if the board is bowed."""
         away = np.linalg.norm(self.calibration.target_points[:, :2] - np.array(place), axis=1)
-        return float(self.calibration.target_points[away < _NEAR_MM, 2].mean())
+        near = away <= max(_NEAR_MM, float(np.sort(away)[_NEAREST - 1]))
+        return float(self.calibration.target_points[near, 2].mean())
+
+    def require_distance(self) -> None:
+        """Refuse a board described in another unit than mm: the telephone would be impossibly near or far.
+
+        Raises:
+            BoardSizeError: states the distance, and the size that would fit.
+        """
+        middle = self.calibration.target_points.mean(axis=0)
+        away = [float(np.linalg.norm(camera.centre_world - middle)) for camera in self.rig.cameras.values()]
+        distance = Size(
+            mm=float(np.median(away)),
+            name="distance",
+            possible_mm=_DISTANCE_MM,
+            usual_mm=_USUAL_DISTANCE_MM,
+            words="the telephone is {} from the board",
+        )
+        if distance.is_possible:
+            return
+        name, stated_mm = self.calibration.observations.target.stated_size
+        raise BoardSizeError(
+            "the printed board",
+            found=f"{name} = {stated_mm:g}, with which {distance}",
+            expected=distance.expected,
+            remedy=f"Enter millimetres in board.toml{fitting(stated_mm, [distance])}",
+        )
 
     @property
     def bow_mm(self) -> float:
@@ -93,7 +134,7 @@ def find_boards(
         target: the board.
         progress: fraction of the photographs searched.
     """
-    return set_duplicates_aside(detect(_Shots(photographs), target, progress=progress))
+    return detect(_Shots(photographs), target, progress=progress)
 
 
 def stations_of(observations: Observations, settings: CalibrateSettings = CalibrateSettings()) -> Stations:
@@ -112,7 +153,7 @@ def stations_of(observations: Observations, settings: CalibrateSettings = Calibr
             "the photographs",
             found=f"the board in {len(found)} of {len(found) + len(observations.missed)}",
             expected=f"the board in at least {FEWEST}",
-            remedy="Keep the whole board in the picture, in focus, and describe it in board.toml as it was printed",
+            remedy="Keep the whole board in the picture, in focus. Describe a board of your own in board.toml",
         )
     calibration = bundle.calibrate(observations, {}, TELEPHONE, settings)
     found_at = Stations(calibration=calibration, expanded=expanded(calibration))

@@ -8,7 +8,7 @@ import pytest
 from mammometry.base.errors import CalibrationError
 from mammometry.calibration.targets.kinds.charuco import CharucoTarget
 from mammometry.geometry import Camera, Rig, Transform
-from mammometry.walk.pairs import NARROWEST_DEG, WIDEST_DEG, candidates, choose_pairs, require_arc
+from mammometry.walk.pairs import NARROWEST_DEG, WIDEST_DEG, candidates, choose_pairs, require_arc, require_upright
 from mammometry.walk.region import region_above
 
 MIDDLE = np.array([0.0, -200.0, 0.0])
@@ -95,3 +95,14 @@ def test_the_region_is_above_the_board_and_its_picture_is_whole():
     uv = np.round(camera.project(inside)).astype(int)
     seen = (uv >= 1).all(axis=1) & (uv < np.array(camera.size_wh) - 1).all(axis=1)
     assert mask[uv[seen, 1], uv[seen, 0]].all()
+
+
+def test_a_board_that_is_upside_down_on_the_patient_is_refused():
+    """In the board's frame the breasts are then below it. A board alone is no reason."""
+    board_middle = MIDDLE + np.array([0.0, 300.0, 30.0])
+    cameras = [looking(str(i), angle) for i, angle in enumerate(range(-60, 61, 12))]
+    require_upright(cameras, MIDDLE, board_middle)
+    turned = np.append((2 * board_middle - MIDDLE)[:2], MIDDLE[2])
+    with pytest.raises(CalibrationError):
+        require_upright(cameras, turned, board_middle)
+    require_upright(cameras, MIDDLE + np.array([0.0, -400.0, 0.0]), MIDDLE)

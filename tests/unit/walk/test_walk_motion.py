@@ -137,6 +137,35 @@ def test_a_body_that_moved_otherwise_is_refused(walk):
         find_motion(true, bent, {}, BOARD_MM)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("moved_mm", "refused"), [(6.0, False), (16.0, True)])
+def test_a_body_that_is_elsewhere_in_half_of_the_photographs_is_refused(walk, moved_mm, refused):
+    """The board slipped, or it is another patient: more than the pairs are compared over."""
+    true, images = walk
+    shift_mm = np.zeros((len(ANGLES_DEG), 3))
+    shift_mm[len(ANGLES_DEG) // 2 :, 2] = moved_mm
+    board, seen = as_by_the_board(true, images, np.zeros((len(ANGLES_DEG), 3)), shift_mm)
+    if not refused:
+        assert 4.0 < find_motion(board, seen, {}, BOARD_MM).most_apart_mm < 8.0
+        return
+    with pytest.raises(SurfaceError):
+        find_motion(board, seen, {}, BOARD_MM)
+
+
+def posed(camera, change):
+    """The camera with another pose: a turn, rad, and a shift of its centre, mm."""
+    turned = Transform.from_rotation_vector(change[:3], np.zeros(3)).rotation @ camera.camera_from_world.rotation
+    centre = camera.centre_world + change[3:]
+    return replace(camera, camera_from_world=Transform(rotation=turned, translation_mm=-turned @ centre))
+
+
+def pose_on(board, uv, camera):
+    """Change of the camera's pose with which the board's points are seen at uv."""
+    return (
+        least_squares(lambda scaled: (posed(camera, scaled * ROOM).project(board) - uv).ravel(), np.zeros(6)).x * ROOM
+    )
+
+
 def board_points(board_mm):
     x, y = np.linspace(*board_mm, 7).T
     return np.stack([*np.meshgrid(x, y), np.zeros((7, 7))], axis=-1).reshape(-1, 3)
@@ -153,21 +182,11 @@ def test_a_lens_that_changed_is_undone_on_the_skin(walk, change):
     matrix[[0, 1], 2] += change[1:]
     other = replace(camera, matrix=matrix)
 
-    def pose(twist):
-        turned = Transform.from_rotation_vector(twist[:3], np.zeros(3)).rotation @ camera.camera_from_world.rotation
-        return replace(
-            camera,
-            camera_from_world=Transform(rotation=turned, translation_mm=-turned @ (camera.centre_world + twist[3:])),
-        )
-
     board = board_points(BOARD_MM)
-    fitted = (
-        least_squares(lambda scaled: (pose(scaled * ROOM).project(board) - other.project(board)).ravel(), np.zeros(6)).x
-        * ROOM
-    )
-    corrected = pose(fitted + pose_errors(camera, BOARD_MM, skin) @ np.array(change))
+    fitted = pose_on(board, other.project(board), camera)
+    corrected = posed(camera, fitted + pose_errors(camera, BOARD_MM, skin) @ np.array(change))
     before, after = (
-        np.sqrt(np.mean((seen.project(skin) - other.project(skin)) ** 2)) for seen in (pose(fitted), corrected)
+        np.sqrt(np.mean((seen.project(skin) - other.project(skin)) ** 2)) for seen in (posed(camera, fitted), corrected)
     )
     assert after < 0.2 * before
 
@@ -176,14 +195,10 @@ def test_a_lens_that_changed_is_told_from_a_body_that_moved(walk):
     true, images = walk
     rng = np.random.default_rng(8)
     skin = np.concatenate([image.valid_points_world()[::50] for image in images])
-    cameras = {}
-    for name, camera in true.cameras.items():
-        turn = pose_errors(camera, BOARD_MM, skin) @ rng.normal(0.0, 0.5, 3)
-        rotation = Transform.from_rotation_vector(turn[:3], np.zeros(3)).rotation @ camera.camera_from_world.rotation
-        centre = camera.centre_world + turn[3:]
-        cameras[name] = replace(
-            camera, camera_from_world=Transform(rotation=rotation, translation_mm=-rotation @ centre)
-        )
+    cameras = {
+        name: posed(camera, pose_errors(camera, BOARD_MM, skin) @ rng.normal(0.0, 0.5, 3))
+        for name, camera in true.cameras.items()
+    }
     board = replace(true, cameras=cameras)
     seen = [retriangulated(image, true.pair(image.name), board.pair(image.name)) for image in images]
     found = find_motion(board, seen, {}, BOARD_MM)

@@ -228,7 +228,7 @@ TEXTS: Mapping[str, Text] = MappingProxyType(
         ),
         "board-not-measured": Text(
             "The printed board was not measured. This alone makes each volume uncertain by ± {percent:.0f} %. "
-            "Measure the length of its eleven columns, and enter it in board.toml (edge_mm)."
+            "Measure the length of its eleven columns, and enter it on the visit's page, or as edge_mm in board.toml."
         ),
         "board-measured-by-card": Text(
             "The bank card shows that the size of the printed board is {percent:+.2f} % off. All lengths were "

@@ -346,7 +346,7 @@ def set_duplicates_aside(observations: Observations) -> Observations:
     """
     twins: dict[tuple[str, str], list[Detection]] = defaultdict(list)
     for a, b in combinations(observations.detections, 2):
-        distance_px = _distance_px(a, b)
+        distance_px = median_distance_px(a, b)
         if distance_px < _SAME_PX:
             stood_still = a.camera == b.camera and _stood_still(observations, a, b)
             if not stood_still:
@@ -375,11 +375,11 @@ def _stood_still(observations: Observations, a: Detection, b: Detection) -> bool
     pairs = [
         (others[seen.camera], seen) for seen in observations.detections if seen.pose == b.pose and seen.camera in others
     ]
-    return all(_distance_px(first, second) < _SAME_PX for first, second in pairs)
+    return all(median_distance_px(first, second) < _SAME_PX for first, second in pairs)
 
 
-def _distance_px(a: Detection, b: Detection) -> float:
-    """Median distance of the points in both. Infinite if few points are in both."""
+def median_distance_px(a: Detection, b: Detection) -> float:
+    """Median distance of the points in both, px. Infinite if few points are in both."""
     _, i, j = np.intersect1d(a.ids, b.ids, assume_unique=True, return_indices=True)
     if len(i) < _COMMON * max(len(a.ids), len(b.ids)) or not len(i):
         return float("inf")

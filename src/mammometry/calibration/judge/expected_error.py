@@ -173,7 +173,9 @@ def expected_std_mm(
     for pair, free in by_parameter.items():
         std_mm[pair] = np.full(len(points), np.nan)
         flat = free.reshape(-1, len(columns))  # one matrix product instead of one per point
-        std_mm[pair][inside[pair]] = np.sqrt(np.sum(((flat @ matrix) * flat).reshape(len(free), -1), axis=1))
+        std_mm[pair][inside[pair]] = np.sqrt(
+            np.sum(((flat @ matrix) * flat).reshape(len(free), 3 * len(columns)), axis=1)
+        )
     return std_mm
 
 

@@ -14,9 +14,9 @@ from mammometry.base.sizes import Size, fitting
 from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.target import TARGETS, Target
 
-_MAX_PRINT_SCALE = 0.1
-"""Largest relative scale error of a print. Printers err by a few per cent at most, so a larger difference is a typing
-error."""
+_MAX_PRINT_SCALE = 0.08
+"""Largest relative scale error of a print. Printers err by a few per cent, and fitting A4 to Letter shrinks it by 6 %.
+A larger difference is a typing error, or the length of ten of eleven columns (9 %)."""
 _TARGET_MM, _USUAL_TARGET_MM = (20.0, 2500.0), (60.0, 1500.0)
 """Possible and usual longest side of a target's points, mm. A cast of 40 mm is no smaller than its target."""
 

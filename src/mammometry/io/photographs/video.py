@@ -77,7 +77,7 @@ def write_frames(
             path.name,
             found="the board in no frame",
             expected="a walk around the patient with the whole board in view",
-            remedy="Film at full resolution, in portrait or landscape, and describe the board in board.toml",
+            remedy="Film at full resolution, in portrait or landscape. Describe a board of your own in board.toml",
         )
     chosen = set(choose_frames(seen))
     files = []

@@ -78,7 +78,7 @@ def stillness(
         )
 
 
-@product("surface", version=3, inputs=("region",))
+@product("surface", version=4, inputs=("region",))
 def walk_motion(
     cameras: CameraSet,
     range_images: Mapping[str, RangeImage],
