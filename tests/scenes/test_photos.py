@@ -68,8 +68,8 @@ def test_a_walk_gives_the_skin_and_both_volumes(walk, tmp_path, capsys):
     moved = TriangleMesh(vertices=mesh.vertices @ pose[:3, :3].T + pose[:3, 3], faces=mesh.faces)
     near = nipple_skin(source / "truth/body.ply", np.array(truth["nipples"]))
     apart_mm = closest_on_mesh(near, moved).distances_mm
-    # At half size 0.88 of this skin is within 1 mm: few pairs see the outer sides. The median is 0.21 mm. Without boards
-    # at a flat angle, whose photographs show more skin but see the front obliquely, it is 0.17 (decision 52).
+    # At half size 0.88 of this skin is within 1 mm: few pairs see the outer sides. The median is 0.21 mm, without the
+    # boards at a flat angle 0.17: their photographs show more skin, but see the front obliquely (decision 52).
     assert np.median(apart_mm) < 0.25
     assert np.mean(apart_mm < 1.0) > 0.85
 
