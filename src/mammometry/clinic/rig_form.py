@@ -62,7 +62,7 @@ class RigForm(RecordForm):
         min_value=1,
         max_value=_MOST_SQUARES,
         widget=_number("1"),
-        help_text="As many as the ruler or caliper reaches: more squares are more accurate.",
+        help_text="As many as the ruler or calliper reaches: more squares are more accurate.",
     )
     measured_mm = forms.FloatField(
         label="Their length on the print, mm", required=False, min_value=0.1, max_value=5000.0, widget=_number()
@@ -73,7 +73,7 @@ class RigForm(RecordForm):
         min_value=0.001,
         max_value=10.0,
         widget=_number(),
-        help_text="Standard uncertainty: 0.1 to 0.3 mm with a steel ruler, 0.02 to 0.05 mm with a caliper.",
+        help_text="Standard uncertainty: 0.1 to 0.3 mm with a steel ruler, 0.02 to 0.05 mm with a calliper.",
     )
     described_by = forms.FileField(
         label="Or a session.toml of this rig",

@@ -184,10 +184,10 @@ software = ""   # that made the meshes, with its version; empty: mammometry
 units = "mm"    # of meshes whose file states no unit
 
 [sphere]        # meshes, scans or sessions in sphere/: 1.ply to 10.ply
-diameter_mm = 0.0       # by caliper: mean of ten directions
+diameter_mm = 0.0       # by calliper: mean of ten directions
 diameter_std_mm = 0.02
 form_std_mm = 0.02      # standard deviation of the ten diameters
-source = ""             # "caliper no. 7, 2026-11-02" or the certificate's number
+source = ""             # "calliper no. 7, 2026-11-02" or the certificate's number
 
 [bar]           # in bar/: 1.ply to 7.ply
 distance_mm = 0.0       # between the balls' centres: outside length minus one diameter

@@ -163,7 +163,7 @@ def test_a_new_test_is_refused_until_it_is_filled_in(tmp_path: Path, capsys: pyt
     assert (code, table["subject"]) == (3, str(folder / DESCRIPTION))
     text = (folder / DESCRIPTION).read_text(encoding="utf-8")
     values = {"diameter_mm = 0.0": "diameter_mm = 100.0", "distance_mm = 0.0": "distance_mm = 300.0"}
-    values |= {"volume_cc = 0.0": "volume_cc = 400.0", 'source = ""': 'source = "caliper"'}
+    values |= {"volume_cc = 0.0": "volume_cc = 400.0", 'source = ""': 'source = "calliper"'}
     for old, new in values.items():
         text = text.replace(old, new)
     (folder / DESCRIPTION).write_text(text, encoding="utf-8")
