@@ -32,7 +32,7 @@ def judge_lenses(calibration: Calibration, stations: Mapping[str, Camera]) -> di
             code="another-lens",
             found=f"corners of the board that are {aside.residual_px:.1f} pixels off",
             expected="a flat board and the lens of the other pictures",
-            remedy="Do not zoom during a walk, lock the focus, and keep the card flat",
+            remedy="Do not zoom during a walk, lock the focus, and keep the board flat",
         )
         for aside in calibration.set_aside
     }
@@ -54,7 +54,7 @@ def judge_lenses(calibration: Calibration, stations: Mapping[str, Camera]) -> di
                 code="another-lens",
                 found=f"{excluded.sum()} of {len(excluded)} corners of the board that do not fit",
                 expected="a flat board and the lens of the other pictures",
-                remedy="Do not zoom during a walk, lock the focus, and keep the card flat",
+                remedy="Do not zoom during a walk, lock the focus, and keep the board flat",
             )
     return out
 
