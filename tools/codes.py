@@ -26,7 +26,7 @@ _TOP = """# Codes
 ## Errors
 
 With `--json` an error is one object with `code`, `kind`, `exit_code`, `error` (the sentence), `subject`, `found`,
-`expected` and `remedy`.
+`expected` and `remedy`, and with `details`, a list of single cases, if there are any.
 
 | code | exit code | meaning |
 | --- | --- | --- |

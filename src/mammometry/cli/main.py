@@ -150,6 +150,7 @@ def run(arguments: Sequence[str]) -> int:
         return answer if isinstance(answer, int) else 0
     except MammometryError as error:
         about = {name: getattr(error, name) for name in ("code", "subject", "found", "expected", "remedy")}
+        about |= {"details": list(error.details)} if error.details else {}
         shown = "" if error.page is None else f" Picture: {error.page}"
         about |= {"page": str(error.page)} if shown else {}
         return _fail(f"{error}{shown}", error.exit_code, as_json, kind=error.kind, **about)
