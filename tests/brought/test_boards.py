@@ -313,4 +313,4 @@ def test_photographs_copied_or_of_another_day_leave_the_right_number() -> None:
     away = {name: tuple(np.random.default_rng(k).normal(0, 3, 3)) for k, name in enumerate(CAMERAS)}
     verdict, said, off = judged(with_moved({("03", name): shift for name, shift in away.items()}, 7))
     assert (verdict, abs(off) < 5e-4) == ("refuse", True)
-    assert re.search(r"contradict: (\w+ in pose 03(, | and )?)+, expected", said)
+    assert re.search(r"contradict the others: (\w+ in pose 03(, | and )?)+, expected", said)
