@@ -71,7 +71,7 @@ _WELL = {
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Expected:
-    """What a capture is compared with."""
+    """Facts about a rig with which a capture is compared."""
 
     cameras: tuple[str, ...]
     subject_kind: str

@@ -175,7 +175,7 @@ class Drawing(Keyed):
     """Who drew, changed or confirmed a boundary or landmark. The curve itself is in the session folder."""
 
     class Action(models.TextChoices):
-        """What the person did."""
+        """Kind of change to a boundary or landmark."""
 
         DRAWN = "drawn"
         CONFIRMED = "confirmed"

@@ -46,7 +46,7 @@ def basis_of(visit: Visit, measurement: Measurement, side: str, definition: str)
 
 
 def basis(posture: str, how: Mapping[str, Any], side: str, definition: str) -> Basis:
-    """The same as `basis_of`, from plain values of the database.
+    """Basis on which a volume is comparable, from plain values of the database.
 
     Args:
         posture: posture of the visit.

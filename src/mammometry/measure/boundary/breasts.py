@@ -395,7 +395,7 @@ def _result(
 
 
 def _low(code: str, name: SideName, prominence: Prominence | None) -> Notice:
-    """Notice with this code; if there is a low prominence, with ``-low`` appended and its height."""
+    """Notice with this code. A low prominence appends ``-low`` to the code and gives its height."""
     if prominence is None:
         return Notice(code=code, about=(name,))
     values = {"top_mm": prominence.top_mm, "mean_mm": prominence.mean_mm}

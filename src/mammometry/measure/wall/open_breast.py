@@ -65,7 +65,7 @@ class OpenBreast:
 
     @cached_property
     def part(self) -> OpenPart:
-        """Its skin, cut out of the surface, complete, with the cut as the only opening.
+        """The breast's skin, cut out of the surface. The cut is its only opening.
 
         Raises:
             MeasureError: the boundary cannot be followed on the surface, or does not enclose a complete breast.

@@ -136,7 +136,7 @@ def _shaped(text: str, font: Path, is_bold: bool, right_to_left: bool) -> list[C
 
 
 def _runs(word: str) -> Iterator[tuple[str, Path]]:
-    """Parts of a word, each with the first font that has all its letters; one font for the whole word if possible."""
+    """Parts of a word, each with a font that has all its letters. One part if one font has the whole word."""
     if (font := _font_file(word)) is not None:
         yield word, font
         return
