@@ -76,7 +76,7 @@ def disk_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        # NumPy's error has no number
+        # NumPy's error of a short write has neither an errno nor a type of its own.
         if error.errno in _FULL or (error.errno is None and "requested and" in str(error)):
             raise FullDiskError(
                 str(path),

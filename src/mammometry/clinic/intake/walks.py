@@ -18,6 +18,7 @@ from django.db import transaction
 from mammometry.api.photos import WALK, read_walk
 from mammometry.base.errors import ImageError
 from mammometry.base.extras import MissingLibraryError
+from mammometry.base.listing import by_number
 from mammometry.base.parse import LimitSettings
 from mammometry.calibration.targets.board import SquaresBoard
 from mammometry.calibration.targets.table import target_from_table
@@ -154,7 +155,7 @@ def photographs_of(visit: Visit) -> list[Upload]:
     if None not in taken.values():
         placed.sort(key=lambda row: (taken[row.pk], row.created))
     elif all(files.values()):
-        placed.sort(key=lambda row: (len(files[row.pk]), files[row.pk]))  # IMG_999 before IMG_1000
+        placed.sort(key=lambda row: by_number(Path(files[row.pk])))
     return placed + [row for row in rows if row.state != Upload.State.PLACED]
 
 
