@@ -16,7 +16,7 @@ from mammometry.surface.ranges.range_image import MAX_SIGMA_MM, RangeImage
 
 _AT_EDGE_PX = 1.0
 """Standard deviation of disparities at the edge, pixels of the range image: 0.9 to 1.1 on virtual walks. With 2, so
-much skin is left out that the trunk's axis and the border change (decision 52)."""
+much skin is left out that borders move by up to 10 % of a volume (decision 52)."""
 _DECAY_PX = 8.0
 """Distance over which it decreases by a factor of e, pixels: about three σ of the matching window."""
 
