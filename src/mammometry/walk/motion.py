@@ -79,7 +79,7 @@ class WalkMotion:
     """Standard uncertainty of a reconstructed point after the correction, mm."""
 
     @property
-    def apart_mm(self) -> Float64[Array, "n n"]:
+    def distance_mm(self) -> Float64[Array, "n n"]:
         """Distance between the body's positions at any two photographs, mm."""
         return np.asarray(np.linalg.norm(self.shift_mm[:, None] - self.shift_mm[None], axis=-1))
 
@@ -147,7 +147,7 @@ def find_motion(
         point_std_mm=float(np.hypot(_robust(spread), _robust(rest)) / np.sqrt(2)),
     )
     most_mm = float(np.hypot(_REST_MM, _MATCHED * expected_mm))
-    if found.apart_mm.max() > _OTHER_SKIN_MM:
+    if found.distance_mm.max() > _OTHER_SKIN_MM:
         raise _another_body(found)
     if found.rest_mm > most_mm:
         raise _moved_too_much(found, most_mm)
@@ -262,10 +262,10 @@ def _moved_too_much(found: WalkMotion, most_mm: float) -> SurfaceError:
 
 
 def _another_body(found: WalkMotion) -> SurfaceError:
-    first, second = np.unravel_index(int(found.apart_mm.argmax()), found.apart_mm.shape)
+    first, second = np.unravel_index(int(found.distance_mm.argmax()), found.distance_mm.shape)
     return SurfaceError(
         "the photographs",
-        found=f"the body at two places on the board, {found.apart_mm.max():.0f} mm apart in photographs "
+        found=f"the body at two places on the board, {found.distance_mm.max():.0f} mm apart in photographs "
         f"{found.cameras[first]} and {found.cameras[second]}, numbered in order",
         expected=f"one patient and one walk: at most {_OTHER_SKIN_MM:.0f} mm",
         remedy="Keep the photographs of one patient and of one walk, in which the board was not moved, in one folder",

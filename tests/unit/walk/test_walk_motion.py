@@ -146,7 +146,7 @@ def test_a_body_that_is_elsewhere_in_half_of_the_photographs_is_refused(walk, mo
     shift_mm[len(ANGLES_DEG) // 2 :, 2] = moved_mm
     board, seen = as_by_the_board(true, images, np.zeros((len(ANGLES_DEG), 3)), shift_mm)
     if not refused:
-        assert 4.0 < find_motion(board, seen, {}, BOARD_MM).apart_mm.max() < 8.0
+        assert 4.0 < find_motion(board, seen, {}, BOARD_MM).distance_mm.max() < 8.0
         return
     with pytest.raises(SurfaceError):
         find_motion(board, seen, {}, BOARD_MM)
